@@ -1,0 +1,50 @@
+"""The project's own thread pool for `nogil` kernels.
+
+numba's threading layers abort, duplicate OpenMP or kill forked children (docs of each), so kernels
+here are plain functions over a block `(index, n_blocks)` that a small pool calls. Every block writes
+only its own outputs, hence results do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+BLOCKS = 8  # blocks per parallel call, fixed, so that no result can depend on the thread count
+
+_pool: ThreadPoolExecutor | None = None
+_pool_key: tuple[int, int] = (0, 0)
+_threads = 0
+
+
+def set_threads(n: int) -> None:
+    """Use `n` threads for kernels; 0 = all cores this process may run on."""
+    global _threads
+    _threads = int(n)
+
+
+def threads() -> int:
+    """The number of threads in use."""
+    if _threads > 0:
+        return _threads
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_blocks(kernel: Callable[..., Any], *args: Any, blocks: int = BLOCKS) -> None:
+    """Call `kernel(block, blocks, *args)` for every block; returns when all are done.
+
+    Raises whatever a block raised. The pool is rebuilt after a fork or a change of thread count.
+    """
+    global _pool, _pool_key
+    n = threads()
+    if n == 1:
+        for block in range(blocks):
+            kernel(block, blocks, *args)
+        return
+    key = (os.getpid(), n)
+    if _pool is None or _pool_key != key:
+        _pool, _pool_key = ThreadPoolExecutor(n, thread_name_prefix="fishersplat"), key
+    for future in [_pool.submit(kernel, block, blocks, *args) for block in range(blocks)]:
+        future.result()

@@ -1,0 +1,130 @@
+"""THE contracts: what a plugin gets and what it returns.
+
+A plugin is one file with one frozen dataclass whose typed fields are its options:
+
+    @register("augment", "mirror")
+    @dataclass(frozen=True)
+    class Mirror(Augmenter):
+        every: int = 1
+
+`name` chooses it; `weight`, `start` and `stop` are framework keys every plugin has. State is
+explicit: `init_state` makes it, every hook gets it and returns the next one, checkpoints hold it.
+A plugin validates its options in `__post_init__` with `framework.errors.require`.
+
+This module, and so every plugin module, is imported to list options: heavy libraries are imported
+inside the methods that need them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from framework.registry import register
+
+if TYPE_CHECKING:
+    import numpy as np
+    from torch import Tensor
+
+    from framework.fisher import FisherInformation
+    from framework.types import Camera, DepthMap, Gaussians, Render, View
+
+__all__ = ["Augmenter", "Capacity", "Edits", "Regularizer", "StepContext", "StepStats", "register"]
+
+
+@dataclass(frozen=True)
+class StepContext:
+    """What a plugin may know: read-only, and of the scene only what training may know.
+
+    step: finished steps so far (0-based index of the step about to run). views: the real training
+    views; depth: their depth maps, in the same order. gaussians: the current ones, detached.
+    version: changes whenever Gaussians were added or removed. sh_degree: the active degree.
+    background: [3]. extent: see `TrainingSet.extent`; near, far: depth bounds of the scene.
+    render(camera): the current Gaussians without any dropout. fisher(camera): their information.
+    rng(purpose): this plugin's own stream for this step. log(name, value): into the history.
+    """
+
+    step: int
+    n_steps: int
+    epoch: int
+    views: tuple[View, ...]
+    depth: tuple[DepthMap, ...]
+    gaussians: Gaussians
+    version: int
+    sh_degree: int
+    background: Tensor
+    extent: float
+    near: float
+    far: float
+    render: Callable[[Camera], Render]
+    fisher: Callable[[Camera], FisherInformation]
+    rng: Callable[[str], np.random.Generator]
+    log: Callable[[str, float], None]
+
+    @property
+    def progress(self) -> float:
+        """Share of the training already done, in [0, 1)."""
+        return self.step / self.n_steps
+
+
+class Plugin:
+    """Base of all plugins. `defaults` changes the framework keys' defaults for a method."""
+
+    name: ClassVar[str]
+    group: ClassVar[str]
+    defaults: ClassVar[dict[str, float]] = {}
+
+    def init_state(self, ctx: StepContext) -> Any:
+        """The state before the first use; None for a plugin without one."""
+        return None
+
+
+class Augmenter(Plugin):
+    """Makes pseudo views that join the real ones for one epoch. `weight` multiplies their loss;
+    before `start` and after `stop` (shares of the training) it is not called."""
+
+    def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[View], Any]:
+        """Called at each epoch's start: the pseudo views of this epoch (rebuilt, not accumulated)."""
+        raise NotImplementedError
+
+
+class Regularizer(Plugin):
+    """Acts on a training step; evaluation never sees it."""
+
+    def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
+        """[N] float32 factors on the activated opacities for this step's render, or None."""
+        return None, state
+
+    def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
+        """An unweighted scalar to add to the photometric loss, or None."""
+        return None
+
+
+@dataclass(frozen=True)
+class StepStats:
+    """What the last step measured. means2d_grad: [N, 2], gradient of the loss with respect to the
+    projected means, in pixels. radii: [N] pixels, 0 = culled. width, height: of that render."""
+
+    means2d_grad: Tensor
+    radii: Tensor
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class Edits:
+    """A change of the set of Gaussians: first `keep` ([N] bool), then `append`; afterwards clamp
+    opacities to at most `opacity_ceiling` (and forget their optimizer moments)."""
+
+    keep: Tensor | None = None
+    append: Gaussians | None = None
+    opacity_ceiling: float | None = None
+
+
+class Capacity(Plugin):
+    """Decides how many Gaussians there are; the only code that changes N."""
+
+    def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
+        """Called after each step. The trainer applies the edits to parameters and optimizer state."""
+        raise NotImplementedError

@@ -1,0 +1,114 @@
+"""name -> plugin class, with discovery and checked construction.
+
+Plugins are found in the `plugins/` folder and in installed packages that declare the entry point
+group `fishersplat.plugins`. Launchers start fresh processes, so `discover` is cheap to call again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import pkgutil
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import entry_points
+from typing import Any, TypeVar
+
+from framework.errors import UserError, nearest_hint, require
+
+GROUPS = {"augment": "plugins.augment", "reg": "plugins.regularize", "capacity": "plugins.capacity"}
+FRAMEWORK_KEYS = {"weight": 1.0, "start": 0.0, "stop": 1.0}
+
+_classes: dict[str, dict[str, type]] = {group: {} for group in GROUPS}
+C = TypeVar("C", bound=type)
+
+
+def register(group: str, name: str) -> Callable[[C], C]:
+    """Class decorator: make a frozen dataclass selectable as `group=name`."""
+
+    def add(cls: C) -> C:
+        require(group in GROUPS, f"register: unknown group '{group}'; {nearest_hint(group, GROUPS)}")
+        other = _classes[group].get(name)
+        if other is not None and (other.__module__, other.__qualname__) != (
+            cls.__module__,
+            cls.__qualname__,
+        ):
+            raise UserError(
+                f"{group}={name}: two plugins claim this name, {other.__module__} and"
+                f" {cls.__module__}; rename one"
+            )
+        cls.name, cls.group = name, group  # type: ignore[attr-defined]
+        _classes[group][name] = cls
+        return cls
+
+    return add
+
+
+def discover() -> None:
+    """Import every plugin module, so that all of them are registered."""
+    for package_name in GROUPS.values():
+        package = importlib.import_module(package_name)
+        for module in pkgutil.iter_modules(package.__path__):
+            importlib.import_module(f"{package_name}.{module.name}")
+    for point in entry_points(group="fishersplat.plugins"):
+        point.load()
+
+
+def names(group: str) -> list[str]:
+    """The registered names of a group, sorted."""
+    discover()
+    return sorted(_classes[group])
+
+
+def lookup(group: str, name: str) -> type:
+    """The class behind `group=name`; an unknown name lists the options and the nearest."""
+    known = names(group)
+    if name not in known:
+        raise UserError(f"{group}={name}: unknown {group} plugin; {nearest_hint(name, known)}")
+    return _classes[group][name]
+
+
+def option_fields(cls: type) -> list[tuple[str, Any, Any]]:
+    """(name, type, dataclasses.field) of every option, framework keys first; for a config schema."""
+    overrides = getattr(cls, "defaults", {})
+    rows: list[tuple[str, Any, Any]] = [
+        (key, float, field(default=float(overrides.get(key, default))))
+        for key, default in FRAMEWORK_KEYS.items()
+    ]
+    hints = typing.get_type_hints(cls)
+    for option in dataclasses.fields(cls):
+        rows.append((option.name, hints[option.name], field(default=option.default)))
+    return rows
+
+
+@dataclass(frozen=True)
+class Plugged:
+    """A plugin with its framework keys: active while start <= progress < stop."""
+
+    plugin: Any
+    weight: float
+    start: float
+    stop: float
+
+    def active(self, progress: float) -> bool:
+        return self.start <= progress < self.stop
+
+
+def build(group: str, config: Mapping[str, Any]) -> Plugged:
+    """The plugin that `config` (key `name` + options) describes. Raises UserError on a bad one."""
+    options = dict(config)
+    name = str(options.pop("name", ""))
+    cls = lookup(group, name)
+    known = {row[0]: row for row in option_fields(cls)}
+    for key in options:
+        if key not in known:
+            raise UserError(f"{group}={name}: unknown option '{key}'; {nearest_hint(key, known)}")
+    keys = {key: float(options.pop(key, known[key][2].default)) for key in FRAMEWORK_KEYS}
+    require(keys["weight"] >= 0, f"{group}={name}: weight must be >= 0, got {keys['weight']}")
+    require(
+        0 <= keys["start"] <= keys["stop"] <= 1,
+        f"{group}={name}: expected 0 <= start <= stop <= 1 (shares of the training), got"
+        f" start={keys['start']}, stop={keys['stop']}",
+    )
+    return Plugged(cls(**options), **keys)

@@ -1,0 +1,207 @@
+"""The values that cross module borders: frozen, shape-documented.
+
+Conventions, everywhere in the project:
+- images are planar, `[3, H, W]` float32 in [0, 1]; maps are `[H, W]`.
+- `viewmat` is world-to-camera with OpenCV axes (x right, y down, z forward); `K` is in pixels;
+  the centre of pixel (0, 0) is at (0.5, 0.5).
+- quaternions are wxyz and need not be normalised.
+- depth is the camera-space z coordinate, in scene units (not the distance along the ray).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor
+
+from framework.errors import UserError
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera.
+
+    viewmat: [4, 4] float64 world-to-camera. K: [3, 3] float64, pixels. width, height: pixels.
+    """
+
+    viewmat: Tensor
+    K: Tensor
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        if tuple(self.viewmat.shape) != (4, 4) or tuple(self.K.shape) != (3, 3):
+            raise ValueError(
+                f"Camera: expected viewmat [4, 4] and K [3, 3], got {tuple(self.viewmat.shape)}"
+                f" and {tuple(self.K.shape)}"
+            )
+        object.__setattr__(self, "viewmat", self.viewmat.to(torch.float64))
+        object.__setattr__(self, "K", self.K.to(torch.float64))
+        if not (torch.isfinite(self.viewmat).all() and torch.isfinite(self.K).all()):
+            raise UserError("camera: expected finite pose and intrinsics, got NaN or infinity")
+        if self.width < 1 or self.height < 1:
+            raise UserError(f"camera: expected a size of at least 1x1, got {self.width}x{self.height}")
+
+    @property
+    def center(self) -> Tensor:
+        """[3] float64, the camera's position in the world."""
+        rotation, translation = self.viewmat[:3, :3], self.viewmat[:3, 3]
+        return -rotation.T @ translation
+
+    def scaled(self, factor: int) -> Camera:
+        """The camera of the image box-downsampled by an integer `factor` (floor of the size)."""
+        if factor == 1:
+            return self
+        K = self.K.clone()
+        K[:2] /= factor
+        return Camera(self.viewmat, K, self.width // factor, self.height // factor)
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera with what it saw.
+
+    image: [3, H, W] float32 in [0, 1]. mask: [H, W] float32 in [0, 1] or None (all valid).
+    weight: factor of this view's photometric loss. depth: [H, W] float32 exact depth (0 = unknown)
+    where a scene has it; only `depth=ground_truth` and diagnostics read it. tags: for instance
+    ("interpolating",) or ("extrapolating",) on test views, ("pseudo",) on augmented ones.
+    """
+
+    name: str
+    camera: Camera
+    image: Tensor
+    mask: Tensor | None = None
+    weight: float = 1.0
+    depth: Tensor | None = None
+    tags: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """depth: [H, W] float32, 0 = no estimate. confidence: [H, W] float32 in [0, 1]; 0 marks a mere
+    guess (failed the consistency check); only confidence > 0 may enter an initialisation or warp."""
+
+    depth: Tensor
+    confidence: Tensor
+
+
+@dataclass(frozen=True)
+class SparsePoints:
+    """Triangulated points that at least two *training* views observe.
+
+    xyz: [M, 3] float64. rgb: [M, 3] float32 in [0, 1]. visible: [M, n_train] bool.
+    """
+
+    xyz: Tensor
+    rgb: Tensor
+    visible: Tensor
+
+
+@dataclass(frozen=True)
+class TrainingSet:
+    """All that training may know of a scene: no test view can be reached from here."""
+
+    scene: str
+    views: tuple[View, ...]
+    points: SparsePoints
+    near: float
+    far: float
+
+    @property
+    def extent(self) -> float:
+        """1.1 x the largest distance of a training camera to their centroid (3DGS); for a single
+        camera, where that is zero, a tenth of the near bound."""
+        centers = torch.stack([v.camera.center for v in self.views])
+        spread = 1.1 * float((centers - centers.mean(0)).norm(dim=1).max())
+        return spread if spread > 0 else 0.1 * self.near
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A loaded scene under a named split protocol. fingerprint: SHA-256 of all that was loaded."""
+
+    name: str
+    protocol: str
+    training: TrainingSet
+    test: tuple[View, ...]
+    fingerprint: str
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """The stored (unactivated) parameters of N Gaussians with SH up to degree d, K = (d+1)^2.
+
+    means [N, 3] · quats [N, 4] wxyz · log_scales [N, 3] · opacity_logits [N] · sh0 [N, 1, 3] ·
+    shN [N, K-1, 3]. All of one floating dtype.
+    """
+
+    means: Tensor
+    quats: Tensor
+    log_scales: Tensor
+    opacity_logits: Tensor
+    sh0: Tensor
+    shN: Tensor
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    @property
+    def sh_degree(self) -> int:
+        """The stored degree: 0 to 3."""
+        return {0: 0, 3: 1, 8: 2, 15: 3}[self.shN.shape[1]]
+
+    @property
+    def scales(self) -> Tensor:
+        return self.log_scales.exp()
+
+    @property
+    def opacities(self) -> Tensor:
+        return self.opacity_logits.sigmoid()
+
+    def items(self) -> tuple[tuple[str, Tensor], ...]:
+        """(name, tensor) pairs in the order of declaration."""
+        return tuple((f.name, getattr(self, f.name)) for f in fields(self))
+
+    def map(self, function) -> Gaussians:  # type: ignore[no-untyped-def]
+        """A new set with `function` applied to every tensor."""
+        return Gaussians(**{name: function(tensor) for name, tensor in self.items()})
+
+    def detach(self) -> Gaussians:
+        return self.map(Tensor.detach)
+
+    def clone(self) -> Gaussians:
+        return self.map(lambda t: t.detach().clone())
+
+    def __getitem__(self, index: Tensor) -> Gaussians:
+        return self.map(lambda t: t[index])
+
+    def replace(self, **changes: Tensor) -> Gaussians:
+        return replace(self, **changes)
+
+
+def concatenate(parts: list[Gaussians]) -> Gaussians:
+    """The Gaussians of all `parts`, in order."""
+    return Gaussians(
+        **{f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Gaussians)}
+    )
+
+
+@dataclass(frozen=True)
+class Render:
+    """What a camera sees of the Gaussians.
+
+    rgb: [3, H, W], composited on the background. alpha: [H, W] = 1 - transmittance.
+    depth: [H, W] = sum of blend weight x z, not divided by alpha. radii: [N] float32 pixels, the
+    larger half-side of the footprint's box, 0 where culled.
+    """
+
+    rgb: Tensor
+    alpha: Tensor
+    depth: Tensor
+    radii: Tensor
+
+    @property
+    def expected_depth(self) -> Tensor:
+        """[H, W] depth / alpha; 0 where nothing is seen."""
+        return torch.where(self.alpha > 1e-6, self.depth / self.alpha.clamp(min=1e-6), 0.0)

@@ -1,0 +1,17 @@
+"""`augment=none`: train on the real views only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from framework.plugin import Augmenter, StepContext, register
+
+
+@register("augment", "none")
+@dataclass(frozen=True)
+class NoAugmentation(Augmenter):
+    """No pseudo views."""
+
+    def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[Any], Any]:
+        return [], state

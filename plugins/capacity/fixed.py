@@ -1,0 +1,17 @@
+"""`capacity=fixed`: the number of Gaussians stays what the initialisation made it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from framework.plugin import Capacity, Edits, StepContext, StepStats, register
+
+
+@register("capacity", "fixed")
+@dataclass(frozen=True)
+class Fixed(Capacity):
+    """No edits."""
+
+    def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
+        return None, state
