@@ -1,0 +1,15 @@
+"""Where generated things are kept between runs: `$FISHERSPLAT_CACHE`, else the user's cache folder."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+
+def cache_dir() -> Path:
+    """The cache folder, made if missing."""
+    base = os.environ.get("FISHERSPLAT_CACHE")
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    path = Path(base) if base else Path(home) / "fishersplat"
+    path.mkdir(parents=True, exist_ok=True)
+    return path

@@ -1,0 +1,57 @@
+"""The trainer's options: light to import, so that `--help` and `--cfg` stay instant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from framework.errors import require
+
+BACKGROUNDS = ("mean", "black", "white", "random")
+
+
+@dataclass(frozen=True)
+class TrainerOptions:
+    """How the shared trainer optimises; every method of a study gets the same.
+
+    The learning rates are those of 3DGS (Kerbl et al. 2023, `arguments/__init__.py`); `lr_scale`
+    multiplies all of them and `lr_final` is what all rates but the means' have decayed to at the
+    end, as a share. `lr_means` is in units of the scene extent.
+    """
+
+    steps: int = 800
+    sh_degree: int = 0  # stored degree; the active one grows by one every `sh_every` steps
+    sh_every: int = 1000
+    ssim_weight: float = 0.2  # loss = (1 - w) L1 + w (1 - SSIM)
+    lr_scale: float = 5.0
+    lr_means: float = 1.6e-4
+    lr_means_final: float = 0.01
+    lr_sh0: float = 2.5e-3
+    lr_shN_ratio: float = 0.05
+    lr_opacities: float = 0.05
+    lr_scales: float = 5e-3
+    lr_quats: float = 1e-3
+    lr_final: float = 0.1
+    opacity_decay: float = 0.99  # opacities are multiplied by it after every step; 1 = off
+    coarse_factor: int = 2  # images are box-downsampled by it ...
+    coarse_until: float = 0.4  # ... for this share of the steps
+    background: str = "mean"
+    near_plane: float = 0.01  # in units of the scene's near bound
+    evaluations: int = 4  # test evaluations, evenly spaced, the last after the last step
+
+    def __post_init__(self) -> None:
+        def check(name: str, ok: bool, expected: str) -> None:
+            require(ok, f"trainer.{name}: expected {expected}, got {getattr(self, name)}")
+
+        check("steps", self.steps >= 1, "an integer >= 1")
+        check("sh_degree", 0 <= self.sh_degree <= 3, "0, 1, 2 or 3")
+        check("sh_every", self.sh_every >= 1, "an integer >= 1")
+        check("ssim_weight", 0 <= self.ssim_weight <= 1, "a number in [0, 1]")
+        for rate in ("lr_scale", "lr_means", "lr_sh0", "lr_opacities", "lr_scales", "lr_quats"):
+            check(rate, 0 <= getattr(self, rate) < 1e3, "a number in [0, 1000)")
+        for share in ("lr_means_final", "lr_final", "lr_shN_ratio", "opacity_decay"):
+            check(share, 0 < getattr(self, share) <= 1, "a number in (0, 1]")
+        check("coarse_factor", self.coarse_factor in (1, 2, 4, 8), "1, 2, 4 or 8")
+        check("coarse_until", 0 <= self.coarse_until <= 1, "a share in [0, 1]")
+        check("background", self.background in BACKGROUNDS, f"one of {', '.join(BACKGROUNDS)}")
+        check("near_plane", 0 < self.near_plane <= 1, "a number in (0, 1]")
+        check("evaluations", 1 <= self.evaluations <= self.steps, "1 to trainer.steps")
