@@ -1,0 +1,121 @@
+"""Quaternions, covariances and pinhole projection: pure functions on torch tensors.
+
+Convention: quaternions are wxyz and need not be normalised; rotation matrices act on column
+vectors; cameras are world-to-camera with OpenCV axes and pixel centres at +0.5 (`framework.types`).
+Results have the dtype of the first argument, so float64 in gives float64 out.
+
+3x3 products are written out as sums of elementwise products: a BLAS call of this shape is slower
+and may round differently with the number of threads.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from framework.types import Camera
+
+
+def rotation_matrices(quats: Tensor) -> Tensor:
+    """[..., 3, 3] rotations of `quats` [..., 4] wxyz (normalised here; zero-length is invalid)."""
+    w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+
+
+def quaternions(rotations: Tensor) -> Tensor:
+    """[..., 4] unit quaternions wxyz, w >= 0, of rotation matrices [..., 3, 3].
+
+    With q = (w, x, y, z) the entries of R give all products 4 q_i q_j; the row of the largest
+    q_i^2 divided by its norm is q up to sign. Taking the largest keeps half turns exact
+    (Shepperd 1978, "Quaternion from rotation matrix").
+    """
+    (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in rotations.unbind(-2))
+    products = torch.stack(
+        [
+            torch.stack((1 + a + e + i, h - f, c - g, d - b), -1),
+            torch.stack((h - f, 1 + a - e - i, d + b, c + g), -1),
+            torch.stack((c - g, d + b, 1 - a + e - i, h + f), -1),
+            torch.stack((d - b, c + g, h + f, 1 - a - e + i), -1),
+        ],
+        -2,
+    )
+    largest = products.diagonal(dim1=-2, dim2=-1).argmax(-1)
+    index = largest[..., None, None].expand(*largest.shape, 1, 4)
+    q = products.gather(-2, index).squeeze(-2)
+    q = q / q.norm(dim=-1, keepdim=True)
+    return torch.where(q[..., :1] < 0, -q, q)
+
+
+def covariances(quats: Tensor, log_scales: Tensor) -> Tensor:
+    """[N, 3, 3] covariances R diag(exp(log_scales))^2 R^T (3DGS, eq. 6).
+
+    quats: [N, 4] wxyz. log_scales: [N, 3], natural logarithm of standard deviations.
+    """
+    axes = rotation_matrices(quats) * log_scales.exp()[..., None, :]
+    return (axes[..., :, None, :] * axes[..., None, :, :]).sum(-1)
+
+
+def axis_angle_matrix(axis_angle: Tensor) -> Tensor:
+    """[3, 3] rotation about the direction of `axis_angle` [3] by its length, in radians.
+
+    Through the quaternion (cos t/2, sin(t/2) v/t); sinc keeps it exact and differentiable at 0.
+    """
+    half = axis_angle.square().sum().clamp(min=1e-60).sqrt() / 2
+    vector = axis_angle / 2 * torch.sinc(half / torch.pi)
+    return rotation_matrices(torch.cat([half.cos()[None], vector]))
+
+
+def project(points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
+    """Where `camera` sees world `points` [..., 3]: (uv [..., 2] pixels, z [...] camera depth).
+
+    Nothing is culled: for z <= 0 the pixel coordinates mean nothing (infinite at z = 0).
+    """
+    viewmat, K = camera.viewmat.to(points.dtype), camera.K.to(points.dtype)
+    seen = _rotate(viewmat[:3, :3], points) + viewmat[:3, 3]
+    z = seen[..., 2]
+    image = _rotate(K, seen)
+    return image[..., :2] / z[..., None], z
+
+
+def unproject(depth: Tensor, camera: Camera) -> Tensor:
+    """[H, W, 3] world points of the pixel centres at `depth` [H, W] (camera-space z, scene units).
+
+    The inverse of `project`; a depth of 0 gives the camera's centre. Raises ValueError when the
+    map is not of the camera's size.
+    """
+    if tuple(depth.shape) != (camera.height, camera.width):
+        raise ValueError(
+            f"unproject: expected a depth map [{camera.height}, {camera.width}] like the camera,"
+            f" got {tuple(depth.shape)}"
+        )
+    inverse_K = torch.linalg.inv(camera.K).to(depth.dtype)
+    y, x = torch.meshgrid(
+        torch.arange(camera.height, dtype=depth.dtype) + 0.5,
+        torch.arange(camera.width, dtype=depth.dtype) + 0.5,
+        indexing="ij",
+    )
+    rays = _rotate(inverse_K, torch.stack([x, y, torch.ones_like(x)], -1))
+    rotation = camera.viewmat[:3, :3].to(depth.dtype)
+    return _rotate(rotation.T, rays * depth[..., None]) + camera.center.to(depth.dtype)
+
+
+def perturbed(camera: Camera, axis_angle: Tensor, shift: Tensor) -> Camera:
+    """`camera` turned by `axis_angle` [3] (radians, about its own axes) with its centre moved by
+    `shift` [3] (scene units, along world axes)."""
+    turn = axis_angle_matrix(axis_angle.to(torch.float64))
+    rotation = turn @ camera.viewmat[:3, :3]
+    viewmat = camera.viewmat.clone()
+    viewmat[:3, :3] = rotation
+    viewmat[:3, 3] = -rotation @ (camera.center + shift.to(torch.float64))
+    return Camera(viewmat, camera.K, camera.width, camera.height)
+
+
+def _rotate(matrix: Tensor, vectors: Tensor) -> Tensor:
+    """[..., 3] = matrix [3, 3] @ vectors [..., 3]."""
+    x, y, z = vectors[..., 0:1], vectors[..., 1:2], vectors[..., 2:3]
+    return x * matrix[:, 0] + y * matrix[:, 1] + z * matrix[:, 2]

@@ -1,0 +1,166 @@
+"""Adam over the tensors of a `Gaussians`: one numba kernel, in place, no allocation per step.
+
+Kingma & Ba 2015, "Adam", algorithm 1, with the constants of 3DGS: beta = (0.9, 0.999), eps = 1e-15.
+Every element is computed alone, in float32 and without contraction, so the bits do not depend on
+threads or blocks. Plain twin: `torch.optim.Adam` (tests compare).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numba import njit
+from torch import Tensor
+
+from framework.parallel import run_blocks
+from framework.types import Gaussians, concatenate
+
+BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
+
+# stands for a tensor without gradient: tuples of another length would be compiled anew
+_NOTHING = (np.empty(0, dtype=np.float32),) * 4
+
+
+@dataclass(frozen=True)
+class AdamState:
+    """All that Adam remembers. first, second: the moments, shaped like the parameters, float32.
+    steps: finished updates of each tensor, in the order of `Gaussians.items()`."""
+
+    first: Gaussians
+    second: Gaussians
+    steps: tuple[int, ...]
+
+
+class Adam:
+    """Adam for a set of Gaussians whose number may change.
+
+    All tensors are contiguous float32 of shape like the `gaussians` given at construction.
+    """
+
+    def __init__(self, gaussians: Gaussians) -> None:
+        self._first = gaussians.map(_zeros_like)
+        self._second = gaussians.map(_zeros_like)
+        self._steps = dict.fromkeys((name for name, _ in gaussians.items()), 0)
+        self._coefficients = np.zeros((len(self._steps), 2), dtype=np.float32)
+
+    def step(
+        self,
+        params: Gaussians,
+        grads: Gaussians | Mapping[str, Tensor | None],
+        rates: Mapping[str, float],
+    ) -> None:
+        """Update `params` in place.
+
+        grads: by tensor name, shaped like the parameters; a tensor without one (None or missing)
+        is left alone, its moments too, as in torch. rates: learning rate of every tensor with a
+        gradient, in the tensor's own units. Raises ValueError when shapes or dtypes differ.
+        """
+        gradients = dict(grads.items())
+        rows: list[tuple[np.ndarray, ...]] = []
+        for k, (name, parameter) in enumerate(params.items()):
+            gradient = gradients.get(name)
+            if gradient is None:
+                rows.append(_NOTHING)
+                continue
+            first, second = getattr(self._first, name), getattr(self._second, name)
+            _check(name, parameter, gradient, first)
+            self._steps[name] += 1
+            self._coefficients[k] = _coefficients(self._steps[name], rates[name])
+            arrays = (parameter, gradient.contiguous(), first, second)
+            rows.append(tuple(_flat(t) for t in arrays))
+        p, g, m, v = zip(*rows, strict=True)
+        run_blocks(adam_kernel, p, g, m, v, self._coefficients)
+
+    def edit(self, keep: Tensor | None, n_appended: int) -> None:
+        """Follow a change of the set: first keep ([N] bool; None = all), then `n_appended` new
+        Gaussians at the end, whose moments are zero."""
+        self._first = _edited(self._first, keep, n_appended)
+        self._second = _edited(self._second, keep, n_appended)
+
+    def zero(self, name: str) -> None:
+        """Forget the moments of one tensor. Its step count stays (as 3DGS does at an opacity
+        reset), hence the bias correction is not repeated."""
+        getattr(self._first, name).zero_()
+        getattr(self._second, name).zero_()
+
+    def state(self) -> AdamState:
+        """A copy for a checkpoint."""
+        return AdamState(self._first.clone(), self._second.clone(), tuple(self._steps.values()))
+
+    def load(self, state: AdamState) -> None:
+        """Continue from a copy of `state`; the next steps equal those of the optimizer it is of."""
+        self._first, self._second = state.first.clone(), state.second.clone()
+        self._steps = dict(zip(self._steps, state.steps, strict=True))
+
+
+@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+def _adam_range(p, g, m, v, rate, correction):  # type: ignore[no-untyped-def]
+    """p -= rate * m / (sqrt(v) * correction + eps), after the moments m and v took g in.
+
+    rate = learning rate / (1 - beta1^t), correction = 1 / sqrt(1 - beta2^t). A first moment below
+    1e-30 becomes 0: it moves a parameter by less than 1e-15 rates, and decaying moments of unseen
+    Gaussians would otherwise end as denormals, which cost six times as much.
+    """
+    one, beta1, beta2 = np.float32(1), np.float32(BETA1), np.float32(BETA2)
+    eps, tiny = np.float32(EPS), np.float32(1e-30)
+    for i in range(len(p)):
+        first = beta1 * m[i] + (one - beta1) * g[i]
+        first = first if abs(first) >= tiny else np.float32(0)
+        second = beta2 * v[i] + (one - beta2) * g[i] * g[i]
+        m[i] = first
+        v[i] = second
+        p[i] -= rate * first / (np.sqrt(second) * correction + eps)
+
+
+@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+def adam_kernel(block, n_blocks, p, g, m, v, coefficients):  # type: ignore[no-untyped-def]
+    """Block `block` of one Adam update of several tensors.
+
+    p, g, m, v: tuples of flat float32 arrays (parameters, gradients, moments), all C-contiguous.
+    coefficients: [len(p), 2] float32, see `_adam_range`.
+    """
+    for k in range(len(p)):
+        n = len(p[k])
+        a, b = n * block // n_blocks, n * (block + 1) // n_blocks
+        rate, correction = coefficients[k, 0], coefficients[k, 1]
+        _adam_range(p[k][a:b], g[k][a:b], m[k][a:b], v[k][a:b], rate, correction)
+
+
+def _coefficients(step: int, rate: float) -> tuple[float, float]:
+    """Bias-corrected rate and the factor of sqrt(v) at update number `step` (from 1)."""
+    return rate / (1 - BETA1**step), 1 / math.sqrt(1 - BETA2**step)
+
+
+def _flat(tensor: Tensor) -> np.ndarray:
+    """A flat view of the same memory."""
+    return tensor.detach().numpy().reshape(-1)
+
+
+def _zeros_like(tensor: Tensor) -> Tensor:
+    return torch.zeros(tensor.shape, dtype=torch.float32)
+
+
+def _check(name: str, parameter: Tensor, gradient: Tensor, moment: Tensor) -> None:
+    if not (parameter.shape == gradient.shape == moment.shape):
+        raise ValueError(
+            f"Adam.{name}: expected one shape for parameter, gradient and moments, got"
+            f" {tuple(parameter.shape)}, {tuple(gradient.shape)}, {tuple(moment.shape)};"
+            " call edit() when the set of Gaussians changes"
+        )
+    if parameter.dtype != torch.float32 or gradient.dtype != torch.float32:
+        raise ValueError(
+            f"Adam.{name}: expected float32, got {parameter.dtype} and {gradient.dtype}"
+        )
+    if not parameter.is_contiguous():
+        raise ValueError(f"Adam.{name}: expected a contiguous parameter, to update it in place")
+
+
+def _edited(moments: Gaussians, keep: Tensor | None, n_appended: int) -> Gaussians:
+    kept = moments if keep is None else moments[keep]
+    if n_appended == 0:
+        return kept
+    return concatenate([kept, kept.map(lambda t: t.new_zeros((n_appended, *t.shape[1:])))])
