@@ -1,0 +1,72 @@
+"""`init=stereo`: Gaussians sampled from the fused, consistent depth of the training views.
+
+Only depth that passed its consistency check (confidence > 0) takes part; more Gaussians go where
+the photographs have detail, and each is as large as the patch of pixels it stands for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from framework.errors import require
+
+if TYPE_CHECKING:
+    from framework.types import DepthMap, Gaussians, TrainingSet
+
+FEWEST_PIXELS = 100
+
+
+@dataclass(frozen=True)
+class Stereo:
+    """How the depth maps become Gaussians.
+
+    budget: number of Gaussians (fewer when fewer pixels are left after fusion). detail: exponent
+    of the local image gradient in the sampling density; 0 = uniform. tolerance: relative depth
+    difference up to which two views show the same surface. scale_factor: standard deviation in
+    units of the mean spacing of the samples. opacity: of every Gaussian.
+    """
+
+    budget: int = 40000
+    detail: float = 0.5
+    tolerance: float = 0.03
+    scale_factor: float = 1.1
+    opacity: float = 0.1
+
+    def __post_init__(self) -> None:
+        def check(name: str, ok: bool, expected: str) -> None:
+            require(ok, f"init.{name}: expected {expected}, got {getattr(self, name)}")
+
+        check("budget", self.budget >= 1, "an integer >= 1")
+        check("detail", 0 <= self.detail <= 4, "a number in [0, 4]")
+        check("tolerance", 0 < self.tolerance < 1, "a relative difference in (0, 1)")
+        check("scale_factor", 0 < self.scale_factor < 100, "a number in (0, 100)")
+        check("opacity", 0 < self.opacity < 1, "a number in (0, 1)")
+
+    def build(
+        self, training: TrainingSet, depth: tuple[DepthMap, ...], sh_degree: int, seed: int
+    ) -> Gaussians:
+        """Round Gaussians on the fused depth: sample i stands for 1 / p_i pixels, p_i its sampling
+        probability, hence has the standard deviation scale_factor * pixel size / sqrt(p_i).
+
+        Raises UserError when fewer than 100 pixels have consistent depth.
+        """
+        import numpy as np
+
+        from framework.initialize.fusion import fuse
+        from framework.initialize.isotropic import isotropic_gaussians
+        from framework.initialize.sampling import draw, inclusion_probabilities
+        from framework.rng import stream
+
+        pixels = fuse(training, depth, self.tolerance, self.detail)
+        require(
+            len(pixels.xyz) >= FEWEST_PIXELS,
+            f"init=stereo: expected at least {FEWEST_PIXELS} pixels with consistent depth in scene"
+            f" {training.scene}, got {len(pixels.xyz)}; use init=sparse or another depth",
+        )
+        probability = inclusion_probabilities(pixels.density, self.budget)
+        chosen = draw(probability, stream(seed, "init/stereo"))
+        scales = self.scale_factor * pixels.size[chosen] / np.sqrt(probability[chosen])
+        return isotropic_gaussians(
+            pixels.xyz[chosen], pixels.rgb[chosen], scales, self.opacity, sh_degree
+        )

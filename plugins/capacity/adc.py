@@ -1,0 +1,170 @@
+"""`capacity=adc`: adaptive density control of 3DGS (Kerbl et al. 2023, section 5.2).
+
+Where the projected mean of a Gaussian keeps being pulled, the scene is not yet represented well:
+a small Gaussian there is cloned, a large one split in two. Transparent Gaussians are removed, and
+now and then all opacities are lowered so that only those the views need come back.
+
+The pull is the gradient of the loss with respect to the mean in normalised device coordinates
+(x_ndc = 2 u / width - 1, so d/dx_ndc = width / 2 d/du), averaged over the steps that saw the
+Gaussian; unlike one in pixels it does not depend on the resolution trained at.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from framework.errors import require
+from framework.plugin import Capacity, Edits, StepContext, StepStats, register
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.types import Gaussians
+
+CHILDREN = 2  # a split Gaussian becomes two ...
+SHRINK = 1.6  # ... smaller by this factor (the 3DGS code's 0.8 * CHILDREN)
+
+
+@dataclass(frozen=True)
+class Pull:
+    """What was measured since the last densification. total: [N] float32, summed gradient norms in
+    NDC. seen: [N] float32, number of steps in which the Gaussian was visible."""
+
+    total: Tensor
+    seen: Tensor
+
+    @property
+    def mean(self) -> Tensor:
+        """[N] average norm over the steps that saw it; 0 where none did."""
+        return self.total / self.seen.clamp(min=1)
+
+
+@register("capacity", "adc")
+@dataclass(frozen=True)
+class AdaptiveDensityControl(Capacity):
+    """Options, with the defaults of the sparse-view literature (10k-step trainings).
+
+    Steps are absolute: a training of 500 steps or fewer is not densified unless `from_step` is
+    lowered. every: steps between densifications, those after `from_step` and up to the share
+    `until` of the training. The default leaves the last tenth to settle what was split.
+    grad_threshold: least mean pull (loss per NDC unit). percent_dense: largest standard deviation
+    of a "small" Gaussian, in scene extents. min_opacity: below it a Gaussian is removed.
+    reset_every: steps between lowering all opacities to `reset_opacity`; 0 = never.
+    max_gaussians: 0 = no limit; otherwise the strongest pulled are served first.
+    """
+
+    every: int = 100
+    from_step: int = 500
+    until: float = 0.9
+    grad_threshold: float = 5e-4
+    percent_dense: float = 0.01
+    min_opacity: float = 0.005
+    reset_every: int = 3000
+    reset_opacity: float = 0.01
+    max_gaussians: int = 0
+
+    def __post_init__(self) -> None:
+        def check(name: str, ok: bool, expected: str) -> None:
+            require(ok, f"capacity.{name}: expected {expected}, got {getattr(self, name)}")
+
+        check("every", self.every >= 1, "an integer >= 1")
+        check("from_step", self.from_step >= 0, "an integer >= 0")
+        check("until", 0 <= self.until <= 1, "a share of the training in [0, 1]")
+        check("grad_threshold", self.grad_threshold > 0, "a number > 0")
+        check("percent_dense", self.percent_dense > 0, "a number > 0")
+        check("min_opacity", 0 <= self.min_opacity < 1, "a number in [0, 1)")
+        check("reset_every", self.reset_every >= 0, "an integer >= 0")
+        check("max_gaussians", self.max_gaussians >= 0, "an integer >= 0")
+        check(
+            "reset_opacity",
+            self.min_opacity < self.reset_opacity < 1,
+            f"a number in (min_opacity, 1) = ({self.min_opacity}, 1), or all would be removed",
+        )
+
+    def init_state(self, ctx: StepContext) -> Pull:
+        return _nothing_measured(len(ctx.gaussians), ctx.gaussians)
+
+    def update(self, ctx: StepContext, state: Pull, stats: StepStats) -> tuple[Edits | None, Pull]:
+        """Measure; at every `every`-th step also clone, split and prune; then perhaps reset.
+
+        `ctx.step` counts the finished steps, this one included.
+        """
+        if ctx.step > self.until * ctx.n_steps:
+            return None, state
+        state = _measured(state, stats)
+        ceiling = self.reset_opacity if self._due(ctx.step, self.reset_every, 0) else None
+        if self._due(ctx.step, self.every, self.from_step):
+            edits, n = self._densified(ctx, state, ceiling)
+            return edits, _nothing_measured(n, ctx.gaussians)
+        return (None if ceiling is None else Edits(opacity_ceiling=ceiling)), state
+
+    @staticmethod
+    def _due(step: int, every: int, after: int) -> bool:
+        return every > 0 and step > after and step % every == 0
+
+    def _densified(self, ctx: StepContext, state: Pull, ceiling: float | None) -> tuple[Edits, int]:
+        """The edits of one densification and the number of Gaussians after them."""
+        from framework.types import concatenate
+
+        gaussians = ctx.gaussians
+        opaque = gaussians.opacities >= self.min_opacity
+        chosen = self._chosen(state.mean, opaque)
+        large = gaussians.scales.amax(1) > self.percent_dense * ctx.extent
+        clone, split = chosen & ~large, chosen & large
+        children = _children(gaussians[split], ctx.rng("split").standard_normal)
+        for name, mask in (("cloned", clone), ("split", split), ("pruned", ~opaque)):
+            ctx.log(name, float(mask.sum()))
+        keep, append = opaque & ~split, concatenate([gaussians[clone], children])
+        return Edits(keep, append, ceiling), int(keep.sum()) + len(append)
+
+    def _chosen(self, pull: Tensor, opaque: Tensor) -> Tensor:
+        """[N] bool: those to clone or split. Each adds one Gaussian, which `max_gaussians` bounds."""
+        import torch
+
+        chosen = (pull >= self.grad_threshold) & opaque
+        if self.max_gaussians == 0:
+            return chosen
+        room = max(self.max_gaussians - int(opaque.sum()), 0)
+        strongest = torch.argsort(torch.where(chosen, pull, -1.0), descending=True, stable=True)
+        served = torch.zeros_like(chosen)
+        served[strongest[:room]] = True
+        return chosen & served
+
+
+def _nothing_measured(n: int, like: Gaussians) -> Pull:
+    return Pull(like.means.new_zeros(n), like.means.new_zeros(n))
+
+
+def _measured(state: Pull, stats: StepStats) -> Pull:
+    """`state` with the step of `stats` added."""
+    n = len(state.total)
+    if len(stats.radii) != n or len(stats.means2d_grad) != n:
+        raise ValueError(
+            f"capacity=adc: expected step statistics of {n} Gaussians as in the state, got"
+            f" {len(stats.means2d_grad)} gradients and {len(stats.radii)} radii"
+        )
+    visible = stats.radii > 0
+    ndc = stats.means2d_grad * stats.means2d_grad.new_tensor([stats.width / 2, stats.height / 2])
+    norm = ndc.square().sum(1).sqrt()
+    return Pull(state.total + norm * visible, state.seen + visible)
+
+
+def _children(parents: Gaussians, standard_normal) -> Gaussians:  # type: ignore[no-untyped-def]
+    """Two for each of P parents: means drawn from the parent's own distribution, scales / 1.6.
+
+    standard_normal: shape -> array of independent N(0, 1) draws.
+    """
+    import torch
+
+    from framework.geometry import rotation_matrices
+    from framework.types import concatenate
+
+    doubled = concatenate([parents] * CHILDREN)
+    draws = torch.from_numpy(standard_normal((len(doubled), 3))).to(doubled.means.dtype)
+    local = draws * doubled.scales
+    offsets = (rotation_matrices(doubled.quats) * local[:, None, :]).sum(-1)
+    return doubled.replace(
+        means=doubled.means + offsets, log_scales=doubled.log_scales - math.log(SHRINK)
+    )
