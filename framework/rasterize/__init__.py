@@ -1,0 +1,108 @@
+"""One differentiable call: Gaussians and a camera -> a render.
+
+`rasterize` runs the numba kernels (float32); `reference.rasterize_reference` is its readable torch
+twin (any dtype). Results and gradients have the same bits on any number of threads.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from framework.errors import UserError
+from framework.rasterize.pipeline import Arrays, Image, Workspace
+from framework.types import Camera, Gaussians, Render
+
+__all__ = ["rasterize"]
+
+_free: list[Workspace] = []  # workspaces not in use; two renders may be waiting for gradients
+
+
+def _numpy(tensor: Tensor) -> np.ndarray:
+    """A contiguous float32 view; anything else would compile another, wider kernel."""
+    if tensor.dtype != torch.float32:
+        raise UserError(f"rasterize: expected float32 tensors, got {tensor.dtype}")
+    return tensor.detach().contiguous().numpy()
+
+
+class _Rasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any,
+        means: Tensor,
+        quats: Tensor,
+        log_scales: Tensor,
+        opacity_logits: Tensor,
+        sh0: Tensor,
+        shN: Tensor,
+        factors: Tensor,
+        offset: Tensor,
+        camera: Camera,
+        background: np.ndarray,
+        degree: int,
+        near: float,
+    ) -> Any:
+        tensors = (means, quats, log_scales, opacity_logits, sh0, shN, factors, offset)
+        work = _free.pop() if _free else Workspace()
+        work.project(Arrays(*(_numpy(t) for t in tensors)), camera, degree, near)
+        work.sort()
+        work.bin()
+        planes = torch.empty(5, camera.height, camera.width)
+        rgb, alpha, depth = planes[:3], planes[3], planes[4]
+        work.blend(background, Image(rgb.numpy(), alpha.numpy(), depth.numpy()))
+        box = work.rows[:, 10:12].max(axis=1)
+        radii = torch.from_numpy(np.maximum(box, np.float32(0)))
+        ctx.mark_non_differentiable(radii)
+        if any(ctx.needs_input_grad):
+            ctx.work = work
+            ctx.planes = planes
+            ctx.shapes = [t.shape for t in tensors]
+        else:
+            _free.append(work)
+        return rgb, alpha, depth, radii
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> Any:
+        work, planes = ctx.work, ctx.planes
+        if work is None:
+            raise RuntimeError("rasterize: this render's gradient was already taken")
+        ctx.work = None
+        given = Image(*(_numpy(g) for g in grads[:3]))
+        image = Image(planes[:3].numpy(), planes[3].numpy(), planes[4].numpy())
+        work.blend_backward(image, given)
+        gradients = [torch.empty(shape) for shape in ctx.shapes]
+        work.project_backward(Arrays(*(g.numpy() for g in gradients)))
+        _free.append(work)
+        return (*gradients, None, None, None, None)
+
+
+def rasterize(
+    gaussians: Gaussians,
+    camera: Camera,
+    *,
+    background: Tensor | None = None,
+    sh_degree: int | None = None,
+    opacity_factors: Tensor | None = None,
+    means2d_offset: Tensor | None = None,
+    near: float = 0.01,
+) -> Render:
+    """Render N Gaussians (3DGS: EWA projection, alpha blending front to back).
+
+    background: [3], default black. sh_degree: the active degree, at most the stored one (default).
+    opacity_factors: [N], multiply the activated opacities. means2d_offset: [N, 2], added to the
+    projected means; pass zeros that require a gradient to get d loss / d means2d in pixels.
+    near: Gaussians with a smaller z are culled. Differentiable in all tensors but the background.
+    Raises UserError for other dtypes than float32.
+    """
+    n = len(gaussians)
+    degree = gaussians.sh_degree if sh_degree is None else min(sh_degree, gaussians.sh_degree)
+    factors = torch.ones(n) if opacity_factors is None else opacity_factors
+    offset = torch.zeros(n, 2) if means2d_offset is None else means2d_offset
+    colour = torch.zeros(3) if background is None else background
+    tensors = (*(tensor for _, tensor in gaussians.items()), factors, offset)
+    outputs = _Rasterize.apply(*tensors, camera, _numpy(colour), degree, float(near))
+    return Render(*outputs)
+

@@ -22,13 +22,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from framework.geometry import rotation_matrices
+from framework.rasterize.constants import (
+    ALPHA_MAX,
+    ALPHA_MIN,
+    DILATION,
+    FRUSTUM_MARGIN,
+    TRANSMITTANCE_MIN,
+)
 from framework.types import Camera, Gaussians, Render
-
-ALPHA_CUT = 1.0 / 255.0
-ALPHA_MAX = 0.99
-TRANSMITTANCE_STOP = 1e-4
-DILATION_PX2 = 0.3
-FRUSTUM_REACH = 0.75  # of the image size: how far from the image centre a projected mean may lie
 
 
 @dataclass(frozen=True)
@@ -46,11 +48,16 @@ class Footprints:
     opacities: Tensor
     colors: Tensor
 
-    @property
-    def radii(self) -> Tensor:
-        """[M] pixels: the larger half-side of the box outside which alpha < 1/255."""
-        variance = self.cov2d.diagonal(dim1=1, dim2=2).amax(dim=1)
-        return (2 * (self.opacities / ALPHA_CUT).log().clamp(min=0) * variance).sqrt()
+    def radii(self, width: int, height: int) -> Tensor:
+        """[M] pixels: the larger half-side of the box outside which alpha < 1/255; 0 where that
+        box holds no pixel centre of the image."""
+        variances = self.cov2d.diagonal(dim1=1, dim2=2)
+        sides = (2 * (self.opacities / ALPHA_MIN).log()[:, None] * variances).sqrt()
+        last = torch.tensor([width - 1, height - 1], dtype=sides.dtype)
+        first_pixel = (self.means2d - sides - 0.5).ceil().clamp(min=0)
+        last_pixel = (self.means2d + sides - 0.5).floor().minimum(last)
+        on_screen = (first_pixel <= last_pixel).all(dim=1)
+        return torch.where(on_screen, sides.amax(dim=1), 0.0).detach()
 
 
 def rasterize_reference(
@@ -80,7 +87,9 @@ def rasterize_reference(
     final = transmittance[-1]
     ground = background.detach().to(dtype)[:, None] * final
     shape = (camera.height, camera.width)
-    radii = torch.zeros(n, dtype=dtype).index_put((seen.index,), seen.radii.detach())
+    radii = torch.zeros(n, dtype=dtype).index_put(
+        (seen.index,), seen.radii(camera.width, camera.height)
+    )
     return Render(
         rgb=(seen.colors.T @ weights + ground).reshape(3, *shape),
         alpha=(1 - final).reshape(shape),
@@ -107,7 +116,7 @@ def project(
         _check_shape("means2d_offset", means2d_offset, (n, 2))
     rotation, translation = (camera.viewmat[:3, i].to(dtype) for i in (slice(3), 3))
     points = gaussians.means @ rotation.T + translation
-    visible = _inside(points.detach(), camera, near) & (opacities.detach() >= ALPHA_CUT)
+    visible = _inside(points.detach(), camera, near) & (opacities.detach() >= ALPHA_MIN)
     index = visible.nonzero()[:, 0]
     index = index[points.detach()[index, 2].argsort(stable=True)]
     points, kept = points[index], gaussians[index]
@@ -115,7 +124,7 @@ def project(
     if means2d_offset is not None:
         means2d = means2d + means2d_offset[index]
     half = _perspective_jacobian(points, camera) @ rotation @ _covariance_factor(kept)
-    cov2d = half @ half.mT + DILATION_PX2 * torch.eye(2, dtype=dtype)
+    cov2d = half @ half.mT + DILATION * torch.eye(2, dtype=dtype)
     colors = shade(kept, camera.center.to(dtype), sh_degree)
     return Footprints(index, means2d, cov2d, points[:, 2], opacities[index], colors)
 
@@ -123,9 +132,9 @@ def project(
 def blend_alphas(seen: Footprints, camera: Camera) -> Tensor:
     """[M, P] alpha of every pair that is blended, 0 for all others."""
     raw = _raw_alphas(seen, camera)
-    alphas = torch.where(raw >= ALPHA_CUT, raw.clamp(max=ALPHA_MAX), 0.0)
+    alphas = torch.where(raw >= ALPHA_MIN, raw.clamp(max=ALPHA_MAX), 0.0)
     # Transmittance only falls, so a pixel that has stopped stays below the threshold.
-    alive = _transmittance(alphas.detach())[1:] >= TRANSMITTANCE_STOP
+    alive = _transmittance(alphas.detach())[1:] >= TRANSMITTANCE_MIN
     return torch.where(alive, alphas, 0.0)
 
 
@@ -137,9 +146,9 @@ def cutoff_margin(seen: Footprints, camera: Camera) -> Tensor:
     implementations may differ by rounding times 1/margin; tests leave out pixels below a margin.
     """
     raw = _raw_alphas(seen, camera)
-    alphas = torch.where(raw >= ALPHA_CUT, raw.clamp(max=ALPHA_MAX), 0.0)
+    alphas = torch.where(raw >= ALPHA_MIN, raw.clamp(max=ALPHA_MAX), 0.0)
     transmittance = _transmittance(alphas)[1:]
-    edges = ((raw, ALPHA_CUT), (raw, ALPHA_MAX), (transmittance, TRANSMITTANCE_STOP))
+    edges = ((raw, ALPHA_MIN), (raw, ALPHA_MAX), (transmittance, TRANSMITTANCE_MIN))
     distances = [(value.log() - math.log(edge)).abs() for value, edge in edges]
     far = torch.full((1, raw.shape[1]), math.inf, dtype=raw.dtype)
     return torch.cat([*distances, far]).amin(0).reshape(camera.height, camera.width).detach()
@@ -206,7 +215,7 @@ def _means2d(points: Tensor, camera: Camera) -> Tensor:
 def _inside(points: Tensor, camera: Camera, near: float) -> Tensor:
     """[N] bool: in front of the near plane, mean within 0.75 image sizes of the image centre."""
     size = torch.tensor([camera.width, camera.height], dtype=points.dtype)
-    reach = (_means2d(points, camera) - size / 2).abs() <= FRUSTUM_REACH * size
+    reach = (_means2d(points, camera) - size / 2).abs() <= (0.5 + FRUSTUM_MARGIN) * size
     return (points[:, 2] >= near) & reach.all(dim=1)
 
 
@@ -221,13 +230,7 @@ def _perspective_jacobian(points: Tensor, camera: Camera) -> Tensor:
 
 def _covariance_factor(gaussians: Gaussians) -> Tensor:
     """[M, 3, 3] R diag(scales), whose product with its transpose is the covariance."""
-    w, x, y, z = torch.nn.functional.normalize(gaussians.quats, dim=1).unbind(dim=1)
-    rows = (
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    )  # fmt: skip
-    return torch.stack(rows, dim=1).reshape(-1, 3, 3) * gaussians.scales[:, None, :]
+    return rotation_matrices(gaussians.quats) * gaussians.scales[:, None, :]
 
 
 def _raw_alphas(seen: Footprints, camera: Camera) -> Tensor:

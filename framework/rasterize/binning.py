@@ -1,0 +1,173 @@
+"""Which Gaussian touches which 16x16 tile, and in which rows of it, front to back.
+
+Only the rows that the ellipse alpha >= 1/255 reaches inside a tile's columns are listed, so the
+blending loops need no test per row. A list item is two int32: (Gaussian << 8 | last row << 4 |
+first row) and the Gaussian's slot for this tile. Blocks are over the depth order; a tile's list is
+ordered by depth whatever the number of blocks.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+MAX_GAUSSIANS = 1 << 23  # what fits beside two rows in an int32
+
+f4 = np.float32
+ZERO, ONE, HALF = f4(0), f4(1), f4(0.5)
+_strict = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy"}
+_inline = {"nogil": True, "fastmath": False, "error_model": "numpy", "inline": "always"}
+_TWO_LN2 = f4(2 * math.log(2))
+_LOG2_255 = f4(math.log2(255))
+
+
+@njit(**_strict)
+def depth_order(rows: Any, bound: Any, order: Any, spare: Any) -> int:
+    """Indices of the visible Gaussians (bound > 0) by depth into order[:count]; stable radix sort
+    of the float bits (depths are positive). `spare` is scratch of the same length."""
+    bits = rows.view(np.uint32)
+    counts = np.zeros((3, 2048), np.int64)
+    n = 0
+    for i in range(len(rows)):
+        if bound[i] > 0:
+            key = bits[i, 9]
+            order[n] = i
+            n += 1
+            counts[0, key & np.uint32(2047)] += 1
+            counts[1, (key >> np.uint32(11)) & np.uint32(2047)] += 1
+            counts[2, key >> np.uint32(22)] += 1
+    source, target = order, spare
+    for digit in range(3):
+        total = 0
+        for value in range(2048):
+            count = counts[digit, value]
+            counts[digit, value] = total
+            total += count
+        shift = np.uint32(11 * digit)
+        for i in range(n):
+            index = source[i]
+            value = (bits[index, 9] >> shift) & np.uint32(2047)
+            target[counts[digit, value]] = index
+            counts[digit, value] += 1
+        source, target = target, source
+    order[:n] = source[:n]
+    return n
+
+
+@njit(**_inline)
+def _reach(end: Any, b: Any, c: Any, determinant: Any, level: Any, sign: Any) -> Any:
+    """dy of the ellipse a dx^2 + 2 b dx dy + c dy^2 = level at dx = end, upper or lower branch."""
+    root = math.sqrt(max(ZERO, level * c - determinant * end * end))
+    return (sign * root - b * end) / c
+
+
+@njit(**_strict)
+def count_tiles(
+    block: int,
+    blocks: int,
+    n: int,
+    order: Any,
+    rows: Any,
+    start: Any,
+    width: int,
+    height: int,
+    items: Any,
+    touched: Any,
+    histogram: Any,
+) -> None:
+    """List the tiles of every Gaussian of this block into items[start[i]...] as
+    (tile << 8 | last row << 4 | first row); touched[i] = how many; histogram[block, tile] += 1."""
+    columns = (width + 15) // 16
+    histogram[block, :] = 0
+    for k in range(n * block // blocks, n * (block + 1) // blocks):
+        i = order[k]
+        row = rows[i]
+        u, v, rx, ry = row[0], row[1], row[10], row[11]
+        a, b, c = row[13], row[14], row[15]
+        left = max(0, int(math.ceil(u - rx - HALF)))
+        right = min(width - 1, int(math.floor(u + rx - HALF)))
+        determinant = a * c - b * b
+        level = _TWO_LN2 * (row[5] + _LOG2_255)
+        summit = -b / a * ry  # dx of the ellipse's lowest point on screen (largest dy)
+        at = start[i]
+        for column in range(left // 16, right // 16 + 1):
+            x0 = f4(column * 16) + HALF - u
+            x1 = x0 + f4(15)
+            high = ry
+            if summit < x0 or summit > x1:
+                end = max(-rx, min(rx, max(x0, min(x1, summit))))
+                high = _reach(end, b, c, determinant, level, ONE)
+            low = -ry
+            if -summit < x0 or -summit > x1:
+                end = max(-rx, min(rx, max(x0, min(x1, -summit))))
+                low = _reach(end, b, c, determinant, level, -ONE)
+            top = max(0, int(math.ceil(v + low - HALF)))
+            bottom = min(height - 1, int(math.floor(v + high - HALF)))
+            if top > bottom:
+                continue
+            for band in range(top // 16, bottom // 16 + 1):
+                tile = band * columns + column
+                first = max(0, top - band * 16)
+                last = min(15, bottom - band * 16)
+                items[at] = tile << 8 | last << 4 | first
+                histogram[block, tile] += 1
+                at += 1
+        touched[i] = at - start[i]
+
+
+@njit(**_strict)
+def prefix_bounds(bound: Any, start: Any) -> int:
+    """start = exclusive prefix sum of bound; returns the total."""
+    total = 0
+    for i in range(len(bound)):
+        start[i] = total
+        total += bound[i]
+    return total
+
+
+@njit(**_strict)
+def prefix_tiles(touched: Any, first: Any, histogram: Any, offsets: Any) -> int:
+    """first [N+1]: a Gaussian's first slot; histogram becomes every block's first place in each
+    tile's list; offsets [tiles+1]: where a tile's list begins. Returns the number of items."""
+    total = 0
+    for i in range(len(touched)):
+        first[i] = total
+        total += touched[i]
+    first[len(touched)] = total
+    place = 0
+    for tile in range(histogram.shape[1]):
+        offsets[tile] = place
+        for block in range(histogram.shape[0]):
+            count = histogram[block, tile]
+            histogram[block, tile] = place
+            place += count
+    offsets[histogram.shape[1]] = place
+    return total
+
+
+@njit(**_strict)
+def fill_tiles(
+    block: int,
+    blocks: int,
+    n: int,
+    order: Any,
+    start: Any,
+    items: Any,
+    first: Any,
+    histogram: Any,
+    lists: Any,
+) -> None:
+    """Write this block's items into the tiles' lists [items, 2]."""
+    places = histogram[block]
+    for k in range(n * block // blocks, n * (block + 1) // blocks):
+        i = order[k]
+        for j in range(first[i + 1] - first[i]):
+            item = items[start[i] + j]
+            tile = item >> 8
+            place = places[tile]
+            places[tile] = place + 1
+            lists[place, 0] = i << 8 | (item & 255)
+            lists[place, 1] = first[i] + j

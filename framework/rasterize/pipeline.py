@@ -1,0 +1,231 @@
+"""The stages of a render and of its gradient, on buffers that are kept between steps.
+
+`Workspace.project -> sort -> bin -> blend` makes an image; `blend_backward -> project_backward`
+brings its gradient to the parameters. A workspace belongs to one render until its gradient is done.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from framework.errors import UserError
+from framework.parallel import BLOCKS, run_blocks
+from framework.rasterize import binning, projection, tiles
+from framework.rasterize.constants import ROW
+from framework.types import Camera
+
+TILE_BLOCKS = 29  # odd, so that a block's tiles do not all lie in the same columns
+
+
+@dataclass(frozen=True)
+class Arrays:
+    """The stored parameters as contiguous float32 arrays; see `framework.types.Gaussians`."""
+
+    means: np.ndarray
+    quats: np.ndarray
+    log_scales: np.ndarray
+    logits: np.ndarray
+    sh0: np.ndarray
+    shN: np.ndarray
+    factors: np.ndarray
+    offset: np.ndarray
+
+
+@dataclass(frozen=True)
+class Image:
+    """rgb [3, H, W] on the background, alpha [H, W], depth [H, W]: sum of weight x z."""
+
+    rgb: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+
+
+def camera_row(camera: Camera, near: float) -> np.ndarray:
+    """The camera as the kernels read it: float32[20], see `projection`."""
+    rotation, translation = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
+    K = camera.K
+    row = [*rotation.reshape(-1).tolist(), *translation.tolist(), *camera.center.tolist()]
+    row += [float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), near]
+    return np.array(row, np.float32)
+
+
+class Workspace:
+    """Buffers for renders of up to some number of Gaussians and tile entries; they only grow."""
+
+    def __init__(self) -> None:
+        self._capacity = -1
+        self.items = np.empty(0, np.int32)
+        self.lists = np.empty((0, 2), np.int32)
+        self.slots = np.empty((0, 16), np.float32)
+        self.histogram = np.empty((BLOCKS, 0), np.int32)
+        self.offsets = np.empty(1, np.int32)
+
+    def _fit(self, n: int, n_tiles: int) -> None:
+        if n > binning.MAX_GAUSSIANS:
+            raise UserError(
+                f"rasterize: expected at most {binning.MAX_GAUSSIANS} Gaussians, got {n}; lower"
+                " init.budget or use a capacity plugin that prunes"
+            )
+        if n > self._capacity:
+            self._capacity = n + n // 4
+            size = self._capacity
+            self._rows = np.empty((size, ROW), np.float32)
+            self._clipped = np.empty(size, np.uint8)
+            self._bound, self._start = np.empty(size, np.int32), np.empty(size, np.int32)
+            self._touched = np.zeros(size, np.int32)
+            self._first = np.empty(size + 1, np.int32)
+            self._order, self._spare = np.empty(size, np.int32), np.empty(size, np.int32)
+        if self.histogram.shape[1] != n_tiles:
+            self.histogram = np.empty((BLOCKS, n_tiles), np.int32)
+            self.offsets = np.empty(n_tiles + 1, np.int32)
+        self.rows, self.clipped = self._rows[:n], self._clipped[:n]
+        self.bound, self.start = self._bound[:n], self._start[:n]
+        self.touched, self.first = self._touched[:n], self._first[: n + 1]
+        self.order, self.spare = self._order[:n], self._spare[:n]
+
+    def project(self, arrays: Arrays, camera: Camera, degree: int, near: float) -> None:
+        """Gaussians to the screen: fills rows, clipped, bound."""
+        self.arrays, self.degree, self.near = arrays, degree, near
+        self.width, self.height = camera.width, camera.height
+        self.camera = camera_row(camera, near)
+        columns, bands = (camera.width + 15) // 16, (camera.height + 15) // 16
+        self._fit(len(arrays.means), columns * bands)
+        run_blocks(
+            projection.project,
+            arrays.means,
+            arrays.quats,
+            arrays.log_scales,
+            arrays.logits,
+            arrays.sh0,
+            arrays.shN,
+            arrays.factors,
+            arrays.offset,
+            degree,
+            self.camera,
+            self.width,
+            self.height,
+            self.rows,
+            self.clipped,
+            self.bound,
+        )
+
+    def sort(self) -> None:
+        """Depth order of the visible Gaussians."""
+        self.n_visible = binning.depth_order(self.rows, self.bound, self.order, self.spare)
+
+    def bin(self) -> None:
+        """The tiles' lists, front to back."""
+        entries = binning.prefix_bounds(self.bound, self.start)
+        if len(self.items) < entries:
+            self.items = np.empty(entries + entries // 4, np.int32)
+        self.touched[:] = 0
+        run_blocks(
+            binning.count_tiles,
+            self.n_visible,
+            self.order,
+            self.rows,
+            self.start,
+            self.width,
+            self.height,
+            self.items,
+            self.touched,
+            self.histogram,
+        )
+        self.n_items = binning.prefix_tiles(
+            self.touched, self.first, self.histogram, self.offsets
+        )
+        if len(self.lists) < self.n_items:
+            self.lists = np.empty((self.n_items + self.n_items // 4, 2), np.int32)
+        run_blocks(
+            binning.fill_tiles,
+            self.n_visible,
+            self.order,
+            self.start,
+            self.items,
+            self.first,
+            self.histogram,
+            self.lists,
+        )
+
+    def blend(self, background: np.ndarray, image: Image) -> None:
+        """Render into `image`."""
+        run_blocks(
+            tiles.blend,
+            self.width,
+            self.height,
+            self.rows,
+            self.offsets,
+            self.lists,
+            background,
+            image.rgb.reshape(-1),
+            image.alpha.reshape(-1),
+            image.depth.reshape(-1),
+            blocks=TILE_BLOCKS,
+        )
+
+    def _fit_slots(self) -> np.ndarray:
+        if len(self.slots) < self.n_items:
+            self.slots = np.empty((self.n_items + self.n_items // 4, 16), np.float32)
+        return self.slots
+
+    def blend_backward(self, image: Image, gradient: Image) -> None:
+        """Gradient in the image -> per (tile, Gaussian) sums in `slots`."""
+        run_blocks(
+            tiles.blend_backward,
+            self.width,
+            self.height,
+            self.rows,
+            self.offsets,
+            self.lists,
+            image.rgb.reshape(-1),
+            image.depth.reshape(-1),
+            image.alpha.reshape(-1),
+            gradient.rgb.reshape(-1),
+            gradient.alpha.reshape(-1),
+            gradient.depth.reshape(-1),
+            self._fit_slots().reshape(-1),
+            blocks=TILE_BLOCKS,
+        )
+
+    def blend_moments(self, image: Image) -> None:
+        """Second moments of the image's derivatives -> `slots`; see `tiles.blend_moments`."""
+        run_blocks(
+            tiles.blend_moments,
+            self.width,
+            self.height,
+            self.rows,
+            self.offsets,
+            self.lists,
+            image.rgb.reshape(-1),
+            self._fit_slots().reshape(-1),
+            blocks=TILE_BLOCKS,
+        )
+
+    def project_backward(self, gradient: Arrays) -> None:
+        """Sums in `slots` -> gradients of every parameter (all of `gradient` is overwritten)."""
+        arrays = self.arrays
+        run_blocks(
+            projection.project_backward,
+            arrays.means,
+            arrays.quats,
+            arrays.log_scales,
+            arrays.logits,
+            arrays.shN,
+            arrays.factors,
+            self.degree,
+            self.camera,
+            self.rows,
+            self.clipped,
+            self.first,
+            self.slots,
+            gradient.means,
+            gradient.quats,
+            gradient.log_scales,
+            gradient.logits,
+            gradient.sh0,
+            gradient.shN,
+            gradient.factors,
+            gradient.offset,
+        )

@@ -1,0 +1,359 @@
+"""Front-to-back blending of a tile's list, its gradient, and its second moments.
+
+A tile is 16 rows of 16 lanes; per row the state is the transmittance T and the accumulated colour
+and depth. A finished pixel keeps its T with a minus sign, so that it blends nothing more. The loops
+over rows have no branch: masks only.
+
+Gradients (Kerbl et al. 2023, appendix; front to back): with w_i = T_i alpha_i and
+S = sum over what lies behind, background included, d C / d alpha_i = T_i c_i - S / (1 - alpha_i).
+The background enters as the initial value of S, which is the finished pixel itself.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from framework.rasterize.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+from framework.rasterize.simd import (
+    absolute,
+    any_lane,
+    both,
+    but_not,
+    exp2,
+    fma,
+    fnma,
+    greater,
+    greater_equal,
+    iota,
+    lane_sums,
+    load,
+    minimum,
+    neg,
+    select,
+    splat,
+    store,
+    zeros,
+)
+
+f4 = np.float32
+_strict = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy"}
+_inline = {"nogil": True, "fastmath": False, "error_model": "numpy", "inline": "always"}
+HALF, ZERO, ONE = f4(0.5), f4(0), f4(1)
+_CUT = f4(np.log2(ALPHA_MIN))  # in the exponent
+_MAX = f4(ALPHA_MAX)
+_STOP = f4(TRANSMITTANCE_MIN)
+_CHECK = 16  # items between two looks at whether the whole tile is finished
+
+
+@njit(**_inline)
+def _finished(transmittance: Any) -> bool:
+    """No pixel of the tile (flat [256]) blends any more."""
+    state = load(transmittance, 0)
+    for y in range(1, 16):
+        state = select(greater(state, zeros()), state, load(transmittance, y * 16))
+    return not any_lane(greater(state, zeros()))
+
+
+@njit(**_inline)
+def _clear_outside(transmittance: Any, x: int, y: int, width: int, height: int) -> None:
+    """T = 1 in the image, 0 (finished) for the lanes and rows of the tile outside it."""
+    for j in range(16):
+        for i in range(16):
+            inside = x + i < width and y + j < height
+            transmittance[j * 16 + i] = ONE if inside else ZERO
+
+
+@njit(**_inline)
+def _read_row(plane: Any, at: int, count: int, buffer: Any, place: int) -> None:
+    """Copy `count` of 16 values of a flat image into a flat tile buffer, zeros for the rest."""
+    if count == 16:
+        store(buffer, place, load(plane, at))
+    else:
+        for i in range(16):
+            buffer[place + i] = plane[at + i] if i < count else ZERO
+
+
+@njit(**_inline)
+def _write_row(plane: Any, at: int, count: int, value: Any, scratch: Any) -> None:
+    """Write the first `count` lanes into a flat image."""
+    if count == 16:
+        store(plane, at, value)
+    else:
+        store(scratch, 0, value)
+        for i in range(count):
+            plane[at + i] = scratch[i]
+
+
+@njit(**_strict)
+def blend(
+    block: int,
+    blocks: int,
+    width: int,
+    height: int,
+    rows: Any,
+    offsets: Any,
+    lists: Any,
+    background: Any,
+    rgb: Any,
+    alpha: Any,
+    depth: Any,
+) -> None:
+    """Render tiles block, block + blocks, ...; rgb flat [3 H W], alpha and depth flat [H W]."""
+    columns = (width + 15) // 16
+    plane = width * height
+    state = np.empty(5 * 256 + 16, np.float32)
+    transmittance = state[:256]
+    red, green, blue = state[256:512], state[512:768], state[768:1024]
+    far, scratch = state[1024:1280], state[1280:]
+    cut, stop, most, one = splat(_CUT), splat(_STOP), splat(_MAX), splat(ONE)
+    for tile in range(block, len(offsets) - 1, blocks):
+        x, y = (tile % columns) * 16, (tile // columns) * 16
+        _clear_outside(transmittance, x, y, width, height)
+        state[256:] = ZERO
+        for k in range(offsets[tile], offsets[tile + 1]):
+            if (k - offsets[tile]) % _CHECK == _CHECK - 1 and _finished(transmittance):
+                break
+            item = lists[k, 0]
+            g = item >> 8
+            curve, shear, fall = splat(rows[g, 2]), rows[g, 3], rows[g, 4]
+            peak = rows[g, 5]
+            cr, cg, cb = splat(rows[g, 6]), splat(rows[g, 7]), splat(rows[g, 8])
+            cz = splat(rows[g, 9])
+            dx = iota() + splat(f4(x) + HALF - rows[g, 0])
+            dy0 = f4(y) + HALF - rows[g, 1]
+            for row in range(item & 15, ((item >> 4) & 15) + 1):
+                at = row * 16
+                dy = dy0 + f4(row)
+                power = fma(fma(curve, dx, splat(shear * dy)), dx, splat(peak + fall * dy * dy))
+                t = load(transmittance, at)
+                active = both(greater_equal(power, cut), greater(t, zeros()))
+                a = minimum(exp2(power), most)
+                rest = fnma(t, a, t)
+                goes_on = both(active, greater_equal(rest, stop))
+                weight = select(goes_on, a * t, zeros())
+                store(red, at, fma(weight, cr, load(red, at)))
+                store(green, at, fma(weight, cg, load(green, at)))
+                store(blue, at, fma(weight, cb, load(blue, at)))
+                store(far, at, fma(weight, cz, load(far, at)))
+                store(transmittance, at, select(goes_on, rest, select(active, neg(t), t)))
+        count = min(16, width - x)
+        for row in range(min(16, height - y)):
+            at = row * 16
+            place = (y + row) * width + x
+            t = absolute(load(transmittance, at))
+            _write_row(
+                rgb, place, count, fma(t, splat(background[0]), load(red, at)), scratch
+            )
+            _write_row(
+                rgb, plane + place, count, fma(t, splat(background[1]), load(green, at)), scratch
+            )
+            _write_row(
+                rgb, 2 * plane + place, count, fma(t, splat(background[2]), load(blue, at)), scratch
+            )
+            _write_row(alpha, place, count, one - t, scratch)
+            _write_row(depth, place, count, load(far, at), scratch)
+
+
+@njit(**_strict)
+def blend_backward(
+    block: int,
+    blocks: int,
+    width: int,
+    height: int,
+    rows: Any,
+    offsets: Any,
+    lists: Any,
+    rgb: Any,
+    depth: Any,
+    alpha: Any,
+    g_rgb: Any,
+    g_alpha: Any,
+    g_depth: Any,
+    slots: Any,
+) -> None:
+    """Fill every (tile, Gaussian) slot [16] with the sums described in `project_backward`.
+
+    slots is flat. g_alpha, g_depth: flat [H W].
+    """
+    columns = (width + 15) // 16
+    plane = width * height
+    state = np.empty(9 * 256, np.float32)
+    transmittance, behind = state[:256], state[256:512]
+    gr_, gg_, gb_ = state[512:768], state[768:1024], state[1024:1280]
+    ga_, gz_ = state[1280:1536], state[1536:1792]
+    first, second = state[1792:2048], state[2048:2304]
+    cut, stop, most, one = splat(_CUT), splat(_STOP), splat(_MAX), splat(ONE)
+    for tile in range(block, len(offsets) - 1, blocks):
+        x, y = (tile % columns) * 16, (tile // columns) * 16
+        _clear_outside(transmittance, x, y, width, height)
+        state[256:] = ZERO
+        count = min(16, width - x)
+        for row in range(min(16, height - y)):
+            at, place = row * 16, (y + row) * width + x
+            total = zeros()
+            _read_row(g_rgb, place, count, gr_, at)
+            _read_row(rgb, place, count, first, at)
+            total = fma(load(gr_, at), load(first, at), total)
+            _read_row(g_rgb, plane + place, count, gg_, at)
+            _read_row(rgb, plane + place, count, first, at)
+            total = fma(load(gg_, at), load(first, at), total)
+            _read_row(g_rgb, 2 * plane + place, count, gb_, at)
+            _read_row(rgb, 2 * plane + place, count, first, at)
+            total = fma(load(gb_, at), load(first, at), total)
+            _read_row(g_alpha, place, count, ga_, at)
+            _read_row(alpha, place, count, first, at)
+            total = fma(load(ga_, at), load(first, at), total)
+            _read_row(g_depth, place, count, gz_, at)
+            _read_row(depth, place, count, second, at)
+            store(behind, at, fma(load(gz_, at), load(second, at), total))
+        done = False
+        for k in range(offsets[tile], offsets[tile + 1]):
+            if not done and (k - offsets[tile]) % _CHECK == _CHECK - 1:
+                done = _finished(transmittance)
+            slot = lists[k, 1] * 16
+            if done:
+                store(slots, slot, zeros())
+                continue
+            item = lists[k, 0]
+            g = item >> 8
+            curve, shear, fall = splat(rows[g, 2]), rows[g, 3], rows[g, 4]
+            peak = rows[g, 5]
+            cr, cg, cb = splat(rows[g, 6]), splat(rows[g, 7]), splat(rows[g, 8])
+            cz = splat(rows[g, 9])
+            dx = iota() + splat(f4(x) + HALF - rows[g, 0])
+            dy0 = f4(y) + HALF - rows[g, 1]
+            m0, m1, m2 = zeros(), zeros(), zeros()
+            sr, sg, sb, sz = zeros(), zeros(), zeros(), zeros()
+            for row in range(item & 15, ((item >> 4) & 15) + 1):
+                at = row * 16
+                dy = dy0 + f4(row)
+                power = fma(fma(curve, dx, splat(shear * dy)), dx, splat(peak + fall * dy * dy))
+                t = load(transmittance, at)
+                active = both(greater_equal(power, cut), greater(t, zeros()))
+                raw = exp2(power)
+                a = minimum(raw, most)
+                rest = fnma(t, a, t)
+                goes_on = both(active, greater_equal(rest, stop))
+                weight = select(goes_on, a * t, zeros())
+                gr, gg, gb, gz = load(gr_, at), load(gg_, at), load(gb_, at), load(gz_, at)
+                own = fma(gr, cr, fma(gg, cg, fma(gb, cb, fma(gz, cz, load(ga_, at)))))
+                left = fnma(weight, own, load(behind, at))
+                store(behind, at, left)
+                slope = fma(t, own, neg(left / (one - a)))
+                pull = select(but_not(goes_on, greater(raw, most)), slope * a, zeros())
+                pull_y = pull * splat(dy)
+                m0, m1, m2 = m0 + pull, m1 + pull_y, fma(pull_y, splat(dy), m2)
+                sr, sg = fma(weight, gr, sr), fma(weight, gg, sg)
+                sb, sz = fma(weight, gb, sb), fma(weight, gz, sz)
+                store(transmittance, at, select(goes_on, rest, select(active, neg(t), t)))
+            m0x = m0 * dx
+            sums = lane_sums((m0, m0x, m0x * dx, m1, m1 * dx, m2, sr, sg, sb, sz))
+            store(slots, slot, sums)
+
+
+@njit(**_strict)
+def blend_moments(
+    block: int,
+    blocks: int,
+    width: int,
+    height: int,
+    rows: Any,
+    offsets: Any,
+    lists: Any,
+    rgb: Any,
+    slots: Any,
+) -> None:
+    """Second moments of the image's derivatives: the Fisher information in screen coordinates.
+
+    With q = sum over channels of (alpha d C / d alpha)^2, slot lanes 0-14 are the sums over pixels
+    of q times dx^i dy^j, ordered 1; dx, dy; dx^2, dx dy, dy^2; dx^3 ... dy^3; dx^4 ... dy^4, and
+    lane 15 is the sum of weight^2 (the information on each colour channel).
+    """
+    columns = (width + 15) // 16
+    plane = width * height
+    state = np.empty(4 * 256, np.float32)
+    transmittance = state[:256]
+    br, bg, bb = state[256:512], state[512:768], state[768:1024]
+    cut, stop, most, one = splat(_CUT), splat(_STOP), splat(_MAX), splat(ONE)
+    for tile in range(block, len(offsets) - 1, blocks):
+        x, y = (tile % columns) * 16, (tile // columns) * 16
+        _clear_outside(transmittance, x, y, width, height)
+        state[256:] = ZERO
+        count = min(16, width - x)
+        for row in range(min(16, height - y)):
+            at, place = row * 16, (y + row) * width + x
+            _read_row(rgb, place, count, br, at)
+            _read_row(rgb, plane + place, count, bg, at)
+            _read_row(rgb, 2 * plane + place, count, bb, at)
+        done = False
+        for k in range(offsets[tile], offsets[tile + 1]):
+            if not done and (k - offsets[tile]) % _CHECK == _CHECK - 1:
+                done = _finished(transmittance)
+            slot = lists[k, 1] * 16
+            if done:
+                store(slots, slot, zeros())
+                continue
+            item = lists[k, 0]
+            g = item >> 8
+            curve, shear, fall = splat(rows[g, 2]), rows[g, 3], rows[g, 4]
+            peak = rows[g, 5]
+            cr, cg, cb = splat(rows[g, 6]), splat(rows[g, 7]), splat(rows[g, 8])
+            dx = iota() + splat(f4(x) + HALF - rows[g, 0])
+            dy0 = f4(y) + HALF - rows[g, 1]
+            m0, m1, m2, m3, m4, ww = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
+            for row in range(item & 15, ((item >> 4) & 15) + 1):
+                at = row * 16
+                dy = dy0 + f4(row)
+                power = fma(fma(curve, dx, splat(shear * dy)), dx, splat(peak + fall * dy * dy))
+                t = load(transmittance, at)
+                active = both(greater_equal(power, cut), greater(t, zeros()))
+                raw = exp2(power)
+                a = minimum(raw, most)
+                rest = fnma(t, a, t)
+                goes_on = both(active, greater_equal(rest, stop))
+                weight = select(goes_on, a * t, zeros())
+                odds = a / (one - a)
+                lr, lg = fnma(weight, cr, load(br, at)), fnma(weight, cg, load(bg, at))
+                lb = fnma(weight, cb, load(bb, at))
+                store(br, at, lr)
+                store(bg, at, lg)
+                store(bb, at, lb)
+                jr = fnma(lr, odds, weight * cr)
+                jg = fnma(lg, odds, weight * cg)
+                jb = fnma(lb, odds, weight * cb)
+                square = fma(jr, jr, fma(jg, jg, jb * jb))
+                q = select(but_not(goes_on, greater(raw, most)), square, zeros())
+                qy = q * splat(dy)
+                qyy = qy * splat(dy)
+                qyyy = qyy * splat(dy)
+                m0, m1, m2, m3 = m0 + q, m1 + qy, m2 + qyy, m3 + qyyy
+                m4 = fma(qyyy, splat(dy), m4)
+                ww = fma(weight, weight, ww)
+                store(transmittance, at, select(goes_on, rest, select(active, neg(t), t)))
+            m0x, m1x, m2x = m0 * dx, m1 * dx, m2 * dx
+            m0xx, m1xx = m0x * dx, m1x * dx
+            m0xxx = m0xx * dx
+            sums = lane_sums(
+                (
+                    m0,
+                    m0x,
+                    m1,
+                    m0xx,
+                    m1x,
+                    m2,
+                    m0xxx,
+                    m1xx,
+                    m2x,
+                    m3,
+                    m0xxx * dx,
+                    m1xx * dx,
+                    m2x * dx,
+                    m3 * dx,
+                    m4,
+                    ww,
+                )
+            )
+            store(slots, slot, sums)
