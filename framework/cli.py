@@ -1,0 +1,219 @@
+"""The command line: from arguments to runs, and from errors to one line and an exit code.
+
+Exit codes: 0 all runs are complete · 1 a bug or the machine · 2 bad input · 130 interrupted.
+
+Nothing heavy is imported before a run really starts. Importing this module registers the resolvers
+that name run folders, which the processes of a launcher need too.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NoReturn
+
+import hydra
+from hydra._internal.utils import get_args_parser
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import DictConfig, OmegaConf
+
+from framework.complaints import USER_ERRORS, one_line
+from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, check, register_config
+from framework.errors import UserError
+from framework.naming import plain, register_resolvers, study_name
+from framework.progress import Progress, Terminal
+from framework.study import Outcome, Refused, add_outcome, job_count, ledger, outcomes, short_path
+
+register_resolvers()
+
+MULTIRUN_FLAGS = ("-m", "--multirun")
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command line `argv` (without the program's name); returns the exit code."""
+    try:
+        arguments = normalise(argv)
+        with _hydra_process(arguments):
+            register_config()
+            application = hydra.main(
+                version_base="1.3", config_path=str(CONF_DIR), config_name="config"
+            )(task)
+            if _only_informs(arguments):
+                application()
+                return 0
+            with ledger():
+                application()
+                return _conclude()
+    except KeyboardInterrupt:
+        print("error: interrupted; complete runs are kept and reused", file=sys.stderr)
+        return 130
+    except (Refused, *USER_ERRORS) as error:
+        if "traceback=true" in argv:
+            traceback.print_exc()
+        print(f"error: {one_line(error)}", file=sys.stderr)
+        return 2
+    except SystemExit as end:  # Hydra ends --help and its like this way
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
+
+
+def task(cfg: DictConfig) -> None:
+    """One run; Hydra calls it, perhaps in a launcher's fresh process.
+
+    An error ends this run and not its siblings: it goes into the record and the ledger.
+    """
+    job: Any = HydraConfig.get()
+    run_dir = Path(job.runtime.output_dir)
+    number = 0 if OmegaConf.is_missing(job.job, "num") else int(job.job.num)
+    config = plain(cfg)
+    try:
+        register_config()
+        check(config)
+        config["study"] = study_name(config)
+        _run(config, run_dir, _progress(job, config["seed"], number))
+    except Exception as error:
+        message = _failed(error, config["traceback"])
+        overrides = [str(override) for override in job.overrides.task]
+        _record_failure(run_dir, config, overrides, message)
+        add_outcome(Outcome(number, str(run_dir), message, isinstance(error, USER_ERRORS)))
+    else:
+        add_outcome(Outcome(number, str(run_dir)))
+
+
+def normalise(argv: Sequence[str]) -> list[str]:
+    """`argv` as Hydra accepts it. Raises UserError for a line it could not read.
+
+    A leading `+` goes from known groups: they are in the defaults list, where Hydra wants none.
+    """
+    arguments = [re.sub(rf"^\+(?=({'|'.join(GROUPS)})=)", "", argument) for argument in argv]
+    _check_multirun_flag(arguments)
+    flags = _parse(arguments)
+    if flags.multirun:
+        return _options_of_swept_groups(arguments)
+    return arguments
+
+
+def _check_multirun_flag(arguments: Sequence[str]) -> None:
+    """Hydra's parser takes -m only before or after all overrides."""
+    words = [i for i, argument in enumerate(arguments) if not argument.startswith("-")]
+    for flag in MULTIRUN_FLAGS:
+        if flag in arguments and words and words[0] < arguments.index(flag) < words[-1]:
+            raise UserError(
+                f"command line: expected {flag} first or last, got it in the middle, after"
+                f" '{arguments[arguments.index(flag) - 1]}'; move it to the end"
+            )
+
+
+def _parse(arguments: Sequence[str]) -> Any:
+    """Hydra's flags; a line its parser refuses becomes a UserError."""
+
+    def refuse(message: str) -> NoReturn:
+        raise UserError(f"command line: {message}; --help tells what there is")
+
+    parser = get_args_parser()
+    parser.error = refuse  # type: ignore[method-assign]
+    return parser.parse_args(arguments)
+
+
+def _options_of_swept_groups(arguments: Sequence[str]) -> list[str]:
+    """Make `augment.eta=1.5` beside `augment=safi,other` a sweep of one value.
+
+    Hydra first composes a configuration without the swept keys, where the group has its default
+    choice and the option does not exist.
+    """
+    lines = [argument for argument in arguments if not argument.startswith("-")]
+    parsed = OverridesParser.create().parse_overrides(lines)
+    swept = {o.key_or_group for o in parsed if o.is_sweep_override()} & set(OBJECT_GROUPS)
+    fixed = {
+        o.input_line
+        for o in parsed
+        if o.key_or_group.partition(".")[0] in swept
+        and "." in o.key_or_group
+        and not o.is_sweep_override()
+    }
+    return [re.sub("=(.*)", r"=choice(\1)", a, count=1) if a in fixed else a for a in arguments]
+
+
+def _only_informs(arguments: Sequence[str]) -> bool:
+    """True for `--help`, `--cfg` and the like, which start no run."""
+    flags = _parse(arguments)
+    return bool(flags.help or flags.hydra_help or flags.cfg or flags.info or flags.shell_completion)
+
+
+@contextmanager
+def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
+    """What `hydra.main` reads from the process: its arguments, and to leave errors to us."""
+    argv, full_error = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
+    sys.argv = [argv[0], *arguments]
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    try:
+        yield
+    finally:
+        sys.argv = argv
+        if full_error is None:
+            del os.environ["HYDRA_FULL_ERROR"]
+        else:
+            os.environ["HYDRA_FULL_ERROR"] = full_error
+
+
+def _run(config: dict[str, Any], run_dir: Path, progress: Progress) -> None:
+    from framework.experiment import run_experiment
+
+    run_experiment(config, run_dir, progress)
+
+
+def _progress(job: Any, seed: int, number: int) -> Progress:
+    """The progress line of this run; launchers that run several at once get plain lines."""
+    chosen = job.runtime.choices
+    label = f"{chosen.augment}+{chosen.reg} seed {seed}"
+    total = job_count()
+    if total != 1:
+        label = f"[run {number + 1}{f' of {total}' if total else ''}] {label}"
+    alone = job.mode.name == "RUN" or job.launcher._target_.endswith(".BasicLauncher")
+    return Terminal(label, in_place=None if alone else False)
+
+
+def _failed(error: Exception, show: bool) -> str:
+    """The one-line message of a failed run; a bug shows its traceback at once."""
+    if isinstance(error, USER_ERRORS):
+        if show:
+            traceback.print_exception(error)
+        return one_line(error)
+    traceback.print_exception(error)
+    return f"{type(error).__name__}: {one_line(error)}"
+
+
+def _record_failure(
+    run_dir: Path, config: dict[str, Any], overrides: list[str], message: str
+) -> None:
+    from framework.record import write_failed
+
+    write_failed(run_dir, config, overrides, message)
+
+
+def _conclude() -> int:
+    """Tell the failures of the command, equal ones together; returns the exit code."""
+    ended = outcomes()
+    failed = [outcome for outcome in ended if outcome.error is not None]
+    lost = (job_count() or 0) - len(ended)
+    for message in dict.fromkeys(outcome.error for outcome in failed):
+        same = [outcome for outcome in failed if outcome.error == message]
+        print(f"error: {_which(same, job_count() or len(ended))}{message}", file=sys.stderr)
+    if lost > 0:
+        print(f"error: {lost} runs ended without telling how", file=sys.stderr)
+    if not failed and lost <= 0:
+        return 0
+    return 2 if lost <= 0 and all(outcome.bad_input for outcome in failed) else 1
+
+
+def _which(same: Sequence[Outcome], total: int) -> str:
+    """Which runs of a multirun failed this way; nothing for a single run."""
+    if total == 1:
+        return ""
+    folders = ", ".join(str(short_path(Path(outcome.run_dir))) for outcome in same)
+    return f"{len(same)} of {total} runs failed ({folders}): "

@@ -1,0 +1,147 @@
+"""What a run tells while it works: one line, updated in place on a terminal, sparse otherwise.
+
+    [run 4 of 12] safi+uar seed 1 · step 300/800 · loss 0.0412 · test 22.31 dB ·
+    39957 Gaussians · 41 steps/s · 12 s left
+
+Speed is the mean over the last seconds, so that compilation and the coarse phase do not distort
+the time left. Nothing here touches training: a run is the same with any `Progress`.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Protocol, TextIO
+
+SPEED_WINDOW_S = 5.0
+TTY_PERIOD_S = 0.2
+PLAIN_PERIOD_S = 10.0
+PLAIN_SHARE = 0.1
+
+
+class Progress(Protocol):
+    """The listener that `run_experiment` reports to."""
+
+    def stage(self, what: str) -> None:
+        """A part other than training begins, for instance "plane-sweep depth"."""
+
+    def compiling(self, what: str) -> None:
+        """Kernels are compiled now; only the first run on a machine waits for it."""
+
+    def step(
+        self, step: int, n_steps: int, loss: float, gaussians: int, psnr: float | None = None
+    ) -> None:
+        """`step` of `n_steps` steps are done. psnr: last test PSNR in dB, if there is one."""
+
+    def note(self, text: str) -> None:
+        """Something worth keeping on the screen."""
+
+    def done(self, text: str) -> None:
+        """The run is over; `text` is its result."""
+
+
+class Silent:
+    """Tells nothing; for tests and library use."""
+
+    def stage(self, what: str) -> None: ...
+
+    def compiling(self, what: str) -> None: ...
+
+    def step(
+        self, step: int, n_steps: int, loss: float, gaussians: int, psnr: float | None = None
+    ) -> None: ...
+
+    def note(self, text: str) -> None: ...
+
+    def done(self, text: str) -> None: ...
+
+
+class Terminal:
+    """Writes to `stream`: in place if `in_place`, else a line every 10 s or 10 % of the steps.
+
+    label: who speaks, for instance "[run 4 of 12] safi+uar seed 1". clock: seconds, monotonic.
+    """
+
+    def __init__(
+        self,
+        label: str,
+        stream: TextIO | None = None,
+        in_place: bool | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._label = label
+        self._stream = stream if stream is not None else sys.stdout
+        self._in_place = self._stream.isatty() if in_place is None else in_place
+        self._clock = clock
+        self._marks: deque[tuple[float, int]] = deque()  # (seconds, step), the speed window
+        self._told_at = -float("inf")
+        self._told_step = 0
+
+    def stage(self, what: str) -> None:
+        self._transient(what)
+
+    def compiling(self, what: str) -> None:
+        self._transient(f"compiling {what} (once per machine)")
+
+    def note(self, text: str) -> None:
+        self._line(text)
+
+    def done(self, text: str) -> None:
+        self._line(text)
+
+    def step(
+        self, step: int, n_steps: int, loss: float, gaussians: int, psnr: float | None = None
+    ) -> None:
+        now = self._clock()
+        self._mark(now, step)
+        if not self._due(now, step, n_steps):
+            return
+        self._told_at, self._told_step = now, step
+        parts = [f"step {step}/{n_steps}", f"loss {loss:.4f}"]
+        if psnr is not None:
+            parts.append(f"test {psnr:.2f} dB")
+        parts.append(f"{gaussians} Gaussians")
+        speed = self._speed()
+        if speed is not None:
+            parts.append(f"{speed:.{0 if speed >= 10 else 1}f} steps/s")
+            parts.append(f"{(n_steps - step) / speed:.0f} s left")
+        self._transient(" · ".join(parts))
+
+    def _mark(self, now: float, step: int) -> None:
+        if self._marks and step <= self._marks[-1][1]:  # a new training began
+            self._marks.clear()
+        self._marks.append((now, step))
+        while len(self._marks) > 2 and now - self._marks[1][0] > SPEED_WINDOW_S:
+            self._marks.popleft()
+
+    def _speed(self) -> float | None:
+        """Steps per second over the window; None before there are two marks."""
+        (first_s, first), (last_s, last) = self._marks[0], self._marks[-1]
+        return (last - first) / (last_s - first_s) if last_s > first_s else None
+
+    def _due(self, now: float, step: int, n_steps: int) -> bool:
+        if step < self._told_step:
+            self._told_step = 0
+        waited = now - self._told_at
+        if self._in_place:
+            return waited >= TTY_PERIOD_S or step == n_steps
+        covered = step - self._told_step >= PLAIN_SHARE * n_steps
+        return waited >= PLAIN_PERIOD_S or covered or step == n_steps
+
+    def _transient(self, text: str) -> None:
+        """A line that the next one may replace."""
+        if not self._in_place:
+            self._line(text)
+            return
+        columns = shutil.get_terminal_size().columns - 1
+        self._stream.write(f"\r\x1b[K{f'{self._label} · {text}'[:columns]}")
+        self._stream.flush()
+
+    def _line(self, text: str) -> None:
+        """A line that stays."""
+        start = "\r\x1b[K" if self._in_place else ""
+        self._stream.write(f"{start}{self._label} · {text}\n")
+        self._stream.flush()

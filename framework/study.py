@@ -1,0 +1,152 @@
+"""What joins the runs of one command: their number, their outcomes, and the report at the end.
+
+The runs may be processes of a launcher, so nothing is shared in memory: each run leaves a small
+file with its outcome in the ledger, a folder that the parent makes and the children know by an
+environment variable. A run without an outcome counts as failed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig, OmegaConf
+
+from framework.cache import cache_dir
+from framework.complaints import USER_ERRORS
+from framework.config import check
+from framework.errors import UserError
+from framework.files import write_whole
+from framework.naming import plain, study_dir
+
+LEDGER_VARIABLE = "FISHERSPLAT_LEDGER"
+JOBS_VARIABLE = "FISHERSPLAT_JOBS"
+
+
+class Refused(BaseException):
+    """Stops a multirun before its first run. Hydra turns a callback's `Exception` into a warning,
+    hence a `BaseException`; the cause is the user's error."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one run ended. error: one line, None if it went well. bad_input: the user's to fix."""
+
+    number: int
+    run_dir: str
+    error: str | None = None
+    bad_input: bool = False
+
+
+@contextmanager
+def ledger() -> Iterator[Path]:
+    """An empty ledger folder, known to this process and its children, removed at the end."""
+    with tempfile.TemporaryDirectory(prefix="ledger-", dir=cache_dir()) as folder:
+        os.environ[LEDGER_VARIABLE] = folder
+        try:
+            yield Path(folder)
+        finally:
+            os.environ.pop(LEDGER_VARIABLE, None)
+            os.environ.pop(JOBS_VARIABLE, None)
+
+
+def add_outcome(outcome: Outcome) -> None:
+    """Write `outcome` into the ledger of the command this run belongs to."""
+    path = Path(os.environ[LEDGER_VARIABLE]) / f"{outcome.number:06d}.json"
+    write_whole(path, json.dumps(dataclasses.asdict(outcome)))
+
+
+def outcomes() -> list[Outcome]:
+    """The outcomes so far, in the order of the runs."""
+    paths = sorted(Path(os.environ[LEDGER_VARIABLE]).glob("*.json"))
+    return [Outcome(**json.loads(path.read_text(encoding="utf-8"))) for path in paths]
+
+
+def job_count() -> int | None:
+    """The number of runs of this command; None when a sweeper decides as it goes."""
+    text = os.environ.get(JOBS_VARIABLE)
+    return None if text is None else int(text)
+
+
+class StudyCallback(Callback):
+    """Refuses a bad multirun before its first run; builds the reports after the last."""
+
+    def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
+        os.environ[JOBS_VARIABLE] = "1"
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        if config.hydra.sweeper._target_.rpartition(".")[2] != BasicSweeper.__name__:
+            return
+        try:
+            jobs = sweep_jobs(config)
+            check_jobs(config, jobs)
+        except USER_ERRORS as error:
+            raise Refused from error
+        os.environ[JOBS_VARIABLE] = str(len(jobs))
+
+    def on_run_end(self, config: DictConfig, **kwargs: Any) -> None:
+        build_reports()
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        build_reports()
+
+
+def sweep_jobs(config: DictConfig) -> list[list[str]]:
+    """The overrides of every run of a multirun, as Hydra's own sweeper splits them."""
+    params = OmegaConf.to_container(config.hydra.sweeper.params or OmegaConf.create({}))
+    assert isinstance(params, dict)
+    lines = [f"{key!s}={value}" for key, value in params.items()]
+    lines += list(config.hydra.overrides.task)
+    parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
+    batches = BasicSweeper.split_arguments(parser.parse_overrides(lines), None)
+    return [list(job) for batch in batches for job in batch]
+
+
+def check_jobs(config: DictConfig, jobs: list[list[str]]) -> None:
+    """Raise the error of the first bad run, before hours went into the good ones."""
+    loader = GlobalHydra.instance().config_loader()
+    taken: dict[tuple[str, str], list[str]] = {}
+    for job in jobs:
+        composed = loader.load_sweep_config(config, job)
+        check(plain(composed))
+        folder = (str(composed.hydra.sweep.dir), str(composed.hydra.sweep.subdir))
+        if folder in taken:
+            raise UserError(
+                f"multirun: expected a folder for each run, got {'/'.join(folder)} for both"
+                f" '{' '.join(taken[folder])}' and '{' '.join(job)}'; give each its own study=NAME"
+            )
+        taken[folder] = job
+
+
+def build_reports() -> None:
+    """Build the report of every study with a good run and tell where it is.
+
+    Hydra swallows a callback's exception, so a failed report becomes an outcome of its own.
+    """
+    good = [outcome for outcome in outcomes() if outcome.error is None]
+    for folder in sorted({study_dir(Path(outcome.run_dir)) for outcome in good}):
+        try:
+            from framework.report import build_report
+
+            print(f"report: {short_path(build_report(folder))}", flush=True)
+        except Exception as error:
+            number = len(outcomes())
+            message = f"report of {short_path(folder)}: {type(error).__name__}: {error}"
+            add_outcome(Outcome(number, str(folder), message, isinstance(error, UserError)))
+
+
+def short_path(path: Path) -> Path:
+    """`path` relative to the current folder if it lies below, else as it is."""
+    absolute = path.resolve()
+    return absolute.relative_to(Path.cwd()) if absolute.is_relative_to(Path.cwd()) else absolute
