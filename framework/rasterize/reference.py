@@ -72,8 +72,8 @@ def rasterize_reference(
 ) -> Render:
     """What `camera` sees of `gaussians`, in their dtype; memory and time are O(N H W).
 
-    background: [3], default black; not differentiated. sh_degree: highest degree to evaluate,
-    default the stored one. opacity_factors: [N], multiply the activated opacities. means2d_offset:
+    background: [3], default black; not differentiated. sh_degree: the active degree, at most the
+    stored one (default). opacity_factors: [N], multiply the activated opacities. means2d_offset:
     [N, 2], added to the projected means; a zero tensor here receives dLoss/dmeans2d in pixels.
     near: Gaussians whose mean has z < near are culled. Raises ValueError on a wrong shape.
     """
@@ -156,11 +156,7 @@ def cutoff_margin(seen: Footprints, camera: Camera) -> Tensor:
 
 def shade(gaussians: Gaussians, center: Tensor, sh_degree: int | None = None) -> Tensor:
     """[N, 3] colours max(0, 0.5 + SH(d)), d the unit direction from the camera `center` [3]."""
-    degree = gaussians.sh_degree if sh_degree is None else sh_degree
-    if not 0 <= degree <= gaussians.sh_degree:
-        raise ValueError(
-            f"rasterize: sh_degree must be in 0..{gaussians.sh_degree} (stored), got {degree}"
-        )
+    degree = gaussians.sh_degree if sh_degree is None else min(sh_degree, gaussians.sh_degree)
     directions = torch.nn.functional.normalize(gaussians.means - center, dim=1)
     coefficients = torch.cat([gaussians.sh0, gaussians.shN], dim=1)[:, : (degree + 1) ** 2]
     basis = sh_basis(directions, degree)
