@@ -1,0 +1,206 @@
+"""Image metrics and their protocol. Evaluation reads what is saved: images are quantised to 8 bits
+first, so every number here can be recomputed from the PNG files of a run.
+
+Inputs are planar torch images `[3, H, W]`, display-referred sRGB in [0, 1]; values outside are
+clamped by the quantisation. A view is measured alone; means over views are taken by the record.
+
+PSNR   10 log10(1 / MSE) in dB; MSE over all pixels and channels, peak 1.
+SSIM   Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5, population covariance, K1 = .01,
+       K2 = .03, peak 1; per channel, mean over channels and over the pixels whose window lies
+       inside the image (a border of 5 px is left out), hence independent of any padding.
+FLIP   Andersson et al. 2020, LDR, 67 pixels per degree; float64 mean of the error map.
+LPIPS  Zhang et al. 2018, see `framework.lpips`; only with weights given by path.
+
+With a mask (1 = valid, threshold 0.5): PSNR over the valid pixels; the others are set to white in
+both images for SSIM, FLIP and LPIPS, as the DTU protocol of sparse-view work does.
+
+A metric that has no finite value is a `Missing` with its reason, never NaN. torch is not imported
+here, so that reading records stays light.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.lpips import Lpips
+    from framework.types import Camera, View
+
+METRICS = ("psnr", "ssim", "flip", "lpips")
+SSIM_WINDOW = 11
+
+
+@dataclass(frozen=True)
+class Missing:
+    """A value that does not exist, and why."""
+
+    reason: str
+
+
+Measurement = float | Missing
+NO_LPIPS = Missing("no weights given; set metrics.lpips_weights to a state dict file")
+
+
+@dataclass(frozen=True)
+class ViewMetrics:
+    """One test view: psnr in dB, ssim, flip, lpips, each or why missing; render_s in s."""
+
+    view: str
+    tags: tuple[str, ...]
+    psnr: Measurement
+    ssim: Measurement
+    flip: Measurement
+    lpips: Measurement
+    render_s: float
+
+    def value(self, metric: str) -> Measurement:
+        """The measurement named `metric`, one of `METRICS`."""
+        return getattr(self, metric)
+
+
+def quantise(image: Tensor) -> np.ndarray:
+    """[H, W, 3] uint8, round-to-nearest of the clamped planar `image` [3, H, W]; NaN becomes 0."""
+    pixels = image.detach().cpu().numpy().astype(np.float64)
+    _check_image(pixels)
+    clamped = np.clip(np.nan_to_num(pixels, nan=0.0), 0.0, 1.0)
+    return np.ascontiguousarray(np.rint(clamped * 255.0).astype(np.uint8).transpose(1, 2, 0))
+
+
+def psnr(render: Tensor, truth: Tensor, mask: Tensor | None = None) -> Measurement:
+    """Peak signal-to-noise ratio in dB of [3, H, W] images; mask: [H, W]."""
+    return _psnr(*_pair(render, truth, mask))
+
+
+def ssim(render: Tensor, truth: Tensor, mask: Tensor | None = None) -> Measurement:
+    """Structural similarity of [3, H, W] images; mask: [H, W]. Missing below 11 x 11 pixels."""
+    return _ssim(*_pair(render, truth, mask)[:2])
+
+
+def flip(render: Tensor, truth: Tensor, mask: Tensor | None = None) -> Measurement:
+    """Mean LDR-FLIP error of [3, H, W] images, 0 = no visible difference; mask: [H, W]."""
+    return _flip(*_pair(render, truth, mask)[:2])
+
+
+def lpips(
+    render: Tensor, truth: Tensor, network: Lpips | None, mask: Tensor | None = None
+) -> Measurement:
+    """LPIPS of [3, H, W] images by `network` (`framework.lpips.load`), Missing without one."""
+    return _lpips(*_pair(render, truth, mask)[:2], network)
+
+
+def evaluate_view(
+    view: View, render: Tensor, render_s: float = 0.0, network: Lpips | None = None
+) -> ViewMetrics:
+    """All metrics of the `render` [3, H, W] of a test view, both quantised to 8 bits first.
+
+    Raises ValueError when the sizes differ.
+    """
+    x, y, valid = _pair(render, view.image, view.mask)
+    return ViewMetrics(
+        view=view.name,
+        tags=tuple(view.tags),
+        psnr=_psnr(x, y, valid),
+        ssim=_ssim(x, y),
+        flip=_flip(x, y),
+        lpips=_lpips(x, y, network),
+        render_s=render_s,
+    )
+
+
+def evaluate(
+    render: Callable[[Camera], Tensor], views: Sequence[View], network: Lpips | None = None
+) -> tuple[list[ViewMetrics], list[tuple[View, Tensor]]]:
+    """Render and measure every test view; also gives the (view, [3, H, W] image) pairs to save."""
+    metrics: list[ViewMetrics] = []
+    images: list[tuple[View, Tensor]] = []
+    for view in views:
+        start = time.perf_counter()
+        image = render(view.camera).detach()
+        metrics.append(evaluate_view(view, image, time.perf_counter() - start, network))
+        images.append((view, image))
+    return metrics, images
+
+
+def mean_of(metrics: Sequence[ViewMetrics], metric: str) -> Measurement:
+    """Mean over the views; Missing, with the first reason, unless every view has a value."""
+    values = [m.value(metric) for m in metrics]
+    missing = [v for v in values if isinstance(v, Missing)]
+    if not values:
+        return Missing("no test views")
+    if missing:
+        return Missing(f"{missing[0].reason} ({len(missing)} of {len(values)} views)")
+    return float(np.mean(np.asarray(values, dtype=np.float64)))
+
+
+def _check_image(pixels: np.ndarray) -> None:
+    if pixels.ndim != 3 or pixels.shape[0] != 3:
+        raise ValueError(f"metrics: expected an image [3, H, W], got shape {pixels.shape}")
+
+
+def _pair(
+    render: Tensor, truth: Tensor, mask: Tensor | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Both images as [H, W, 3] float64 with 8-bit values / 255, and the valid pixels [H, W]."""
+    if render.shape != truth.shape:
+        raise ValueError(
+            f"metrics: expected a render of the truth's shape {tuple(truth.shape)},"
+            f" got {tuple(render.shape)}"
+        )
+    x, y = quantise(render) / 255.0, quantise(truth) / 255.0
+    if mask is None:
+        return x, y, None
+    valid = mask.detach().cpu().numpy() > 0.5
+    if valid.shape != x.shape[:2]:
+        raise ValueError(f"metrics: expected a mask {x.shape[:2]}, got {valid.shape}")
+    x[~valid], y[~valid] = 1.0, 1.0
+    return x, y, valid
+
+
+def _psnr(x: np.ndarray, y: np.ndarray, valid: np.ndarray | None) -> Measurement:
+    squared = (x - y) ** 2 if valid is None else (x - y)[valid] ** 2
+    if squared.size == 0:
+        return Missing("the mask has no valid pixel")
+    mse = float(squared.mean())
+    return 10.0 * math.log10(1.0 / mse) if mse > 0 else Missing("infinite: render equals truth")
+
+
+def _ssim(x: np.ndarray, y: np.ndarray) -> Measurement:
+    if min(x.shape[:2]) < SSIM_WINDOW:
+        return Missing(f"image of {x.shape[1]}x{x.shape[0]} is smaller than the 11x11 window")
+    from skimage.metrics import structural_similarity
+
+    return float(
+        structural_similarity(
+            x,
+            y,
+            gaussian_weights=True,
+            sigma=1.5,
+            use_sample_covariance=False,
+            data_range=1.0,
+            channel_axis=2,
+        )
+    )
+
+
+def _flip(x: np.ndarray, y: np.ndarray) -> Measurement:
+    import flip_evaluator
+
+    error_map, _, _ = flip_evaluator.evaluate(
+        y.astype(np.float32), x.astype(np.float32), "LDR", applyMagma=False, computeMeanError=False
+    )
+    value = float(np.asarray(error_map, dtype=np.float64).mean())
+    return value if math.isfinite(value) else Missing("FLIP gave no finite value")
+
+
+def _lpips(x: np.ndarray, y: np.ndarray, network: Lpips | None) -> Measurement:
+    if network is None:
+        return NO_LPIPS
+    return network.distance(x, y)

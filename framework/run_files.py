@@ -1,0 +1,150 @@
+"""The tables and images of a run's folder; what they hold is described in `framework.record`.
+
+Numbers in CSV are written so that reading returns the same bits. A cell without a value is empty.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from framework.files import write_whole
+from framework.metrics import METRICS, Missing, ViewMetrics, quantise
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from torch import Tensor
+
+    from framework.types import View
+
+ERROR_SCALE = 0.25
+METRICS_CSV, HISTORY_CSV, RENDERS = "metrics.csv", "history.csv", "renders"
+METRIC_COLUMNS = ("view", "tags", *METRICS, "render_s", "file", "missing")
+TEXT_COLUMNS = ("view", "tags", "file", "missing")
+COUNT_COLUMNS = ("step", "gaussians", "sh_degree")
+HISTORY_COLUMNS = ("step", "seconds", "loss", "train_psnr", "test_psnr", "gaussians", "sh_degree")
+
+
+@dataclass(frozen=True)
+class HistoryRow:
+    """step: finished steps. seconds: wall time of training so far, without evaluation.
+    logged: what plugins logged, a column `log/<name>` each."""
+
+    step: int
+    seconds: float
+    loss: float
+    gaussians: int
+    sh_degree: int
+    train_psnr: float | None = None
+    test_psnr: float | None = None
+    logged: Mapping[str, float] = field(default_factory=dict)
+
+
+def file_stems(views: Sequence[str]) -> list[str]:
+    """A file name for each view; one already taken once odd characters are replaced is numbered."""
+    stems: list[str] = []
+    for view in views:
+        stem = re.sub(r"[^A-Za-z0-9._-]", "_", view).lstrip(".") or "view"
+        unique, n = stem, 1
+        while unique in stems:
+            n += 1
+            unique = f"{stem}-{n}"
+        stems.append(unique)
+    return stems
+
+
+def metrics_csv(metrics: Sequence[ViewMetrics], stems: Sequence[str]) -> str:
+    """One row per view; tags are joined by blanks, `missing` is a JSON object metric -> reason."""
+    rows = []
+    for entry, stem in zip(metrics, stems, strict=True):
+        values = {name: entry.value(name) for name in METRICS}
+        reasons = {k: v.reason for k, v in values.items() if isinstance(v, Missing)}
+        numbers = [None if isinstance(v, Missing) else v for v in values.values()]
+        explained = json.dumps(reasons) if reasons else None
+        rows.append([entry.view, " ".join(entry.tags), *numbers, entry.render_s, stem, explained])
+    return _csv(METRIC_COLUMNS, rows)
+
+
+def history_csv(history: Sequence[HistoryRow]) -> str:
+    """One row per logged step; logged names become columns, sorted."""
+    names = sorted({name for row in history for name in row.logged})
+    rows = [
+        [getattr(row, column) for column in HISTORY_COLUMNS] + [row.logged.get(n) for n in names]
+        for row in history
+    ]
+    return _csv([*HISTORY_COLUMNS, *(f"log/{name}" for name in names)], rows)
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """A table written here; empty text cells come back as ''."""
+    import pandas as pd
+
+    # pandas' own number parser is not exact in every supported version
+    with path.open(newline="", encoding="utf-8") as file:
+        columns, *rows = list(csv.reader(file))
+    cells = {name: [row[index] for row in rows] for index, name in enumerate(columns)}
+    return pd.DataFrame({name: _parse(name, texts) for name, texts in cells.items()})
+
+
+def write_renders(
+    folder: Path, stems: Sequence[str], renders: Sequence[tuple[View, Tensor]]
+) -> None:
+    """Save render, truth, error map and mask of every view; images of an earlier run go."""
+    written: set[str] = set()
+
+    def save(name: str, pixels: np.ndarray) -> None:
+        write_whole(folder / name, _png(pixels))
+        written.add(name)
+
+    for stem, (view, rgb) in zip(stems, renders, strict=True):
+        render, truth = quantise(rgb), quantise(view.image)
+        save(f"{stem}.png", render)
+        save(f"{stem}_truth.png", truth)
+        save(f"{stem}_error.png", error_map(render, truth))
+        if view.mask is not None:
+            valid = view.mask.detach().cpu().numpy() > 0.5
+            save(f"{stem}_mask.png", np.where(valid, 255, 0).astype(np.uint8))
+    for stale in sorted(folder.glob("*.png")):
+        if stale.name not in written:
+            stale.unlink()
+
+
+def error_map(render: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """[H, W, 3] uint8 colours of the mean absolute difference of two [H, W, 3] uint8 images."""
+    import matplotlib
+
+    difference = np.abs(render.astype(np.float64) - truth.astype(np.float64)).mean(axis=2) / 255.0
+    colours = matplotlib.colormaps["magma"](np.clip(difference / ERROR_SCALE, 0.0, 1.0), bytes=True)
+    return np.ascontiguousarray(colours[..., :3])
+
+
+def _parse(name: str, cells: list[str]) -> list[str] | list[int] | list[float]:
+    if name in TEXT_COLUMNS:
+        return cells
+    if name in COUNT_COLUMNS:
+        return [int(cell) for cell in cells]
+    return [float(cell) if cell else float("nan") for cell in cells]
+
+
+def _png(pixels: np.ndarray) -> bytes:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+def _csv(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(rows)
+    return buffer.getvalue()

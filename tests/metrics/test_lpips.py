@@ -1,0 +1,107 @@
+"""LPIPS with small random weights in the authors' layout, against torch modules stacked as the
+VGG-16 and AlexNet feature extractors are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from framework import lpips, metrics
+from framework.errors import UserError
+from framework.rng import stream
+
+CUTS = {"VGG-16": (4, 9, 16, 23, 30), "AlexNet": (2, 5, 8, 10, 12)}
+
+
+def features(kind: str) -> nn.Sequential:
+    """The layers with their published indices, with four channels throughout."""
+
+    def conv(inputs: int, *shape: int) -> list[nn.Module]:
+        kernel, stride, padding = shape
+        return [nn.Conv2d(inputs, 4, kernel, stride, padding), nn.ReLU()]
+
+    layers: list[nn.Module] = []
+    if kind == "VGG-16":
+        for stage, count in enumerate((2, 2, 3, 3, 3)):
+            for _ in range(count):
+                layers += conv(3 if not layers else 4, 3, 1, 1)
+            layers += [nn.MaxPool2d(2, 2)] if stage < 4 else []
+        return nn.Sequential(*layers)
+    layers += [*conv(3, 11, 4, 2), nn.MaxPool2d(3, 2), *conv(4, 5, 1, 2), nn.MaxPool2d(3, 2)]
+    return nn.Sequential(*layers, *conv(4, 3, 1, 1), *conv(4, 3, 1, 1), *conv(4, 3, 1, 1))
+
+
+def state_dict(kind: str, net: nn.Sequential) -> dict[str, Tensor]:
+    draw = stream(0, f"lpips/{kind}")
+    state = {
+        "scaling_layer.shift": torch.tensor([-0.03, -0.088, -0.188])[None, :, None, None],
+        "scaling_layer.scale": torch.tensor([0.458, 0.448, 0.45])[None, :, None, None],
+    }
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.copy_(torch.from_numpy(0.3 * draw.standard_normal(tuple(parameter.shape))))
+    for index, layer in enumerate(net):
+        stage = next(s for s, cut in enumerate(CUTS[kind]) if index < cut)
+        if isinstance(layer, nn.Conv2d):
+            for name, parameter in layer.named_parameters():
+                state[f"net.slice{stage + 1}.{index}.{name}"] = parameter.detach()
+    for stage in range(5):
+        state[f"lin{stage}.model.1.weight"] = torch.from_numpy(draw.random((1, 4, 1, 1))).float()
+    return state
+
+
+@pytest.mark.parametrize("kind", sorted(CUTS))
+def test_distance_equals_the_stacked_modules(kind: str, tmp_path: Path) -> None:
+    net = features(kind)
+    state = state_dict(kind, net)
+    torch.save(state, tmp_path / "weights.pth")
+    draw = stream(0, "lpips/images")
+    x, y = draw.random((40, 48, 3)), draw.random((40, 48, 3))
+
+    def stages(image: np.ndarray) -> list[Tensor]:
+        h = 2 * torch.from_numpy(image).permute(2, 0, 1).float()[None] - 1
+        h = (h - state["scaling_layer.shift"]) / state["scaling_layer.scale"]
+        found, start = [], 0
+        for cut in CUTS[kind]:
+            h = net[start:cut](h)
+            found.append(h / (h.norm(dim=1, keepdim=True) + 1e-10))
+            start = cut
+        return found
+
+    with torch.no_grad():
+        expected = sum(
+            float(((a - b) ** 2 * state[f"lin{i}.model.1.weight"]).sum(1).mean())
+            for i, (a, b) in enumerate(zip(stages(x), stages(y), strict=True))
+        )
+    network = lpips.load(tmp_path / "weights.pth")
+    assert expected > 1e-3
+    assert network.distance(x, y) == pytest.approx(expected, rel=1e-5)
+    assert network.distance(x, x) == 0.0
+    assert isinstance(network.distance(x[:8], y[:8]), metrics.Missing)
+
+
+def test_evaluate_view_uses_the_network(tmp_path: Path) -> None:
+    torch.save(state_dict("VGG-16", features("VGG-16")), tmp_path / "weights.pth")
+    network = lpips.load(tmp_path / "weights.pth")
+    truth = torch.from_numpy(stream(0, "t").random((3, 32, 32))).float()
+    assert metrics.lpips(truth, truth, network) == 0.0
+    assert metrics.lpips(truth, truth, None) == metrics.NO_LPIPS
+
+
+def test_bad_weights_end_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="does not exist"):
+        lpips.load(tmp_path / "none.pth")
+    (tmp_path / "text.pth").write_text("not weights")
+    with pytest.raises(UserError, match="not a readable state dict") as caught:
+        lpips.load(tmp_path / "text.pth")
+    assert "\n" not in str(caught.value)
+    torch.save({"conv": torch.zeros(1)}, tmp_path / "other.pth")
+    with pytest.raises(UserError, match="lacks 17 tensors"):
+        lpips.load(tmp_path / "other.pth")
+    torch.save([1, 2], tmp_path / "list.pth")
+    with pytest.raises(UserError, match="dict of tensors"):
+        lpips.load(tmp_path / "list.pth")

@@ -1,0 +1,157 @@
+"""The metrics against scikit-image, closed forms and the FLIP package, in the stated protocol."""
+
+from __future__ import annotations
+
+import math
+
+import flip_evaluator
+import numpy as np
+import pytest
+import torch
+from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+from torch import Tensor
+
+from framework import metrics
+from framework.metrics import Missing
+from framework.rng import stream
+from framework.types import Camera, View
+
+
+def image(purpose: str, height: int = 40, width: int = 53) -> Tensor:
+    pixels = stream(0, purpose).integers(0, 256, (3, height, width))
+    return torch.from_numpy(pixels).float() / 255.0
+
+
+def similar(truth: Tensor, amount: float = 0.1) -> Tensor:
+    noise = torch.from_numpy(stream(1, "noise").standard_normal(tuple(truth.shape))).float()
+    return truth + amount * noise
+
+
+def on_disk(planar: Tensor) -> np.ndarray:
+    return metrics.quantise(planar) / 255.0
+
+
+def view_of(truth: Tensor, mask: Tensor | None = None) -> View:
+    height, width = truth.shape[1:]
+    camera = Camera(torch.eye(4), torch.eye(3), width, height)
+    return View("a", camera, truth, mask=mask, tags=("interpolating",))
+
+
+def test_psnr_and_ssim_equal_scikit_image() -> None:
+    truth = image("truth")
+    render = similar(truth)
+    x, y = on_disk(render), on_disk(truth)
+    assert metrics.psnr(render, truth) == pytest.approx(
+        peak_signal_noise_ratio(y, x, data_range=1.0), abs=1e-9
+    )
+    expected = structural_similarity(
+        x,
+        y,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        data_range=1.0,
+        channel_axis=2,
+    )
+    assert metrics.ssim(render, truth) == pytest.approx(expected, abs=1e-6)
+
+
+def test_ssim_equals_its_definition_over_windows_inside_the_image() -> None:
+    truth = image("truth", 24, 19)
+    render = similar(truth, 0.2)
+    offsets = np.arange(11) - 5.0
+    window = np.exp(-(offsets**2) / (2 * 1.5**2))
+    weights = np.outer(window, window) / window.sum() ** 2
+    x, y = on_disk(render), on_disk(truth)
+    values = []
+    for row in range(24 - 10):
+        for column in range(19 - 10):
+            a, b = (p[row : row + 11, column : column + 11] for p in (x, y))
+            w = weights[..., None]
+            ma, mb = (w * a).sum((0, 1)), (w * b).sum((0, 1))
+            va, vb = (w * a * a).sum((0, 1)) - ma**2, (w * b * b).sum((0, 1)) - mb**2
+            cov = (w * a * b).sum((0, 1)) - ma * mb
+            top = (2 * ma * mb + 1e-4) * (2 * cov + 9e-4)
+            values.append(top / ((ma**2 + mb**2 + 1e-4) * (va + vb + 9e-4)))
+    assert metrics.ssim(render, truth) == pytest.approx(np.mean(values), abs=1e-6)
+
+
+def test_psnr_of_a_constant_offset() -> None:
+    truth = torch.full((3, 16, 16), 100 / 255)
+    assert metrics.psnr(truth + 51 / 255, truth) == pytest.approx(20 * math.log10(5))
+
+
+def test_flip_is_the_mean_of_the_package_map_and_zero_for_equal_images() -> None:
+    truth = image("truth")
+    render = similar(truth)
+    pair = (on_disk(truth).astype(np.float32), on_disk(render).astype(np.float32))
+    _, mean, _ = flip_evaluator.evaluate(*pair, "LDR", applyMagma=False)
+    assert metrics.flip(render, truth) == pytest.approx(mean, abs=1e-5)
+    assert metrics.flip(truth, truth) == 0.0
+
+
+def test_metrics_read_what_is_saved() -> None:
+    truth = image("truth")
+    finer = truth + 0.4 / 255.0
+    assert metrics.psnr(finer, truth) == Missing("infinite: render equals truth")
+    assert metrics.quantise(torch.tensor([[[2.0]], [[-1.0]], [[float("nan")]]])).tolist() == [
+        [[255, 0, 0]]
+    ]
+
+
+def test_mask_leaves_invalid_pixels_out() -> None:
+    truth = image("truth")
+    mask = torch.zeros(40, 53)
+    mask[:, :30] = 1
+    render = similar(truth)
+    spoiled = render.clone()
+    spoiled[:, :, 30:] = 0
+    for metric in (metrics.psnr, metrics.ssim, metrics.flip):
+        assert metric(spoiled, truth, mask) == metric(render, truth, mask)
+    assert metrics.psnr(render, truth, mask) == pytest.approx(
+        peak_signal_noise_ratio(on_disk(truth)[:, :30], on_disk(render)[:, :30], data_range=1.0)
+    )
+    assert isinstance(metrics.psnr(render, truth, torch.zeros(40, 53)), Missing)
+
+
+def test_evaluate_view_explains_what_is_missing() -> None:
+    truth = image("truth", 8, 8)
+    measured = metrics.evaluate_view(view_of(truth), similar(truth), render_s=0.5)
+    assert measured.tags == ("interpolating",) and measured.render_s == 0.5
+    assert isinstance(measured.psnr, float)
+    assert measured.ssim == Missing("image of 8x8 is smaller than the 11x11 window")
+    assert measured.lpips == metrics.NO_LPIPS
+
+
+def test_mean_needs_every_view() -> None:
+    truth = image("truth")
+    good = metrics.evaluate_view(view_of(truth), similar(truth))
+    perfect = metrics.evaluate_view(view_of(truth), truth)
+    assert metrics.mean_of([good, good], "psnr") == good.psnr
+    assert metrics.mean_of([good, perfect], "psnr") == Missing(
+        "infinite: render equals truth (1 of 2 views)"
+    )
+    assert metrics.mean_of([], "psnr") == Missing("no test views")
+
+
+def test_evaluate_renders_each_camera_once() -> None:
+    truth = image("truth")
+    seen: list[Camera] = []
+
+    def render(camera: Camera) -> Tensor:
+        seen.append(camera)
+        return similar(truth)
+
+    view = view_of(truth)
+    measured, images = metrics.evaluate(render, [view])
+    assert seen == [view.camera] and images[0][0] is view
+    assert measured[0].psnr == metrics.psnr(images[0][1], truth)
+
+
+def test_wrong_shapes_are_refused() -> None:
+    with pytest.raises(ValueError, match="truth's shape"):
+        metrics.psnr(image("a", 10, 10), image("b", 10, 11))
+    with pytest.raises(ValueError, match="mask"):
+        metrics.psnr(image("a"), image("b"), torch.ones(3, 3))
+    with pytest.raises(ValueError, match=r"\[3, H, W\]"):
+        metrics.quantise(torch.zeros(4, 4))

@@ -1,0 +1,112 @@
+"""Small made-up runs, written by the product's own writer, for tests of records and reports."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from framework.metrics import evaluate_view
+from framework.record import HistoryRow, RunRecord, SceneInfo, StageTime, provenance, write_run
+from framework.rng import stream
+from framework.types import Camera, Gaussians, View
+
+TAGS = (("interpolating",), ("interpolating",), ("extrapolating",), ("extrapolating",))
+BASE_PSNR = (27.0, 25.0, 23.0, 21.0)
+
+
+def make_gaussians(n: int, degree: int) -> Gaussians:
+    draw = stream(0, f"gaussians/{n}/{degree}")
+
+    def tensor(*shape: int) -> Tensor:
+        return torch.from_numpy(draw.standard_normal(shape)).float()
+
+    rest = (degree + 1) ** 2 - 1
+    return Gaussians(
+        tensor(n, 3), tensor(n, 4), tensor(n, 3), tensor(n), tensor(n, 1, 3), tensor(n, rest, 3)
+    )
+
+
+def make_config(
+    augment: str = "none", reg: str = "none", seed: int = 0, **more: Any
+) -> dict[str, Any]:
+    """A resolved config; `more` may replace any of its parts."""
+    config: dict[str, Any] = {
+        "seed": seed,
+        "threads": 0,
+        "force": False,
+        "study": None,
+        "traceback": False,
+        "scene": {"name": "embedded", "n_views": 3},
+        "augment": {"name": augment, "weight": 1.0},
+        "reg": {"name": reg, "weight": 1.0},
+        "capacity": {"name": "fixed", "weight": 1.0},
+        "depth": {"name": "plane_sweep"},
+        "init": {"name": "stereo", "budget": 40000},
+        "trainer": {"steps": 800, "sh_degree": 0},
+        "metrics": {"lpips_weights": None},
+    }
+    return config | more
+
+
+def make_view(index: int, width: int = 64, height: int = 48, tags: tuple[str, ...] = ()) -> View:
+    """A smooth picture with a bright disc whose place depends on `index`."""
+    y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    disc = ((x - 10 * (index + 1)) ** 2 + (y - height / 2) ** 2).sqrt() < 8
+    planes = [x / width, y / height, disc.float() * 0.8 + 0.1]
+    camera = Camera(torch.eye(4), torch.eye(3), width, height)
+    return View(f"test {index:02d}", camera, torch.stack(planes).float(), tags=tags)
+
+
+def noisy(view: View, psnr: float, purpose: str, seed: int) -> Tensor:
+    """The view's image with white noise of about the given PSNR in dB."""
+    noise = stream(seed, f"{purpose}/{view.name}").standard_normal(tuple(view.image.shape))
+    return view.image + 10 ** (-psnr / 20) * torch.from_numpy(noise).float()
+
+
+def fake_run(
+    study_dir: Path,
+    augment: str = "none",
+    reg: str = "none",
+    seed: int = 0,
+    gain: float = 0.0,
+    tagged: bool = True,
+    scene: str = "embedded",
+    run_name: str | None = None,
+    **more: Any,
+) -> Path:
+    """Write a run whose test PSNR is BASE_PSNR + gain + a little that depends on the seed."""
+    config = make_config(augment, reg, seed, **more)
+    views = [make_view(i, tags=tags if tagged else ()) for i, tags in enumerate(TAGS)]
+    shift = gain + 0.2 * float(stream(seed, f"{augment}/{reg}").standard_normal())
+    renders = [
+        (view, noisy(view, base + shift, f"{augment}-{reg}", seed))
+        for view, base in zip(views, BASE_PSNR, strict=True)
+    ]
+    history = [
+        HistoryRow(
+            step=step,
+            seconds=step * 0.02 + 0.1 * gain,
+            loss=0.2 / (1 + step / 100),
+            gaussians=12,
+            sh_degree=0,
+            test_psnr=24.0 + shift - 4.0 * 0.99 ** (step / 4) if step % 200 == 0 else None,
+            logged={"dropped": 0.1},
+        )
+        for step in range(100, 801, 100)
+    ]
+    record = RunRecord(
+        identity=f"{augment}{reg}{seed}",
+        config=config,
+        overrides=(f"+augment={augment}", f"+reg={reg}", f"seed={seed}"),
+        scene=SceneInfo(scene, "own", f"{scene}f" * 8, ("train 00",), tuple(v.name for v in views)),
+        timings={"scene": StageTime(0.5, 0.4), "train": StageTime(16.0 + gain + seed / 8, 30.0)},
+        provenance=provenance(),
+        peak_memory_bytes=600_000_000,
+    )
+    metrics = [evaluate_view(view, image, 0.01) for view, image in renders]
+    run_dir = study_dir / "runs" / (run_name or f"{scene}-{augment}-{reg}-s{seed}")
+    write_run(run_dir, record, metrics, history, make_gaussians(12, 0), torch.zeros(3), renders)
+    return run_dir
