@@ -105,12 +105,14 @@ def _adam_range(p, g, m, v, rate, correction):  # type: ignore[no-untyped-def]
     1e-30 becomes 0: it moves a parameter by less than 1e-15 rates, and decaying moments of unseen
     Gaussians would otherwise end as denormals, which cost six times as much.
     """
-    one, beta1, beta2 = np.float32(1), np.float32(BETA1), np.float32(BETA2)
+    beta1, beta2 = np.float32(BETA1), np.float32(BETA2)
+    # not 1 - float32(beta), whose rounding is 1e-5 of a share this small
+    share1, share2 = np.float32(1 - BETA1), np.float32(1 - BETA2)
     eps, tiny = np.float32(EPS), np.float32(1e-30)
     for i in range(len(p)):
-        first = beta1 * m[i] + (one - beta1) * g[i]
+        first = beta1 * m[i] + share1 * g[i]
         first = first if abs(first) >= tiny else np.float32(0)
-        second = beta2 * v[i] + (one - beta2) * g[i] * g[i]
+        second = beta2 * v[i] + share2 * (g[i] * g[i])
         m[i] = first
         v[i] = second
         p[i] -= rate * first / (np.sqrt(second) * correction + eps)

@@ -120,7 +120,7 @@ class AdaptiveDensityControl(Capacity):
         return Edits(keep, append, ceiling), int(keep.sum()) + len(append)
 
     def _chosen(self, pull: Tensor, opaque: Tensor) -> Tensor:
-        """[N] bool: those to clone or split. Each adds one Gaussian, which `max_gaussians` bounds."""
+        """[N] bool: those to clone or split; each adds one Gaussian, up to `max_gaussians`."""
         import torch
 
         chosen = (pull >= self.grad_threshold) & opaque

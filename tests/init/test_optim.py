@@ -1,0 +1,185 @@
+"""Adam against torch.optim.Adam, across thread counts, and through changes of the set."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import torch
+
+from framework.optim import Adam
+from framework.parallel import set_threads
+from framework.rng import stream
+from framework.types import Gaussians
+
+RATES = {
+    "means": 1e-3,
+    "quats": 1e-3,
+    "log_scales": 5e-3,
+    "opacity_logits": 0.05,
+    "sh0": 2.5e-3,
+    "shN": 1.25e-4,
+}
+
+
+@pytest.fixture(autouse=True)
+def _restore_threads() -> Iterator[None]:
+    yield
+    set_threads(0)
+
+
+def gaussians(n: int, purpose: str, step: int = 0, n_rest: int = 3) -> Gaussians:
+    rng = stream(1, purpose, step)
+    shapes = {
+        "means": (n, 3),
+        "quats": (n, 4),
+        "log_scales": (n, 3),
+        "opacity_logits": (n,),
+        "sh0": (n, 1, 3),
+        "shN": (n, n_rest, 3),
+    }
+    draw = {k: rng.standard_normal(s, dtype=np.float32) for k, s in shapes.items()}
+    return Gaussians(**{k: torch.from_numpy(v) for k, v in draw.items()})
+
+
+def gradient(n: int, step: int, n_rest: int = 3) -> Gaussians:
+    """Of widely different sizes, as in training."""
+    scale = 10.0 ** (-3 * (step % 3))
+    return gaussians(n, "test/gradient", step, n_rest).map(lambda t: t * scale)
+
+
+def trained(n: int, steps: int, threads: int) -> Gaussians:
+    set_threads(threads)
+    params = gaussians(n, "test/params")
+    adam = Adam(params)
+    for step in range(steps):
+        adam.step(params, gradient(n, step), RATES)
+    return params
+
+
+def equal(a: Gaussians, b: Gaussians) -> bool:
+    return all(torch.equal(x, y) for (_, x), (_, y) in zip(a.items(), b.items(), strict=True))
+
+
+def test_agrees_with_torch_in_float64() -> None:
+    ours = trained(101, 30, threads=2)
+    theirs = gaussians(101, "test/params").map(lambda t: t.double().requires_grad_())
+    groups = [{"params": [t], "lr": RATES[name]} for name, t in theirs.items()]
+    optimizer = torch.optim.Adam(groups, betas=(0.9, 0.999), eps=1e-15)
+    for step in range(30):
+        for (_, t), (_, g) in zip(theirs.items(), gradient(101, step).items(), strict=True):
+            t.grad = g.double()
+        optimizer.step()
+    start = gaussians(101, "test/params")
+    for name, expected in theirs.items():
+        moved = (expected.detach() - getattr(start, name)).abs().mean()
+        error = (getattr(ours, name) - expected.detach()).abs().max()
+        assert error < 1e-6 + 1e-5 * moved, name
+
+
+def test_bits_do_not_depend_on_threads() -> None:
+    one = trained(5003, 5, threads=1)
+    assert equal(one, trained(5003, 5, threads=2))
+    assert equal(one, trained(5003, 5, threads=3))
+
+
+def test_updates_in_place_and_leaves_gradients() -> None:
+    params, grads = gaussians(10, "test/params"), gradient(10, 0)
+    before, addresses = grads.clone(), [t.data_ptr() for _, t in params.items()]
+    Adam(params).step(params, grads, RATES)
+    assert addresses == [t.data_ptr() for _, t in params.items()]
+    assert equal(grads, before)
+
+
+def test_first_step_moves_by_the_rate_against_the_sign() -> None:
+    params, grads = gaussians(10, "test/params"), gradient(10, 0)
+    start = params.clone()
+    Adam(params).step(params, grads, RATES)
+    for name, t in params.items():
+        expected = getattr(start, name) - RATES[name] * getattr(grads, name).sign()
+        torch.testing.assert_close(t, expected, atol=3e-7, rtol=1e-6)
+
+
+def test_a_tensor_without_gradient_is_left_alone() -> None:
+    params, grads = gaussians(10, "test/params"), gradient(10, 0)
+    start, adam = params.clone(), Adam(params)
+    adam.step(params, {"means": grads.means, "quats": None}, {"means": 0.1})
+    assert not torch.equal(params.means, start.means)
+    assert torch.equal(params.quats, start.quats) and torch.equal(params.sh0, start.sh0)
+    assert adam.state().steps == (1, 0, 0, 0, 0, 0)
+
+
+def test_degree_zero_has_no_rest() -> None:
+    params = gaussians(7, "test/params", n_rest=0)
+    Adam(params).step(params, gradient(7, 0, n_rest=0), RATES)
+    assert params.shN.shape == (7, 0, 3)
+
+
+def test_expanded_gradients_count_as_what_they_show() -> None:
+    params, twin = gaussians(10, "test/params"), gaussians(10, "test/params")
+    Adam(params).step(params, {"means": torch.ones(1).expand(10, 3)}, RATES)
+    Adam(twin).step(twin, {"means": torch.ones(10, 3)}, RATES)
+    assert equal(params, twin)
+
+
+def test_edit_keeps_old_moments_and_starts_new_ones_at_zero() -> None:
+    params = gaussians(6, "test/params")
+    adam = Adam(params)
+    adam.step(params, gradient(6, 0), RATES)
+    before = adam.state()
+    keep = torch.tensor([True, False, True, True, False, True])
+    adam.edit(keep, 2)
+    after = adam.state()
+    assert equal(after.first[torch.arange(4)], before.first[keep])
+    assert equal(after.second[torch.arange(4)], before.second[keep])
+    assert all((t[4:] == 0).all() and len(t) == 6 for _, t in after.first.items())
+    params = gaussians(6, "test/params")
+    adam.step(params, gradient(6, 1), RATES)
+    adam.edit(None, 0)
+    assert len(adam.state().first) == 6
+
+
+def test_zero_forgets_one_tensor() -> None:
+    params = gaussians(6, "test/params")
+    adam = Adam(params)
+    adam.step(params, gradient(6, 0), RATES)
+    adam.zero("opacity_logits")
+    state = adam.state()
+    assert (state.first.opacity_logits == 0).all() and (state.second.opacity_logits == 0).all()
+    assert (state.first.means != 0).any() and state.steps[3] == 1
+
+
+def test_a_loaded_state_continues_to_the_same_bits() -> None:
+    straight = trained(20, 6, threads=1)
+    params = gaussians(20, "test/params")
+    first = Adam(params)
+    for step in range(3):
+        first.step(params, gradient(20, step), RATES)
+    state = first.state()
+    first.step(params.clone(), gradient(20, 9), RATES)  # must not reach into the saved state
+    second = Adam(params)
+    second.load(state)
+    for step in range(3, 6):
+        second.step(params, gradient(20, step), RATES)
+    assert equal(params, straight)
+
+
+def test_fading_moments_end_at_zero() -> None:
+    params = gaussians(4, "test/params")
+    adam, nothing = Adam(params), gradient(4, 0).map(torch.zeros_like)
+    adam.step(params, gradient(4, 0), RATES)
+    for _ in range(700):
+        adam.step(params, nothing, RATES)
+    assert all((t == 0).all() for _, t in adam.state().first.items())
+
+
+def test_refuses_what_does_not_fit() -> None:
+    params = gaussians(5, "test/params")
+    adam = Adam(params)
+    with pytest.raises(ValueError, match=r"Adam.means: expected one shape .* call edit"):
+        adam.step(gaussians(6, "test/params"), gradient(6, 0), RATES)
+    with pytest.raises(ValueError, match=r"Adam.means: expected float32"):
+        adam.step(params, {"means": torch.zeros(5, 3, dtype=torch.float64)}, RATES)
+    with pytest.raises(ValueError, match=r"Adam.means: expected a contiguous"):
+        adam.step(params.replace(means=torch.zeros(3, 5).T), gradient(5, 0), RATES)
