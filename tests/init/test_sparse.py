@@ -1,0 +1,97 @@
+"""`init=sparse`, the background colours and the registry of initialisations."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from framework.errors import UserError
+from framework.initialize import INITIALIZERS, Sparse, background_color, random_background
+from framework.rng import stream
+from framework.types import Gaussians
+from tests.init.synthetic import camera, points, scene
+
+
+def build(xyz: np.ndarray, options: Sparse | None = None, degree: int = 0) -> Gaussians:
+    training, depth = scene([camera(-1.0), camera(1.0)])
+    training = replace(training, points=points(xyz))
+    return (options or Sparse()).build(training, depth, degree, seed=0)
+
+
+def test_scales_are_root_mean_squared_neighbour_distances() -> None:
+    gaussians = build(np.array([[0.0, 0, 5], [3, 0, 5], [0, 4, 5], [3, 4, 5]]), degree=3)
+    expected = np.sqrt((9 + 16 + 25) / 3)  # a 3 x 4 rectangle: the same for every corner
+    torch.testing.assert_close(gaussians.scales, torch.full((4, 3), expected, dtype=torch.float32))
+    assert gaussians.sh_degree == 3 and (gaussians.sh0.abs() < 1e-6).all()
+    torch.testing.assert_close(gaussians.opacities, torch.full((4,), 0.1))
+
+
+def test_scales_scale_with_the_scene_and_follow_permutations() -> None:
+    xyz = stream(0, "test/points").uniform(1, 5, (200, 3))
+    order = stream(0, "test/order").permutation(200)
+    scales = build(xyz).scales
+    torch.testing.assert_close(build(7 * xyz).scales, 7 * scales)
+    assert torch.equal(build(xyz[order]).scales, scales[torch.from_numpy(order)])
+    torch.testing.assert_close(build(xyz, Sparse(scale_factor=2.0)).scales, 2 * scales)
+
+
+def test_coinciding_points_keep_a_size() -> None:
+    gaussians = build(np.ones((5, 3)))
+    torch.testing.assert_close(gaussians.scales, torch.full((5, 3), 1.1e-4))  # extent 1.1
+    assert torch.isfinite(gaussians.log_scales).all()
+
+
+@pytest.mark.parametrize("n", [0, 3])
+def test_too_few_points_name_the_way_out(n: int) -> None:
+    with pytest.raises(UserError, match=rf"init=sparse: .* got {n}; use init=stereo"):
+        build(np.zeros((n, 3)))
+
+
+def test_options_out_of_range() -> None:
+    for options in ({"opacity": 0.0}, {"scale_factor": -1.0}):
+        with pytest.raises(UserError, match=r"init\.\w+: expected"):
+            Sparse(**options)
+
+
+def test_mean_background_counts_valid_pixels_of_all_sizes() -> None:
+    training, _ = scene([camera(0.0), camera(0.1, 0.0, 80, 60)])
+    mask = torch.zeros(48, 64)
+    mask[:24] = 1
+    views = (
+        replace(training.views[0], image=torch.full((3, 48, 64), 0.25), mask=mask),
+        replace(training.views[1], image=torch.full((3, 60, 80), 0.75)),
+    )
+    expected = (0.25 * 24 * 64 + 0.75 * 60 * 80) / (24 * 64 + 60 * 80)
+    color = background_color("mean", replace(training, views=views), seed=0)
+    assert color is not None and color.dtype == torch.float32
+    torch.testing.assert_close(color, torch.full((3,), expected))
+
+
+def test_fixed_and_random_backgrounds() -> None:
+    training, _ = scene([camera(0.0)])
+    black, white = (background_color(kind, training, 0) for kind in ("black", "white"))
+    assert black is not None and black.tolist() == [0, 0, 0]
+    assert white is not None and white.tolist() == [1, 1, 1]
+    assert background_color("random", training, 0) is None
+    assert torch.equal(random_background(0, 5), random_background(0, 5))
+    assert not torch.equal(random_background(0, 5), random_background(0, 6))
+    assert random_background(0, 5).dtype == torch.float32
+    with pytest.raises(UserError, match=r"background=maen: .*did you mean 'mean'"):
+        background_color("maen", training, 0)
+
+
+def test_registry_builds_from_defaults_and_imports_lightly() -> None:
+    assert set(INITIALIZERS) == {"stereo", "sparse"}
+    for cls in INITIALIZERS.values():
+        assert cls().opacity == 0.1
+    code = (
+        "import sys, framework.initialize;"
+        "print([m for m in ('torch', 'numba', 'numpy', 'scipy') if m in sys.modules])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "[]"

@@ -1,0 +1,173 @@
+"""`init=stereo` on a scene whose surfaces are known exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from framework.errors import UserError
+from framework.geometry import project
+from framework.initialize import Stereo
+from framework.initialize.fusion import SurfacePixels, by_centrality, fuse
+from framework.types import DepthMap, Gaussians, TrainingSet
+from tests.init.synthetic import BOARD_HALF, BOARD_Z, WALL_Z, camera, scene, three_views
+
+
+def fused(training: TrainingSet, depth: tuple[DepthMap, ...]) -> SurfacePixels:
+    return fuse(training, depth, tolerance=0.03, detail=0.5)
+
+
+def rgb(gaussians: Gaussians) -> torch.Tensor:
+    return 0.5 + 0.28209479177387814 * gaussians.sh0[:, 0]
+
+
+def test_all_pixels_lie_on_the_surfaces() -> None:
+    xyz = fused(*three_views()).xyz
+    z = xyz[:, 2]
+    on_board = np.abs(z - BOARD_Z) < 1e-5
+    assert (on_board | (np.abs(z - WALL_Z) < 1e-5)).all()
+    assert on_board.any() and np.abs(xyz[on_board][:, :2]).max() <= BOARD_HALF + 1e-5
+
+
+def test_the_central_view_comes_first_and_whole() -> None:
+    training, depth = three_views()
+    middle = training.views[1]
+    assert by_centrality([view.camera for view in training.views])[0] == 1
+    n = middle.camera.width * middle.camera.height
+    uv, _ = project(torch.from_numpy(fused(training, depth).xyz[:n]), middle.camera)
+    corners = uv.min(0).values.tolist() + uv.max(0).values.tolist()
+    assert corners == pytest.approx(
+        [0.5, 0.5, middle.camera.width - 0.5, middle.camera.height - 0.5]
+    )
+
+
+def test_each_surface_enters_once() -> None:
+    view = camera(0.0)
+    once, twice = fused(*scene([view])), fused(*scene([view, view]))
+    assert len(once.xyz) == len(twice.xyz) == view.width * view.height
+    # three views overlap by far the most, so the union is only a little more than one of them
+    assert len(fused(*three_views()).xyz) < 2.2 * view.width * view.height
+
+
+def test_later_views_add_what_earlier_ones_cannot_see() -> None:
+    training, depth = three_views()
+    xyz = torch.from_numpy(fused(training, depth).xyz)
+    uv, _ = project(xyz, training.views[1].camera)
+    middle = training.views[1].camera
+    outside = (uv < 0).any(1) | (uv[:, 0] >= middle.width) | (uv[:, 1] >= middle.height)
+    assert outside.sum() > 500
+    board = project(torch.tensor([[BOARD_HALF, 0.0, BOARD_Z]], dtype=torch.float64), middle)[0]
+    behind = ~outside & (xyz[:, 2] > WALL_Z - 1e-5) & ((uv - board).abs() < 4).all(1)
+    assert behind.sum() > 3  # the wall that the board hides from the middle view
+
+
+def test_what_most_views_look_through_is_removed() -> None:
+    training, depth = three_views()
+    floating = depth[0].depth.clone()
+    floating[20:26, 30:36] = 2.0
+    spoiled = (DepthMap(floating, depth[0].confidence), *depth[1:])
+    assert (fused(training, spoiled).xyz[:, 2] > 3).all()
+
+
+def test_unconfident_unknown_and_masked_pixels_stay_out() -> None:
+    training, (depth,) = scene([camera(0.0)])
+    confidence, values, mask = torch.ones(48, 64), depth.depth.clone(), torch.ones(48, 64)
+    confidence[:, :10] = 0
+    values[:, 10:20] = 0
+    values[0, 20] = float("nan")
+    mask[:, 60:] = 0
+    masked = replace(training, views=(replace(training.views[0], mask=mask),))
+    pixels = fused(masked, (DepthMap(values, confidence),))
+    assert len(pixels.xyz) == 48 * 40 - 1
+    uv, _ = project(torch.from_numpy(pixels.xyz), training.views[0].camera)
+    assert uv[:, 0].min() > 20 and uv[:, 0].max() < 60
+
+
+def test_exactly_the_budget_with_the_colours_of_the_pixels() -> None:
+    training, depth = three_views()
+    gaussians = Stereo(budget=700).build(training, depth, sh_degree=2, seed=0)
+    assert len(gaussians) == 700 and gaussians.sh_degree == 2
+    pixels = fused(training, depth)
+    row = {tuple(p): c for p, c in zip(pixels.xyz.astype(np.float32), pixels.rgb, strict=True)}
+    expected = np.stack([row[tuple(p)] for p in gaussians.means.numpy()])
+    np.testing.assert_allclose(rgb(gaussians).numpy(), expected, atol=1e-6)
+    assert (gaussians.shN == 0).all() and (gaussians.quats == torch.tensor([1.0, 0, 0, 0])).all()
+    torch.testing.assert_close(gaussians.opacities, torch.full((700,), 0.1))
+    assert all(t.dtype == torch.float32 and t.is_contiguous() for _, t in gaussians.items())
+
+
+def test_the_gaussians_cover_the_surface_at_any_budget() -> None:
+    """Sum of (s / factor)^2 estimates the area of all pixels without bias (Horvitz-Thompson)."""
+    training, depth = three_views()
+    area = np.square(fused(training, depth).size).sum()
+    for budget in (500, 1500):
+        options = Stereo(budget=budget, scale_factor=1.3)
+        scales = options.build(training, depth, 0, seed=0).scales[:, 0].double()
+        assert float((scales / 1.3).square().sum()) == pytest.approx(area, rel=0.05)
+
+
+def test_a_budget_above_the_pixels_takes_all_at_pixel_size() -> None:
+    training, depth = scene([camera(0.0)])
+    gaussians = Stereo(budget=10**6, scale_factor=1.0).build(training, depth, 0, seed=0)
+    assert len(gaussians) == 48 * 64
+    expected = gaussians.means[:, 2:] / np.sqrt(60 * 55)
+    torch.testing.assert_close(gaussians.scales, expected.expand(-1, 3), rtol=1e-5, atol=0)
+
+
+def test_detail_attracts_samples() -> None:
+    training, depth = scene([camera(0.0)])  # stripes at x < 0 only
+    left = [
+        float((Stereo(budget=600, detail=d).build(training, depth, 0, 0).means[:, 0] < 0).sum())
+        for d in (0.0, 0.5, 1.0)
+    ]
+    assert left[0] < 1.15 * 300 and left[0] * 1.2 < left[1] < left[2]
+
+
+def test_same_seed_same_bits_on_any_thread_count() -> None:
+    training, depth = three_views()
+    threads, results = torch.get_num_threads(), []
+    try:
+        for n, seed in ((1, 3), (3, 3), (1, 4)):
+            torch.set_num_threads(n)
+            results.append(Stereo(budget=500).build(training, depth, 1, seed))
+    finally:
+        torch.set_num_threads(threads)
+    first, same, other = results
+    assert all(
+        torch.equal(a, b) for (_, a), (_, b) in zip(first.items(), same.items(), strict=True)
+    )
+    assert not torch.equal(first.means, other.means)
+
+
+def test_inputs_stay_what_they_were() -> None:
+    training, depth = three_views()
+    before = [t.clone() for d in depth for t in (d.depth, d.confidence)]
+    Stereo(budget=500).build(training, depth, 0, 0)
+    after = [t for d in depth for t in (d.depth, d.confidence)]
+    assert all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
+
+
+def test_too_little_depth_names_the_way_out() -> None:
+    training, (depth,) = scene([camera(0.0)])
+    confidence = torch.zeros(48, 64)
+    confidence[0, :50] = 1
+    with pytest.raises(UserError, match=r"at least 100 pixels .* got 50; use init=sparse"):
+        Stereo().build(training, (DepthMap(depth.depth, confidence),), 0, 0)
+
+
+def test_every_view_needs_its_depth_map() -> None:
+    training, depth = three_views()
+    with pytest.raises(ValueError, match="one depth map per training view"):
+        fuse(training, depth[:2], 0.03, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("budget", 0), ("detail", -1), ("tolerance", 0), ("scale_factor", 0), ("opacity", 1)],
+)
+def test_options_out_of_range(option: str, value: float) -> None:
+    with pytest.raises(UserError, match=f"init.{option}: expected .*, got {value}"):
+        Stereo(**{option: value})
