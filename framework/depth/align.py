@@ -1,0 +1,107 @@
+"""Bringing depth of unknown scale to the scene's units, by its sparse points.
+
+Depth from elsewhere is often known only up to a factor, and inverse depth of a monocular network up
+to a factor and a shift (Ranftl et al., TPAMI 2022, section 5). Both fits are robust: the factor is
+a median of ratios; factor and shift minimise the sum of absolute residuals, by iteratively
+reweighted least squares (Schlossmacher, JASA 1973).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from framework.depth.transfer import inside, project
+from framework.errors import UserError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from framework.types import TrainingSet
+
+MIN_POINTS = {"scale": 8, "scale_shift": 16}
+ITERATIONS = 100
+
+
+def fit_scale(values: NDArray[np.float64], targets: NDArray[np.float64]) -> float:
+    """The median of targets / values; both [M] and positive."""
+    return float(np.median(targets / values))
+
+
+def fit_scale_shift(
+    values: NDArray[np.float64], targets: NDArray[np.float64]
+) -> tuple[float, float]:
+    """(s, b) that minimise sum |s values + b - targets| over [M] pairs."""
+    design = np.stack([values, np.ones_like(values)], axis=1)
+    floor = 1e-6 * float(np.abs(targets).max())  # keeps the weights of exact fits finite
+    weights = np.ones_like(values)
+    solution = np.zeros(2)
+    for _ in range(ITERATIONS):
+        root = np.sqrt(weights)[:, None]
+        update = np.linalg.lstsq(design * root, targets * root[:, 0], rcond=None)[0]
+        settled = np.allclose(update, solution, rtol=1e-9, atol=0.0)
+        solution = update
+        if settled:
+            break
+        residuals = np.maximum(np.abs(design @ solution - targets), floor)
+        weights = floor / residuals
+    return float(solution[0]), float(solution[1])
+
+
+def point_samples(
+    training: TrainingSet, index: int, values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`values` [H, W] and depths ([M] each) at the sparse points that view `index` sees.
+
+    Read at the pixel that contains the point; pixels without a value (0) are left out.
+    """
+    camera = training.views[index].camera
+    seen = training.points.visible.numpy()[:, index]
+    uvz = project(camera, training.points.xyz.numpy()[seen])
+    uvz = uvz[inside(camera, uvz)]
+    found = values[uvz[:, 1].astype(np.int64), uvz[:, 0].astype(np.int64)]
+    known = found > 0
+    return found[known], uvz[known, 2]
+
+
+def align(
+    training: TrainingSet, index: int, values: NDArray[np.float64], inverse: bool, mode: str
+) -> NDArray[np.float64]:
+    """Depth [H, W] in scene units from `values` [H, W] of view `index` (0 = unknown, kept).
+
+    inverse: the values are inverse depths, and the fit is made in inverse depth. mode: "none",
+    "scale" or "scale_shift". Pixels the fit puts at or behind infinity become unknown. Raises
+    UserError if too few sparse points lie on known pixels or larger values turn out to be farther
+    (nearer, for inverse depth) than smaller ones.
+    """
+    scale, shift = 1.0, 0.0
+    if mode != "none":
+        scale, shift = _fit(training, index, values, inverse, mode)
+    fitted = np.where(values > 0, scale * values + shift, 0.0)
+    known = fitted > 0
+    safe = np.where(known, fitted, 1.0)
+    return np.where(known, 1.0 / safe if inverse else safe, 0.0)
+
+
+def _fit(
+    training: TrainingSet, index: int, values: NDArray[np.float64], inverse: bool, mode: str
+) -> tuple[float, float]:
+    name = training.views[index].name
+    found, depths = point_samples(training, index, values)
+    if len(found) < MIN_POINTS[mode]:
+        raise UserError(
+            f"depth=file: align={mode} needs {MIN_POINTS[mode]} sparse points on known depth in"
+            f" view '{name}', got {len(found)}; use depth.align=none with depth in scene units"
+        )
+    targets = 1.0 / depths if inverse else depths
+    if mode == "scale":
+        return fit_scale(found, targets), 0.0
+    scale, shift = fit_scale_shift(found, targets)
+    if scale <= 0:
+        raise UserError(
+            f"depth=file: expected values that grow with the {'inverse ' if inverse else ''}depth"
+            f" of the sparse points in view '{name}', got a fitted factor of {scale:.3g}; set"
+            f" depth.kind={'depth' if inverse else 'inverse_depth'} or check the files"
+        )
+    return scale, shift

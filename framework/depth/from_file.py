@@ -1,0 +1,54 @@
+"""`depth=file`: depth maps from a folder; options only, see `read` and `align`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from framework.errors import require
+
+if TYPE_CHECKING:
+    from framework.types import DepthMap, TrainingSet
+
+KINDS = ("depth", "inverse_depth")
+ALIGNMENTS = ("scale", "scale_shift", "none")
+INVALID = ("error", "mask")
+
+
+@dataclass(frozen=True)
+class DepthFile:
+    """One file per training view in `path`, named by the view without its suffix: `.npy`, `.npz`
+    (key `depth`) or 16-bit `.png`. 0 = unknown; maps are resampled to the image's size."""
+
+    path: str = ""
+    kind: str = "depth"  # or inverse_depth
+    align: str = "scale"  # to the sparse points: scale, scale_shift or none (already scene units)
+    invalid: str = "error"  # NaN, infinity and negative values: error, or mask (unknown)
+    png_scale: float = 1000.0  # png values are divided by it
+    tolerance: float = 0.0  # relative, of a cross-view check as in plane_sweep; 0 = trust all
+
+    def __post_init__(self) -> None:
+        def choice(name: str, known: tuple[str, ...]) -> None:
+            got = getattr(self, name)
+            require(
+                got in known, f"depth=file: expected {name} one of {', '.join(known)}, got '{got}'"
+            )
+
+        require(self.path != "", "depth=file: expected a folder, got none; set depth.path=DIR")
+        choice("kind", KINDS)
+        choice("align", ALIGNMENTS)
+        choice("invalid", INVALID)
+        require(self.png_scale > 0, f"depth=file: expected png_scale > 0, got {self.png_scale}")
+        require(
+            0 <= self.tolerance < 1,
+            f"depth=file: expected tolerance in [0, 1), got {self.tolerance}",
+        )
+
+    def estimate(self, training: TrainingSet) -> tuple[DepthMap, ...]:
+        """The aligned maps; confidence 1 where depth is known (and, with `tolerance`, confirmed).
+
+        Raises UserError on a missing, unreadable or invalid file, or too few points to align with.
+        """
+        from framework.depth.read import read_views
+
+        return read_views(training, self)

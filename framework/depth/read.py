@@ -1,0 +1,158 @@
+"""Reading depth files: .npy, .npz (key `depth`) and 16-bit .png, one per training view."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+import torch
+
+from framework.depth.align import align
+from framework.depth.consistency import agreeing_views
+from framework.errors import UserError, require
+from framework.types import DepthMap, TrainingSet
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from framework.depth.from_file import DepthFile
+
+SUFFIXES = (".npy", ".npz", ".png")
+ASPECT_TOLERANCE = 0.02
+JUMP = 1.1  # neighbours whose depths differ by more lie on two surfaces: nothing in between exists
+
+
+def find_file(folder: Path, view: str) -> Path:
+    """The one depth file of a view; UserError if there is none, or more than one."""
+    name = Path(view)
+    stems = dict.fromkeys([name.stem, name.name])
+    found = [p for s in stems for x in SUFFIXES if (p := folder / f"{s}{x}").is_file()]
+    if not found:
+        raise UserError(
+            f"depth=file: expected '{name.stem}' with one of {', '.join(SUFFIXES)} in {folder} for"
+            f" view '{view}', got none; name the files by the views"
+        )
+    if len(found) > 1:
+        raise UserError(
+            f"depth=file: expected one file for view '{view}' in {folder}, got"
+            f" {', '.join(p.name for p in found)}; remove all but one"
+        )
+    return found[0]
+
+
+def _load_array(file: Path) -> NDArray[np.float64]:
+    try:
+        loaded = np.load(file, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            return loaded.astype(np.float64)
+        with loaded:
+            require(
+                "depth" in loaded,
+                f"depth=file: expected key 'depth' in {file}, got {', '.join(loaded) or 'none'};"
+                " save it with numpy.savez(file, depth=map)",
+            )
+            array: NDArray[np.float64] = loaded["depth"].astype(np.float64)
+            return array
+    except UserError:
+        raise
+    except (OSError, EOFError, ValueError, TypeError, zipfile.BadZipFile) as problem:
+        reason = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
+        raise UserError(
+            f"depth=file: expected a numeric numpy array in {file}, got one that cannot be read"
+            f" ({reason}); write it again with numpy.save"
+        ) from problem
+
+
+def _load_png(file: Path, scale: float) -> NDArray[np.float64]:
+    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    got = "an unreadable file" if image is None else f"{image.dtype} {image.shape}"
+    if image is None or image.dtype != np.uint16 or image.ndim != 2:
+        raise UserError(
+            f"depth=file: expected a 16-bit grey png in {file}, got {got}; use .npy instead"
+        )
+    return image.astype(np.float64) / scale
+
+
+def load_map(file: Path, options: DepthFile) -> NDArray[np.float64]:
+    """The values of one file, [h, w] float64, 0 = unknown. UserError on invalid ones."""
+    is_png = file.suffix == ".png"
+    values = _load_png(file, options.png_scale) if is_png else _load_array(file)
+    values = values.reshape(values.shape[-2:]) if values.ndim == 3 and len(values) == 1 else values
+    require(
+        values.ndim == 2 and values.size > 0,
+        f"depth=file: expected one value per pixel [H, W] in {file}, got shape {values.shape};"
+        " save a single map per view",
+    )
+    bad = ~np.isfinite(values) | (values < 0)
+    if bad.any() and options.invalid == "error":
+        nan, negative = int(np.isnan(values).sum()), int((values < 0).sum())
+        raise UserError(
+            f"depth=file: expected finite values >= 0 in {file}, got {int(bad.sum())} of"
+            f" {bad.size} invalid ({nan} NaN, {int(np.isinf(values).sum())} infinite, {negative}"
+            " negative); repair it or set depth.invalid=mask"
+        )
+    return np.where(bad, 0.0, values)
+
+
+def resample(values: NDArray[np.float64], width: int, height: int) -> NDArray[np.float64]:
+    """`values` [h, w] at the pixel centres of a [height, width] image over the same field.
+
+    Bilinear among four known values of one surface, else the nearest one, so that neither holes nor
+    depth edges smear.
+    """
+    h, w = values.shape
+    if (h, w) == (height, width):
+        return values
+    y = np.clip((np.arange(height) + 0.5) * h / height - 0.5, 0, h - 1)[:, None]
+    x = np.clip((np.arange(width) + 0.5) * w / width - 0.5, 0, w - 1)[None, :]
+    j, i = np.floor(y).astype(np.int64), np.floor(x).astype(np.int64)
+    b, r = np.minimum(j + 1, h - 1), np.minimum(i + 1, w - 1)
+    corners = np.stack([values[j, i], values[j, r], values[b, i], values[b, r]])
+    dy, dx = y - j, x - i
+    weights = np.stack([(1 - dy) * (1 - dx), (1 - dy) * dx, dy * (1 - dx), dy * dx])
+    nearest = np.take_along_axis(corners, weights.argmax(0)[None], 0)[0]
+    low = corners.min(0)
+    smooth = (low > 0) & (corners.max(0) <= JUMP * low)
+    return np.where(smooth, (weights * corners).sum(0), nearest)
+
+
+def read_view(training: TrainingSet, index: int, options: DepthFile) -> NDArray[np.float32]:
+    """Aligned depth [H, W] float32 of one training view, 0 = unknown."""
+    view = training.views[index]
+    width, height = view.camera.width, view.camera.height
+    file = find_file(Path(options.path).expanduser(), view.name)
+    values = load_map(file, options)
+    h, w = values.shape
+    require(
+        abs(w / h * height / width - 1) <= ASPECT_TOLERANCE or (h, w) == (height, width),
+        f"depth=file: expected the aspect ratio of the {width}x{height} image in {file}, got"
+        f" {w}x{h}; crop the depth map like the image",
+    )
+    sized = resample(values, width, height)
+    return align(training, index, sized, options.kind == "inverse_depth", options.align).astype(
+        np.float32
+    )
+
+
+def read_views(training: TrainingSet, options: DepthFile) -> tuple[DepthMap, ...]:
+    """See `framework.depth.from_file.DepthFile.estimate`."""
+    folder = Path(options.path).expanduser()
+    require(
+        folder.is_dir(),
+        f"depth=file: expected a folder at {folder}, got none; set depth.path to the folder of the"
+        " depth maps",
+    )
+    indices = range(len(training.views))
+    depths = [read_view(training, i, options) for i in indices]
+    cameras = [view.camera for view in training.views]
+    maps = []
+    for i, depth in enumerate(depths):
+        known = depth > 0
+        if options.tolerance > 0:
+            others = [other for other in indices if other != i]
+            known &= agreeing_views(depths, cameras, i, others, options.tolerance) > 0
+        maps.append(DepthMap(torch.from_numpy(depth), torch.from_numpy(known.astype(np.float32))))
+    return tuple(maps)
