@@ -1,0 +1,121 @@
+"""Scores from Fisher information: how new a camera is to a view, how uncertain a Gaussian is.
+
+N Gaussians, P parameters each; information is J^T J per unit of noise variance, non-negative.
+Regularisers are relative: a share of the median positive diagonal of a parameter, which acts as a
+Gaussian prior shared by all Gaussians (and views). So neither the unit of length nor the brightness
+of the images matters. An absolute one does not work: with the 1e-6 that is common in the field,
+the trace below counts little but the parameters that the reference does not see.
+
+All sums are numpy's, in float64 and on one thread: the bits do not depend on the thread count.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from torch import Tensor, from_numpy
+
+FORMS = ("trace", "log")
+
+
+def information_gain(
+    candidate: Tensor, reference: Tensor, regulariser: float, form: str = "trace"
+) -> float:
+    """Information a candidate view adds to what a reference view knows (diagonal Laplace).
+
+    candidate, reference: [N, P] diagonals H', H of the Fisher information of the two views.
+    regulariser: share of the median positive H' per parameter, added to H; taken from the candidate
+    so that all references of one candidate are compared under the same prior lambda.
+    form "log": 1/2 sum log(1 + H' / (H + lambda)), the entropy difference of the two posteriors
+    (Kirsch & Gal, "Unifying approaches in active learning", 2022); form "trace": its upper bound
+    1/2 sum H' / (H + lambda) = 1/2 tr(H' (H + lambda)^-1). Raises ValueError on bad input.
+    """
+    return information_gains(candidate, [reference], regulariser, form)[0]
+
+
+def information_gains(
+    candidate: Tensor, references: list[Tensor], regulariser: float, form: str = "trace"
+) -> list[float]:
+    """`information_gain` against each of `references`, the prior computed once."""
+    if form not in FORMS:
+        raise ValueError(f"information_gain: form must be one of {', '.join(FORMS)}, got '{form}'")
+    _check_positive("information_gain: regulariser", regulariser)
+    gained = _float64(candidate)
+    prior = _prior(gained, regulariser)
+    gains = []
+    for reference in references:
+        known = _float64(reference)
+        if known.shape != gained.shape:
+            raise ValueError(
+                f"information_gain: candidate {gained.shape} and reference {known.shape} differ"
+            )
+        ratio = gained / (known + prior)
+        gains.append(0.5 * float(np.sum(ratio if form == "trace" else np.log1p(ratio))))
+    return gains
+
+
+def uncertainty(blocks: Tensor, visible: Tensor, extent: float, regulariser: float) -> Tensor:
+    """U = -log det(S F S + Lambda) of every Gaussian, PUP-3DGS's score with its sign reversed.
+
+    blocks: [N, 6, 6] information F about (mean, log-scale), summed over the training views.
+    visible: [N] bool, seen by any of them. extent: scene units; S = diag(extent x 3, 1 x 3) makes
+    the means dimensionless. Lambda is diagonal: `regulariser` x the median positive diagonal of the
+    visible Gaussians, one number for the means and one for the log-scales (so that U is invariant
+    to rigid motion). It keeps the determinant positive where few views leave F singular: one view
+    alone gives rank 5 at most.
+
+    Returns [N] float64; +inf for Gaussians that no view sees. Raises ValueError on bad input.
+    """
+    _check_positive("uncertainty: extent", extent)
+    _check_positive("uncertainty: regulariser", regulariser)
+    seen = visible.numpy().astype(bool)
+    scores = np.full(seen.shape, np.inf)
+    if seen.any():
+        scale = np.array([extent, extent, extent, 1.0, 1.0, 1.0])
+        normalised = _float64(blocks)[seen] * (scale[:, None] * scale)
+        scores[seen] = -_log_det(normalised, _block_prior(normalised, regulariser))
+    return from_numpy(scores)
+
+
+def _block_prior(blocks: np.ndarray, regulariser: float) -> np.ndarray:
+    """[6]: the same number three times for the means, then for the log-scales."""
+    diagonal = np.einsum("nii->ni", blocks)
+    groups = np.column_stack([diagonal[:, :3].ravel(), diagonal[:, 3:].ravel()])
+    return np.repeat(_prior(groups, regulariser), 3)
+
+
+def _prior(diagonal: np.ndarray, regulariser: float) -> np.ndarray:
+    """[P]: regulariser x median of the positive entries per column; 1 for a column without any."""
+    positive = [column[column > 0] for column in diagonal.T]
+    return np.array([regulariser * np.median(c) if c.size else 1.0 for c in positive])
+
+
+def _log_det(blocks: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """[N] log det(F + diag(prior)), positive semi-definite F [N, D, D], by the pivots of L D L^T.
+
+    The Schur complements of F are non-negative, so no pivot of the sum is below its prior; rounding
+    that says otherwise is corrected.
+    """
+    size = prior.shape[0]
+    a = np.ascontiguousarray(np.moveaxis(blocks, 0, -1))  # [D, D, N]: one Gaussian per lane
+    total = np.zeros(blocks.shape[0])
+    for i in range(size):
+        pivot = np.maximum(a[i, i] + prior[i], prior[i])
+        total += np.log(pivot)
+        for row in range(i + 1, size):
+            factor = a[row, i] / pivot
+            for col in range(i + 1, row + 1):
+                a[row, col] -= factor * a[col, i]
+    return total
+
+
+def _float64(x: Tensor) -> np.ndarray:
+    """`x` as float64. Raises ValueError on NaN or infinity."""
+    array = x.detach().numpy().astype(np.float64)
+    if not np.isfinite(array).all():
+        raise ValueError("Fisher information: expected finite values, got NaN or infinity")
+    return array
+
+
+def _check_positive(what: str, value: float) -> None:
+    if not (np.isfinite(value) and value > 0):
+        raise ValueError(f"{what} must be a finite number > 0, got {value}")

@@ -1,0 +1,156 @@
+"""The common part of augmenters that warp training views into perturbed cameras.
+
+Such a method is a subclass with a `select`: which training views support a new camera. Sampling the
+camera, warping, the coverage rule and the pseudo view are here, so that methods differ in nothing
+but their choice of supports. Light to import: torch and numba come in when a camera is sampled.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from framework.errors import require
+from framework.plugin import Augmenter, StepContext
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from torch import Tensor
+
+    from framework.types import Camera, View
+    from framework.warp import Support
+
+
+@dataclass(frozen=True)
+class WarpingState:
+    """supports: the training views, ready to be warped. selection: what `select` keeps between
+    epochs. view: the current pseudo view, None if the last one covered too little. made: the epoch
+    in which it was made, -1 before the first."""
+
+    supports: tuple[Support, ...]
+    selection: Any = None
+    view: View | None = None
+    made: int = -1
+
+
+@dataclass(frozen=True)
+class WarpingAugmenter(Augmenter):
+    """One pseudo view at a perturbed training camera, warped from the views `select` chooses.
+
+    every: epochs that a pseudo view lives. sigma_center: jitter of the camera centre per axis, in
+    mean nearest-neighbour distances of the training cameras (extents for a single camera).
+    sigma_rotation: jitter of the orientation in degrees, about a random axis. temperature: softness
+    of the z-buffer as a share of depth. min_coverage: share of the frame that must be warped;
+    below it there is no pseudo view.
+    """
+
+    every: int = 1
+    sigma_center: float = 0.3
+    sigma_rotation: float = 2.0
+    temperature: float = 0.02
+    min_coverage: float = 0.3
+
+    defaults: ClassVar[dict[str, float]] = {"start": 0.1}
+
+    def __post_init__(self) -> None:
+        self.check("every", self.every >= 1, "an integer >= 1")
+        self.check("sigma_center", 0 <= self.sigma_center <= 10, "a number in [0, 10]")
+        self.check("sigma_rotation", 0 <= self.sigma_rotation <= 90, "degrees in [0, 90]")
+        self.check("temperature", 0 < self.temperature <= 1, "a number in (0, 1]")
+        self.check("min_coverage", 0 <= self.min_coverage <= 1, "a share in [0, 1]")
+
+    def check(self, option: str, ok: bool, expected: str) -> None:
+        """Raise UserError unless `ok`."""
+        require(ok, f"{self.name}: {option} must be {expected}, got {getattr(self, option)}")
+
+    def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
+        """Indices of the training views to warp into `camera`, and the next `selection`."""
+        raise NotImplementedError
+
+    def pseudo_views(
+        self, ctx: StepContext, state: WarpingState | None
+    ) -> tuple[list[View], WarpingState]:
+        state = state or self._first_state(ctx)
+        if state.view is None or ctx.epoch >= state.made + self.every:
+            state = self._renewed(ctx, state)
+        return [] if state.view is None else [state.view], state
+
+    def _first_state(self, ctx: StepContext) -> WarpingState:
+        from framework.warp import prepare
+
+        return WarpingState(prepare(ctx.views, ctx.depth))
+
+    def _renewed(self, ctx: StepContext, state: WarpingState) -> WarpingState:
+        """The state with this epoch's pseudo view."""
+        from framework.types import View
+        from framework.warp import warp
+
+        camera = self._sample_camera(ctx)
+        chosen, selection = self.select(ctx, state.selection, camera)
+        warped = warp([state.supports[i] for i in chosen], camera, temperature=self.temperature)
+        ctx.log(f"{self.name}_supports", len(chosen))
+        ctx.log(f"{self.name}_coverage", warped.coverage)
+        view = None
+        if warped.coverage >= self.min_coverage:
+            view = View(
+                f"pseudo-{ctx.epoch}", camera, warped.image, mask=warped.mask, tags=("pseudo",)
+            )
+        return replace(state, selection=selection, view=view, made=ctx.epoch)
+
+    def _sample_camera(self, ctx: StepContext) -> Camera:
+        rng = ctx.rng(f"{self.name}-camera")
+        cameras = [view.camera for view in ctx.views]
+        spacing = mean_neighbour_distance(cameras) or ctx.extent
+        start = cameras[int(rng.integers(len(cameras)))]
+        return perturbed(start, rng, self.sigma_center * spacing, self.sigma_rotation)
+
+
+def within(scores: Sequence[float], eta: float) -> list[int]:
+    """Indices of the scores of at most eta x the smallest, in order; scores are >= 0."""
+    return [i for i, score in enumerate(scores) if score <= eta * min(scores)]
+
+
+def mean_neighbour_distance(cameras: Sequence[Camera]) -> float:
+    """Mean distance of a camera to its nearest other one, in scene units; 0 for a single camera."""
+    import torch
+
+    if len(cameras) < 2:
+        return 0.0
+    centers = torch.stack([camera.center for camera in cameras])
+    distances = (centers[:, None] - centers[None]).norm(dim=2)
+    distances.fill_diagonal_(math.inf)
+    return float(distances.min(dim=1).values.mean())
+
+
+def perturbed(
+    camera: Camera, rng: np.random.Generator, sigma_center: float, sigma_degrees: float
+) -> Camera:
+    """`camera` with its centre moved by N(0, sigma_center^2) per axis (scene units) and turned by
+    N(0, sigma_degrees^2) about an axis uniform on the sphere; same K and size.
+
+    Always draws the same count of numbers, so that a standard deviation of 0 moves no other draw.
+    """
+    import torch
+
+    from framework.types import Camera
+
+    step, axis, angle = rng.standard_normal(3), rng.standard_normal(3), rng.standard_normal()
+    turn = _rotation(axis, math.radians(sigma_degrees) * angle)
+    viewmat = camera.viewmat.clone()
+    viewmat[:3, :3] = turn @ camera.viewmat[:3, :3]
+    center = camera.center + sigma_center * torch.from_numpy(step)
+    viewmat[:3, 3] = -viewmat[:3, :3] @ center
+    return Camera(viewmat, camera.K, camera.width, camera.height)
+
+
+def _rotation(axis: np.ndarray, radians: float) -> Tensor:
+    """[3, 3] float64, by Rodrigues' formula R = I + sin K + (1 - cos) K^2, K = [axis]_x."""
+    import torch
+
+    x, y, z = (float(value) for value in axis / math.sqrt(sum(float(v) ** 2 for v in axis)))
+    cross = torch.tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=torch.float64)
+    identity = torch.eye(3, dtype=torch.float64)
+    return identity + math.sin(radians) * cross + (1 - math.cos(radians)) * (cross @ cross)

@@ -1,0 +1,93 @@
+"""`augment=safi`: the support views of a pseudo view chosen by Fisher information.
+
+For a perturbed camera x' every training view k is scored by the information that x' would add to
+it, I_k = 1/2 tr(F(x') F(x_k)^-1) with diagonal F of the warmed-up Gaussians theta_0. A small I_k
+means that k already knows what x' would show: all views with I_k <= eta min I are warped into x'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from framework.plugin import StepContext, register
+from framework.warping import WarpingAugmenter, within
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.types import Camera, Gaussians
+
+FORMS = ("trace", "log")  # see framework.information.information_gain
+NEAR_SHARE = 0.01  # near plane of the Fisher passes, in units of the scene's near bound
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """theta_0 with what the training views know about it. gaussians: detached copies. sh_degree:
+    the active degree. diagonals: K times [N, P]. epoch: when it was taken."""
+
+    gaussians: Gaussians
+    sh_degree: int
+    diagonals: tuple[Tensor, ...]
+    epoch: int
+
+
+@register("augment", "safi")
+@dataclass(frozen=True)
+class Safi(WarpingAugmenter):
+    """eta: a view supports if its score is at most eta x the smallest. form: "trace", the paper's
+    bound, or "log", the information gain itself. regulariser: prior precision as a share of the
+    median diagonal. downscale: the Fisher passes run on images smaller by this integer factor.
+    refresh_epochs: epochs after which theta_0 is taken anew; 0 = never.
+    """
+
+    eta: float = 1.4
+    form: str = "trace"
+    regulariser: float = 0.1
+    downscale: int = 2
+    refresh_epochs: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check("eta", 1 <= self.eta <= 1e6, "a number in [1, 1e6]")
+        self.check("form", self.form in FORMS, f"one of {', '.join(FORMS)}")
+        self.check("regulariser", 0 < self.regulariser <= 1e3, "a number in (0, 1000]")
+        self.check("downscale", 1 <= self.downscale <= 16, "an integer in [1, 16]")
+        self.check("refresh_epochs", self.refresh_epochs >= 0, "an integer >= 0")
+
+    def select(
+        self, ctx: StepContext, selection: Snapshot | None, camera: Camera
+    ) -> tuple[list[int], Snapshot]:
+        from framework.information import information_gains
+
+        snapshot = selection
+        if snapshot is None or self._outdated(snapshot, ctx.epoch):
+            snapshot = self._snapshot(ctx)
+        candidate = self._diagonal(ctx, snapshot.gaussians, snapshot.sh_degree, camera)
+        scores = information_gains(candidate, list(snapshot.diagonals), self.regulariser, self.form)
+        return within(scores, self.eta), snapshot
+
+    def _outdated(self, snapshot: Snapshot, epoch: int) -> bool:
+        return 0 < self.refresh_epochs <= epoch - snapshot.epoch
+
+    def _snapshot(self, ctx: StepContext) -> Snapshot:
+        gaussians, degree = ctx.gaussians.clone(), ctx.sh_degree
+        diagonals = tuple(self._diagonal(ctx, gaussians, degree, v.camera) for v in ctx.views)
+        return Snapshot(gaussians, degree, diagonals, ctx.epoch)
+
+    def _diagonal(
+        self, ctx: StepContext, gaussians: Gaussians, sh_degree: int, camera: Camera
+    ) -> Tensor:
+        """[N, P] diagonal Fisher information of theta_0 in `camera`."""
+        from framework.fisher import fisher_information
+
+        factor = min(self.downscale, camera.width, camera.height)
+        information = fisher_information(
+            gaussians,
+            camera.scaled(factor),
+            background=ctx.background,
+            sh_degree=sh_degree,
+            near=NEAR_SHARE * ctx.near,
+        )
+        return information.diagonal

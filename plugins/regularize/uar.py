@@ -1,0 +1,127 @@
+"""`reg=uar`: uncertainty-aware dropout of Gaussians (UAR).
+
+U_i = -log det F_i, with F_i the Fisher information of the training views about the mean and
+log-scale of Gaussian i. At progress t the C p(t) N least uncertain Gaussians are candidates, and
+each is dropped with probability 1/C for one step: p(t) N in expectation. So supervision moves to
+the Gaussians that few views determine, which are never dropped themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from framework.errors import require
+from framework.plugin import Regularizer, StepContext, register
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+MODES = ("soft", "hard")
+SCHEDULES = ("linear", "constant")
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """order: [M] int64, the Gaussians that any training view sees, the least uncertain first.
+    step, version: when it was made, and of which set of Gaussians."""
+
+    order: Tensor
+    step: int
+    version: int
+
+
+@register("reg", "uar")
+@dataclass(frozen=True)
+class Uar(Regularizer):
+    """Options.
+
+    mode: a dropped opacity is multiplied by 0 ("hard") or by `soft_scale` ("soft"). p: drop rate at
+    the end of the training. schedule: "linear" grows it from 0, "constant" keeps it. C =
+    candidate_factor: the candidates are C times the dropped. refresh: steps between rankings.
+    regulariser: prior precision as a share of the median diagonal of F. compensate: scale the kept
+    candidates by (1 - s/C) / (1 - 1/C), s the factor of the dropped, so that every opacity keeps
+    its expectation.
+    """
+
+    mode: str = "soft"
+    p: float = 0.2
+    schedule: str = "linear"
+    candidate_factor: float = 2.0
+    soft_scale: float = 0.2
+    refresh: int = 100
+    regulariser: float = 1e-4
+    compensate: bool = False
+
+    defaults: ClassVar[dict[str, float]] = {"start": 0.1}
+
+    def __post_init__(self) -> None:
+        def check(option: str, ok: bool, expected: str) -> None:
+            require(ok, f"uar: {option} must be {expected}, got {getattr(self, option)}")
+
+        check("mode", self.mode in MODES, f"one of {', '.join(MODES)}")
+        check("schedule", self.schedule in SCHEDULES, f"one of {', '.join(SCHEDULES)}")
+        check("p", 0 < self.p < 1, "in (0, 1)")
+        most = 1 / self.p
+        require(
+            1 < self.candidate_factor < most,
+            f"uar: candidate_factor must be in (1, 1/p) = (1, {most:.4g}), got"
+            f" {self.candidate_factor:g}; lower it or lower p",
+        )
+        check("soft_scale", 0 <= self.soft_scale <= 1, "in [0, 1]")
+        check("refresh", self.refresh >= 1, "an integer >= 1")
+        check("regulariser", 0 < self.regulariser <= 1e3, "in (0, 1000]")
+
+    @property
+    def dropped_factor(self) -> float:
+        """What a dropped Gaussian's opacity is multiplied by."""
+        return self.soft_scale if self.mode == "soft" else 0.0
+
+    @property
+    def kept_factor(self) -> float:
+        """What a kept candidate's opacity is multiplied by."""
+        if not self.compensate:
+            return 1.0
+        return (1 - self.dropped_factor / self.candidate_factor) / (1 - 1 / self.candidate_factor)
+
+    def drop_rate(self, progress: float) -> float:
+        """p(t), the expected share of Gaussians dropped at `progress` in [0, 1)."""
+        return self.p * progress if self.schedule == "linear" else self.p
+
+    def opacity_factors(
+        self, ctx: StepContext, state: Ranking | None
+    ) -> tuple[Tensor | None, Ranking]:
+        import torch
+
+        ranking = state
+        if ranking is None or self._outdated(ranking, ctx):
+            ranking = self._rank(ctx)
+        total = len(ctx.gaussians)
+        wanted = round(self.candidate_factor * self.drop_rate(ctx.progress) * total)
+        candidates = ranking.order[:wanted]
+        if len(candidates) == 0:
+            return None, ranking
+        draws = ctx.rng("uar").random(len(candidates))
+        dropped = torch.from_numpy(draws < 1 / self.candidate_factor)
+        factors = torch.ones(total, dtype=torch.float32)
+        factors[candidates] = torch.where(dropped, self.dropped_factor, self.kept_factor).float()
+        return factors, ranking
+
+    def _outdated(self, ranking: Ranking, ctx: StepContext) -> bool:
+        return ranking.version != ctx.version or ctx.step - ranking.step >= self.refresh
+
+    def _rank(self, ctx: StepContext) -> Ranking:
+        """Rank the Gaussians by their uncertainty after all training views."""
+        import torch
+
+        from framework.information import uncertainty
+
+        first, *others = (ctx.fisher(view.camera) for view in ctx.views)
+        blocks, visible = first.block.double(), first.visible
+        for information in others:
+            blocks, visible = blocks + information.block, visible | information.visible
+        scores = uncertainty(blocks, visible, ctx.extent, self.regulariser)
+        order = torch.argsort(scores, stable=True)
+        order = order[: int(torch.isfinite(scores).sum())]
+        ctx.log("uar_ranked", len(order))
+        return Ranking(order, ctx.step, ctx.version)
