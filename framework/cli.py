@@ -24,8 +24,9 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
 from framework.complaints import USER_ERRORS, one_line
-from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, check, register_config
+from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, check, choices, register_config
 from framework.errors import UserError
+from framework.help import help_text
 from framework.naming import plain, register_resolvers, study_name
 from framework.progress import Progress, Terminal
 from framework.study import Outcome, Refused, add_outcome, job_count, ledger, outcomes, short_path
@@ -41,10 +42,14 @@ def main(argv: Sequence[str]) -> int:
         arguments = normalise(argv)
         with _hydra_process(arguments):
             register_config()
+            flags = _parse(arguments)
+            if flags.help:
+                print(help_text(flags.overrides))
+                return 0
             application = hydra.main(
                 version_base="1.3", config_path=str(CONF_DIR), config_name="config"
             )(task)
-            if _only_informs(arguments):
+            if _only_informs(flags):
                 application()
                 return 0
             with ledger():
@@ -58,6 +63,9 @@ def main(argv: Sequence[str]) -> int:
             traceback.print_exc()
         print(f"error: {one_line(error)}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # the reader, for instance `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except SystemExit as end:  # Hydra ends --help and its like this way
         return end.code if isinstance(end.code, int) else int(end.code is not None)
 
@@ -92,21 +100,33 @@ def normalise(argv: Sequence[str]) -> list[str]:
     """
     arguments = [re.sub(rf"^\+(?=({'|'.join(GROUPS)})=)", "", argument) for argument in argv]
     _check_multirun_flag(arguments)
+    _check_empty_choices(arguments)
     flags = _parse(arguments)
-    if flags.multirun:
-        return _options_of_swept_groups(arguments)
-    return arguments
+    if flags.multirun and _only_informs(flags):
+        raise UserError("command line: expected -m or a flag that only informs, got both; drop one")
+    if flags.resolve and not flags.cfg:
+        raise UserError("command line: expected --cfg beside --resolve, got none; add --cfg job")
+    return _options_of_swept_groups(arguments, flags.overrides) if flags.multirun else arguments
 
 
 def _check_multirun_flag(arguments: Sequence[str]) -> None:
     """Hydra's parser takes -m only before or after all overrides."""
-    words = [i for i, argument in enumerate(arguments) if not argument.startswith("-")]
+    words = [i for i, argument in enumerate(arguments) if "=" in argument]
     for flag in MULTIRUN_FLAGS:
         if flag in arguments and words and words[0] < arguments.index(flag) < words[-1]:
             raise UserError(
                 f"command line: expected {flag} first or last, got it in the middle, after"
                 f" '{arguments[arguments.index(flag) - 1]}'; move it to the end"
             )
+
+
+def _check_empty_choices(arguments: Sequence[str]) -> None:
+    """`augment=` and `augment=null` would leave a group with options but nothing to have them."""
+    for argument in arguments:
+        group, equals, name = argument.partition("=")
+        if equals and group in OBJECT_GROUPS and name in ("", "null"):
+            known = ", ".join(choices(group))
+            raise UserError(f"{group}: expected a choice, got {name!r}; available: {known}")
 
 
 def _parse(arguments: Sequence[str]) -> Any:
@@ -120,14 +140,13 @@ def _parse(arguments: Sequence[str]) -> Any:
     return parser.parse_args(arguments)
 
 
-def _options_of_swept_groups(arguments: Sequence[str]) -> list[str]:
+def _options_of_swept_groups(arguments: Sequence[str], overrides: Sequence[str]) -> list[str]:
     """Make `augment.eta=1.5` beside `augment=safi,other` a sweep of one value.
 
     Hydra first composes a configuration without the swept keys, where the group has its default
     choice and the option does not exist.
     """
-    lines = [argument for argument in arguments if not argument.startswith("-")]
-    parsed = OverridesParser.create().parse_overrides(lines)
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
     swept = {o.key_or_group for o in parsed if o.is_sweep_override()} & set(OBJECT_GROUPS)
     fixed = {
         o.input_line
@@ -139,9 +158,8 @@ def _options_of_swept_groups(arguments: Sequence[str]) -> list[str]:
     return [re.sub("=(.*)", r"=choice(\1)", a, count=1) if a in fixed else a for a in arguments]
 
 
-def _only_informs(arguments: Sequence[str]) -> bool:
+def _only_informs(flags: Any) -> bool:
     """True for `--help`, `--cfg` and the like, which start no run."""
-    flags = _parse(arguments)
     return bool(flags.help or flags.hydra_help or flags.cfg or flags.info or flags.shell_completion)
 
 
@@ -169,13 +187,14 @@ def _run(config: dict[str, Any], run_dir: Path, progress: Progress) -> None:
 
 def _progress(job: Any, seed: int, number: int) -> Progress:
     """The progress line of this run; launchers that run several at once get plain lines."""
-    chosen = job.runtime.choices
-    label = f"{chosen.augment}+{chosen.reg} seed {seed}"
+    method = f"{job.runtime.choices.augment}+{job.runtime.choices.reg}"
+    label, short = f"{method} seed {seed}", f"{method} s{seed}"
     total = job_count()
     if total != 1:
         label = f"[run {number + 1}{f' of {total}' if total else ''}] {label}"
+        short = f"[{number + 1}{f'/{total}' if total else ''}] {short}"
     alone = job.mode.name == "RUN" or job.launcher._target_.endswith(".BasicLauncher")
-    return Terminal(label, in_place=None if alone else False)
+    return Terminal(label, short, in_place=None if alone else False)
 
 
 def _failed(error: Exception, show: bool) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Iterator
+from typing import Any
 
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf.errors import (
@@ -38,9 +39,10 @@ def one_line(error: BaseException) -> str:
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
-    """`error` and what caused it, the original first."""
+    """`error` and what it arose from, the original first. OmegaConf hides its cause (`from None`),
+    so the context is followed too."""
     if error is not None:
-        yield from _causes(error.__cause__)
+        yield from _causes(error.__cause__ or error.__context__)
         yield error
 
 
@@ -56,9 +58,23 @@ def _told(error: BaseException) -> str | None:
     if isinstance(error, ConfigKeyError | ConfigAttributeError):
         return _unknown_key(error)
     if isinstance(error, ValidationError) and error.full_key:
-        expected = KINDS.get(error.ref_type or object, error.ref_type_str or "another type")
-        return f"{error.full_key}: expected {expected}, got {error.value!r}"
+        return f"{error.full_key}: expected {_expected(error)}, got {error.value!r}"
     return None
+
+
+def _expected(error: OmegaConfBaseException) -> str:
+    """The declared type of the option that got a wrong value, in words."""
+    types = {option.name: option.type for option in _fields(error.object_type)}
+    declared = types.get(str(error.key), "another type")
+    if isinstance(declared, type):
+        return KINDS.get(declared, f"the options of {declared.__name__}")
+    return str(declared)
+
+
+def _fields(kind: Any) -> list[Any]:
+    """The fields of a structured-config class; none for anything else."""
+    is_schema = isinstance(kind, type) and dataclasses.is_dataclass(kind)
+    return list(dataclasses.fields(kind)) if is_schema else []
 
 
 def _missing_choice(error: MissingConfigException) -> str | None:
@@ -69,9 +85,9 @@ def _missing_choice(error: MissingConfigException) -> str | None:
 
 
 def _unknown_key(error: OmegaConfBaseException) -> str | None:
-    if not error.full_key or not dataclasses.is_dataclass(error.object_type):
+    known = [f.name for f in _fields(error.object_type) if f.name != "name"]
+    if not error.full_key or not known or error.object_type is None:
         return None
-    known = [f.name for f in dataclasses.fields(error.object_type)]
     parent, _, key = str(error.full_key).rpartition(".")
     place = f" of {error.object_type.__name__}" if parent else ""
     return f"{error.full_key}: unknown option{place}; {nearest_hint(key, known)}"

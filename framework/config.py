@@ -14,7 +14,7 @@ import dataclasses
 import re
 import typing
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import field, make_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +36,8 @@ GROUPS = (*OBJECT_GROUPS, "experiment", "sweep")
 Row = tuple[str, Any, Any]  # (option name, type, dataclasses.field)
 
 
-@dataclass
-class MetricsNode:
-    """lpips_weights: file with the LPIPS weights; null reports LPIPS as missing."""
-
-    lpips_weights: str | None = MISSING
+SCALARS = {"seed": int, "study": str | None, "threads": int, "force": bool, "traceback": bool}
+METRICS = {"lpips_weights": str | None}
 
 
 def tables() -> dict[str, dict[str, type]]:
@@ -91,15 +88,17 @@ def _with_default(option: Any) -> Any:
 
 def _top_level() -> type:
     """The schema of the whole configuration; the values are in conf/config.yaml."""
-    trainer = node("trainer", class_rows(TrainerOptions))
-    scalars = {"seed": int, "study": str | None, "threads": int, "force": bool, "traceback": bool}
-    fields: list[Row] = [(key, kind, field(default=MISSING)) for key, kind in scalars.items()]
-    fields += [
-        ("trainer", trainer, field(default_factory=trainer)),
-        ("metrics", MetricsNode, field(default_factory=MetricsNode)),
-    ]
-    fields += [(group, Any, field(default=MISSING)) for group in OBJECT_GROUPS]
-    return make_dataclass("top level", fields)
+    sections = {
+        "trainer": node("trainer", class_rows(TrainerOptions)),
+        "metrics": node("metrics", [_required(*item) for item in METRICS.items()]),
+    }
+    fields = [_required(*item) for item in SCALARS.items()]
+    fields += [(key, kind, field(default_factory=kind)) for key, kind in sections.items()]
+    return make_dataclass("top level", fields + [_required(group, Any) for group in OBJECT_GROUPS])
+
+
+def _required(key: str, kind: Any) -> Row:
+    return (key, kind, field(default=MISSING))
 
 
 def register_config() -> None:
@@ -119,11 +118,14 @@ def register_config() -> None:
 
 
 def check(config: Mapping[str, Any]) -> None:
-    """Raise UserError unless `config` (plain, resolved) describes runs that can start.
+    """Raise UserError unless `config` (plain, resolved) describes a run that can start.
 
-    Checks that every group has a choice, that every required option is there, and whatever the
-    chosen classes check of their own options. Reads no files beyond what those classes do.
+    Every group needs a choice, every required option a value, and no key may be unknown (Hydra lets
+    `+key=value` through); then the chosen classes check their own options. Reads no scene.
     """
+    _known_keys("", config, [*SCALARS, "trainer", "metrics", *OBJECT_GROUPS])
+    _known_keys("trainer.", config["trainer"], [row[0] for row in class_rows(TrainerOptions)])
+    _known_keys("metrics.", config["metrics"], METRICS)
     for group in OBJECT_GROUPS:
         _check_choice(group, config[group])
     for group in registry.GROUPS:
@@ -132,31 +134,42 @@ def check(config: Mapping[str, Any]) -> None:
         options = dict(config[group])
         table[options.pop("name")](**options)
     TrainerOptions(**config["trainer"])
-    require(config["seed"] >= 0, f"seed: expected an integer >= 0, got {config['seed']}")
-    study = config["study"]
+    _check_scalars(config["seed"], config["threads"], config["study"])
+
+
+def _check_scalars(seed: int, threads: int, study: str | None) -> None:
+    require(seed >= 0, f"seed: expected an integer >= 0, got {seed}; choose another")
+    require(threads >= 0, f"threads: expected an integer >= 0, got {threads}; 0 uses all cores")
     require(
         study is None or re.fullmatch(r"\w[\w.-]*(/\w[\w.-]*)*", study) is not None,
-        f"study: expected a folder name of letters, digits, _ . and -, got {study!r}",
-    )
-    require(
-        config["threads"] >= 0,
-        f"threads: expected an integer >= 0 (0 = all cores), got {config['threads']}",
+        f"study: expected a folder name of letters, digits, _ . and -, got {study!r}; rename it",
     )
 
 
 def _check_choice(group: str, options: Any) -> None:
     """A group needs a name (an empty choice must not be half-configured) and no missing option."""
     if not isinstance(options, Mapping) or "name" not in options:
-        raise UserError(f"{group}: no choice made; choose one of: {', '.join(choices(group))}")
+        raise UserError(
+            f"{group}: expected a choice, got none; add {group}=NAME, available:"
+            f" {', '.join(choices(group))}"
+        )
+    title = f"{group}={options['name']}"
     known = [row[0] for row in rows(group, options["name"])]
+    _known_keys(f"{group}.", {k: v for k, v in options.items() if k != "name"}, known, title)
     for key, value in options.items():
-        if key != "name" and key not in known:
-            raise UserError(
-                f"{group}.{key}: unknown option of {group}={options['name']};"
-                f" {nearest_hint(key, known)}"
-            )
-        if value == MISSING:
-            raise UserError(
-                f"{group}.{key}: required by {group}={options['name']}, got nothing;"
-                f" add {group}.{key}=VALUE"
-            )
+        require(
+            value != MISSING,
+            f"{group}.{key}: required by {title}, got nothing; add {group}.{key}=VALUE",
+        )
+
+
+def _known_keys(
+    prefix: str, given: Mapping[str, Any], known: Iterable[str], owner: str = ""
+) -> None:
+    options = list(known)
+    place = f" of {owner}" if owner else ""
+    for key in given:
+        require(
+            key in options,
+            f"{prefix}{key}: unknown option{place}; {nearest_hint(key, options)}",
+        )
