@@ -16,9 +16,19 @@ from framework.errors import UserError
 from framework.rasterize.pipeline import Arrays, Image, Workspace
 from framework.types import Camera, Gaussians, Render
 
-__all__ = ["rasterize"]
+__all__ = ["Arrays", "Image", "Workspace", "borrow", "give_back", "rasterize"]
 
 _free: list[Workspace] = []  # workspaces not in use; two renders may be waiting for gradients
+
+
+def borrow() -> Workspace:
+    """A workspace nobody else uses; `give_back` it when nothing of it is needed any more."""
+    return _free.pop() if _free else Workspace()
+
+
+def give_back(work: Workspace) -> None:
+    """Return a workspace for the next render."""
+    _free.append(work)
 
 
 def _numpy(tensor: Tensor) -> np.ndarray:
@@ -46,7 +56,7 @@ class _Rasterize(torch.autograd.Function):
         near: float,
     ) -> Any:
         tensors = (means, quats, log_scales, opacity_logits, sh0, shN, factors, offset)
-        work = _free.pop() if _free else Workspace()
+        work = borrow()
         work.project(Arrays(*(_numpy(t) for t in tensors)), camera, degree, near)
         work.sort()
         work.bin()
@@ -61,7 +71,7 @@ class _Rasterize(torch.autograd.Function):
             ctx.planes = planes
             ctx.shapes = [t.shape for t in tensors]
         else:
-            _free.append(work)
+            give_back(work)
         return rgb, alpha, depth, radii
 
     @staticmethod
@@ -75,7 +85,7 @@ class _Rasterize(torch.autograd.Function):
         work.blend_backward(image, given)
         gradients = [torch.empty(shape) for shape in ctx.shapes]
         work.project_backward(Arrays(*(g.numpy() for g in gradients)))
-        _free.append(work)
+        give_back(work)
         return (*gradients, None, None, None, None)
 
 
@@ -105,4 +115,3 @@ def rasterize(
     tensors = (*(tensor for _, tensor in gaussians.items()), factors, offset)
     outputs = _Rasterize.apply(*tensors, camera, _numpy(colour), degree, float(near))
     return Render(*outputs)
-

@@ -12,7 +12,7 @@ import numpy as np
 
 from framework.errors import UserError
 from framework.parallel import BLOCKS, run_blocks
-from framework.rasterize import binning, projection, tiles
+from framework.rasterize import binning, information, projection, tiles
 from framework.rasterize.constants import ROW
 from framework.types import Camera
 
@@ -133,9 +133,7 @@ class Workspace:
             self.touched,
             self.histogram,
         )
-        self.n_items = binning.prefix_tiles(
-            self.touched, self.first, self.histogram, self.offsets
-        )
+        self.n_items = binning.prefix_tiles(self.touched, self.first, self.histogram, self.offsets)
         if len(self.lists) < self.n_items:
             self.lists = np.empty((self.n_items + self.n_items // 4, 2), np.int32)
         run_blocks(
@@ -219,7 +217,7 @@ class Workspace:
             self.rows,
             self.clipped,
             self.first,
-            self.slots,
+            self.slots.reshape(-1),
             gradient.means,
             gradient.quats,
             gradient.log_scales,
@@ -228,4 +226,22 @@ class Workspace:
             gradient.shN,
             gradient.factors,
             gradient.offset,
+        )
+
+    def information(self, block: np.ndarray, diagonal: np.ndarray) -> None:
+        """Moments in `slots` -> Fisher block [N, 6, 6] and diagonal [N, 14]; see `information`."""
+        arrays = self.arrays
+        run_blocks(
+            information.pull_back_moments,
+            arrays.means,
+            arrays.quats,
+            arrays.log_scales,
+            arrays.logits,
+            self.camera,
+            self.rows,
+            self.clipped,
+            self.first,
+            self.slots.reshape(-1),
+            block,
+            diagonal,
         )

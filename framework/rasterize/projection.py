@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 
 from framework.rasterize.constants import ALPHA_MIN, DILATION, FRUSTUM_MARGIN
+from framework.rasterize.simd import load, store, zeros
 
 f4 = np.float32
 _strict = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy"}
@@ -29,7 +30,7 @@ _DILATION = f4(DILATION)
 _REACH = f4(0.5 + FRUSTUM_MARGIN)
 
 # normalisation of the real spherical harmonics up to degree 3
-_Y0 = f4(0.28209479177387814)
+Y0 = f4(0.28209479177387814)
 _Y1 = f4(0.4886025119029199)
 _Y2A, _Y2B, _Y2C = f4(1.0925484305920792), f4(0.31539156525252005), f4(0.5462742152960396)
 _Y3A, _Y3B, _Y3C = f4(0.5900435899266435), f4(2.890611442640554), f4(0.4570457994644658)
@@ -85,7 +86,7 @@ def _basis_gradient(degree: int, x: Any, y: Any, z: Any, d: Any) -> tuple[Any, A
 
 
 @njit(**_inline)
-def _to_camera(camera: Any, mean: Any) -> tuple[Any, Any, Any]:
+def to_camera(camera: Any, mean: Any) -> tuple[Any, Any, Any]:
     x = camera[0] * mean[0] + camera[1] * mean[1] + camera[2] * mean[2] + camera[9]
     y = camera[3] * mean[0] + camera[4] * mean[1] + camera[5] * mean[2] + camera[10]
     z = camera[6] * mean[0] + camera[7] * mean[1] + camera[8] * mean[2] + camera[11]
@@ -101,7 +102,7 @@ def _direction(camera: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
 
 
 @njit(**_inline)
-def _unit_quat(quat: Any) -> tuple[Any, Any, Any, Any, Any]:
+def unit_quat(quat: Any) -> tuple[Any, Any, Any, Any, Any]:
     """(w, x, y, z) normalised, and 1 / norm."""
     w, x, y, z = quat[0], quat[1], quat[2], quat[3]
     inverse = ONE / math.sqrt(w * w + x * x + y * y + z * z)
@@ -109,7 +110,7 @@ def _unit_quat(quat: Any) -> tuple[Any, Any, Any, Any, Any]:
 
 
 @njit(**_inline)
-def _rotation(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
+def rotation(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
     """Row-major rotation matrix of a unit quaternion."""
     return (
         ONE - TWO * (y * y + z * z),
@@ -125,7 +126,7 @@ def _rotation(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
 
 
 @njit(**_inline)
-def _screen_axes(camera: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
+def screen_axes(camera: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
     """T = J W, 2x3 row-major: how the projected point moves with the world point."""
     inverse = ONE / z
     jx, jy = camera[15] * inverse, camera[16] * inverse
@@ -141,7 +142,7 @@ def _screen_axes(camera: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
 
 
 @njit(**_inline)
-def _times_rotation(t: Any, r: Any) -> tuple[Any, ...]:
+def times_rotation(t: Any, r: Any) -> tuple[Any, ...]:
     """U = T R, 2x3."""
     return (
         t[0] * r[0] + t[1] * r[3] + t[2] * r[6],
@@ -180,7 +181,7 @@ def project(
     w, h = f4(width), f4(height)
     for i in range(n * block // blocks, n * (block + 1) // blocks):
         row = rows[i]
-        x, y, z = _to_camera(camera, means[i])
+        x, y, z = to_camera(camera, means[i])
         opacity = factors[i] / (ONE + math.exp(-logits[i]))
         row[9] = z
         row[10] = -ONE
@@ -194,9 +195,9 @@ def project(
             continue
         u += offset[i, 0]
         v += offset[i, 1]
-        t = _screen_axes(camera, x, y, z)
-        qw, qx, qy, qz, _ = _unit_quat(quats[i])
-        m = _times_rotation(t, _rotation(qw, qx, qy, qz))
+        t = screen_axes(camera, x, y, z)
+        qw, qx, qy, qz, _ = unit_quat(quats[i])
+        m = times_rotation(t, rotation(qw, qx, qy, qz))
         s0, s1, s2 = (
             math.exp(log_scales[i, 0]),
             math.exp(log_scales[i, 1]),
@@ -209,9 +210,9 @@ def project(
         yy = b0 * b0 + b1 * b1 + b2 * b2 + _DILATION
         inverse = ONE / (xx * yy - xy * xy)
         red, green, blue = (
-            HALF + _Y0 * sh0[i, 0, 0],
-            HALF + _Y0 * sh0[i, 0, 1],
-            HALF + _Y0 * sh0[i, 0, 2],
+            HALF + Y0 * sh0[i, 0, 0],
+            HALF + Y0 * sh0[i, 0, 1],
+            HALF + Y0 * sh0[i, 0, 2],
         )
         if degree > 0:
             dx, dy, dz, _ = _direction(camera, means[i])
@@ -249,7 +250,7 @@ def project(
 
 
 @njit(**_inline)
-def _pull_back(
+def pull_back(
     camera: Any,
     x: Any,
     y: Any,
@@ -358,7 +359,7 @@ def project_backward(
     n = len(means)
     basis = np.empty(15, np.float32)
     project_sh = np.empty(15, np.float32)
-    total = np.empty(10, np.float32)
+    total = np.empty(16, np.float32)
     terms = (degree + 1) * (degree + 1) - 1
     for i in range(n * block // blocks, n * (block + 1) // blocks):
         row = rows[i]
@@ -372,34 +373,34 @@ def project_backward(
             g_factors[i] = ZERO
             g_offset[i, :] = ZERO
             continue
-        total[:] = ZERO
+        sums = zeros()
         for j in range(first[i], first[i + 1]):
-            for k in range(10):
-                total[k] += slots[j, k]
+            sums = sums + load(slots, j * 16)
+        store(total, 0, sums)
         ca, cb, cc = row[13], row[14], row[15]
         gu = ca * total[1] + cb * total[3]
         gv = cb * total[1] + cc * total[3]
         ga, gb, gc = -HALF * total[2], -total[4], -HALF * total[5]
-        x, y, z = _to_camera(camera, means[i])
-        t = _screen_axes(camera, x, y, z)
-        quat = _unit_quat(quats[i])
-        r = _rotation(quat[0], quat[1], quat[2], quat[3])
-        m = _times_rotation(t, r)
+        x, y, z = to_camera(camera, means[i])
+        t = screen_axes(camera, x, y, z)
+        quat = unit_quat(quats[i])
+        r = rotation(quat[0], quat[1], quat[2], quat[3])
+        m = times_rotation(t, r)
         scales = (
             math.exp(log_scales[i, 0]),
             math.exp(log_scales[i, 1]),
             math.exp(log_scales[i, 2]),
         )
-        g = _pull_back(
+        g = pull_back(
             camera, x, y, z, t, r, m, scales, quat, (ca, cb, cc), gu, gv, ga, gb, gc, total[9]
         )
         gr = ZERO if clipped[i] & 1 else total[6]
         gg = ZERO if clipped[i] & 2 else total[7]
         gl = ZERO if clipped[i] & 4 else total[8]
         mx, my, mz = g[0], g[1], g[2]
-        g_sh0[i, 0, 0] = _Y0 * gr
-        g_sh0[i, 0, 1] = _Y0 * gg
-        g_sh0[i, 0, 2] = _Y0 * gl
+        g_sh0[i, 0, 0] = Y0 * gr
+        g_sh0[i, 0, 1] = Y0 * gg
+        g_sh0[i, 0, 2] = Y0 * gl
         if degree > 0:
             dx, dy, dz, inverse = _direction(camera, means[i])
             _basis(degree, dx, dy, dz, basis)

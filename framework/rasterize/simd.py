@@ -194,6 +194,34 @@ def any_lane(typing_context, mask):  # type: ignore[no-untyped-def]
     return types.boolean(M), generate
 
 
+@intrinsic
+def lowest_bit(typing_context, bits):  # type: ignore[no-untyped-def]
+    """Index of the lowest set bit of an int64 that is not 0."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.cttz(values[0], ir.Constant(_i1, 1))
+
+    return types.int64(types.int64), generate
+
+
+@intrinsic
+def prefetch(typing_context, array, index):  # type: ignore[no-untyped-def]
+    """Ask for the cache line of array[index] (flat float32); never faults."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        address = _address(context, builder, signature.args[0], values[0], values[1])
+        pointer = builder.bitcast(address, ir.IntType(8).as_pointer())
+        hint = [ir.Constant(_i32, flag) for flag in (0, 3, 1)]  # read, keep, data
+        kinds = [pointer.type, _i32, _i32, _i32]
+        function = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(ir.VoidType(), kinds), "llvm.prefetch.p0"
+        )
+        builder.call(function, [pointer, *hint])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), generate
+
+
 # Polynomial of 2^f on [-1/2, 1/2], highest power first: least squares in float64, reweighted to the
 # smallest maximal relative error; 1.6e-7 in float32.
 _EXP2 = (0.00132647005, 0.00967151485, 0.0555073395, 0.240222424, 0.693147004, 1.0)

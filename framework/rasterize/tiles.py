@@ -2,7 +2,8 @@
 
 A tile is 16 rows of 16 lanes; per row the state is the transmittance T and the accumulated colour
 and depth. A finished pixel keeps its T with a minus sign, so that it blends nothing more. The loops
-over rows have no branch: masks only.
+over rows have no branch, only masks; they visit the rows that an item reaches and that were not
+finished at the last look.
 
 Gradients (Kerbl et al. 2023, appendix; front to back): with w_i = T_i alpha_i and
 S = sum over what lies behind, background included, d C / d alpha_i = T_i c_i - S / (1 - alpha_i).
@@ -30,8 +31,10 @@ from framework.rasterize.simd import (
     iota,
     lane_sums,
     load,
+    lowest_bit,
     minimum,
     neg,
+    prefetch,
     select,
     splat,
     store,
@@ -45,16 +48,42 @@ HALF, ZERO, ONE = f4(0.5), f4(0), f4(1)
 _CUT = f4(np.log2(ALPHA_MIN))  # in the exponent
 _MAX = f4(ALPHA_MAX)
 _STOP = f4(TRANSMITTANCE_MIN)
-_CHECK = 16  # items between two looks at whether the whole tile is finished
+_CHECK = 16  # items between two looks at which rows are finished
+_AHEAD = 6  # items between asking for a Gaussian's row and using it
 
 
 @njit(**_inline)
-def _finished(transmittance: Any) -> bool:
-    """No pixel of the tile (flat [256]) blends any more."""
-    state = load(transmittance, 0)
-    for y in range(1, 16):
-        state = select(greater(state, zeros()), state, load(transmittance, y * 16))
-    return not any_lane(greater(state, zeros()))
+def _aligned(size: int) -> Any:
+    """Uninitialised float32 scratch that begins on a cache line: a vector access that straddles two
+    lines costs twice."""
+    scratch = np.empty(size + 15, np.float32)
+    skip = (-(scratch.ctypes.data // 4)) % 16
+    return scratch[skip : skip + size]
+
+
+@njit(**_inline)
+def _row_numbers() -> Any:
+    """[256], the row of every pixel of a tile."""
+    numbers = np.empty(256, np.float32)
+    for i in range(256):
+        numbers[i] = f4(i // 16)
+    return numbers
+
+
+@njit(**_inline)
+def _alive_rows(transmittance: Any) -> int:
+    """Bit y is set if a pixel of row y of the tile (flat [256]) still blends."""
+    rows = 0
+    for y in range(16):
+        if any_lane(greater(load(transmittance, y * 16), zeros())):
+            rows |= 1 << y
+    return rows
+
+
+@njit(**_inline)
+def _listed_rows(item: Any) -> int:
+    """Bits first row ... last row of a list item."""
+    return ((2 << ((item >> 4) & 15)) - 1) & ~((1 << (item & 15)) - 1)
 
 
 @njit(**_inline)
@@ -104,30 +133,38 @@ def blend(
     """Render tiles block, block + blocks, ...; rgb flat [3 H W], alpha and depth flat [H W]."""
     columns = (width + 15) // 16
     plane = width * height
-    state = np.empty(5 * 256 + 16, np.float32)
+    state = _aligned(5 * 256 + 16)
     transmittance = state[:256]
     red, green, blue = state[256:512], state[512:768], state[768:1024]
     far, scratch = state[1024:1280], state[1280:]
     cut, stop, most, one = splat(_CUT), splat(_STOP), splat(_MAX), splat(ONE)
+    down = _row_numbers()
+    flat = rows.reshape(-1)
+    last = len(lists) - 1
     for tile in range(block, len(offsets) - 1, blocks):
         x, y = (tile % columns) * 16, (tile // columns) * 16
         _clear_outside(transmittance, x, y, width, height)
         state[256:] = ZERO
         for k in range(offsets[tile], offsets[tile + 1]):
-            if (k - offsets[tile]) % _CHECK == _CHECK - 1 and _finished(transmittance):
-                break
+            if (k - offsets[tile]) % _CHECK == 0:
+                alive = _alive_rows(transmittance)
+                if alive == 0:
+                    break
             item = lists[k, 0]
+            prefetch(flat, (lists[min(k + _AHEAD, last), 0] >> 8) * 16)
             g = item >> 8
-            curve, shear, fall = splat(rows[g, 2]), rows[g, 3], rows[g, 4]
-            peak = rows[g, 5]
+            shear, fall, peak = splat(rows[g, 3]), splat(rows[g, 4]), splat(rows[g, 5])
             cr, cg, cb = splat(rows[g, 6]), splat(rows[g, 7]), splat(rows[g, 8])
             cz = splat(rows[g, 9])
             dx = iota() + splat(f4(x) + HALF - rows[g, 0])
-            dy0 = f4(y) + HALF - rows[g, 1]
-            for row in range(item & 15, ((item >> 4) & 15) + 1):
-                at = row * 16
-                dy = dy0 + f4(row)
-                power = fma(fma(curve, dx, splat(shear * dy)), dx, splat(peak + fall * dy * dy))
+            slant = splat(rows[g, 2]) * dx
+            dy0 = splat(f4(y) + HALF - rows[g, 1])
+            todo = _listed_rows(item) & alive
+            while todo != 0:
+                at = lowest_bit(todo) * 16
+                todo &= todo - 1
+                dy = dy0 + splat(down[at])
+                power = fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
                 t = load(transmittance, at)
                 active = both(greater_equal(power, cut), greater(t, zeros()))
                 a = minimum(exp2(power), most)
@@ -138,15 +175,14 @@ def blend(
                 store(green, at, fma(weight, cg, load(green, at)))
                 store(blue, at, fma(weight, cb, load(blue, at)))
                 store(far, at, fma(weight, cz, load(far, at)))
-                store(transmittance, at, select(goes_on, rest, select(active, neg(t), t)))
+                kept = t - weight
+                store(transmittance, at, select(but_not(active, goes_on), neg(kept), kept))
         count = min(16, width - x)
         for row in range(min(16, height - y)):
             at = row * 16
             place = (y + row) * width + x
             t = absolute(load(transmittance, at))
-            _write_row(
-                rgb, place, count, fma(t, splat(background[0]), load(red, at)), scratch
-            )
+            _write_row(rgb, place, count, fma(t, splat(background[0]), load(red, at)), scratch)
             _write_row(
                 rgb, plane + place, count, fma(t, splat(background[1]), load(green, at)), scratch
             )
@@ -180,12 +216,15 @@ def blend_backward(
     """
     columns = (width + 15) // 16
     plane = width * height
-    state = np.empty(9 * 256, np.float32)
+    state = _aligned(9 * 256)
     transmittance, behind = state[:256], state[256:512]
     gr_, gg_, gb_ = state[512:768], state[768:1024], state[1024:1280]
     ga_, gz_ = state[1280:1536], state[1536:1792]
     first, second = state[1792:2048], state[2048:2304]
     cut, stop, most, one = splat(_CUT), splat(_STOP), splat(_MAX), splat(ONE)
+    down = _row_numbers()
+    flat = rows.reshape(-1)
+    last = len(lists) - 1
     for tile in range(block, len(offsets) - 1, blocks):
         x, y = (tile % columns) * 16, (tile // columns) * 16
         _clear_outside(transmittance, x, y, width, height)
@@ -209,28 +248,31 @@ def blend_backward(
             _read_row(g_depth, place, count, gz_, at)
             _read_row(depth, place, count, second, at)
             store(behind, at, fma(load(gz_, at), load(second, at), total))
-        done = False
+        alive = 1
         for k in range(offsets[tile], offsets[tile + 1]):
-            if not done and (k - offsets[tile]) % _CHECK == _CHECK - 1:
-                done = _finished(transmittance)
+            if alive != 0 and (k - offsets[tile]) % _CHECK == 0:
+                alive = _alive_rows(transmittance)
             slot = lists[k, 1] * 16
-            if done:
+            if alive == 0:
                 store(slots, slot, zeros())
                 continue
             item = lists[k, 0]
+            prefetch(flat, (lists[min(k + _AHEAD, last), 0] >> 8) * 16)
             g = item >> 8
-            curve, shear, fall = splat(rows[g, 2]), rows[g, 3], rows[g, 4]
-            peak = rows[g, 5]
+            shear, fall, peak = splat(rows[g, 3]), splat(rows[g, 4]), splat(rows[g, 5])
             cr, cg, cb = splat(rows[g, 6]), splat(rows[g, 7]), splat(rows[g, 8])
             cz = splat(rows[g, 9])
             dx = iota() + splat(f4(x) + HALF - rows[g, 0])
-            dy0 = f4(y) + HALF - rows[g, 1]
+            slant = splat(rows[g, 2]) * dx
+            dy0 = splat(f4(y) + HALF - rows[g, 1])
             m0, m1, m2 = zeros(), zeros(), zeros()
             sr, sg, sb, sz = zeros(), zeros(), zeros(), zeros()
-            for row in range(item & 15, ((item >> 4) & 15) + 1):
-                at = row * 16
-                dy = dy0 + f4(row)
-                power = fma(fma(curve, dx, splat(shear * dy)), dx, splat(peak + fall * dy * dy))
+            todo = _listed_rows(item) & alive
+            while todo != 0:
+                at = lowest_bit(todo) * 16
+                todo &= todo - 1
+                dy = dy0 + splat(down[at])
+                power = fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
                 t = load(transmittance, at)
                 active = both(greater_equal(power, cut), greater(t, zeros()))
                 raw = exp2(power)
@@ -244,11 +286,12 @@ def blend_backward(
                 store(behind, at, left)
                 slope = fma(t, own, neg(left / (one - a)))
                 pull = select(but_not(goes_on, greater(raw, most)), slope * a, zeros())
-                pull_y = pull * splat(dy)
-                m0, m1, m2 = m0 + pull, m1 + pull_y, fma(pull_y, splat(dy), m2)
+                pull_y = pull * dy
+                m0, m1, m2 = m0 + pull, m1 + pull_y, fma(pull_y, dy, m2)
                 sr, sg = fma(weight, gr, sr), fma(weight, gg, sg)
                 sb, sz = fma(weight, gb, sb), fma(weight, gz, sz)
-                store(transmittance, at, select(goes_on, rest, select(active, neg(t), t)))
+                kept = t - weight
+                store(transmittance, at, select(but_not(active, goes_on), neg(kept), kept))
             m0x = m0 * dx
             sums = lane_sums((m0, m0x, m0x * dx, m1, m1 * dx, m2, sr, sg, sb, sz))
             store(slots, slot, sums)
@@ -274,10 +317,13 @@ def blend_moments(
     """
     columns = (width + 15) // 16
     plane = width * height
-    state = np.empty(4 * 256, np.float32)
+    state = _aligned(4 * 256)
     transmittance = state[:256]
     br, bg, bb = state[256:512], state[512:768], state[768:1024]
     cut, stop, most, one = splat(_CUT), splat(_STOP), splat(_MAX), splat(ONE)
+    down = _row_numbers()
+    flat = rows.reshape(-1)
+    last = len(lists) - 1
     for tile in range(block, len(offsets) - 1, blocks):
         x, y = (tile % columns) * 16, (tile // columns) * 16
         _clear_outside(transmittance, x, y, width, height)
@@ -288,26 +334,29 @@ def blend_moments(
             _read_row(rgb, place, count, br, at)
             _read_row(rgb, plane + place, count, bg, at)
             _read_row(rgb, 2 * plane + place, count, bb, at)
-        done = False
+        alive = 1
         for k in range(offsets[tile], offsets[tile + 1]):
-            if not done and (k - offsets[tile]) % _CHECK == _CHECK - 1:
-                done = _finished(transmittance)
+            if alive != 0 and (k - offsets[tile]) % _CHECK == 0:
+                alive = _alive_rows(transmittance)
             slot = lists[k, 1] * 16
-            if done:
+            if alive == 0:
                 store(slots, slot, zeros())
                 continue
             item = lists[k, 0]
+            prefetch(flat, (lists[min(k + _AHEAD, last), 0] >> 8) * 16)
             g = item >> 8
-            curve, shear, fall = splat(rows[g, 2]), rows[g, 3], rows[g, 4]
-            peak = rows[g, 5]
+            shear, fall, peak = splat(rows[g, 3]), splat(rows[g, 4]), splat(rows[g, 5])
             cr, cg, cb = splat(rows[g, 6]), splat(rows[g, 7]), splat(rows[g, 8])
             dx = iota() + splat(f4(x) + HALF - rows[g, 0])
-            dy0 = f4(y) + HALF - rows[g, 1]
+            slant = splat(rows[g, 2]) * dx
+            dy0 = splat(f4(y) + HALF - rows[g, 1])
             m0, m1, m2, m3, m4, ww = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
-            for row in range(item & 15, ((item >> 4) & 15) + 1):
-                at = row * 16
-                dy = dy0 + f4(row)
-                power = fma(fma(curve, dx, splat(shear * dy)), dx, splat(peak + fall * dy * dy))
+            todo = _listed_rows(item) & alive
+            while todo != 0:
+                at = lowest_bit(todo) * 16
+                todo &= todo - 1
+                dy = dy0 + splat(down[at])
+                power = fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
                 t = load(transmittance, at)
                 active = both(greater_equal(power, cut), greater(t, zeros()))
                 raw = exp2(power)
@@ -326,13 +375,14 @@ def blend_moments(
                 jb = fnma(lb, odds, weight * cb)
                 square = fma(jr, jr, fma(jg, jg, jb * jb))
                 q = select(but_not(goes_on, greater(raw, most)), square, zeros())
-                qy = q * splat(dy)
-                qyy = qy * splat(dy)
-                qyyy = qyy * splat(dy)
+                qy = q * dy
+                qyy = qy * dy
+                qyyy = qyy * dy
                 m0, m1, m2, m3 = m0 + q, m1 + qy, m2 + qyy, m3 + qyyy
-                m4 = fma(qyyy, splat(dy), m4)
+                m4 = fma(qyyy, dy, m4)
                 ww = fma(weight, weight, ww)
-                store(transmittance, at, select(goes_on, rest, select(active, neg(t), t)))
+                kept = t - weight
+                store(transmittance, at, select(but_not(active, goes_on), neg(kept), kept))
             m0x, m1x, m2x = m0 * dx, m1 * dx, m2 * dx
             m0xx, m1xx = m0x * dx, m1x * dx
             m0xxx = m0xx * dx
