@@ -15,6 +15,7 @@ import numpy as np
 from torch import Tensor, from_numpy
 
 FORMS = ("trace", "log")
+ROUNDING = 1e-12  # a parameter whose information is below this share of the largest has none
 
 
 def information_gain(
@@ -22,7 +23,8 @@ def information_gain(
 ) -> float:
     """Information a candidate view adds to what a reference view knows (diagonal Laplace).
 
-    candidate, reference: [N, P] diagonals H', H of the Fisher information of the two views.
+    candidate, reference: [N, P] diagonals H', H of the Fisher information of the two views, lengths
+    in units of the scene's extent.
     regulariser: share of the median positive H' per parameter, added to H; taken from the candidate
     so that all references of one candidate are compared under the same prior lambda.
     form "log": 1/2 sum log(1 + H' / (H + lambda)), the entropy difference of the two posteriors
@@ -84,9 +86,15 @@ def _block_prior(blocks: np.ndarray, regulariser: float) -> np.ndarray:
 
 
 def _prior(diagonal: np.ndarray, regulariser: float) -> np.ndarray:
-    """[P]: regulariser x median of the positive entries per column; 1 for a column without any."""
+    """[P]: regulariser x median of the positive entries per column, at least ROUNDING x the top.
+
+    The floor matters where a parameter has no effect and float32 derivatives leave noise, as with
+    the rotation of isotropic Gaussians. Without any positive entry the prior is 1.
+    """
     positive = [column[column > 0] for column in diagonal.T]
-    return np.array([regulariser * np.median(c) if c.size else 1.0 for c in positive])
+    medians = np.array([np.median(c) if c.size else 0.0 for c in positive])
+    floored = np.maximum(medians, ROUNDING * medians.max())
+    return np.where(floored > 0, regulariser * floored, 1.0)
 
 
 def _log_det(blocks: np.ndarray, prior: np.ndarray) -> np.ndarray:

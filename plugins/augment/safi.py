@@ -79,7 +79,7 @@ class Safi(WarpingAugmenter):
     def _diagonal(
         self, ctx: StepContext, gaussians: Gaussians, sh_degree: int, camera: Camera
     ) -> Tensor:
-        """[N, P] diagonal Fisher information of theta_0 in `camera`."""
+        """[N, P] diagonal Fisher information of theta_0 in `camera`, means in scene extents."""
         from framework.fisher import fisher_information
 
         factor = min(self.downscale, camera.width, camera.height)
@@ -90,4 +90,6 @@ class Safi(WarpingAugmenter):
             sh_degree=sh_degree,
             near=NEAR_SHARE * ctx.near,
         )
-        return information.diagonal
+        diagonal = information.diagonal.double()
+        diagonal[:, :3] *= ctx.extent**2
+        return diagonal

@@ -65,7 +65,7 @@ class Uar(Regularizer):
         most = 1 / self.p
         require(
             1 < self.candidate_factor < most,
-            f"uar: candidate_factor must be in (1, 1/p) = (1, {most:.4g}), got"
+            f"uar: candidate_factor must be in (1, 1/p) = (1, {round(most, 3)}), got"
             f" {self.candidate_factor:g}; lower it or lower p",
         )
         check("soft_scale", 0 <= self.soft_scale <= 1, "in [0, 1]")

@@ -1,0 +1,131 @@
+"""Information gain and uncertainty: definitions, bounds and invariances."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from framework.information import information_gain, information_gains, uncertainty
+from framework.rng import stream
+
+
+def diagonals(seed: int, n: int = 200, p: int = 14) -> torch.Tensor:
+    return torch.from_numpy(stream(seed, "diagonal").lognormal(0, 3, (n, p)))
+
+
+def blocks(seed: int, n: int = 100, rank: int = 6) -> torch.Tensor:
+    """[n, 6, 6] random positive semi-definite of the given rank."""
+    factor = torch.from_numpy(stream(seed, "block").standard_normal((n, 6, rank)))
+    return factor @ factor.transpose(1, 2)
+
+
+def test_gain_by_hand() -> None:
+    candidate = torch.tensor([[4.0], [8.0], [6.0]])
+    reference = torch.tensor([[1.0], [0.0], [5.4]])
+    ratios = [4 / 1.6, 8 / 0.6, 6 / 6.0]  # the median of the candidate is 6, lambda 0.6
+    assert information_gain(candidate, reference, 0.1) == pytest.approx(0.5 * sum(ratios))
+    entropy = 0.5 * sum(math.log(1 + r) for r in ratios)
+    assert information_gain(candidate, reference, 0.1, "log") == pytest.approx(entropy)
+
+
+def test_log_form_is_below_the_trace_bound_and_near_it_for_small_gains() -> None:
+    candidate, reference = diagonals(0), diagonals(1)
+    trace, log = (information_gain(candidate, reference, 0.1, f) for f in ("trace", "log"))
+    assert 0 < log < trace
+    trace, log = (
+        information_gain(candidate, 1e6 * reference + 1e6, 0.1, f) for f in ("trace", "log")
+    )
+    assert log == pytest.approx(trace, rel=0.05)
+
+
+def test_gain_falls_with_what_is_known() -> None:
+    candidate, reference = diagonals(0), diagonals(1)
+    gains = [information_gain(candidate, k * reference, 0.1) for k in (0.0, 0.5, 1.0, 2.0)]
+    assert gains == sorted(gains, reverse=True)
+
+
+@pytest.mark.parametrize("form", ["trace", "log"])
+def test_gain_is_free_of_units(form: str) -> None:
+    """Rescaling a parameter multiplies its information in both views."""
+    candidate, reference = diagonals(0), diagonals(1)
+    unit = 10.0 ** torch.linspace(-2, 2, 14)
+    plain = information_gain(candidate, reference, 0.1, form)
+    assert information_gain(candidate * unit, reference * unit, 0.1, form) == pytest.approx(plain)
+
+
+def test_parameters_nobody_sees_count_nothing() -> None:
+    candidate, reference = diagonals(0), diagonals(1)
+    blind = torch.zeros(200, 2, dtype=torch.float64)
+    more = [torch.cat([x, blind], 1) for x in (candidate, reference)]
+    assert information_gain(*more, 0.1) == information_gain(candidate, reference, 0.1)
+
+
+def test_several_references_at_once() -> None:
+    candidate, references = diagonals(0), [diagonals(1), diagonals(2)]
+    expected = [information_gain(candidate, r, 0.1) for r in references]
+    assert information_gains(candidate, references, 0.1) == expected
+
+
+def test_uncertainty_is_minus_the_log_determinant() -> None:
+    f, seen = blocks(0), torch.ones(100, dtype=torch.bool)
+    s = torch.diag(torch.tensor([2.0, 2, 2, 1, 1, 1]).double())
+    normalised = s @ f @ s
+    diagonal = normalised.diagonal(dim1=1, dim2=2).numpy()
+    prior = [1e-3 * float(np.median(diagonal[:, g])) for g in (slice(0, 3), slice(3, 6))]
+    total = normalised + torch.diag(torch.tensor(prior).double().repeat_interleave(3))
+    expected = -torch.linalg.slogdet(total).logabsdet
+    torch.testing.assert_close(uncertainty(f, seen, 2.0, 1e-3), expected, rtol=1e-6, atol=1e-6)
+
+
+def test_unseen_is_infinite_and_rank_deficient_is_finite_but_worse() -> None:
+    full, flat = blocks(0), blocks(0, rank=5)
+    seen = torch.ones(200, dtype=torch.bool)
+    seen[:10] = False
+    scores = uncertainty(torch.cat([full, flat]), seen, 1.0, 1e-6)
+    assert bool((scores[:10] == math.inf).all()) and bool(torch.isfinite(scores[10:]).all())
+    assert scores[100:].median() > scores[10:100].median()
+
+
+def test_two_views_know_more_than_one() -> None:
+    seen = torch.ones(100, dtype=torch.bool)
+    one = blocks(0, rank=5)
+    both = one + blocks(1, rank=5)
+    # One common prior: concatenate, so that the medians agree.
+    scores = uncertainty(torch.cat([one, both]), torch.cat([seen, seen]), 1.0, 1e-4)
+    assert bool((scores[100:] < scores[:100]).all())
+
+
+def test_uncertainty_is_free_of_units_and_of_rigid_motion() -> None:
+    f, seen = blocks(0), torch.ones(100, dtype=torch.bool)
+    base = uncertainty(f, seen, 2.0, 1e-3)
+    unit = torch.tensor([1e-3] * 3 + [1.0] * 3).double()
+    torch.testing.assert_close(uncertainty(f * unit[:, None] * unit, seen, 2000.0, 1e-3), base)
+    q, _ = torch.linalg.qr(torch.from_numpy(stream(4, "turn").standard_normal((3, 3))))
+    turn = torch.block_diag(q, torch.eye(3).double())
+    turned = uncertainty(turn @ f @ turn.T, seen, 2.0, 1e-3)
+    # The median of the rotated diagonals moves a little; the order must not.
+    assert torch.corrcoef(torch.stack([base, turned]))[0, 1] > 0.9999
+
+
+def test_input_is_left_alone() -> None:
+    f, seen = blocks(0), torch.ones(100, dtype=torch.bool)
+    before = f.clone()
+    uncertainty(f, seen, 2.0, 1e-3)
+    assert torch.equal(f, before)
+
+
+def test_bad_input_is_refused() -> None:
+    a = diagonals(0)
+    with pytest.raises(ValueError, match="form must be one of trace, log"):
+        information_gain(a, a, 0.1, "sum")
+    with pytest.raises(ValueError, match="regulariser"):
+        information_gain(a, a, 0.0)
+    with pytest.raises(ValueError, match="differ"):
+        information_gain(a, a[:5], 0.1)
+    with pytest.raises(ValueError, match="NaN"):
+        information_gain(a * math.nan, a, 0.1)
+    with pytest.raises(ValueError, match="extent"):
+        uncertainty(blocks(0), torch.ones(100, dtype=torch.bool), 0.0, 1e-3)

@@ -1,0 +1,177 @@
+"""SAFI and the warping augmenter it stands on."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from framework.errors import UserError
+from framework.plugin import StepContext
+from framework.rng import stream
+from framework.types import Camera, View
+from framework.warping import WarpingAugmenter, mean_neighbour_distance, perturbed, within
+from plugins.augment.safi import Safi
+from tests.plugins.fakes import Log, context, stage, wall_of_gaussians
+from tests.warp.stage import camera, photograph
+
+
+def only_view(augmenter: WarpingAugmenter, now: StepContext, state: Any = None) -> View:
+    views, _ = augmenter.pseudo_views(now, state)
+    assert len(views) == 1
+    return views[0]
+
+
+def test_one_pseudo_view_that_shows_the_scene() -> None:
+    log = Log({})
+    view = only_view(Safi(), context(log=log))
+    assert view.name == "pseudo-10" and view.tags == ("pseudo",) and view.weight == 1.0
+    assert view.mask is not None and float(view.mask.mean()) > 0.3
+    truth = photograph(view.camera).image
+    error = ((view.image - truth) ** 2).mean(0)[view.mask > 0].mean()
+    assert float(-10 * torch.log10(error)) > 30
+    assert 1 <= log.values["safi_supports"][0] <= 3
+    assert log.values["safi_coverage"][0] == pytest.approx(float(view.mask.mean()))
+
+
+def test_same_seed_same_view_other_epoch_other_view() -> None:
+    first, again = only_view(Safi(), context()), only_view(Safi(), context())
+    assert torch.equal(first.image, again.image)
+    assert torch.equal(first.camera.viewmat, again.camera.viewmat)
+    later = only_view(Safi(), context(step=54, epoch=11))
+    assert not torch.equal(first.camera.viewmat, later.camera.viewmat)
+
+
+def test_unperturbed_camera_is_supported_by_its_own_view_alone() -> None:
+    """F(x') = F(x_k) at the picked view: nothing is new to it, much is to the others."""
+    log = Log({})
+    safi = Safi(sigma_center=0.0, sigma_rotation=0.0, eta=1.0)
+    view = only_view(safi, context(log=log))
+    assert log.values["safi_supports"] == [1]
+    source = [v for v in stage()[0] if torch.equal(v.camera.viewmat, view.camera.viewmat)]
+    assert len(source) == 1 and view.mask is not None
+    inside = view.mask > 0
+    torch.testing.assert_close(view.image[:, inside], source[0].image[:, inside], rtol=0, atol=1e-4)
+
+
+def test_a_large_eta_lets_every_view_support() -> None:
+    log = Log({})
+    Safi(eta=1e6).pseudo_views(context(log=log), None)
+    assert log.values["safi_supports"] == [3]
+
+
+@pytest.mark.parametrize("form", ["trace", "log"])
+def test_selection_does_not_depend_on_the_unit_of_length(form: str) -> None:
+    safi = Safi(form=form)
+    now, target = context(), camera(0.1, 0.05, size=(80, 60))
+    chosen, _ = safi.select(now, None, target)
+    scaled = [_scaled(c, 1000.0) for c in [*(v.camera for v in now.views), target]]
+    gaussians = now.gaussians.replace(
+        means=1000 * now.gaussians.means, log_scales=now.gaussians.log_scales + math.log(1000)
+    )
+    views = tuple(View(v.name, c, v.image) for v, c in zip(now.views, scaled[:-1], strict=True))
+    big = StepContext(
+        **{**vars(now), "views": views, "gaussians": gaussians, "extent": 600.0, "near": 2000.0}
+    )
+    assert safi.select(big, None, scaled[-1])[0] == chosen
+
+
+def test_snapshot_is_frozen_unless_refreshed() -> None:
+    frozen, fresh = Safi(), Safi(refresh_epochs=2)
+    moved = wall_of_gaussians(seed=8)
+    for safi, expected in ((frozen, wall_of_gaussians()), (fresh, moved)):
+        _, state = safi.pseudo_views(context(), None)
+        _, state = safi.pseudo_views(context(gaussians=moved, step=54, epoch=11), state)
+        assert torch.equal(state.selection.gaussians.means, wall_of_gaussians().means)
+        _, state = safi.pseudo_views(context(gaussians=moved, step=58, epoch=12), state)
+        assert torch.equal(state.selection.gaussians.means, expected.means)
+
+
+def test_a_view_lives_for_every_epochs() -> None:
+    safi, state, names = Safi(every=2), None, []
+    for epoch in range(10, 14):
+        views, state = safi.pseudo_views(context(step=4 * epoch, epoch=epoch), state)
+        names.append(views[0].name)
+    assert names == ["pseudo-10", "pseudo-10", "pseudo-12", "pseudo-12"]
+
+
+def test_too_little_coverage_gives_no_view_and_says_so() -> None:
+    log = Log({})
+    views, state = Safi(min_coverage=1.0).pseudo_views(context(log=log), None)
+    assert views == [] and state.view is None
+    assert 0 < log.values["safi_coverage"][0] < 1
+
+
+def test_state_survives_pickling_to_the_same_bits() -> None:
+    _, state = Safi().pseudo_views(context(), None)
+    revived = pickle.loads(pickle.dumps(state))
+    now = context(step=54, epoch=11)
+    here, there = (Safi().pseudo_views(now, s)[0][0] for s in (state, revived))
+    assert torch.equal(here.image, there.image)
+
+
+def test_a_new_method_is_one_select() -> None:
+    @dataclass(frozen=True)
+    class Everything(WarpingAugmenter):
+        def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
+            return list(range(len(ctx.views))), selection
+
+    Everything.name = "everything"
+    log = Log({})
+    only_view(Everything(), context(log=log))
+    assert log.values["everything_supports"] == [3]
+
+
+def test_within_keeps_the_order_and_all_equals() -> None:
+    assert within([3.0, 1.0, 1.4, 1.5], 1.4) == [1, 2]
+    assert within([0.0, 0.0, 1.0], 2.0) == [0, 1]
+
+
+def test_perturbation_has_the_stated_size() -> None:
+    start, rng = camera(0.3, yaw=0.2), stream(0, "perturb")
+    samples = [perturbed(start, rng, 0.5, 2.0) for _ in range(800)]
+    steps = np.stack([(s.center - start.center).numpy() for s in samples])
+    assert steps.std(axis=0) == pytest.approx([0.5] * 3, rel=0.1)
+    turns = [s.viewmat[:3, :3] @ start.viewmat[:3, :3].T for s in samples]
+    cosines = np.array([(float(t.trace()) - 1) / 2 for t in turns])
+    angles = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+    assert np.sqrt(np.mean(angles**2)) == pytest.approx(2.0, rel=0.1)
+    assert all(torch.allclose(t @ t.T, torch.eye(3).double(), atol=1e-12) for t in turns)
+
+
+def test_neighbour_distance() -> None:
+    cameras = [camera(x) for x in (0.0, 1.0, 4.0)]
+    assert mean_neighbour_distance(cameras) == pytest.approx((1 + 1 + 3) / 3)
+    assert mean_neighbour_distance(cameras[:1]) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"eta": 0.7}, r"safi: eta must be a number in \[1, 1e6\], got 0.7"),
+        ({"form": "sum"}, "safi: form must be one of trace, log, got sum"),
+        ({"every": 0}, "every"),
+        ({"sigma_center": -1.0}, "sigma_center"),
+        ({"sigma_rotation": float("nan")}, "sigma_rotation"),
+        ({"temperature": 0.0}, "temperature"),
+        ({"min_coverage": 2.0}, "min_coverage"),
+        ({"regulariser": 0.0}, "regulariser"),
+        ({"downscale": 0}, "downscale"),
+        ({"refresh_epochs": -1}, "refresh_epochs"),
+    ],
+)
+def test_bad_options_are_told_in_one_line(options: dict[str, object], message: str) -> None:
+    with pytest.raises(UserError, match=message) as error:
+        Safi(**options)  # type: ignore[arg-type]
+    assert "\n" not in str(error.value)
+
+
+def _scaled(cam: Camera, unit: float) -> Camera:
+    viewmat = cam.viewmat.clone()
+    viewmat[:3, 3] *= unit
+    return Camera(viewmat, cam.K, cam.width, cam.height)

@@ -1,0 +1,162 @@
+"""UAR: who is a candidate, how many are dropped, what the others get."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from framework.errors import UserError
+from framework.plugin import StepContext
+from framework.rng import stream
+from framework.types import Camera
+from plugins.regularize.uar import Ranking, Uar
+from tests.plugins.fakes import context, known_information, wall_of_gaussians
+
+N = 400
+UNSEEN = slice(300, 400)
+
+
+def information() -> torch.Tensor:
+    """[N]: Gaussian i knows more the larger i is; the last hundred are seen by no view."""
+    known = 10.0 ** (1 + torch.arange(N) / 100.0)
+    known[UNSEEN] = 0
+    return known
+
+
+def ctx(**changes: float) -> StepContext:
+    return context(fisher=lambda _: known_information(information()), **changes)  # type: ignore[arg-type]
+
+
+def factors(uar: Uar, context: StepContext, state: Ranking | None = None) -> torch.Tensor:
+    result, _ = uar.opacity_factors(context, state)
+    assert result is not None and result.shape == (N,) and result.dtype == torch.float32
+    return result
+
+
+def test_candidates_are_the_least_uncertain() -> None:
+    result = factors(Uar(mode="hard", p=0.2, schedule="constant"), ctx())
+    changed = torch.nonzero(result != 1).flatten()
+    candidates = range(300 - 160, 300)  # C p N = 160, from the best known seen one downwards
+    assert len(changed) > 0 and set(changed.tolist()) <= set(candidates)
+
+
+def test_unseen_gaussians_are_never_dropped() -> None:
+    uar = Uar(mode="hard", p=0.6, schedule="constant", candidate_factor=1.6)
+    for step in range(50):
+        assert bool((factors(uar, ctx(step=step))[UNSEEN] == 1).all())
+
+
+@pytest.mark.parametrize("factor", [1.5, 2.0, 4.0])
+def test_expected_share_dropped_is_p(factor: float) -> None:
+    uar = Uar(mode="hard", p=0.15, schedule="constant", candidate_factor=factor)
+    counts = [int((factors(uar, ctx(step=step)) == 0).sum()) for step in range(300)]
+    candidates = round(factor * 0.15 * N)
+    sigma = (candidates / factor * (1 - 1 / factor) / len(counts)) ** 0.5
+    assert abs(sum(counts) / len(counts) - 0.15 * N) < 4 * sigma
+    assert max(counts) <= candidates
+
+
+def test_linear_schedule_grows_with_progress() -> None:
+    uar = Uar(p=0.2)
+    assert uar.drop_rate(0.0) == 0 and uar.drop_rate(0.5) == pytest.approx(0.1)
+    assert Uar(p=0.2, schedule="constant").drop_rate(0.1) == 0.2
+    result, ranking = uar.opacity_factors(ctx(step=0), None)
+    assert result is None and len(ranking.order) == 300
+
+
+@pytest.mark.parametrize(("mode", "dropped"), [("hard", 0.0), ("soft", 0.2)])
+def test_values_by_mode(mode: str, dropped: float) -> None:
+    result = factors(Uar(mode=mode, schedule="constant"), ctx())
+    assert result.unique().tolist() == pytest.approx([dropped, 1.0])
+
+
+@pytest.mark.parametrize("mode", ["hard", "soft"])
+def test_compensation_keeps_the_expected_opacity_of_candidates_only(mode: str) -> None:
+    uar = Uar(mode=mode, schedule="constant", candidate_factor=3.0, compensate=True)
+    c, kept = uar.candidate_factor, uar.kept_factor
+    assert uar.dropped_factor / c + kept * (1 - 1 / c) == pytest.approx(1.0)
+    values = factors(uar, ctx()).unique().tolist()
+    assert values == pytest.approx(sorted([uar.dropped_factor, 1.0, kept]))
+
+
+def test_same_seed_same_draws_other_step_other_draws() -> None:
+    uar = Uar(mode="hard", schedule="constant")
+    assert torch.equal(factors(uar, ctx()), factors(uar, ctx()))
+    assert not torch.equal(factors(uar, ctx()), factors(uar, ctx(step=51)))
+    assert not torch.equal(factors(uar, ctx()), factors(uar, ctx(seed=1)))
+
+
+def test_ranking_is_refreshed_by_age_and_by_version_only() -> None:
+    passes: list[Camera] = []
+
+    def counted(camera: Camera):  # type: ignore[no-untyped-def]
+        passes.append(camera)
+        return known_information(information())
+
+    uar, state = Uar(refresh=10), None
+    expected = {5: 3, 14: 3, 15: 6, 16: 6, 17: 9}
+    for step, total in expected.items():
+        now = context(fisher=counted, step=step, version=int(step >= 17))
+        _, state = uar.opacity_factors(now, state)
+        assert len(passes) == total
+
+
+def test_views_add_up_and_a_gaussian_any_view_sees_is_ranked() -> None:
+    """Each view sees another third; together they see all but the unseen."""
+    turns = iter(range(3))
+
+    def partly(_: Camera):  # type: ignore[no-untyped-def]
+        keep = torch.arange(N) % 3 == next(turns)
+        return known_information(torch.where(keep, information(), 0.0))
+
+    _, ranking = Uar().opacity_factors(context(fisher=partly), None)
+    assert ranking.order.tolist() == list(range(299, -1, -1))
+
+
+def test_nothing_seen_nothing_dropped() -> None:
+    blind = context(fisher=lambda _: known_information(torch.zeros(N)))
+    assert Uar(schedule="constant").opacity_factors(blind, None)[0] is None
+
+
+def test_input_is_left_alone() -> None:
+    gaussians = wall_of_gaussians()
+    before = gaussians.clone()
+    now = replace(ctx(), gaussians=gaussians)
+    _, ranking = Uar(schedule="constant").opacity_factors(now, None)
+    order = ranking.order.clone()
+    Uar(schedule="constant").opacity_factors(now, ranking)
+    assert torch.equal(order, ranking.order)
+    assert all(torch.equal(a, b) for (_, a), (_, b) in zip(before.items(), gaussians.items()))  # noqa: B905
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"candidate_factor": 7.0}, r"candidate_factor must be in \(1, 1/p\) = \(1, 5.0\), got 7"),
+        ({"candidate_factor": 1.0}, "lower p"),
+        ({"candidate_factor": float("nan")}, "candidate_factor"),
+        ({"p": 0.0}, r"uar: p must be in \(0, 1\), got 0.0"),
+        ({"p": 1.5}, "uar: p must be"),
+        ({"mode": "medium"}, "mode must be one of soft, hard"),
+        ({"schedule": "cosine"}, "schedule must be one of linear, constant"),
+        ({"soft_scale": 1.2}, "soft_scale"),
+        ({"refresh": 0}, "refresh"),
+        ({"regulariser": 0.0}, "regulariser"),
+    ],
+)
+def test_bad_options_are_told_in_one_line(options: dict[str, object], message: str) -> None:
+    with pytest.raises(UserError, match=message) as error:
+        Uar(**options)  # type: ignore[arg-type]
+    assert "\n" not in str(error.value)
+
+
+def test_draws_come_from_the_context_alone() -> None:
+    """The plugin's draws are those of its stream, in the order of the ranking."""
+    uar = Uar(mode="hard", schedule="constant")
+    result, ranking = uar.opacity_factors(ctx(), None)
+    assert result is not None
+    draws = stream(0, "plugin/uar", 50).random(160) < 0.5
+    dropped = ranking.order[:160][torch.from_numpy(draws)]
+    assert set(dropped.tolist()) == set(torch.nonzero(result == 0).flatten().tolist())

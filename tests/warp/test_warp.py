@@ -1,0 +1,192 @@
+"""Warping: proofs on the ray-traced stage with exact depth (see `stage.py`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import torch
+
+from framework import parallel
+from framework.errors import UserError
+from framework.types import Camera, DepthMap, View
+from framework.warp import Warped, prepare, relative_projection, warp, warp_views
+from tests.warp.stage import HALF, SQUARE, camera, exact, photograph
+
+
+@pytest.fixture(autouse=True)
+def _restore_threads() -> Iterator[None]:
+    yield
+    parallel.set_threads(0)
+
+
+def stage_views(unit: float = 1.0) -> list[View]:
+    places = ((-0.5, 0.0), (0.5, 0.1), (0.0, -0.4))
+    return [photograph(camera(x, y, unit=unit), unit=unit) for x, y in places]
+
+
+def warp_exact(views: list[View], target: Camera, **options: float) -> Warped:
+    return warp_views(views, [exact(view) for view in views], target, **options)
+
+
+def masked_psnr(warped: Warped, image: torch.Tensor) -> float:
+    error = ((warped.image - image).double() ** 2).mean(0)[warped.mask > 0].mean()
+    return float(-10 * torch.log10(error + 1e-15))
+
+
+def test_a_view_warped_into_itself_returns_it() -> None:
+    view = stage_views()[0]
+    warped = warp_exact([view], view.camera)
+    assert masked_psnr(warped, view.image) > 60
+    assert warped.coverage > 0.9
+    assert view.depth is not None
+    inside = warped.mask > 0
+    torch.testing.assert_close(warped.depth[inside], view.depth[inside], rtol=1e-5, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("target", "least_coverage"),
+    [
+        (camera(0.1, 0.05), 0.9),
+        (camera(0.2, 0.0, 0.2, yaw=0.03), 0.9),
+        (camera(0.0, 0.0, -1.0), 0.7),
+    ],
+)
+def test_a_new_view_is_what_ray_tracing_shows(target: Camera, least_coverage: float) -> None:
+    truth = photograph(target)
+    warped = warp_exact(stage_views(), target)
+    assert masked_psnr(warped, truth.image) > 40
+    assert warped.coverage > least_coverage
+    assert truth.depth is not None
+    error = (warped.depth - truth.depth).abs() / truth.depth
+    assert float(error[warped.mask > 0].max()) < 2e-3
+
+
+def test_output_is_zero_outside_the_mask_and_mask_is_binary() -> None:
+    warped = warp_exact(stage_views()[:1], camera(0.4, 0.2, -1.0))
+    outside = warped.mask == 0
+    assert outside.any()
+    assert not warped.image[:, outside].any() and not warped.depth[outside].any()
+    assert set(warped.mask.unique().tolist()) == {0.0, 1.0}
+    for tensor in (warped.image, warped.mask, warped.depth, warped.weight):
+        assert tensor.dtype == torch.float32 and torch.isfinite(tensor).all()
+    assert float(warped.image.min()) >= 0 and float(warped.image.max()) <= 1
+
+
+def test_magnification_leaves_no_holes() -> None:
+    target = camera(0.0, 0.0, 2.0)  # the square is seen at three times the size
+    truth = photograph(target)
+    warped = warp_exact([photograph(camera())], target)
+    square = torch.zeros_like(warped.mask, dtype=torch.bool)
+    square[10:-10, 40:-40] = True
+    assert bool((warped.mask[square] > 0).all())
+    assert masked_psnr(warped, truth.image) > 35
+
+
+def test_the_foreground_hides_the_background() -> None:
+    """The square moves by 30 px, the wall by about 13: where both land only the square shows."""
+    target = camera(0.55, 0.0)
+    warped = warp_exact([photograph(camera())], target)
+    plain = warp_exact([photograph(camera(), square=False)], target)
+    x0, x1 = ((s * HALF - 0.55) / SQUARE * 160 + 80 for s in (-1, 1))
+    inside = (slice(25, 95), slice(int(x0) + 4, int(x1) - 4))
+    assert bool((warped.mask[inside] > 0).all())
+    torch.testing.assert_close(
+        warped.depth[inside], torch.full_like(warped.depth[inside], SQUARE), rtol=1e-4, atol=0
+    )
+    assert bool((plain.depth[inside] > 5).all())
+
+
+def test_what_no_support_saw_is_masked_out() -> None:
+    """Right of the square's new place lies wall that the square hid in the only support."""
+    target = camera(0.55, 0.0)
+    warped = warp_exact([photograph(camera())], target)
+    hidden_from = int((HALF - 0.55) / SQUARE * 160 + 80) + 2
+    assert not (warped.mask[40:80, hidden_from : hidden_from + 8] > 0).any()
+
+
+def test_unit_of_length_changes_nothing() -> None:
+    target = {unit: camera(0.2, 0.0, 0.2, yaw=0.03, unit=unit) for unit in (1.0, 1000.0, 1024.0)}
+    base = warp_exact(stage_views(), target[1.0])
+    kilo = warp_exact(stage_views(1000.0), target[1000.0])
+    binary = warp_exact(stage_views(1024.0), target[1024.0])
+    assert float((base.mask != kilo.mask).float().mean()) < 1e-4
+    both = (base.mask > 0) & (kilo.mask > 0)
+    torch.testing.assert_close(base.image[:, both], kilo.image[:, both], rtol=0, atol=1e-4)
+    torch.testing.assert_close(base.image, binary.image, rtol=0, atol=1e-4)
+
+
+def test_threads_do_not_change_a_bit() -> None:
+    views, target = stage_views(), camera(0.2, 0.0, 0.2, yaw=0.03)
+    results = []
+    for n in (1, 2, 3):
+        parallel.set_threads(n)
+        results.append(warp_exact(views, target))
+    for other in results[1:]:
+        assert torch.equal(results[0].image, other.image)
+        assert torch.equal(results[0].mask, other.mask)
+        assert torch.equal(results[0].depth, other.depth)
+        assert torch.equal(results[0].weight, other.weight)
+
+
+def test_inputs_are_left_alone_and_supports_can_be_used_again() -> None:
+    views, target = stage_views(), camera(0.2, 0.0, 1.5)
+    images = [view.image.clone() for view in views]
+    supports = prepare(views, [exact(view) for view in views])
+    first, second = warp(supports, target), warp(supports, target)
+    assert torch.equal(first.image, second.image)
+    assert all(torch.equal(a, view.image) for a, view in zip(images, views, strict=True))
+
+
+def test_only_trusted_depth_enters() -> None:
+    view = stage_views()[0]
+    trusted = exact(view)
+    confidence = trusted.confidence.clone()
+    confidence[:, :80] = 0
+    depth = trusted.depth.clone()
+    depth[:20] = 0
+    depth[-20:] = float("nan")
+    warped = warp_views([view], [DepthMap(depth, confidence)], view.camera)
+    assert not warped.mask[:, :80].any() and not warped.mask[:20].any()
+    assert not warped.mask[-20:].any() and warped.mask[40:60, 90:140].all()
+
+
+def test_erosion_drops_one_pixel_of_borders_but_keeps_lone_holes_lone() -> None:
+    view = photograph(camera(), square=False)
+    depth = exact(view)
+    depth.confidence[60, 80] = 0
+    depth.confidence[:, :40] = 0
+    warped = warp_views([view], [depth], view.camera)
+    assert int((warped.mask[50:70, 60:100] == 0).sum()) == 1
+    assert not warped.mask[50, 40] and warped.mask[50, 41]
+    kept = warp_views([view], [depth], view.camera, erode=False)
+    assert bool(kept.mask[50, 40])
+
+
+def test_relative_projection_agrees_with_the_cameras() -> None:
+    source, target = camera(0.3, -0.2, 0.1, yaw=0.1), camera(-0.4, 0.1, 0.5, yaw=-0.2)
+    col, row, z = 17.5, 93.5, 4.2
+    ray = np.linalg.inv(source.K.numpy()) @ np.array([col, row, 1.0])
+    world = np.linalg.inv(source.viewmat.numpy()) @ np.append(z * ray, 1.0)
+    seen = (target.viewmat.numpy() @ world)[:3]
+    x, y, w = relative_projection(source, target) @ np.array([col, row, 1.0, 1 / z])
+    np.testing.assert_allclose(z * w, seen[2], rtol=1e-12)
+    pixel = target.K.numpy() @ seen
+    np.testing.assert_allclose([x / w, y / w], pixel[:2] / pixel[2], rtol=1e-12)
+
+
+def test_a_camera_that_looks_away_sees_nothing() -> None:
+    warped = warp_exact(stage_views(), camera(yaw=np.pi))
+    assert warped.coverage == 0.0 and not warped.image.any()
+
+
+def test_bad_input_is_refused() -> None:
+    view = stage_views()[0]
+    with pytest.raises(ValueError, match="a depth map per view"):
+        prepare([view], [])
+    small = DepthMap(torch.ones(4, 4), torch.ones(4, 4))
+    with pytest.raises(ValueError, match="stage is 120x160"):
+        prepare([view], [small])
+    with pytest.raises(UserError, match="temperature"):
+        warp_exact([view], view.camera, temperature=0.0)
