@@ -135,6 +135,8 @@ def mean_of(metrics: Sequence[ViewMetrics], metric: str) -> Measurement:
     missing = [v for v in values if isinstance(v, Missing)]
     if not values:
         return Missing("no test views")
+    if len(missing) == len(values):
+        return missing[0]
     if missing:
         return Missing(f"{missing[0].reason} ({len(missing)} of {len(values)} views)")
     return float(np.mean(np.asarray(values, dtype=np.float64)))

@@ -1,0 +1,211 @@
+"""The report of made-up studies: first screen, findings, figures, and the same bytes twice."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from framework.provenance import ROOT
+from framework.record import write_failed
+from framework.report import build_report
+from framework.report.__main__ import main
+from framework.report.collect import collect
+from framework.report.finding import sentence
+from framework.report.images import choose_views
+from framework.report.markdown import render
+from framework.report.outcomes import outcomes
+from tests.record.fakes import fake_run, make_config
+
+
+@pytest.fixture(scope="module")
+def study_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("reports") / "embedded"
+    for augment, reg, gain in (("none", "none", 0.0), ("safi", "uar", 2.0)):
+        for seed in range(3):
+            fake_run(folder, augment, reg, seed, gain)
+    write_failed(folder / "runs" / "x", make_config(seed=9), ["seed=9"], "depth: a | b")
+    build_report(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def report(study_dir: Path) -> str:
+    return (study_dir / "report.md").read_text(encoding="utf-8")
+
+
+def first_sentence(folder: Path) -> str:
+    study = collect(folder)
+    return sentence(study, outcomes(study))
+
+
+def test_first_screen_is_one_sentence_and_one_table(report: str) -> None:
+    title, _, finding, _, header, _, *rows = report.splitlines()
+    assert title == "# embedded"
+    assert re.fullmatch(
+        r"On embedded, safi \+ uar reaches \d\d\.\d\d dB, \d\.\d\d dB above none \+ none \(95 %"
+        r" interval \d\.\d\d to \d\.\d\d, n = 3 seeds, paired, p [=<] 0\.\d+\)\.",
+        finding,
+    )
+    names = [name.strip() for name in header.strip("|").split("|")]
+    assert names == [
+        *("Method", "PSNR (dB)", "σ_PSNR (dB)", "SSIM ↑", "FLIP ↓", "Train (s)", "Gaussians")
+    ]
+    assert rows[0].startswith("| none + none |") and rows[1].startswith("| safi + uar")
+    assert "(n = 3)" in rows[0] and rows[2] == ""
+
+
+def test_table_numbers_are_the_records(study_dir: Path, report: str) -> None:
+    runs = collect(study_dir).of(method="safi + uar")
+    values = [float(run.run.metrics["psnr"].mean()) for run in runs]
+    row = next(line for line in report.splitlines() if line.startswith("| safi + uar"))
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    assert cells[1] == f"{np.mean(values):.2f}"
+    assert cells[2].startswith(f"{np.std(values, ddof=1):.3f} [")
+    assert cells[5] == "18.1" and cells[6] == "12"
+
+
+def test_report_has_all_parts(study_dir: Path, report: str) -> None:
+    for heading in (
+        "Failed runs",
+        "Comparisons",
+        "Kinds of test views apart",
+        "Images",
+        "Quality over training time",
+        "Every run",
+        "Missing metrics",
+        "Provenance",
+    ):
+        assert f"\n## {heading}\n" in report
+    assert "depth: a \\| b" in report
+    assert "PSNR (dB), interpolating (2 views)" in report
+    assert "LPIPS: missing in 6 of 6 runs: no weights given" in report
+    assert "`+augment=safi +reg=uar seed=2`" in report
+    assert str(study_dir) not in report and str(ROOT) not in report
+
+
+def test_links_lead_to_files(study_dir: Path, report: str) -> None:
+    targets = re.findall(r"\]\(([^)]+)\)", report)
+    assert {"images_embedded.png", "curves_embedded.png", "curves_embedded.svg"} <= set(targets)
+    assert all((study_dir / target).exists() for target in targets)
+
+
+def test_rebuilding_gives_the_same_bytes(study_dir: Path, report: str) -> None:
+    def contents() -> dict[str, bytes]:
+        return {path.name: path.read_bytes() for path in study_dir.iterdir() if path.is_file()}
+
+    before = contents()
+    # another process: other hash seeds, other object ids
+    command = [sys.executable, "-m", "framework.report", str(study_dir)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"report: {study_dir / 'report.md'}\n"
+    assert set(before) == {
+        *("report.md", "images_embedded.png", "curves_embedded.png", "curves_embedded.svg")
+    }
+    assert contents() == before
+
+
+def test_images_are_of_the_same_views_and_seed(study_dir: Path) -> None:
+    shown = choose_views(collect(study_dir), "embedded")
+    assert [run.seed for run in shown.runs] == [0, 0]
+    assert dict(shown.views) == {
+        "test 01": "interpolating, median",
+        "test 03": "extrapolating, median; worst",
+    }
+    with Image.open(study_dir / "images_embedded.png") as image:
+        assert image.width > 900 and len(np.unique(np.asarray(image.convert("L")))) > 100
+
+
+def test_views_without_tags_are_best_median_worst(tmp_path: Path) -> None:
+    fake_run(tmp_path, tagged=False)
+    shown = choose_views(collect(tmp_path), "embedded")
+    assert dict(shown.views) == {"test 00": "best", "test 02": "median", "test 03": "worst"}
+    assert "Kinds of test views" not in render(collect(tmp_path), [], "x")
+
+
+def test_one_method_with_seeds(tmp_path: Path) -> None:
+    for seed in range(3):
+        fake_run(tmp_path, seed=seed)
+    found = first_sentence(tmp_path)
+    assert re.search(r"none \+ none reaches 2\d\.\d\d dB \(95 % interval .*, n = 3 seeds", found)
+
+
+def test_single_runs_say_nothing_about_stability(tmp_path: Path) -> None:
+    fake_run(tmp_path)
+    assert "(n = 1): nothing can be said about its stability" in first_sentence(tmp_path)
+    assert "– (n = 1)" in render(collect(tmp_path), [], "x")
+    fake_run(tmp_path, "safi", gain=1.0)
+    assert "single paired run: nothing can be said about stability" in first_sentence(tmp_path)
+
+
+def test_no_significant_difference_is_said(tmp_path: Path) -> None:
+    for seed in range(3):
+        fake_run(tmp_path, "none", seed=seed)
+        fake_run(tmp_path, "safi", seed=seed, gain=0.02)
+    assert ": no significant difference (95 % interval" in first_sentence(tmp_path)
+
+
+def test_a_winning_baseline_is_said(tmp_path: Path) -> None:
+    for seed in range(3):
+        fake_run(tmp_path, "none", seed=seed, gain=3.0)
+        fake_run(tmp_path, "safi", seed=seed)
+    found = first_sentence(tmp_path)
+    match = re.search(
+        r"none \+ none reaches .* dB, (\S+) dB above safi \+ none \(95 % interval (\S+) to (\S+),",
+        found,
+    )
+    assert match is not None, found
+    difference, low, high = (float(number) for number in match.groups())
+    assert 0 < low < difference < high
+
+
+def test_methods_without_common_seeds_are_not_compared(tmp_path: Path) -> None:
+    fake_run(tmp_path, "none", seed=0)
+    fake_run(tmp_path, "safi", seed=1, gain=1.0)
+    assert "shares no seed with none + none" in first_sentence(tmp_path)
+    seeds = [run.seed for run in choose_views(collect(tmp_path), "embedded").runs]
+    assert seeds == [0, 1]
+
+
+def test_several_scenes(tmp_path: Path) -> None:
+    for scene in ("door", "fern"):
+        for seed in range(2):
+            for augment, gain in (("none", 0.0), ("safi", 2.0)):
+                fake_run(tmp_path, augment, seed=seed, gain=gain, scene=scene)
+    text = build_report(tmp_path).read_text(encoding="utf-8")
+    assert "On 2 scenes, safi + none reaches" in text
+    assert "n = 4 pairs of scene and seed" in text
+    assert text.count("| mean of all") == 2 and "| door" in text
+    assert (tmp_path / "images_fern.png").is_file() and (tmp_path / "curves_door.svg").is_file()
+
+
+def test_a_run_of_its_own_folder(tmp_path: Path) -> None:
+    run_dir = fake_run(tmp_path)
+    text = build_report(run_dir, "One run").read_text(encoding="utf-8")
+    assert text.startswith("# One run\n")
+
+
+def test_only_failed_runs(tmp_path: Path) -> None:
+    write_failed(tmp_path / "runs" / "a", make_config(), [], "no overlap")
+    text = build_report(tmp_path).read_text(encoding="utf-8")
+    assert "No run of this study finished." in text and "no overlap" in text
+
+
+def test_bad_folder_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(tmp_path / "nothing")]) == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith("error: ") and errors.count("\n") == 1
+
+
+def test_importing_the_report_needs_no_torch() -> None:
+    code = (
+        "import sys, framework.report, framework.report.build;"
+        "bad = {'torch', 'numba', 'framework.trainer'} & set(sys.modules); assert not bad, bad"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

@@ -1,0 +1,64 @@
+"""The statistics against scipy, textbook values and simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from framework.report.statistics import compare, holm, spread
+from framework.rng import stream
+
+
+def test_spread_of_known_values() -> None:
+    found = spread([1.0, 2.0, 3.0])
+    assert (found.n, found.mean, found.sd) == (3, 2.0, 1.0)
+    assert found.mean_interval is not None and found.sd_interval is not None
+    # t(.975, 2) = 4.3027; chi2(2) quantiles 7.3778 and 0.0506
+    assert found.mean_interval.high == pytest.approx(2 + 4.3027 / 3**0.5, abs=1e-4)
+    assert found.sd_interval.low == pytest.approx((2 / 7.3778) ** 0.5, abs=1e-4)
+    assert found.sd_interval.high == pytest.approx((2 / 0.0506356) ** 0.5, abs=1e-3)
+
+
+def test_one_value_says_nothing_about_spread() -> None:
+    found = spread([5.0])
+    assert found.mean == 5.0
+    assert found.sd is None and found.sd_interval is None and found.mean_interval is None
+    with pytest.raises(ValueError, match="at least one"):
+        spread([])
+
+
+def test_sd_interval_covers_the_truth_as_often_as_it_says() -> None:
+    draws = 0.1 * stream(0, "coverage").standard_normal((4000, 5))
+    found = [spread(list(row)).sd_interval for row in draws]
+    share = np.mean([i is not None and i.low <= 0.1 <= i.high for i in found])
+    assert share == pytest.approx(0.95, abs=0.012)
+
+
+def test_comparison_pairs_by_key_and_equals_scipy() -> None:
+    draw = stream(0, "pairs")
+    values = {("s", seed): 20 + float(draw.standard_normal()) for seed in range(6)}
+    others = {key: value - 0.3 + 0.1 * float(draw.random()) for key, value in values.items()}
+    others["s", 99] = 500.0
+    found = compare("a", values, "b", others)
+    keys = sorted(values)
+    expected = stats.ttest_rel([values[k] for k in keys], [others[k] for k in keys])
+    interval = expected.confidence_interval()
+    assert found is not None and found.interval is not None and found.n == 6
+    assert found.p == pytest.approx(expected.pvalue, rel=1e-9)
+    assert (found.interval.low, found.interval.high) == pytest.approx(tuple(interval), rel=1e-9)
+
+
+def test_comparison_of_few_or_equal_pairs() -> None:
+    assert compare("a", {1: 2.0}, "b", {2: 2.0}) is None
+    single = compare("a", {1: 2.0}, "b", {1: 1.5})
+    assert single is not None and single.difference == 0.5
+    assert single.interval is None and single.p is None and not single.significant
+    equal = compare("a", {1: 2.0, 2: 3.0}, "b", {1: 2.0, 2: 3.0})
+    assert equal is not None and equal.p == 1.0 and equal.difference == 0.0
+
+
+def test_holm_worked_example() -> None:
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([0.9, 0.8]) == pytest.approx([1.0, 1.0])
+    assert holm([]) == []
