@@ -1,0 +1,37 @@
+"""Scenes: loaders (name -> frozen dataclass of options with `load() -> Scene`) and split protocols.
+
+Importing this package imports none of the heavy libraries; `load` does.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from framework.errors import UserError, nearest_hint
+from framework.scenes.colmap import Colmap
+from framework.scenes.embedded import Embedded
+from framework.scenes.llff import Llff
+
+if TYPE_CHECKING:
+    from framework.types import Scene
+
+__all__ = ["LOADERS", "Colmap", "Embedded", "Llff", "load_scene"]
+
+LOADERS: dict[str, type] = {"embedded": Embedded, "llff": Llff, "colmap": Colmap}
+
+
+def load_scene(name: str, options: Mapping[str, Any]) -> Scene:
+    """The scene that loader `name` makes of `options`. Raises UserError on a bad one."""
+    if name not in LOADERS:
+        raise UserError(f"scene={name}: unknown loader; {nearest_hint(name, LOADERS)}")
+    known = {option.name: option for option in dataclasses.fields(LOADERS[name])}
+    for key in options:
+        if key not in known:
+            raise UserError(f"scene={name}: unknown option '{key}'; {nearest_hint(key, known)}")
+    for key, option in known.items():
+        if option.default is dataclasses.MISSING and key not in options:
+            raise UserError(f"scene={name}: expected {key}, got nothing; give scene.{key}=...")
+    scene: Scene = LOADERS[name](**options).load()
+    return scene

@@ -1,0 +1,119 @@
+"""From arrays to a `Scene`: views, fingerprint, and the rule for sparse points.
+
+A point reaches training only if at least two training views are in its track: a point that only
+test views support would leak what they saw.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from framework.types import Scene, SparsePoints, View
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One image with its camera as arrays.
+
+    viewmat: [4, 4] world-to-camera (OpenCV axes). K: [3, 3] pixels. image: [H, W, 3] uint8.
+    depth: [H, W] float32 or None. mask: [H, W] float32 or None (all valid).
+    """
+
+    name: str
+    viewmat: NDArray[np.float64]
+    K: NDArray[np.float64]
+    image: NDArray[np.uint8]
+    depth: NDArray[np.float32] | None = None
+    mask: NDArray[np.float32] | None = None
+    tags: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Points of a sparse model. seen: [M, n] bool over all n images, in the order of the names."""
+
+    xyz: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    rgb: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.uint8))
+    seen: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+
+    def for_training(self, train: Sequence[int]) -> Tracks:
+        """The points at least two of the training images see; `seen` over these images only."""
+        if not len(self.xyz):
+            return Tracks(seen=np.zeros((0, len(train)), dtype=bool))
+        seen = self.seen[:, list(train)]
+        keep = seen.sum(axis=1) >= 2
+        return Tracks(self.xyz[keep], self.rgb[keep], seen[keep])
+
+
+def intrinsics(fx: float, fy: float, cx: float, cy: float) -> NDArray[np.float64]:
+    """[3, 3] pinhole matrix."""
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def _view(shot: Shot) -> View:
+    import torch
+
+    from framework.types import Camera, View
+
+    height, width = shot.image.shape[:2]
+    camera = Camera(torch.from_numpy(shot.viewmat), torch.from_numpy(shot.K), width, height)
+    image = torch.from_numpy(np.ascontiguousarray(shot.image.transpose(2, 0, 1))).float() / 255
+    depth = None if shot.depth is None else torch.from_numpy(shot.depth)
+    mask = None if shot.mask is None else torch.from_numpy(shot.mask)
+    return View(shot.name, camera, image, mask=mask, depth=depth, tags=shot.tags)
+
+
+def _points(tracks: Tracks) -> SparsePoints:
+    import torch
+
+    from framework.types import SparsePoints
+
+    rgb = torch.from_numpy(np.ascontiguousarray(tracks.rgb)).float() / 255
+    xyz = torch.from_numpy(np.ascontiguousarray(tracks.xyz, dtype=np.float64))
+    return SparsePoints(xyz, rgb, torch.from_numpy(np.ascontiguousarray(tracks.seen)))
+
+
+def _fingerprint(protocol: str, train: Sequence[Shot], test: Sequence[Shot], points: Tracks) -> str:
+    """SHA-256 over split, names, cameras, pixels, masks, depths and points."""
+    digest = hashlib.sha256()
+
+    def add(value: str | NDArray | None) -> None:
+        if isinstance(value, np.ndarray):
+            digest.update(f"{value.dtype.str}{value.shape}".encode())
+            digest.update(np.ascontiguousarray(value).tobytes())
+        else:
+            digest.update(f"{value}\0".encode())
+
+    add(protocol)
+    for role, shots in (("train", train), ("test", test)):
+        for s in shots:
+            for item in (role, s.name, s.viewmat, s.K, s.image, s.mask, s.depth):
+                add(item)
+    for item in (points.xyz, points.rgb, points.seen):
+        add(item)
+    return digest.hexdigest()
+
+
+def assemble(
+    name: str,
+    protocol: str,
+    train: Sequence[Shot],
+    test: Sequence[Shot],
+    points: Tracks,
+    near: float,
+    far: float,
+) -> Scene:
+    """The scene. `points.seen` is over the training shots, in their order."""
+    from framework.types import Scene, TrainingSet
+
+    training = TrainingSet(name, tuple(map(_view, train)), _points(points), near, far)
+    fingerprint = _fingerprint(protocol, train, test, points)
+    return Scene(name, protocol, training, tuple(map(_view, test)), fingerprint)

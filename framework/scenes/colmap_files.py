@@ -1,0 +1,139 @@
+"""Whether the files of a COLMAP model are whole and refer to each other rightly.
+
+Layout of the binaries (COLMAP's documentation, "Output format"; little-endian): each file opens
+with a uint64 count. cameras: id int32, model int32, width and height uint64, the model's float64
+parameters. images: id int32, quaternion and translation 7 float64, camera id int32, name ended by
+0, uint64 n, n x (x, y float64, point id int64). points3D: id uint64, xyz 3 float64, rgb 3 uint8,
+error float64, uint64 n, n x (image id int32, point index int32).
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+from framework.errors import UserError, require
+
+PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 10, 8, 8)  # by COLMAP's camera model id
+STEMS = ("cameras", "images", "points3D")
+
+
+class _Reader:
+    """Walks a binary file; whatever lies outside it raises UserError."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.data, self.at = path, path.read_bytes(), 0
+
+    def take(self, layout: str) -> tuple:
+        """The values of a struct layout at the current place."""
+        start = self.at
+        self.skip(struct.calcsize(layout))
+        return struct.unpack_from(layout, self.data, start)
+
+    def skip(self, n: int) -> None:
+        """Move n bytes on."""
+        if self.at + n > len(self.data):
+            raise UserError(
+                f"{self.path}: expected at least {self.at + n} bytes, got {len(self.data)}: the"
+                " file is truncated or damaged; copy it again or rebuild the model"
+            )
+        self.at += n
+
+    def text(self) -> str:
+        """A string ended by a zero byte."""
+        end = self.data.find(b"\0", self.at)
+        name = self.data[self.at : max(end, self.at)]
+        self.skip(max(end + 1 - self.at, 0) or len(self.data) + 1)
+        return name.decode("utf-8", "replace")
+
+    def finish(self) -> None:
+        """Nothing may follow the last record."""
+        rest = len(self.data) - self.at
+        require(rest == 0, f"{self.path}: expected its end, got {rest} more bytes; it is damaged")
+
+
+def _cameras(path: Path) -> set[int]:
+    reader, ids = _Reader(path), set()
+    for _ in range(reader.take("<Q")[0]):
+        camera, model, _, _ = reader.take("<iiQQ")
+        require(
+            0 <= model < len(PARAMETERS),
+            f"{path}: expected a camera model id from 0 to {len(PARAMETERS) - 1}, got {model};"
+            " the file is damaged or newer than this reader",
+        )
+        reader.skip(8 * PARAMETERS[model])
+        ids.add(camera)
+    reader.finish()
+    return ids
+
+
+def _images(path: Path, cameras: set[int]) -> dict[int, int]:
+    """image id -> number of its 2D points."""
+    reader, points = _Reader(path), {}
+    for _ in range(reader.take("<Q")[0]):
+        image = reader.take("<i7d")[0]
+        (camera,) = reader.take("<i")
+        name = reader.text()
+        (n,) = reader.take("<Q")
+        reader.skip(24 * n)
+        require(
+            camera in cameras and image not in points,
+            f"{path}: expected image '{name}' to be listed once with a camera of cameras.bin, got"
+            f" id {image} with camera {camera}; rebuild the model",
+        )
+        points[image] = n
+    reader.finish()
+    return points
+
+
+def _points(path: Path, images: dict[int, int]) -> None:
+    reader = _Reader(path)
+    for _ in range(reader.take("<Q")[0]):
+        point = reader.take("<Q3d3Bd")[0]
+        (n,) = reader.take("<Q")
+        start = reader.at
+        reader.skip(8 * n)
+        track = struct.iter_unpack("<ii", reader.data[start : reader.at])
+        require(
+            all(0 <= index < images.get(image, 0) for image, index in track),
+            f"{path}: expected tracks of images in images.bin, got others for point {point};"
+            " rebuild the model",
+        )
+    reader.finish()
+
+
+def _check_text(folder: Path) -> None:
+    """A text model: an images.txt of line pairs; the rest is pycolmap's to parse."""
+    for stem, least in (("cameras", 5), ("images", 10), ("points3D", 8)):
+        path = folder / f"{stem}.txt"
+        try:
+            lines = path.read_text(encoding="utf-8").splitlines()
+        except UnicodeDecodeError:
+            raise UserError(f"{path}: expected text, got binary data; rebuild the model") from None
+        rows = [line.split() for line in lines if not line.startswith("#")]
+        records = rows[::2] if stem == "images" else [row for row in rows if row]
+        for number, row in enumerate(records):
+            require(
+                len(row) >= least,
+                f"{path}: expected at least {least} values per record, got {len(row)} in record"
+                f" {number + 1}; the file is truncated or damaged",
+            )
+
+
+def check(folder: Path) -> None:
+    """Raise UserError unless `folder` holds a whole model, as .bin (preferred, as pycolmap does) or
+    .txt files."""
+    for suffix in (".bin", ".txt"):
+        missing = [stem + suffix for stem in STEMS if not (folder / f"{stem}{suffix}").is_file()]
+        if len(missing) < len(STEMS):
+            break
+    require(
+        not missing,
+        f"{folder}: expected cameras, images and points3D as .bin or .txt, missing"
+        f" {', '.join(missing)}; copy the whole model",
+    )
+    if suffix == ".txt":
+        _check_text(folder)
+        return
+    cameras = _cameras(folder / "cameras.bin")
+    _points(folder / "points3D.bin", _images(folder / "images.bin", cameras))

@@ -1,0 +1,116 @@
+"""A COLMAP sparse model (bin or txt) as arrays, read by pycolmap after its files were checked.
+
+pycolmap 4.0 reads past the end of truncated binaries (a cut cameras.bin gives wrong numbers, a cut
+points3D.bin never ends), hence `colmap_files.check`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from framework.errors import UserError, require
+from framework.scenes import colmap_files
+from framework.scenes.assemble import Tracks
+
+SUPPORTED = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL")
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A camera of the model: size and focal in pixels, k the radial term (0 for a pinhole)."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k: float
+
+
+@dataclass(frozen=True)
+class Model:
+    """Registered images sorted by name, a lens and [4, 4] world-to-camera of each; the tracks."""
+
+    names: list[str]
+    lenses: list[Lens]
+    viewmats: list[NDArray[np.float64]]
+    tracks: Tracks
+
+
+def find_model(folder: Path) -> Path:
+    """`sparse/0`, else `sparse`. Raises UserError if neither holds a model."""
+    for candidate in (folder / "sparse" / "0", folder / "sparse"):
+        if any((candidate / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt")):
+            return candidate
+    raise UserError(
+        f"{folder}: expected a COLMAP model in sparse/0 or sparse (cameras, images, points3D as"
+        " .bin or .txt), found none; is scene.path right?"
+    )
+
+
+def _lens(camera: Any, where: Path) -> Lens:
+    """The lens of a pycolmap camera. Raises UserError for a model that is not supported."""
+    name = camera.model.name
+    require(
+        name in SUPPORTED,
+        f"{where}: expected a camera model among {', '.join(SUPPORTED)}, got {name} (camera"
+        f" {camera.camera_id}); undistort with `colmap image_undistorter` first",
+    )
+    p = [float(v) for v in camera.params]
+    ok = all(np.isfinite(p)) and p[0] > 0 and camera.width > 0 and camera.height > 0
+    require(ok, f"{where}: expected finite intrinsics, got camera {camera.camera_id} with {p}")
+    fx, fy, cx, cy = p[:4] if name == "PINHOLE" else (p[0], p[0], p[1], p[2])
+    k = p[3] if name == "SIMPLE_RADIAL" else 0.0
+    return Lens(camera.width, camera.height, fx, fy, cx, cy, k)
+
+
+def _viewmat(image: Any, where: Path) -> NDArray[np.float64]:
+    viewmat = np.eye(4)
+    viewmat[:3] = np.asarray(image.cam_from_world().matrix(), dtype=np.float64)
+    require(
+        bool(np.isfinite(viewmat).all()),
+        f"{where}: expected finite poses, got NaN or infinity for image {image.name}",
+    )
+    return viewmat
+
+
+def _tracks(points: dict[int, Any], column: dict[int, int]) -> Tracks:
+    """column: image id -> index of its sorted name. Points in the order of their ids."""
+    ids = sorted(points)
+    seen = np.zeros((len(ids), len(column)), dtype=bool)
+    for row, point_id in enumerate(ids):
+        for element in points[point_id].track.elements:
+            seen[row, column[element.image_id]] = True
+    xyz = np.array([points[i].xyz for i in ids], dtype=np.float64).reshape(-1, 3)
+    rgb = np.array([points[i].color for i in ids], dtype=np.uint8).reshape(-1, 3)
+    good = np.isfinite(xyz).all(axis=1)
+    return Tracks(xyz[good], rgb[good], seen[good])
+
+
+def read_model(folder: Path) -> Model:
+    """The model in `folder`. Raises UserError for missing, damaged or unsupported files."""
+    colmap_files.check(folder)
+    import pycolmap
+
+    try:
+        model = pycolmap.Reconstruction(str(folder))
+    except (ValueError, IndexError, RuntimeError, OSError, KeyError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise UserError(
+            f"{folder}: expected a readable COLMAP model, got damaged files ({reason}); rebuild it"
+        ) from None
+    images = sorted((model.image(i) for i in model.reg_image_ids()), key=lambda image: image.name)
+    require(len(images) > 0, f"{folder}: expected images with poses, got none; rebuild the model")
+    lenses = {i: _lens(camera, folder) for i, camera in model.cameras.items()}
+    return Model(
+        names=[image.name for image in images],
+        lenses=[lenses[image.camera_id] for image in images],
+        viewmats=[_viewmat(image, folder) for image in images],
+        tracks=_tracks(dict(model.points3D), {im.image_id: k for k, im in enumerate(images)}),
+    )

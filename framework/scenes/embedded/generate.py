@@ -1,0 +1,136 @@
+"""The embedded scene's images: generated, kept as one npz in the cache folder, checked when read.
+
+The file's name hashes the options, this package's sources and scikit-image's version (it brings the
+textures), so a changed scene never meets an old file; a damaged file is made anew.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import logging
+import zipfile
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from framework.cache import cache_dir
+from framework.files import write_whole
+from framework.scenes.assemble import Shot, Tracks, assemble, intrinsics
+from framework.scenes.embedded import rig
+from framework.scenes.embedded.vectors import Vector
+
+if TYPE_CHECKING:
+    from framework.scenes.embedded import Embedded
+    from framework.types import Scene
+
+log = logging.getLogger(__name__)
+
+
+class Pictures(NamedTuple):
+    """images: [V, H, W, 3] uint8. depths: [V, H, W] float32, z at the pixel centres."""
+
+    images: NDArray[np.uint8]
+    depths: NDArray[np.float32]
+
+    def digest(self) -> str:
+        return hashlib.sha256(self.images.tobytes() + self.depths.tobytes()).hexdigest()
+
+
+def _positions(options: Embedded) -> tuple[list[Vector], list[Vector]]:
+    return rig.training_positions(options.n_views), list(rig.TEST_POSITIONS)
+
+
+def _render(options: Embedded) -> Pictures:
+    """All views, training first."""
+    from framework.parallel import run_blocks
+    from framework.scenes.embedded.build import build_world, camera_tiles
+    from framework.scenes.embedded.trace import trace_rows
+
+    width, height, samples = options.width, options.height, options.supersampling
+    focal = rig.FOCAL_WIDTHS * width
+    world = build_world(options.texture, options.gloss, samples)
+    train, test = _positions(options)
+    images = np.zeros((len(train) + len(test), height, width, 3), dtype=np.uint8)
+    depths = np.zeros(images.shape[:3], dtype=np.float32)
+    for position, image, depth in zip(train + test, images, depths, strict=True):
+        pose = rig.pose(position, options.spread)
+        tiles = camera_tiles(pose, focal, width, height)
+        run_blocks(
+            trace_rows, *world, tiles.members, tiles.size, pose, focal, samples, image, depth
+        )
+    return Pictures(images, depths)
+
+
+def _cache_file(options: Embedded) -> Path:
+    key = hashlib.sha256(repr(sorted(dataclasses.asdict(options).items())).encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        key.update(source.read_bytes())
+    key.update(version("scikit-image").encode())
+    return cache_dir() / f"embedded-{key.hexdigest()[:24]}.npz"
+
+
+def _read(path: Path) -> Pictures | None:
+    """The cached pictures; None if there is no file or it is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            pictures = Pictures(stored["images"], stored["depths"])
+            intact = str(stored["digest"]) == pictures.digest()
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        intact = False
+    if intact:
+        return pictures
+    log.warning("%s is damaged and is generated anew", path)
+    return None
+
+
+def _pictures(options: Embedded) -> Pictures:
+    path = _cache_file(options)
+    cached = _read(path)
+    if cached is not None:
+        return cached
+    log.info("generating the embedded scene (once, compiling its ray tracer first) ...")
+    pictures = _render(options)
+    buffer = io.BytesIO()
+    np.savez(buffer, images=pictures.images, depths=pictures.depths, digest=pictures.digest())
+    write_whole(path, buffer.getvalue())
+    return pictures
+
+
+def _world_to_camera(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """[4, 4] inverse of the rigid [3, 4] pose, by elementwise arithmetic."""
+    viewmat = np.zeros((4, 4))
+    viewmat[3, 3] = 1.0
+    for k in range(3):
+        x, y, z, o = pose[:, k][0], pose[:, k][1], pose[:, k][2], pose[:, 3]
+        viewmat[k] = (x, y, z, -(x * o[0] + y * o[1] + z * o[2]))
+    return viewmat
+
+
+def load(options: Embedded) -> Scene:
+    """The scene under the protocol `rig` (see `Embedded`)."""
+    from framework.scenes.embedded.points import sparse_points
+
+    pictures = _pictures(options)
+    train, test = _positions(options)
+    focal, n = rig.FOCAL_WIDTHS * options.width, len(train)
+    K = intrinsics(focal, focal, 0.5 * options.width, 0.5 * options.height)
+    poses = np.stack([rig.pose(p, options.spread) for p in train + test])
+    names = [f"train{k:02d}" for k in range(n)] + [f"test{k:02d}" for k in range(len(test))]
+    tags = [()] * n + [
+        ("interpolating",) if rig.is_inside(p, train) else ("extrapolating",) for p in test
+    ]
+    shots = [
+        Shot(name, _world_to_camera(pose), K, image, depth, tags=tag)
+        for name, pose, image, depth, tag in zip(names, poses, *pictures, tags, strict=True)
+    ]
+    points = Tracks(*sparse_points(pictures.images[:n], pictures.depths[:n], poses[:n], focal))
+    seen = pictures.depths[:n]
+    near, far = 0.9 * float(seen.min()), 1.1 * float(seen.max())
+    return assemble("embedded", "rig", shots[:n], shots[n:], points, near, far)
