@@ -1,4 +1,4 @@
-"""Where generated things are kept between runs: `$FISHERSPLAT_CACHE`, else the user's cache folder."""
+"""Where generated things are kept: `$FISHERSPLAT_CACHE`, else in the user's cache folder."""
 
 from __future__ import annotations
 

@@ -83,7 +83,8 @@ def task(cfg: DictConfig) -> None:
         register_config()
         check(config)
         config["study"] = study_name(config)
-        _run(config, run_dir, _progress(job, config["seed"], number))
+        overrides = [str(override) for override in job.overrides.task]
+        _run(config, run_dir, _progress(job, config["seed"], number), overrides)
     except Exception as error:
         message = _failed(error, config["traceback"])
         overrides = [str(override) for override in job.overrides.task]
@@ -179,10 +180,12 @@ def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
             os.environ["HYDRA_FULL_ERROR"] = full_error
 
 
-def _run(config: dict[str, Any], run_dir: Path, progress: Progress) -> None:
+def _run(
+    config: dict[str, Any], run_dir: Path, progress: Progress, overrides: Sequence[str]
+) -> None:
     from framework.experiment import run_experiment
 
-    run_experiment(config, run_dir, progress)
+    run_experiment(config, run_dir, progress, overrides)
 
 
 def _progress(job: Any, seed: int, number: int) -> Progress:

@@ -2,9 +2,8 @@
 
 With additive Gaussian noise on the pixels, F = J^T J: the sum over pixels **and channels** of outer
 products of the pixel's derivatives (never the square of a summed gradient). Blocks are per Gaussian
-(no cross terms between Gaussians), as in FisherRF and PUP-3DGS; unlike the former, channels are
-summed as squares, unlike the latter, from one view a time. Units: intensity^2 per squared parameter,
-means in scene units; noise variance 1.
+(no cross terms between Gaussians), as in FisherRF and PUP-3DGS; unlike in the former, channels are
+summed as squares. Units: intensity^2 per squared parameter, means in scene units; noise variance 1.
 """
 
 from __future__ import annotations
@@ -43,9 +42,9 @@ def fisher_information(
     degree = gaussians.sh_degree if sh_degree is None else min(sh_degree, gaussians.sh_degree)
     colour = np.zeros(3, np.float32) if background is None else background.numpy()
     work = borrow()
-    fixed = [t.detach().contiguous().numpy() for _, t in gaussians.items()]
-    arrays = Arrays(*fixed, np.ones(n, np.float32), np.zeros((n, 2), np.float32))
-    image = _render(work, arrays, camera, degree, near, colour)
+    arrays = [t.detach().contiguous().numpy() for _, t in gaussians.items()]
+    arrays += [np.ones(n, np.float32), np.zeros((n, 2), np.float32)]
+    image = _render(work, Arrays(*arrays), camera, degree, near, colour)
     work.blend_moments(image)
     block, diagonal = torch.empty(n, 6, 6), torch.empty(n, 14)
     work.information(block.numpy(), diagonal.numpy())

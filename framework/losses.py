@@ -6,6 +6,7 @@ multiplies the render and the target, so nothing outside it leaks in; see `raste
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,7 +50,7 @@ def _blur(image: np.ndarray) -> np.ndarray:
         pad[axis] = (5, 5)
         wide = np.pad(image, pad)
         shifted = (np.take(wide, range(k, k + n), axis) * photometric.WINDOW[k] for k in range(11))
-        image = sum(shifted, start=np.float32(0))
+        image = functools.reduce(np.add, shifted)
     return np.ascontiguousarray(image, np.float32)
 
 

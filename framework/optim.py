@@ -166,3 +166,21 @@ def _edited(moments: Gaussians, keep: Tensor | None, n_appended: int) -> Gaussia
     if n_appended == 0:
         return kept
     return concatenate([kept, kept.map(lambda t: t.new_zeros((n_appended, *t.shape[1:])))])
+
+
+@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+def _decay_range(block, n_blocks, logits, decay):  # type: ignore[no-untyped-def]
+    one, log_decay = np.float32(1), np.float32(math.log(decay))
+    n = len(logits)
+    for i in range(n * block // n_blocks, n * (block + 1) // n_blocks):
+        logits[i] = log_decay - math.log(one - decay + math.exp(-logits[i]))
+
+
+def decay_opacities(logits: Tensor, decay: float) -> None:
+    """Multiply the activated opacities by `decay` in (0, 1], in place on their logits [N].
+
+    d sigmoid(l) = sigmoid(l'), l' = log d - log(1 - d + exp(-l)); Binocular3DGS applies such a
+    decay so that Gaussians which no view confirms fade.
+    """
+    if decay < 1:
+        run_blocks(_decay_range, _flat(logits), np.float32(decay))

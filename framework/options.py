@@ -35,7 +35,7 @@ class TrainerOptions:
     coarse_factor: int = 2  # images are box-downsampled by it ...
     coarse_until: float = 0.4  # ... for this share of the steps
     background: str = "mean"
-    near_plane: float = 0.01  # in units of the scene's near bound
+    near_plane: float = 0.05  # in units of the scene's near bound
     evaluations: int = 4  # test evaluations, evenly spaced, the last after the last step
 
     def __post_init__(self) -> None:

@@ -1,8 +1,8 @@
 """The project's own thread pool for `nogil` kernels.
 
-numba's threading layers abort, duplicate OpenMP or kill forked children (docs of each), so kernels
-here are plain functions over a block `(index, n_blocks)` that a small pool calls. Every block writes
-only its own outputs, hence results do not depend on the number of threads.
+numba's threading layers abort, duplicate OpenMP or kill forked children, so kernels here are plain
+functions over a block `(index, n_blocks)` that a small pool calls. Every block writes only its own
+outputs, hence results do not depend on the number of threads.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ class Augmenter(Plugin):
     before `start` and after `stop` (shares of the training) it is not called."""
 
     def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[View], Any]:
-        """Called at each epoch's start: the pseudo views of this epoch (rebuilt, not accumulated)."""
+        """Called at each epoch's start: its pseudo views (rebuilt, not accumulated)."""
         raise NotImplementedError
 
 
@@ -126,5 +126,5 @@ class Capacity(Plugin):
     """Decides how many Gaussians there are; the only code that changes N."""
 
     def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
-        """Called after each step. The trainer applies the edits to parameters and optimizer state."""
+        """Called after each step; the trainer applies the edits to parameters and optimizer."""
         raise NotImplementedError

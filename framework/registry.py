@@ -28,7 +28,7 @@ def register(group: str, name: str) -> Callable[[C], C]:
     """Class decorator: make a frozen dataclass selectable as `group=name`."""
 
     def add(cls: C) -> C:
-        require(group in GROUPS, f"register: unknown group '{group}'; {nearest_hint(group, GROUPS)}")
+        require(group in GROUPS, f"register: unknown group {group}; {nearest_hint(group, GROUPS)}")
         other = _classes[group].get(name)
         if other is not None and (other.__module__, other.__qualname__) != (
             cls.__module__,
@@ -70,7 +70,7 @@ def lookup(group: str, name: str) -> type:
 
 
 def option_fields(cls: type) -> list[tuple[str, Any, Any]]:
-    """(name, type, dataclasses.field) of every option, framework keys first; for a config schema."""
+    """(name, type, dataclasses.field) of every option, framework keys first."""
     overrides = getattr(cls, "defaults", {})
     rows: list[tuple[str, Any, Any]] = [
         (key, float, field(default=float(overrides.get(key, default))))

@@ -41,7 +41,9 @@ class Camera:
         if not (torch.isfinite(self.viewmat).all() and torch.isfinite(self.K).all()):
             raise UserError("camera: expected finite pose and intrinsics, got NaN or infinity")
         if self.width < 1 or self.height < 1:
-            raise UserError(f"camera: expected a size of at least 1x1, got {self.width}x{self.height}")
+            raise UserError(
+                f"camera: expected a size of at least 1x1, got {self.width}x{self.height}"
+            )
 
     @property
     def center(self) -> Tensor:
@@ -80,7 +82,7 @@ class View:
 @dataclass(frozen=True)
 class DepthMap:
     """depth: [H, W] float32, 0 = no estimate. confidence: [H, W] float32 in [0, 1]; 0 marks a mere
-    guess (failed the consistency check); only confidence > 0 may enter an initialisation or warp."""
+    guess that failed the consistency check; only the others may enter an initialisation or warp."""
 
     depth: Tensor
     confidence: Tensor

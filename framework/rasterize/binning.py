@@ -12,19 +12,18 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from framework.jit import inlined, kernel
 
 MAX_GAUSSIANS = 1 << 23  # what fits beside two rows in an int32
 
 f4 = np.float32
 ZERO, ONE, HALF = f4(0), f4(1), f4(0.5)
-_strict = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy"}
-_inline = {"nogil": True, "fastmath": False, "error_model": "numpy", "inline": "always"}
 _TWO_LN2 = f4(2 * math.log(2))
 _LOG2_255 = f4(math.log2(255))
 
 
-@njit(**_strict)
+@kernel
 def depth_order(rows: Any, bound: Any, order: Any, spare: Any) -> int:
     """Indices of the visible Gaussians (bound > 0) by depth into order[:count]; stable radix sort
     of the float bits (depths are positive). `spare` is scratch of the same length."""
@@ -57,14 +56,14 @@ def depth_order(rows: Any, bound: Any, order: Any, spare: Any) -> int:
     return n
 
 
-@njit(**_inline)
+@inlined
 def _reach(end: Any, b: Any, c: Any, determinant: Any, level: Any, sign: Any) -> Any:
     """dy of the ellipse a dx^2 + 2 b dx dy + c dy^2 = level at dx = end, upper or lower branch."""
     root = math.sqrt(max(ZERO, level * c - determinant * end * end))
     return (sign * root - b * end) / c
 
 
-@njit(**_strict)
+@kernel
 def count_tiles(
     block: int,
     blocks: int,
@@ -118,7 +117,7 @@ def count_tiles(
         touched[i] = at - start[i]
 
 
-@njit(**_strict)
+@kernel
 def prefix_bounds(bound: Any, start: Any) -> int:
     """start = exclusive prefix sum of bound; returns the total."""
     total = 0
@@ -128,7 +127,7 @@ def prefix_bounds(bound: Any, start: Any) -> int:
     return total
 
 
-@njit(**_strict)
+@kernel
 def prefix_tiles(touched: Any, first: Any, histogram: Any, offsets: Any) -> int:
     """first [N+1]: a Gaussian's first slot; histogram becomes every block's first place in each
     tile's list; offsets [tiles+1]: where a tile's list begins. Returns the number of items."""
@@ -148,7 +147,7 @@ def prefix_tiles(touched: Any, first: Any, histogram: Any, offsets: Any) -> int:
     return total
 
 
-@njit(**_strict)
+@kernel
 def fill_tiles(
     block: int,
     blocks: int,

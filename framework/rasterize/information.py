@@ -13,8 +13,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from framework.jit import kernel
 from framework.rasterize.projection import (
     Y0,
     pull_back,
@@ -28,7 +28,6 @@ from framework.rasterize.simd import load, store, zeros
 
 f4 = np.float32
 ZERO, ONE, HALF = f4(0), f4(1), f4(0.5)
-_strict = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy"}
 # which of the 15 sums holds m_i m_j
 _PLACE = np.array(
     [
@@ -43,7 +42,7 @@ _PLACE = np.array(
 )
 
 
-@njit(**_strict)
+@kernel
 def _screen_jacobian(
     mean: Any, quat: Any, log_scale: Any, camera: Any, row: Any, unit: Any, jacobian: Any
 ) -> None:
@@ -92,7 +91,7 @@ def _screen_jacobian(
                 jacobian[p, 3 if k == 2 else 5] = -HALF * value
 
 
-@njit(**_strict)
+@kernel
 def pull_back_moments(
     block: int,
     blocks: int,

@@ -14,12 +14,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from framework.jit import kernel
 from framework.rasterize.simd import lane_sums, load, store, zeros
 
 f4 = np.float32
-_strict = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy"}
 
 _taps = np.exp(-((np.arange(11) - 5.0) ** 2) / (2 * 1.5**2))
 WINDOW = (_taps / _taps.sum()).astype(np.float32)
@@ -28,7 +27,7 @@ _C1, _C2 = f4(0.01**2), f4(0.03**2)
 ZERO, ONE, TWO = f4(0), f4(1), f4(2)
 
 
-@njit(**_strict)
+@kernel
 def _across(source: Any, target: Any, n: int) -> None:
     """target[x] = sum of WINDOW x source[x ... x + 10]."""
     for x in range(n):
@@ -42,7 +41,7 @@ def _across(source: Any, target: Any, n: int) -> None:
         )
 
 
-@njit(**_strict)
+@kernel
 def _down(plane: Any, y: int, target: Any, n: int) -> None:
     """target[x] = sum of WINDOW x plane[y ... y + 10, x]."""
     r0, r1, r2, r3, r4 = plane[y], plane[y + 1], plane[y + 2], plane[y + 3], plane[y + 4]
@@ -59,7 +58,7 @@ def _down(plane: Any, y: int, target: Any, n: int) -> None:
         )
 
 
-@njit(**_strict)
+@kernel
 def _sum(values: Any) -> Any:
     """Sum of a flat array whose length is a multiple of 16, in a fixed order."""
     total = zeros()
@@ -70,7 +69,7 @@ def _sum(values: Any) -> Any:
     return out[0]
 
 
-@njit(**_strict)
+@kernel
 def blur_rows(block: int, blocks: int, a: Any, b: Any, mask: Any, blurs: Any) -> None:
     """Pass 1: horizontal blurs of (mask a), (mask a)^2 and (mask a) b; b is already masked."""
     channels, height, width = a.shape
@@ -90,7 +89,7 @@ def blur_rows(block: int, blocks: int, a: Any, b: Any, mask: Any, blurs: Any) ->
         _across(p2, blurs[2, c, y + 5], width)
 
 
-@njit(**_strict)
+@kernel
 def ssim_rows(
     block: int, blocks: int, mu_b: Any, variance_b: Any, blurs: Any, ssim_sums: Any
 ) -> None:
@@ -131,7 +130,7 @@ def ssim_rows(
         _across(p2, blurs[5, c, y + 5], width)
 
 
-@njit(**_strict)
+@kernel
 def gradient_rows(
     block: int,
     blocks: int,

@@ -15,14 +15,12 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from framework.jit import inlined, kernel
 from framework.rasterize.constants import ALPHA_MIN, DILATION, FRUSTUM_MARGIN
 from framework.rasterize.simd import load, store, zeros
 
 f4 = np.float32
-_strict = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy"}
-_inline = {"nogil": True, "fastmath": False, "error_model": "numpy", "inline": "always"}
 
 _LOG2E = f4(1.4426950408889634)
 _CUT = f4(ALPHA_MIN)
@@ -39,7 +37,7 @@ ONE, TWO, THREE, FOUR, SIX, EIGHT = f4(1), f4(2), f4(3), f4(4), f4(6), f4(8)
 ZERO, HALF = f4(0), f4(0.5)
 
 
-@njit(**_inline)
+@inlined
 def _basis(degree: int, x: Any, y: Any, z: Any, out: Any) -> None:
     """The basis functions 1.. of `degree` at the unit direction, into out[0..]."""
     out[0] = -_Y1 * y
@@ -62,7 +60,7 @@ def _basis(degree: int, x: Any, y: Any, z: Any, out: Any) -> None:
             out[14] = -_Y3A * x * (xx - THREE * yy)
 
 
-@njit(**_inline)
+@inlined
 def _basis_gradient(degree: int, x: Any, y: Any, z: Any, d: Any) -> tuple[Any, Any, Any]:
     """Sum over the basis functions of d[k] x their gradient in (x, y, z)."""
     gx, gy, gz = -_Y1 * d[2], -_Y1 * d[0], _Y1 * d[1]
@@ -85,7 +83,7 @@ def _basis_gradient(degree: int, x: Any, y: Any, z: Any, d: Any) -> tuple[Any, A
     return gx, gy, gz
 
 
-@njit(**_inline)
+@inlined
 def to_camera(camera: Any, mean: Any) -> tuple[Any, Any, Any]:
     x = camera[0] * mean[0] + camera[1] * mean[1] + camera[2] * mean[2] + camera[9]
     y = camera[3] * mean[0] + camera[4] * mean[1] + camera[5] * mean[2] + camera[10]
@@ -93,7 +91,7 @@ def to_camera(camera: Any, mean: Any) -> tuple[Any, Any, Any]:
     return x, y, z
 
 
-@njit(**_inline)
+@inlined
 def _direction(camera: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
     """Unit direction camera -> mean, and 1 / distance."""
     x, y, z = mean[0] - camera[12], mean[1] - camera[13], mean[2] - camera[14]
@@ -101,7 +99,7 @@ def _direction(camera: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
     return x * inverse, y * inverse, z * inverse, inverse
 
 
-@njit(**_inline)
+@inlined
 def unit_quat(quat: Any) -> tuple[Any, Any, Any, Any, Any]:
     """(w, x, y, z) normalised, and 1 / norm."""
     w, x, y, z = quat[0], quat[1], quat[2], quat[3]
@@ -109,7 +107,7 @@ def unit_quat(quat: Any) -> tuple[Any, Any, Any, Any, Any]:
     return w * inverse, x * inverse, y * inverse, z * inverse, inverse
 
 
-@njit(**_inline)
+@inlined
 def rotation(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
     """Row-major rotation matrix of a unit quaternion."""
     return (
@@ -125,7 +123,7 @@ def rotation(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
     )
 
 
-@njit(**_inline)
+@inlined
 def screen_axes(camera: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
     """T = J W, 2x3 row-major: how the projected point moves with the world point."""
     inverse = ONE / z
@@ -141,7 +139,7 @@ def screen_axes(camera: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
     )
 
 
-@njit(**_inline)
+@inlined
 def times_rotation(t: Any, r: Any) -> tuple[Any, ...]:
     """U = T R, 2x3."""
     return (
@@ -154,7 +152,7 @@ def times_rotation(t: Any, r: Any) -> tuple[Any, ...]:
     )
 
 
-@njit(**_strict)
+@kernel
 def project(
     block: int,
     blocks: int,
@@ -249,7 +247,7 @@ def project(
             bound[i] = (right // 16 - left // 16 + 1) * (bottom // 16 - top // 16 + 1)
 
 
-@njit(**_inline)
+@inlined
 def pull_back(
     camera: Any,
     x: Any,
@@ -270,7 +268,7 @@ def pull_back(
 ) -> tuple[Any, ...]:
     """Gradients in (mean 3, log-scale 3, quat 4) from those in (u, v, A, B, C, z).
 
-    The chain conic -> covariance (dS = -C G C) -> A = T R S -> its factors, then T and u, v -> mean.
+    The chain conic -> covariance (dS = -C G C) -> A = T R S -> its factors; T, u, v -> mean.
     """
     ca, cb, cc = conic
     gh = HALF * gb
@@ -326,7 +324,7 @@ def pull_back(
     )
 
 
-@njit(**_strict)
+@kernel
 def project_backward(
     block: int,
     blocks: int,

@@ -15,10 +15,12 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, models, overload, register_model
+from numba.extending import intrinsic as numba_intrinsic
+from numba.extending import models, overload, register_model
 from numba.np.arrayobj import make_array
 
 LANES = 16
+intrinsic: Any = numba_intrinsic  # what it makes is typed by numba, not by its Python signature
 
 _f32, _i32, _i1 = ir.FloatType(), ir.IntType(32), ir.IntType(1)
 _vector = ir.VectorType(_f32, LANES)
@@ -61,7 +63,7 @@ def _call(builder: Any, name: str, result: Any, arguments: list[Any]) -> Any:
 
 
 def _elementwise(arity: int, result: Any, build: Any, first: Any = V) -> Any:
-    """An intrinsic of `arity` vector arguments; `build(builder, *values)` emits the instructions."""
+    """An intrinsic of `arity` vectors; `build(builder, *values)` emits the instructions."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         return build(builder, *values)
@@ -266,7 +268,7 @@ def lane_sums(typing_context, vectors):  # type: ignore[no-untyped-def]
         while group > 1:
             if len(level) % 2:
                 level = [*level, _constant(0.0)]
-            level = [_fold(builder, *level[i : i + 2], group) for i in range(0, len(level), 2)]
+            level = [_fold(builder, level[i], level[i + 1], group) for i in range(0, len(level), 2)]
             group //= 2
         return level[0]
 

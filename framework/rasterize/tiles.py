@@ -15,8 +15,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from framework.jit import inlined, kernel
 from framework.rasterize.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from framework.rasterize.simd import (
     absolute,
@@ -42,8 +42,6 @@ from framework.rasterize.simd import (
 )
 
 f4 = np.float32
-_strict = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy"}
-_inline = {"nogil": True, "fastmath": False, "error_model": "numpy", "inline": "always"}
 HALF, ZERO, ONE = f4(0.5), f4(0), f4(1)
 _CUT = f4(np.log2(ALPHA_MIN))  # in the exponent
 _MAX = f4(ALPHA_MAX)
@@ -52,7 +50,7 @@ _CHECK = 16  # items between two looks at which rows are finished
 _AHEAD = 6  # items between asking for a Gaussian's row and using it
 
 
-@njit(**_inline)
+@inlined
 def _aligned(size: int) -> Any:
     """Uninitialised float32 scratch that begins on a cache line: a vector access that straddles two
     lines costs twice."""
@@ -61,7 +59,7 @@ def _aligned(size: int) -> Any:
     return scratch[skip : skip + size]
 
 
-@njit(**_inline)
+@inlined
 def _row_numbers() -> Any:
     """[256], the row of every pixel of a tile."""
     numbers = np.empty(256, np.float32)
@@ -70,7 +68,7 @@ def _row_numbers() -> Any:
     return numbers
 
 
-@njit(**_inline)
+@inlined
 def _alive_rows(transmittance: Any) -> int:
     """Bit y is set if a pixel of row y of the tile (flat [256]) still blends."""
     rows = 0
@@ -80,13 +78,13 @@ def _alive_rows(transmittance: Any) -> int:
     return rows
 
 
-@njit(**_inline)
+@inlined
 def _listed_rows(item: Any) -> int:
     """Bits first row ... last row of a list item."""
     return ((2 << ((item >> 4) & 15)) - 1) & ~((1 << (item & 15)) - 1)
 
 
-@njit(**_inline)
+@inlined
 def _clear_outside(transmittance: Any, x: int, y: int, width: int, height: int) -> None:
     """T = 1 in the image, 0 (finished) for the lanes and rows of the tile outside it."""
     for j in range(16):
@@ -95,7 +93,7 @@ def _clear_outside(transmittance: Any, x: int, y: int, width: int, height: int) 
             transmittance[j * 16 + i] = ONE if inside else ZERO
 
 
-@njit(**_inline)
+@inlined
 def _read_row(plane: Any, at: int, count: int, buffer: Any, place: int) -> None:
     """Copy `count` of 16 values of a flat image into a flat tile buffer, zeros for the rest."""
     if count == 16:
@@ -105,7 +103,7 @@ def _read_row(plane: Any, at: int, count: int, buffer: Any, place: int) -> None:
             buffer[place + i] = plane[at + i] if i < count else ZERO
 
 
-@njit(**_inline)
+@inlined
 def _write_row(plane: Any, at: int, count: int, value: Any, scratch: Any) -> None:
     """Write the first `count` lanes into a flat image."""
     if count == 16:
@@ -116,7 +114,7 @@ def _write_row(plane: Any, at: int, count: int, value: Any, scratch: Any) -> Non
             plane[at + i] = scratch[i]
 
 
-@njit(**_strict)
+@kernel
 def blend(
     block: int,
     blocks: int,
@@ -193,7 +191,7 @@ def blend(
             _write_row(depth, place, count, load(far, at), scratch)
 
 
-@njit(**_strict)
+@kernel
 def blend_backward(
     block: int,
     blocks: int,
@@ -297,7 +295,7 @@ def blend_backward(
             store(slots, slot, sums)
 
 
-@njit(**_strict)
+@kernel
 def blend_moments(
     block: int,
     blocks: int,

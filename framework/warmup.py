@@ -1,0 +1,94 @@
+"""Compile every kernel a run will need before anything is timed.
+
+numba compiles on first use and keeps the result on disk. So the first run on a machine does a few
+steps on three tiny synthetic views with the same depth provider, trainer options and plugins; it
+tells the user when that means compiling. Later processes load the kernels in a moment.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+
+from framework import registry
+from framework.cache import cache_dir
+from framework.depth import build_provider
+from framework.errors import UserError
+from framework.options import TrainerOptions
+from framework.progress import Progress, Silent
+from framework.provenance import code_hash, cpu_model
+from framework.rng import stream
+from framework.trainer import Plugins, Trainer
+from framework.types import Camera, DepthMap, Gaussians, SparsePoints, TrainingSet, View
+
+WIDTH, HEIGHT, FOCAL, DISTANCE, STEP = 64, 48, 60.0, 3.0, 0.2
+STEPS = 12
+
+_warm: set[str] = set()  # keys this process has warmed up
+
+
+def warm_up(config: Mapping[str, Any], progress: Progress) -> None:
+    """Run the tiny training for this configuration's choices, once per process."""
+    chosen = {group: config[group] for group in (*registry.GROUPS, "depth")}
+    chosen["sh_degree"] = config["trainer"]["sh_degree"]
+    text = json.dumps(chosen, sort_keys=True, default=str)
+    key = hashlib.sha256(f"{text} {code_hash()} {cpu_model()}".encode()).hexdigest()[:16]
+    if key in _warm:
+        return
+    marker = cache_dir() / "compiled" / key
+    if not marker.exists():
+        progress.compiling("kernels")
+    _tiny_run(config)
+    _warm.add(key)
+    marker.parent.mkdir(exist_ok=True)
+    marker.touch()
+
+
+def _tiny_run(config: Mapping[str, Any]) -> None:
+    training, depth, gaussians = _plane(int(config["trainer"]["sh_degree"]))
+    provider = dict(config["depth"])
+    with contextlib.suppress(UserError):  # a provider of files knows nothing of synthetic views
+        build_provider(provider.pop("name"), provider).estimate(training)
+    options = dataclasses.replace(
+        TrainerOptions(**config["trainer"]), steps=STEPS, sh_every=1, evaluations=1
+    )
+    plugins = Plugins(*(registry.build(group, config[group]) for group in registry.GROUPS))
+    Trainer(training, depth, gaussians, options, plugins, 0, Silent()).run()
+
+
+def _plane(sh_degree: int) -> tuple[TrainingSet, tuple[DepthMap, ...], Gaussians]:
+    """Three cameras side by side before a textured plane, with exact depth and 200 Gaussians."""
+    texture = stream(0, "warmup").random((3, HEIGHT + 4, 2 * WIDTH))
+    shift = round(FOCAL * STEP / DISTANCE)
+    K = torch.tensor([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
+    views = []
+    for i in range(3):
+        viewmat = torch.eye(4)
+        viewmat[0, 3] = -STEP * i
+        pixels = texture[:, :HEIGHT, i * shift : i * shift + WIDTH]
+        image = torch.from_numpy(np.ascontiguousarray(pixels, np.float32))
+        views.append(View(f"plane-{i}", Camera(viewmat, K, WIDTH, HEIGHT), image))
+    rng = stream(0, "warmup/points")
+    xyz = rng.uniform([-1.0, -1.0, DISTANCE - 0.05], [1.4, 1.0, DISTANCE + 0.05], (200, 3))
+    points = SparsePoints(
+        torch.from_numpy(xyz), torch.full((200, 3), 0.5), torch.ones(200, 3, dtype=torch.bool)
+    )
+    full = DepthMap(torch.full((HEIGHT, WIDTH), DISTANCE), torch.ones(HEIGHT, WIDTH))
+    training = TrainingSet("warm-up", tuple(views), points, 0.5 * DISTANCE, 2 * DISTANCE)
+    terms = (sh_degree + 1) ** 2 - 1
+    gaussians = Gaussians(
+        torch.from_numpy(xyz.astype(np.float32)),
+        torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(200, 1),
+        torch.full((200, 3), -3.0),
+        torch.zeros(200),
+        torch.zeros(200, 1, 3),
+        torch.zeros(200, terms, 3),
+    )
+    return training, (full,) * 3, gaussians
