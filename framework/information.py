@@ -11,6 +11,8 @@ All sums are numpy's, in float64 and on one thread: the bits do not depend on th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from torch import Tensor, from_numpy
 
@@ -24,25 +26,39 @@ def information_gain(
     """Information a candidate view adds to what a reference view knows (diagonal Laplace).
 
     candidate, reference: [N, P] diagonals H', H of the Fisher information of the two views, lengths
-    in units of the scene's extent.
-    regulariser: share of the median positive H' per parameter, added to H; taken from the candidate
-    so that all references of one candidate are compared under the same prior lambda.
-    form "log": 1/2 sum log(1 + H' / (H + lambda)), the entropy difference of the two posteriors
-    (Kirsch & Gal, "Unifying approaches in active learning", 2022); form "trace": its upper bound
-    1/2 sum H' / (H + lambda) = 1/2 tr(H' (H + lambda)^-1). Raises ValueError on bad input.
+    in units of the scene's extent. regulariser: lambda as a share of the median positive H' per
+    parameter. See `information_gains` for the equation and errors.
     """
-    return information_gains(candidate, [reference], regulariser, form)[0]
+    return information_gains(candidate, [reference], shared_prior([candidate], regulariser), form)[
+        0
+    ]
+
+
+def shared_prior(diagonals: Sequence[Tensor], regulariser: float) -> Tensor:
+    """[P] float64 prior precision lambda for the comparison of several views.
+
+    diagonals: one [N, P] per view. Returns `regulariser` x the median positive entry of all views,
+    per parameter. Raises ValueError on a regulariser that is not positive or values not finite.
+    """
+    _check_positive("shared_prior: regulariser", regulariser)
+    stacked = np.concatenate([_float64(diagonal) for diagonal in diagonals])
+    return from_numpy(_prior(stacked, regulariser))
 
 
 def information_gains(
-    candidate: Tensor, references: list[Tensor], regulariser: float, form: str = "trace"
+    candidate: Tensor, references: Sequence[Tensor], prior: Tensor, form: str = "trace"
 ) -> list[float]:
-    """`information_gain` against each of `references`, the prior computed once."""
+    """What a candidate view would add to each of several reference views under one prior.
+
+    candidate: [N, P] diagonal H'. references: the views' diagonals H. prior: [P] lambda > 0.
+    form "log": 1/2 sum log(1 + H' / (H + lambda)), the entropy difference of the two posteriors
+    (Kirsch & Gal, "Unifying approaches in active learning", 2022); form "trace": its upper bound
+    1/2 sum H' / (H + lambda) = 1/2 tr(H' (H + lambda)^-1). Raises ValueError on an unknown form,
+    differing shapes and values that are not finite.
+    """
     if form not in FORMS:
         raise ValueError(f"information_gain: form must be one of {', '.join(FORMS)}, got '{form}'")
-    _check_positive("information_gain: regulariser", regulariser)
     gained = _float64(candidate)
-    prior = _prior(gained, regulariser)
     gains = []
     for reference in references:
         known = _float64(reference)
@@ -50,7 +66,7 @@ def information_gains(
             raise ValueError(
                 f"information_gain: candidate {gained.shape} and reference {known.shape} differ"
             )
-        ratio = gained / (known + prior)
+        ratio = gained / (known + prior.numpy())
         gains.append(0.5 * float(np.sum(ratio if form == "trace" else np.log1p(ratio))))
     return gains
 
@@ -118,7 +134,7 @@ def _log_det(blocks: np.ndarray, prior: np.ndarray) -> np.ndarray:
 
 def _float64(x: Tensor) -> np.ndarray:
     """`x` as float64. Raises ValueError on NaN or infinity."""
-    array = x.detach().numpy().astype(np.float64)
+    array = x.detach().numpy().astype(np.float64, copy=False)
     if not np.isfinite(array).all():
         raise ValueError("Fisher information: expected finite values, got NaN or infinity")
     return array

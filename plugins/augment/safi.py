@@ -25,11 +25,13 @@ NEAR_SHARE = 0.01  # near plane of the Fisher passes, in units of the scene's ne
 @dataclass(frozen=True)
 class Snapshot:
     """theta_0 with what the training views know about it. gaussians: detached copies. sh_degree:
-    the active degree. diagonals: K times [N, P]. epoch: when it was taken."""
+    the active degree. diagonals: K times [N, P] float64. prior: [P], their `shared_prior`. epoch:
+    when it was taken."""
 
     gaussians: Gaussians
     sh_degree: int
     diagonals: tuple[Tensor, ...]
+    prior: Tensor
     epoch: int
 
 
@@ -37,14 +39,16 @@ class Snapshot:
 @dataclass(frozen=True)
 class Safi(WarpingAugmenter):
     """eta: a view supports if its score is at most eta x the smallest. form: "trace", the paper's
-    bound, or "log", the information gain itself. regulariser: prior precision as a share of the
-    median diagonal. downscale: the Fisher passes run on images smaller by this integer factor.
-    refresh_epochs: epochs after which theta_0 is taken anew; 0 = never.
+    bound, or "log", the information gain itself (its ratios are near 1: lower eta to 1.05 or so).
+    regulariser: prior precision as a share of the median diagonal of the training views; with much
+    less than 1 the trace only counts what a view does not see, and the scores' ratios explode.
+    downscale: the Fisher passes run on images smaller by this integer factor. refresh_epochs:
+    epochs after which theta_0 is taken anew; 0 = never.
     """
 
-    eta: float = 1.4
+    eta: float = 1.5
     form: str = "trace"
-    regulariser: float = 0.1
+    regulariser: float = 1.0
     downscale: int = 2
     refresh_epochs: int = 0
 
@@ -65,16 +69,19 @@ class Safi(WarpingAugmenter):
         if snapshot is None or self._outdated(snapshot, ctx.epoch):
             snapshot = self._snapshot(ctx)
         candidate = self._diagonal(ctx, snapshot.gaussians, snapshot.sh_degree, camera)
-        scores = information_gains(candidate, list(snapshot.diagonals), self.regulariser, self.form)
+        scores = information_gains(candidate, snapshot.diagonals, snapshot.prior, self.form)
         return within(scores, self.eta), snapshot
 
     def _outdated(self, snapshot: Snapshot, epoch: int) -> bool:
         return 0 < self.refresh_epochs <= epoch - snapshot.epoch
 
     def _snapshot(self, ctx: StepContext) -> Snapshot:
+        from framework.information import shared_prior
+
         gaussians, degree = ctx.gaussians.clone(), ctx.sh_degree
         diagonals = tuple(self._diagonal(ctx, gaussians, degree, v.camera) for v in ctx.views)
-        return Snapshot(gaussians, degree, diagonals, ctx.epoch)
+        prior = shared_prior(diagonals, self.regulariser)
+        return Snapshot(gaussians, degree, diagonals, prior, ctx.epoch)
 
     def _diagonal(
         self, ctx: StepContext, gaussians: Gaussians, sh_degree: int, camera: Camera

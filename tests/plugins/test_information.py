@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from framework.information import information_gain, information_gains, uncertainty
+from framework.information import information_gain, information_gains, shared_prior, uncertainty
 from framework.rng import stream
 
 
@@ -65,8 +65,14 @@ def test_parameters_nobody_sees_count_nothing() -> None:
 
 def test_several_references_at_once() -> None:
     candidate, references = diagonals(0), [diagonals(1), diagonals(2)]
+    prior = shared_prior([candidate], 0.1)
     expected = [information_gain(candidate, r, 0.1) for r in references]
-    assert information_gains(candidate, references, 0.1) == expected
+    assert information_gains(candidate, references, prior) == expected
+
+
+def test_shared_prior_is_the_median_of_all_views() -> None:
+    views = [torch.tensor([[1.0, 0], [2, 0]]), torch.tensor([[0.0, 0], [7, 3]])]
+    assert shared_prior(views, 0.5).tolist() == [1.0, 1.5]
 
 
 def test_uncertainty_is_minus_the_log_determinant() -> None:
