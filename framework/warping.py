@@ -40,11 +40,11 @@ class WarpingState:
 class WarpingAugmenter(Augmenter):
     """One pseudo view at a perturbed training camera, warped from the views `select` chooses.
 
-    every: epochs that a pseudo view lives (a new one costs about as much as two steps). sigma_center: jitter of the camera centre per axis, in
-    mean nearest-neighbour distances of the training cameras (extents for a single camera).
-    sigma_rotation: jitter of the orientation in degrees, about a random axis. temperature: softness
-    of the z-buffer as a share of depth. min_coverage: share of the frame that must be warped;
-    below it there is no pseudo view.
+    every: epochs that a pseudo view lives (a new one costs about as much as two training steps).
+    sigma_center: jitter of the camera centre per axis, in mean nearest-neighbour distances of the
+    training cameras (extents for a single camera). sigma_rotation: jitter of the orientation in
+    degrees, about a random axis. temperature: softness of the z-buffer as a share of depth.
+    min_coverage: share of the frame that must be warped; below it there is no pseudo view.
     """
 
     every: int = 2
