@@ -6,7 +6,7 @@ implementation get the same scene and differ by their arithmetic alone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -61,6 +61,13 @@ def random_case(seed: int, n: int = 80, spread: float = 0.6, margin: float = 0.3
     factors = rng.uniform(0.3, 1.0, n) * (rng.random(n) < 0.9)
     background = rng.random(3)
     return Case(gaussians, camera, _tensor(background), _tensor(factors), torch.zeros(n, 2), degree)
+
+
+def crowded_case(seed: int) -> Case:
+    """500 mostly opaque Gaussians of very different sizes: pixels stop early, factors are 0 or 1."""
+    case = random_case(seed, n=500, spread=0.9)
+    opaque = case.gaussians.replace(opacity_logits=case.gaussians.opacity_logits + 2.0)
+    return replace(case, gaussians=opaque, factors=(case.factors > 0).float())
 
 
 def random_camera(rng: np.random.Generator, width: int, height: int) -> Camera:

@@ -1,4 +1,4 @@
-"""The kernels (float32) against the reference (float64) on 20 random scenes.
+"""The kernels (float32) against the reference (float64) on 20 random and 4 crowded scenes.
 
 Pixels that come within a relative BAND of a blending threshold are left out, in the image and in
 the loss whose gradient is compared: there the two may lawfully decide differently.
@@ -16,11 +16,12 @@ from framework.rasterize import rasterize
 from framework.rasterize.reference import cutoff_margin, project, rasterize_reference
 from framework.rng import stream
 from framework.types import Gaussians, Render
-from tests.numerics.scenes import Case, random_case
+from tests.numerics.scenes import Case, crowded_case, random_case
 
 BAND = 1e-4  # float32 exponents here are off by up to about 1e-5
 IMAGE_TOLERANCE = 1e-5
-SEEDS = range(20)
+RANDOM = [random_case(seed) for seed in range(20)]
+CROWDED = [crowded_case(seed) for seed in range(100, 104)]
 
 Rasterizer = Callable[..., Render]
 Inputs = dict[str, Tensor]
@@ -66,9 +67,9 @@ def _gradients(rasterizer: Rasterizer, case: Case, dtype: torch.dtype, used: Ten
     return {name: g.double() for name, g in gradients.items() if g is not None}
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_images(seed: int) -> None:
-    case, used = random_case(seed), _off_cutoffs(random_case(seed))
+@pytest.mark.parametrize("case", RANDOM + CROWDED)
+def test_images(case: Case) -> None:
+    used = _off_cutoffs(case)
     kernel = _render(rasterize, case, _inputs(case, torch.float32))
     exact = _render(rasterize_reference, case, _inputs(case, torch.float64))
     left_out = int((~used).sum())
@@ -80,9 +81,9 @@ def test_images(seed: int) -> None:
     torch.testing.assert_close(kernel.radii, exact.radii, rtol=1e-5, atol=1e-5)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_gradients(seed: int) -> None:
-    case, used = random_case(seed), _off_cutoffs(random_case(seed))
+@pytest.mark.parametrize("case", RANDOM + CROWDED)
+def test_gradients(case: Case) -> None:
+    used = _off_cutoffs(case)
     kernel = _gradients(rasterize, case, torch.float32, used)
     exact = _gradients(rasterize_reference, case, torch.float64, used)
     assert kernel.keys() == exact.keys()
@@ -97,8 +98,8 @@ def test_gradients(seed: int) -> None:
 def test_gradients_have_no_bias() -> None:
     """Signed error over all scenes: rounding may scatter, it must not shrink or grow gradients."""
     along: dict[str, list[float]] = {}
-    for seed in SEEDS:
-        case, used = random_case(seed), _off_cutoffs(random_case(seed))
+    for case in RANDOM:
+        used = _off_cutoffs(case)
         kernel = _gradients(rasterize, case, torch.float32, used)
         exact = _gradients(rasterize_reference, case, torch.float64, used)
         for name, g in exact.items():
@@ -110,11 +111,18 @@ def test_gradients_have_no_bias() -> None:
 
 def test_pixels_at_the_cutoffs_stay_close() -> None:
     """At a cut-off the two may differ by one blended Gaussian of alpha 1/255, never by more."""
-    for seed in SEEDS:
-        case = random_case(seed)
+    for case in RANDOM + CROWDED:
         kernel = _render(rasterize, case, _inputs(case, torch.float32))
         exact = _render(rasterize_reference, case, _inputs(case, torch.float64))
         assert (kernel.alpha - exact.alpha).abs().max() < 1.5 / 255
+
+
+def test_crowded_scenes_stop_pixels_early() -> None:
+    """The scenes above do reach the transmittance stop, and the 0.99 clamp."""
+    for case in CROWDED:
+        exact = _render(rasterize_reference, case, _inputs(case, torch.float64))
+        assert (1 - exact.alpha < 1e-3).sum() > 50
+        assert (case.gaussians.opacities * case.factors > 0.99).any()
 
 
 def test_active_degree_below_the_stored_one() -> None:

@@ -1,0 +1,198 @@
+"""Milliseconds by stage of one training step, optionally beside the prototype's.
+
+    python benchmarks/step.py [--prototype DIR] [--clock cpu]
+
+The step is what training runs: `rasterize` (SH degree 3), `photometric_loss`, backward by autograd,
+`Adam`, at 504x378 on `benchmarks.scene`. Stages are timed inside it; what they leave over
+(autograd, allocation) is the column `rest`. Every round runs in fresh processes, ours and the
+prototype's in turn, so that a slow minute of the machine hits both. `wall` is the median over all
+steps of all rounds; `CPU` is the processor time of the whole process per step, which other programs
+disturb less: `--clock cpu` measures the stages by it too, for a machine that is not idle. Writes a
+markdown table to results/step.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.step_report import STAGES, Results, Steps, report
+
+ROOT = Path(__file__).resolve().parents[1]
+WARM_UP = 5
+CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
+PROTOTYPE_LINE = re.compile(r"^(\d+) hash .*?wall/iter med ([\d.]+) .*?cpu/iter ([\d.]+)")
+
+
+class Stopwatch:
+    """Collects the duration of wrapped calls, in milliseconds by name."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self.clock = clock
+        self.times: dict[str, list[float]] = {name: [] for name in STAGES}
+
+    def wrap(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            start = self.clock()
+            result = function(*args, **kwargs)
+            self.times[name].append(1e3 * (self.clock() - start))
+            return result
+
+        return timed
+
+    @contextmanager
+    def watching(self, owner: type) -> Iterator[None]:
+        """Time every method of `owner` that is a stage, while inside."""
+        own = {name: vars(owner)[name] for name in STAGES if name in vars(owner)}
+        for name, method in own.items():
+            setattr(owner, name, self.wrap(name, method))
+        try:
+            yield
+        finally:
+            for name, method in own.items():
+                setattr(owner, name, method)
+
+
+def measure(count: int, threads: int, steps: int, clock: str) -> Steps:
+    """Run `steps` training steps after WARM_UP ones, in this process."""
+    from framework.parallel import set_threads
+    from framework.rasterize import Workspace
+
+    set_threads(threads)
+    watch = Stopwatch(CLOCKS[clock])
+    step = _training_step(count, watch)
+    for _ in range(WARM_UP):
+        step()
+    wall, cpu = [], []
+    with watch.watching(Workspace):
+        for times in watch.times.values():
+            times.clear()
+        for _ in range(steps):
+            start, cpu_start = time.perf_counter(), time.process_time()
+            step()
+            wall.append(1e3 * (time.perf_counter() - start))
+            cpu.append(1e3 * (time.process_time() - cpu_start))
+    return Steps(count, threads, watch.times, wall, cpu)
+
+
+def _training_step(count: int, watch: Stopwatch) -> Callable[[], None]:
+    """A closure that does one step on its own Gaussians."""
+    import torch
+
+    from benchmarks.scene import HEIGHT, WIDTH, layered_scene
+    from framework.losses import Target, photometric_loss
+    from framework.optim import Adam
+    from framework.rasterize import rasterize
+    from framework.rng import stream
+
+    gaussians, camera = layered_scene(count)
+    leaves = gaussians.map(lambda t: t.requires_grad_())
+    names = [name for name, _ in leaves.items()]
+    rates = dict.fromkeys(names, 1e-5)
+    image = stream(0, "benchmark-target").random((3, HEIGHT, WIDTH), dtype="float32")
+    target = Target.of(torch.from_numpy(image))
+    optimizer = Adam(gaussians)
+    loss_of = watch.wrap("loss", photometric_loss)
+    update = watch.wrap("adam", optimizer.step)
+
+    def step() -> None:
+        offset = torch.zeros(count, 2, requires_grad=True)
+        render = rasterize(leaves, camera, means2d_offset=offset)
+        loss = loss_of(render.rgb, target, 0.2)
+        inputs = [tensor for _, tensor in leaves.items()]
+        gradients = torch.autograd.grad(loss, [*inputs, offset])
+        update(leaves, dict(zip(names, gradients, strict=False)), rates)
+
+    return step
+
+
+def _run_ours(options: argparse.Namespace, threads: int) -> list[Steps]:
+    """`measure` for all counts in one fresh process."""
+    command = [sys.executable, __file__, "--worker", "--threads", str(threads)]
+    command += ["--steps", str(options.steps), "--clock", options.clock]
+    command += ["--counts", *map(str, options.counts)]
+    output = subprocess.run(
+        command, cwd=ROOT, env=_environment(threads), check=True, capture_output=True, text=True
+    ).stdout
+    return [Steps(**json.loads(line)) for line in output.splitlines()]
+
+
+def _run_prototype(folder: Path, threads: int, cache: Path) -> dict[int, tuple[float, float]]:
+    """Median wall and mean CPU milliseconds per step by count, as the prototype prints them."""
+    command = [sys.executable, "iter_full.py", "pool", str(threads)]
+    environment = {**_environment(threads), "NUMBA_CACHE_DIR": str(cache)}
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"
+    output = subprocess.run(
+        command, cwd=folder, env=environment, check=True, capture_output=True, text=True
+    ).stdout
+    lines = filter(None, map(PROTOTYPE_LINE.match, output.splitlines()))
+    return {int(m[1]): (float(m[2]), float(m[3])) for m in lines}
+
+
+def _environment(threads: int) -> dict[str, str]:
+    return {**os.environ, "OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
+
+
+def run_rounds(options: argparse.Namespace) -> Results:
+    """Ours and the prototype's in turn, `options.rounds` times."""
+    results = Results({}, {})
+    with tempfile.TemporaryDirectory() as cache:
+        for number in range(options.rounds):
+            for threads in options.threads:
+                print(f"round {number + 1} of {options.rounds}, {threads} threads", file=sys.stderr)
+                for steps in _run_ours(options, threads):
+                    results.ours.setdefault((steps.count, threads), []).append(steps)
+                if options.prototype is not None:
+                    timings = _run_prototype(options.prototype, threads, Path(cache))
+                    for count, pair in timings.items():
+                        results.prototype.setdefault((count, threads), []).append(pair)
+    return results
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Milliseconds by stage of one training step.")
+    parser.add_argument("--counts", type=int, nargs="+", default=[20_000, 50_000, 100_000])
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--steps", type=int, default=15, help="measured steps per round")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--clock", choices=sorted(CLOCKS), default="wall", help="of the stages")
+    parser.add_argument("--prototype", type=Path, help="folder with the prototype's iter_full.py")
+    parser.add_argument("--output", type=Path, default=ROOT / "benchmarks/results/step.md")
+    parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.prototype is not None and not (options.prototype / "iter_full.py").is_file():
+        parser.error(f"--prototype: expected a folder with iter_full.py, got {options.prototype}")
+    return options
+
+
+def main() -> None:
+    options = _options()
+    if options.worker:
+        for count in options.counts:
+            steps = measure(count, options.threads[0], options.steps, options.clock)
+            print(json.dumps(asdict(steps)), flush=True)
+        return
+    results = run_rounds(options)
+    command = f"python benchmarks/step.py --rounds {options.rounds} --steps {options.steps}"
+    command += f" --clock {options.clock}" + (" --prototype DIR" if options.prototype else "")
+    text = report(results, command, options.clock)
+    print(text)
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    options.output.write_text(text)
+
+
+if __name__ == "__main__":
+    main()

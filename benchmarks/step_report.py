@@ -1,0 +1,133 @@
+"""What `step.py` measured, as markdown tables."""
+
+from __future__ import annotations
+
+import os
+import platform
+import statistics
+from dataclasses import dataclass
+
+from framework.provenance import cpu_model
+
+STAGES = {
+    "project": "projection",
+    "sort": "sort",
+    "bin": "binning",
+    "blend": "raster forward",
+    "loss": "loss",
+    "blend_backward": "raster backward",
+    "project_backward": "reduce + projection backward",
+    "adam": "Adam",
+}
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What one process measured with `count` Gaussians and `threads` threads.
+
+    stages: milliseconds of every step by key of STAGES. wall_ms, cpu_ms: of every whole step.
+    """
+
+    count: int
+    threads: int
+    stages: dict[str, list[float]]
+    wall_ms: list[float]
+    cpu_ms: list[float]
+
+
+@dataclass
+class Results:
+    """All rounds. ours: by (count, threads). prototype: (wall, CPU) ms per round, same keys."""
+
+    ours: dict[tuple[int, int], list[Steps]]
+    prototype: dict[tuple[int, int], list[tuple[float, float]]]
+
+    @property
+    def n_steps(self) -> int:
+        """Measured steps of every number of Gaussians and threads."""
+        return sum(len(steps.wall_ms) for steps in next(iter(self.ours.values())))
+
+    def wall(self, count: int, threads: int) -> float:
+        return statistics.median(t for s in self.ours[count, threads] for t in s.wall_ms)
+
+    def cpu(self, count: int, threads: int) -> float:
+        """The mean, as the prototype reports it."""
+        return statistics.fmean(t for s in self.ours[count, threads] for t in s.cpu_ms)
+
+    def stage(self, count: int, threads: int, name: str) -> float:
+        return statistics.median(t for s in self.ours[count, threads] for t in s.stages[name])
+
+    def prototype_wall(self, count: int, threads: int) -> float:
+        return statistics.median(wall for wall, _ in self.prototype[count, threads])
+
+    def prototype_cpu(self, count: int, threads: int) -> float:
+        return statistics.fmean(cpu for _, cpu in self.prototype[count, threads])
+
+
+def _row(cells: list[object]) -> str:
+    return "| " + " | ".join(f"{c:.1f}" if isinstance(c, float) else str(c) for c in cells) + " |"
+
+
+def _table(header: list[str], rows: list[list[object]]) -> list[str]:
+    return [_row(list(header)), "|" + "---:|" * len(header), *map(_row, rows)]
+
+
+def stage_table(results: Results, clock: str) -> list[str]:
+    """Milliseconds by stage, a row per number of Gaussians and threads."""
+    header = ["Gaussians", "threads", *STAGES.values(), "rest", "**wall**", "CPU"]
+    rows: list[list[object]] = []
+    for count, threads in sorted(results.ours):
+        stages = [results.stage(count, threads, name) for name in STAGES]
+        wall = results.wall(count, threads)
+        cpu = results.cpu(count, threads)
+        rest = (wall if clock == "wall" else cpu) - sum(stages)
+        rows.append([count, threads, *stages, rest, wall, cpu])
+    return _table(header, rows)
+
+
+def comparison_table(results: Results) -> list[str]:
+    """Single-thread totals beside the prototype's, and what the second thread brings."""
+    header = ["Gaussians", "ours, 1 thread", "prototype", "ratio of wall", "ratio of CPU"]
+    header += ["ours, 2 threads", "speed-up", "prototype's speed-up"]
+    rows: list[list[object]] = []
+    for count in sorted({c for c, _ in results.ours}):
+        rows.append([count, *_beside(results, count), *_speed_up(results, count)])
+    return _table(header, rows)
+
+
+def _beside(results: Results, count: int) -> list[object]:
+    if (count, 1) not in results.ours:
+        return ["-"] * 4
+    wall, cpu = results.wall(count, 1), results.cpu(count, 1)
+    if (count, 1) not in results.prototype:
+        return [wall, "-", "-", "-"]
+    other, other_cpu = results.prototype_wall(count, 1), results.prototype_cpu(count, 1)
+    return [wall, other, f"{wall / other:.2f}", f"{cpu / other_cpu:.2f}"]
+
+
+def _speed_up(results: Results, count: int) -> list[object]:
+    if not {(count, 1), (count, 2)} <= results.ours.keys():
+        return ["-"] * 3
+    wall = results.wall(count, 2)
+    gain = f"{results.wall(count, 1) / wall:.2f}"
+    if not {(count, 1), (count, 2)} <= results.prototype.keys():
+        return [wall, gain, "-"]
+    other = results.prototype_wall(count, 1) / results.prototype_wall(count, 2)
+    return [wall, gain, f"{other:.2f}"]
+
+
+def report(results: Results, command: str, clock: str) -> str:
+    """The markdown that is printed and written."""
+    lines = [
+        "# One training step, milliseconds by stage",
+        "",
+        f"`{command}` on {cpu_model()} ({os.cpu_count()} cores), Python"
+        f" {platform.python_version()}; 504x378, SH degree 3. Stages: medians over"
+        f" {results.n_steps} steps in {clock} time; CPU: mean of the whole process.",
+        "",
+        *stage_table(results, clock),
+        "",
+        *comparison_table(results),
+        "",
+    ]
+    return "\n".join(lines)
