@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from framework.errors import require
 from framework.plugin import Capacity, Edits, StepContext, StepStats, register
@@ -47,17 +47,18 @@ class AdaptiveDensityControl(Capacity):
     """Options, with the defaults of the sparse-view literature (10k-step trainings).
 
     Steps are absolute: a training of 500 steps or fewer is not densified unless `from_step` is
-    lowered. every: steps between densifications, those after `from_step` and up to the share
-    `until` of the training. The default leaves the last tenth to settle what was split.
+    lowered. every: steps between densifications, the first one after `from_step`, the last before
+    the framework key `stop`, whose default leaves the last tenth to settle what was split.
     grad_threshold: least mean pull (loss per NDC unit). percent_dense: largest standard deviation
     of a "small" Gaussian, in scene extents. min_opacity: below it a Gaussian is removed.
     reset_every: steps between lowering all opacities to `reset_opacity`; 0 = never.
     max_gaussians: 0 = no limit; otherwise the strongest pulled are served first.
     """
 
+    defaults: ClassVar[dict[str, float]] = {"stop": 0.9}
+
     every: int = 100
     from_step: int = 500
-    until: float = 0.9
     grad_threshold: float = 5e-4
     percent_dense: float = 0.01
     min_opacity: float = 0.005
@@ -71,7 +72,6 @@ class AdaptiveDensityControl(Capacity):
 
         check("every", self.every >= 1, "an integer >= 1")
         check("from_step", self.from_step >= 0, "an integer >= 0")
-        check("until", 0 <= self.until <= 1, "a share of the training in [0, 1]")
         check("grad_threshold", self.grad_threshold > 0, "a number > 0")
         check("percent_dense", self.percent_dense > 0, "a number > 0")
         check("min_opacity", 0 <= self.min_opacity < 1, "a number in [0, 1)")
@@ -89,13 +89,11 @@ class AdaptiveDensityControl(Capacity):
     def update(self, ctx: StepContext, state: Pull, stats: StepStats) -> tuple[Edits | None, Pull]:
         """Measure; at every `every`-th step also clone, split and prune; then perhaps reset.
 
-        `ctx.step` counts the finished steps, this one included.
+        `ctx.step` is the index of the step just made, hence one more are finished.
         """
-        if ctx.step > self.until * ctx.n_steps:
-            return None, state
-        state = _measured(state, stats)
-        ceiling = self.reset_opacity if self._due(ctx.step, self.reset_every, 0) else None
-        if self._due(ctx.step, self.every, self.from_step):
+        state, finished = _measured(state, stats), ctx.step + 1
+        ceiling = self.reset_opacity if self._due(finished, self.reset_every, 0) else None
+        if self._due(finished, self.every, self.from_step):
             edits, n = self._densified(ctx, state, ceiling)
             return edits, _nothing_measured(n, ctx.gaussians)
         return (None if ceiling is None else Edits(opacity_ceiling=ceiling)), state

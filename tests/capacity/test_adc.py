@@ -37,13 +37,13 @@ def gaussians(*rows: tuple[float, float]) -> Gaussians:
 
 
 def context(
-    subject: Gaussians, step: int, seed: int = 0, log: dict[str, float] | None = None
+    subject: Gaussians, finished: int, seed: int = 0, log: dict[str, float] | None = None
 ) -> StepContext:
     def unreachable(*_: Any) -> Any:
         raise AssertionError("density control renders nothing")
 
     return StepContext(
-        step=step,
+        step=finished - 1,
         n_steps=10_000,
         epoch=0,
         views=(),
@@ -57,7 +57,7 @@ def context(
         far=20.0,
         render=unreachable,
         fisher=unreachable,
-        rng=lambda purpose: stream(seed, f"capacity/adc/{purpose}", step),
+        rng=lambda purpose: stream(seed, f"capacity/adc/{purpose}", finished),
         log=(lambda name, value: None) if log is None else log.__setitem__,
     )
 
@@ -72,7 +72,7 @@ def stats(pulls: list[float], radii: list[float] | None = None) -> StepStats:
 def densify(
     subject: Gaussians, pulls: list[float], seed: int = 0, **options: Any
 ) -> tuple[Edits, Pull]:
-    """The edits of step 600 after one measurement, and the state after them."""
+    """The edits after 600 steps with one measurement, and the state after them."""
     adc = AdaptiveDensityControl(**options)
     ctx = context(subject, 600, seed)
     edits, state = adc.update(ctx, adc.init_state(ctx), stats(pulls))
@@ -157,11 +157,11 @@ def test_pull_does_not_depend_on_the_resolution() -> None:
 
 
 @pytest.mark.parametrize(
-    ("step", "expected"), [(500, False), (599, False), (600, True), (9000, True), (9100, False)]
+    ("finished", "expected"), [(500, False), (599, False), (600, True), (601, False), (700, True)]
 )
-def test_densifies_after_from_step_every_so_often_until_the_end(step: int, expected: bool) -> None:
+def test_densifies_after_from_step_every_so_often(finished: int, expected: bool) -> None:
     adc, subject = AdaptiveDensityControl(reset_every=0), gaussians((SMALL, OPAQUE))
-    ctx = context(subject, step)
+    ctx = context(subject, finished)
     edits, _ = adc.update(ctx, adc.init_state(ctx), stats([1e-3]))
     assert (edits is not None) == expected
 
@@ -230,7 +230,8 @@ def test_statistics_of_another_set_are_refused() -> None:
 def test_is_chosen_by_name_and_checks_its_options() -> None:
     plugged = build("capacity", {"name": "adc", "max_gaussians": 5000})
     assert plugged.plugin == replace(AdaptiveDensityControl(), max_gaussians=5000)
-    with pytest.raises(UserError, match=r"capacity.until: expected a share .* got 2"):
-        build("capacity", {"name": "adc", "until": 2.0})
+    assert (plugged.start, plugged.stop) == (0.0, 0.9)
+    with pytest.raises(UserError, match=r"capacity.every: expected an integer >= 1, got 0"):
+        build("capacity", {"name": "adc", "every": 0})
     with pytest.raises(UserError, match=r"capacity.reset_opacity: expected a number in \(min_op"):
         build("capacity", {"name": "adc", "reset_opacity": 0.001})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from framework.optim import Adam
+from framework.optim import Adam, decay_opacities
 from framework.parallel import set_threads
 from framework.rng import stream
 from framework.types import Gaussians
@@ -183,3 +183,15 @@ def test_refuses_what_does_not_fit() -> None:
         adam.step(params, {"means": torch.zeros(5, 3, dtype=torch.float64)}, RATES)
     with pytest.raises(ValueError, match=r"Adam.means: expected a contiguous"):
         adam.step(params.replace(means=torch.zeros(3, 5).T), gradient(5, 0), RATES)
+
+
+def test_opacity_decay_multiplies_opacities_on_any_thread_count() -> None:
+    start, results = torch.linspace(-12, 12, 1001), []
+    for threads in (1, 3):
+        set_threads(threads)
+        results.append(start.clone())
+        decay_opacities(results[-1], 0.99)
+    assert torch.equal(*results)
+    torch.testing.assert_close(results[0].sigmoid(), 0.99 * start.sigmoid(), atol=2e-7, rtol=1e-6)
+    decay_opacities(results[1], 1.0)
+    assert torch.equal(*results)
