@@ -64,7 +64,7 @@ def random_case(seed: int, n: int = 80, spread: float = 0.6, margin: float = 0.3
 
 
 def crowded_case(seed: int) -> Case:
-    """500 mostly opaque Gaussians of very different sizes: pixels stop early, factors are 0 or 1."""
+    """500 mostly opaque Gaussians of very different sizes: pixels stop early; factors 0 or 1."""
     case = random_case(seed, n=500, spread=0.9)
     opaque = case.gaussians.replace(opacity_logits=case.gaussians.opacity_logits + 2.0)
     return replace(case, gaussians=opaque, factors=(case.factors > 0).float())
