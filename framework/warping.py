@@ -101,7 +101,7 @@ class WarpingAugmenter(Augmenter):
         return replace(state, selection=selection, view=view, made=ctx.epoch)
 
     def _sample_camera(self, ctx: StepContext) -> Camera:
-        rng = ctx.rng(f"{self.name}-camera")
+        rng = ctx.rng("camera")  # not by method: all compare on the same cameras
         cameras = [view.camera for view in ctx.views]
         spacing = mean_neighbour_distance(cameras) or ctx.extent
         start = cameras[int(rng.integers(len(cameras)))]
