@@ -190,4 +190,7 @@ def _code_notes(runs: list[Run]) -> list[str]:
     versions = {str(run.record.provenance.get("code")) for run in runs}
     if len(versions) < 2:
         return []
-    return [f"The runs were made with {len(versions)} different versions of the code; rerun them."]
+    return [
+        f"The runs were made with {len(versions)} versions of the code, which may explain a"
+        " difference; the study's command repeats the outdated ones."
+    ]

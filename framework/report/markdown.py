@@ -113,7 +113,7 @@ def _missing(study: Study) -> list[str]:
 
 def _provenance(study: Study) -> list[str]:
     runs = [run.run for run in study.runs] + list(study.failed)
-    lines = [f"- {name}: {', '.join(values)}" for name, values in _facts(runs).items() if values]
+    lines = [f"- {name}: {'; '.join(values)}" for name, values in _facts(runs).items() if values]
     commands = [
         f"- `{run.run_dir.relative_to(study.study_dir).as_posix()}`:"
         f" {_code(' '.join(run.record.overrides)) or 'no overrides'}"

@@ -75,6 +75,14 @@ def test_a_repeated_run_is_told_and_left_out(tmp_path: Path) -> None:
     assert "left out in favour of `a`" in study.notes[0]
 
 
+def test_runs_of_different_code_are_told(tmp_path: Path) -> None:
+    fake_run(tmp_path, seed=0)
+    record = fake_run(tmp_path, seed=1) / "record.json"
+    code = collect(tmp_path).runs[0].record.provenance["code"]
+    record.write_text(record.read_text().replace(code, "0" * 64))
+    assert "2 versions of the code" in collect(tmp_path).notes[0]
+
+
 def test_one_scene_name_with_two_splits(tmp_path: Path) -> None:
     from dataclasses import replace
 
