@@ -19,8 +19,8 @@ class PlaneSweep:
     planes: int = 96  # of inverse depth, evenly spaced
     radius: int = 3  # of the (2 r + 1)^2 window, pixels
     neighbours: int = 4  # views each view is matched with, at most
-    penalty_small: float = 0.05  # P1: the depth moves by one plane from pixel to pixel
-    penalty_large: float = 0.6  # P2: it moves by more; less so across image edges
+    penalty_small: float = 0.1  # P1: the match moves by one pixel from pixel to pixel
+    penalty_large: float = 1.0  # P2: it moves by more; less so across image edges
     edge: float = 20.0  # P2 is divided by 1 + edge x grey difference
     tolerance: float = 0.03  # relative depth difference at which two views still agree
 

@@ -1,8 +1,8 @@
 """Plane sweep over all training views: match, aggregate, select, check.
 
 The planes of a view are fronto-parallel to it and evenly spaced in inverse depth q between its
-depth bounds (Collins, CVPR 1996; Gallup et al., CVPR 2007). Matching works with q x farthest depth, so
-that its numbers do not depend on the unit of length.
+depth bounds (Collins, CVPR 1996; Gallup et al., CVPR 2007). Matching works with q x farthest
+depth, so that its numbers do not depend on the unit of length.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from framework.depth.aggregate import aggregate_columns, aggregate_rows
 from framework.depth.bounds import depth_bounds
 from framework.depth.consistency import agreeing_views
 from framework.depth.match import COST_ONE, VARIANCE_FLOOR, match_costs
-from framework.depth.neighbours import choose_neighbours
+from framework.depth.neighbours import choose_neighbours, grid_points
 from framework.depth.select import select_planes
-from framework.depth.transfer import pixel_transfer
+from framework.depth.transfer import inside, pixel_transfer, project
 from framework.errors import UserError, require
 from framework.parallel import run_blocks
 from framework.types import DepthMap, TrainingSet, View
@@ -94,12 +94,33 @@ def edge_penalties(image: NDArray[np.float32], axis: int, options: PlaneSweep) -
     return np.rint(COST_ONE * np.maximum(penalty, options.penalty_small)).astype(np.int16)
 
 
+def plane_spacing(
+    views: Sequence[View], index: int, sources: Sequence[int], bounds: tuple[float, float], n: int
+) -> float:
+    """By how many pixels of the sources a match moves from one of `n` planes to the next: the
+    median over a grid in the image and over the sources."""
+    near, far = bounds
+    steps, camera = [], views[index].camera
+    middle = 0.5 * (1 / near + 1 / far)
+    pair = [1 / (middle + side * (1 / near - 1 / far) / (n - 1)) for side in (-0.5, 0.5)]
+    for source in (views[s].camera for s in sources):
+        a, b = (project(source, grid_points(camera, z, z)) for z in pair)
+        seen = inside(source, a) & inside(source, b)
+        steps.append(np.linalg.norm(a[seen, :2] - b[seen, :2], axis=1))
+    moved = np.concatenate(steps)
+    return float(np.median(moved)) if len(moved) else 1.0
+
+
 def aggregate(
-    cost: NDArray[np.int16], image: NDArray[np.float32], options: PlaneSweep
+    cost: NDArray[np.int16], image: NDArray[np.float32], spacing: float, options: PlaneSweep
 ) -> NDArray[np.int16]:
-    """[H, D, W] costs summed over the four paths."""
+    """[H, D, W] costs summed over the four paths.
+
+    P1 shrinks with the `spacing` of the planes below one pixel; else finely spaced planes would
+    make every slant expensive and flatten it.
+    """
     total = np.empty_like(cost)
-    small = np.int16(round(COST_ONE * options.penalty_small))
+    small = np.int16(round(COST_ONE * options.penalty_small * min(1.0, spacing)))
     run_blocks(aggregate_rows, cost, edge_penalties(image, 1, options), small, total)
     run_blocks(aggregate_columns, cost, edge_penalties(image, 0, options), small, total)
     return total
@@ -119,7 +140,8 @@ def sweep_view(
     if not sources:
         return position, zncc
     cost = cost_volume(training.views, images, index, sources, bounds, options)
-    total = aggregate(cost, images[index], options)
+    spacing = plane_spacing(training.views, index, sources, bounds, options.planes)
+    total = aggregate(cost, images[index], spacing, options)
     run_blocks(select_planes, total, cost, position, zncc)
     near, far = bounds
     step = (far / near - 1.0) / (options.planes - 1)

@@ -1,0 +1,207 @@
+"""Depth from files and from the scene: round trips, alignment, and one clear line per error."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from framework.depth import PROVIDERS, build_provider
+from framework.depth.align import fit_scale, fit_scale_shift
+from framework.depth.read import resample
+from framework.errors import UserError
+from framework.rng import stream
+from framework.types import TrainingSet
+from tests.depth.plane import plane_depth, plane_scene
+
+
+def exact(training: TrainingSet) -> list[np.ndarray]:
+    return [plane_depth(v.camera) for v in training.views]
+
+
+def write(folder: Path, training: TrainingSet, maps: list[np.ndarray], suffix: str) -> None:
+    for view, values in zip(training.views, maps, strict=True):
+        file = folder / f"{Path(view.name).stem}{suffix}"
+        if suffix == ".npy":
+            np.save(file, values)
+        elif suffix == ".npz":
+            np.savez(file, depth=values)
+        else:
+            cv2.imwrite(str(file), np.rint(values * 5000).astype(np.uint16))
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".png"])
+def test_files_are_read_back(tmp_path: Path, suffix: str) -> None:
+    scene = plane_scene()
+    write(tmp_path, scene, exact(scene), suffix)
+    options = {"path": str(tmp_path), "align": "none", "png_scale": 5000.0}
+    for found, truth in zip(
+        build_provider("file", options).estimate(scene), exact(scene), strict=True
+    ):
+        np.testing.assert_allclose(found.depth.numpy(), truth, atol=2e-4)
+        assert float(found.confidence.min()) == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "mode"),
+    [("depth", "scale"), ("inverse_depth", "scale"), ("inverse_depth", "scale_shift")],
+)
+def test_alignment_recovers_scene_units(tmp_path: Path, kind: str, mode: str) -> None:
+    scene = plane_scene(100)
+    outliers = scene.points.xyz.clone()
+    outliers[::5] *= 1.3  # a fifth of the points is wrong
+    scene = replace(scene, points=replace(scene.points, xyz=outliers))
+    shift = 0.7 if mode == "scale_shift" else 0.0
+    maps = [(d if kind == "depth" else 1 / d) * 40 + shift for d in exact(scene)]
+    write(tmp_path, scene, maps, ".npy")
+    options = {"path": str(tmp_path), "kind": kind, "align": mode}
+    for found, truth in zip(
+        build_provider("file", options).estimate(scene), exact(scene), strict=True
+    ):
+        np.testing.assert_allclose(found.depth.numpy(), truth, rtol=0.01)
+
+
+def test_maps_of_another_size_are_resampled(tmp_path: Path) -> None:
+    scene = plane_scene()
+    write(tmp_path, scene, [np.repeat(np.repeat(d, 2, 0), 2, 1) for d in exact(scene)], ".npy")
+    options = {"path": str(tmp_path), "align": "none"}
+    found = build_provider("file", options).estimate(scene)[0]
+    np.testing.assert_allclose(found.depth.numpy(), exact(scene)[0], rtol=1e-6)
+
+
+def test_resampling_keeps_edges_and_holes_sharp() -> None:
+    values = np.array([[1.0, 1.02, 5.0, 0.0]])
+    larger = resample(values, 16, 4)
+    assert larger.shape == (4, 16)
+    assert not ((larger > 1.03) & (larger < 5)).any()
+    assert not ((larger > 0) & (larger < 1)).any()
+    assert (larger[:, 1:6] > 1).any()
+
+
+def test_invalid_values_are_counted_or_masked(tmp_path: Path) -> None:
+    scene = plane_scene()
+    maps = exact(scene)
+    maps[1][0, :3] = [np.nan, np.inf, -1]
+    write(tmp_path, scene, maps, ".npy")
+    options = {"path": str(tmp_path), "align": "none"}
+    with pytest.raises(UserError, match=r"middle\.npy, got 3 of 8320 invalid \(1 NaN, 1 inf"):
+        build_provider("file", options).estimate(scene)
+    found = build_provider("file", {**options, "invalid": "mask"}).estimate(scene)[1]
+    assert found.depth[0, :3].tolist() == found.confidence[0, :3].tolist() == [0, 0, 0]
+    assert float(found.confidence[1:].min()) == 1
+
+
+def test_tolerance_drops_what_no_other_view_confirms(tmp_path: Path) -> None:
+    scene = plane_scene()
+    maps = exact(scene)
+    maps[0][30:40, 40:50] *= 1.2
+    write(tmp_path, scene, maps, ".npy")
+    options = {"path": str(tmp_path), "align": "none", "tolerance": 0.03}
+    confidence = build_provider("file", options).estimate(scene)[0].confidence
+    assert float(confidence[30:40, 40:50].max()) == 0
+    assert float(confidence.mean()) > 0.7
+
+
+def _provoke(case: str, folder: Path, scene: TrainingSet) -> dict[str, object]:
+    """Write what is wrong in `case`; returns the provider's options."""
+    write(folder, scene, exact(scene), ".npy")
+    first = folder / "left.npy"
+    if case == "folder":
+        return {"path": str(folder / "nowhere")}
+    if case == "missing":
+        first.unlink()
+    elif case == "twice":
+        np.savez(folder / "left.npz", depth=np.ones((72, 96)))
+    elif case == "truncated":
+        first.write_bytes(first.read_bytes()[:200])
+    elif case == "pickled":
+        np.save(first, np.array([{"a": 1}]), allow_pickle=True)
+    elif case == "key":
+        first.unlink()
+        np.savez(folder / "left.npz", disparity=np.ones((72, 96)))
+    elif case == "shape":
+        np.save(first, np.ones((3, 72, 96)))
+    elif case == "aspect":
+        np.save(first, np.ones((72, 72)))
+    elif case == "png":
+        first.unlink()
+        cv2.imwrite(str(folder / "left.png"), np.ones((72, 96), np.uint8))
+    return {"path": str(folder), "align": "scale" if case == "points" else "none"}
+
+
+@pytest.mark.parametrize(
+    ("case", "message"),
+    [
+        ("folder", "expected a folder at .*nowhere"),
+        ("missing", "for view 'left.JPG', got none"),
+        ("twice", r"got left\.npy, left\.npz; remove"),
+        ("truncated", r"cannot be read"),
+        ("pickled", r"cannot be read"),
+        ("key", "expected key 'depth' in .* got disparity"),
+        ("shape", r"got shape \(3, 72, 96\)"),
+        ("aspect", "aspect ratio of the 96x72 image .* got 72x72"),
+        ("png", "16-bit grey png .* got uint8"),
+        ("points", "needs 8 sparse points .* got 0; use depth.align=none"),
+    ],
+)
+def test_bad_files_are_named(tmp_path: Path, case: str, message: str) -> None:
+    scene = plane_scene()
+    options = _provoke(case, tmp_path, scene)
+    with pytest.raises(UserError, match=message) as caught:
+        build_provider("file", options).estimate(scene)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_wrong_kind_is_noticed(tmp_path: Path) -> None:
+    scene = plane_scene(100)
+    write(tmp_path, scene, [1 / d for d in exact(scene)], ".npy")
+    options = {"path": str(tmp_path), "kind": "depth", "align": "scale_shift"}
+    with pytest.raises(UserError, match=r"depth\.kind=inverse_depth"):
+        build_provider("file", options).estimate(scene)
+
+
+def test_fits_are_robust() -> None:
+    rng = stream(2, "tests/depth/fits")
+    values = rng.uniform(1, 2, 200)
+    targets = 3 * values + 0.5
+    targets[:60] += rng.uniform(5, 50, 60)
+    assert fit_scale_shift(values, targets) == pytest.approx((3, 0.5), abs=1e-4)
+    assert fit_scale(values, np.where(np.arange(200) < 60, 100, 3) * values) == 3
+
+
+def test_ground_truth_is_the_views_own_depth() -> None:
+    scene = plane_scene()
+    found = build_provider("ground_truth", {}).estimate(scene)
+    assert all(torch.equal(m.depth, v.depth) for m, v in zip(found, scene.views, strict=True))
+    bare = replace(scene, views=(replace(scene.views[0], depth=None), *scene.views[1:]))
+    with pytest.raises(UserError, match=r"got none for view 'left.JPG'; use depth=plane_sweep"):
+        build_provider("ground_truth", {}).estimate(bare)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("plane_swep", {}, "did you mean 'plane_sweep'"),
+        ("file", {}, "set depth.path=DIR"),
+        ("file", {"path": "x", "kind": "disparity"}, "kind one of depth, inverse_depth"),
+        ("file", {"path": "x", "align": "affine"}, "align one of scale"),
+        ("file", {"path": "x", "png_scale": 0}, "png_scale > 0"),
+        ("ground_truth", {"planes": 3}, "unknown option 'planes'"),
+    ],
+)
+def test_bad_names_and_options(name: str, options: dict[str, object], message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        build_provider(name, options)
+
+
+def test_importing_the_package_stays_light() -> None:
+    code = "import sys, framework.depth; print({'torch', 'numba', 'cv2'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+    assert sorted(PROVIDERS) == ["file", "ground_truth", "plane_sweep"]

@@ -1,0 +1,130 @@
+"""The plane sweep on a scene with exact depth: accuracy, laws, and the errors it raises."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from framework.depth import build_provider
+from framework.errors import UserError
+from framework.parallel import set_threads
+from framework.types import Camera, DepthMap, TrainingSet
+from tests.depth.plane import camera, no_points, plane_depth, plane_scene, view
+
+
+def sweep(training: TrainingSet, **options: float) -> tuple[DepthMap, ...]:
+    return build_provider("plane_sweep", options).estimate(training)
+
+
+@pytest.fixture(scope="module")
+def maps() -> tuple[DepthMap, ...]:
+    return sweep(plane_scene())
+
+
+def test_confident_pixels_are_within_one_and_three_percent(maps: tuple[DepthMap, ...]) -> None:
+    for found, of in zip(maps, plane_scene().views, strict=True):
+        error = np.abs(found.depth.numpy() / plane_depth(of.camera) - 1)
+        confident = found.confidence.numpy() > 0
+        assert confident.mean() > 0.7
+        assert (error[confident] < 0.01).mean() > 0.97
+        assert (error[confident] < 0.03).mean() > 0.99
+
+
+def test_maps_have_the_size_and_range_of_the_contract(maps: tuple[DepthMap, ...]) -> None:
+    for found, of in zip(maps, plane_scene().views, strict=True):
+        assert found.depth.shape == found.confidence.shape == of.image.shape[1:]
+        assert found.depth.dtype == found.confidence.dtype == torch.float32
+        assert bool((found.depth > 0).all())
+        assert 0 <= float(found.confidence.min()) <= float(found.confidence.max()) <= 1
+
+
+def test_thread_count_does_not_change_a_bit(maps: tuple[DepthMap, ...]) -> None:
+    try:
+        for threads in (1, 2, 3):
+            set_threads(threads)
+            for again, first in zip(sweep(plane_scene()), maps, strict=True):
+                assert torch.equal(again.depth, first.depth)
+                assert torch.equal(again.confidence, first.confidence)
+    finally:
+        set_threads(0)
+
+
+def test_depth_scales_with_the_scene(maps: tuple[DepthMap, ...]) -> None:
+    scene = plane_scene()
+
+    def enlarged(of: Camera) -> Camera:
+        pose = of.viewmat.clone()
+        pose[:3, 3] *= 1000
+        return replace(of, viewmat=pose)
+
+    views = tuple(replace(v, camera=enlarged(v.camera)) for v in scene.views)
+    large = replace(scene, views=views, near=1000 * scene.near, far=1000 * scene.far)
+    for found, first in zip(sweep(large), maps, strict=True):
+        ratio = found.depth / first.depth / 1000
+        assert float(((ratio - 1).abs() < 1e-4).float().mean()) > 0.999
+
+
+def test_a_masked_pixel_gets_no_confidence() -> None:
+    scene = plane_scene()
+    mask = torch.ones(scene.views[0].image.shape[1:])
+    mask[:, :40] = 0
+    views = (replace(scene.views[0], mask=mask), *scene.views[1:])
+    confidence = sweep(replace(scene, views=views))[0].confidence
+    assert float(confidence[:, :40].max()) == 0
+    assert float(confidence[:, 40:].max()) > 0
+
+
+def test_a_view_without_overlap_gets_no_depth(caplog: pytest.LogCaptureFixture) -> None:
+    scene = plane_scene()
+    away = camera((0.0, 0.0, 0.0), (96, 72), 90.0)
+    turned = away.viewmat.clone()
+    turned[:3, :3] = torch.diag(torch.tensor([-1.0, 1.0, -1.0])).double() @ turned[:3, :3]
+    alone = replace(scene.views[0], name="alone", camera=replace(away, viewmat=turned))
+    views = (*scene.views, alone)
+    found = sweep(replace(scene, views=views, points=no_points(4)))
+    assert float(found[3].depth.max()) == float(found[3].confidence.max()) == 0
+    assert float(found[0].confidence.max()) > 0
+    assert "alone" in caplog.text
+
+
+def test_one_view_is_refused_with_the_alternatives() -> None:
+    scene = plane_scene()
+    one = replace(scene, views=scene.views[:1], points=no_points(1))
+    with pytest.raises(UserError, match=r"two or more .* got 1 .*depth=file"):
+        sweep(one)
+
+
+def test_views_without_any_overlap_are_refused() -> None:
+    far = camera((500.0, 0.0, 0.0), (96, 72), 90.0)
+    straight = replace(far, viewmat=torch.eye(4, dtype=torch.float64))
+    pose = straight.viewmat.clone()
+    pose[0, 3] = -500.0
+    views = (plane_scene().views[0], view("far", replace(straight, viewmat=pose)))
+    with pytest.raises(UserError, match="without any overlap"):
+        sweep(TrainingSet("apart", views, no_points(2), 3.5, 7.5))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"planes": 2}, "planes from 3"),
+        ({"radius": 0}, "radius from 1"),
+        ({"penalty_small": 0.9, "penalty_large": 0.5}, "penalty_large from penalty_small"),
+        ({"tolerance": 1.5}, r"tolerance in \(0, 1\)"),
+        ({"plane": 64}, "did you mean 'planes'"),
+    ],
+)
+def test_bad_options_are_named(options: dict[str, float], message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        build_provider("plane_sweep", options)
+
+
+def test_images_smaller_than_the_window_are_refused() -> None:
+    with pytest.raises(UserError, match="at least 31x31"):
+        small = [
+            view(n, camera((x, 0.0, 0.0), (20, 20), 30.0)) for n, x in (("a", 0.0), ("b", 0.1))
+        ]
+        sweep(TrainingSet("small", tuple(small), no_points(2), 3.5, 7.5), radius=15)
