@@ -78,16 +78,15 @@ def task(cfg: DictConfig) -> None:
     job: Any = HydraConfig.get()
     run_dir = Path(job.runtime.output_dir)
     number = 0 if OmegaConf.is_missing(job.job, "num") else int(job.job.num)
+    overrides = [str(override) for override in job.overrides.task]
     config = plain(cfg)
     try:
         register_config()
         check(config)
         config["study"] = study_name(config)
-        overrides = [str(override) for override in job.overrides.task]
         _run(config, run_dir, _progress(job, config["seed"], number), overrides)
     except Exception as error:
         message = _failed(error, config["traceback"])
-        overrides = [str(override) for override in job.overrides.task]
         _record_failure(run_dir, config, overrides, message)
         add_outcome(Outcome(number, str(run_dir), message, isinstance(error, USER_ERRORS)))
     else:
@@ -213,9 +212,15 @@ def _failed(error: Exception, show: bool) -> str:
 def _record_failure(
     run_dir: Path, config: dict[str, Any], overrides: list[str], message: str
 ) -> None:
-    from framework.record import write_failed
+    """Leave the error in the run's folder, unless an earlier complete run is there to keep."""
+    from framework.record import RECORD, read_record, write_failed
 
-    write_failed(run_dir, config, overrides, message)
+    try:
+        complete = read_record(run_dir / RECORD).status == "complete"
+    except UserError:  # no record yet, or a damaged one
+        complete = False
+    if not complete:
+        write_failed(run_dir, config, overrides, message)
 
 
 def _conclude() -> int:

@@ -67,7 +67,8 @@ def _summary(group: str, name: str) -> str:
 
 
 def _first_sentence(text: str) -> str:
-    sentence = re.split(r"[.:](?:\s|$)", " ".join(text.split()), maxsplit=1)[0]
+    # a full stop after an abbreviation ("et al. 2023") has no capital letter behind it
+    sentence = re.split(r"[.:](?=\s+[A-Z]|$)", " ".join(text.split()), maxsplit=1)[0]
     return textwrap.shorten(sentence, WIDTH, placeholder=" ...")
 
 

@@ -123,7 +123,7 @@ class Terminal:
         if self._marks and step <= self._marks[-1][1]:  # a new training began
             self._marks.clear()
         self._marks.append((now, step))
-        while len(self._marks) > 2 and now - self._marks[1][0] > SPEED_WINDOW_S:
+        while len(self._marks) > 2 and now - self._marks[0][0] > SPEED_WINDOW_S:
             self._marks.popleft()
 
     def _speed(self) -> float | None:

@@ -1,0 +1,58 @@
+"""Runs that only note their configuration, in a folder of their own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import framework.report
+from framework import cli
+from framework.errors import UserError
+from framework.progress import Progress
+
+
+@dataclass
+class FakeRuns:
+    """seen: what each run got. outcome by seed: an exception to raise instead of finishing."""
+
+    seen: list[dict[str, Any]] = field(default_factory=list)
+    folders: list[Path] = field(default_factory=list)
+    failures: dict[int, BaseException] = field(default_factory=dict)
+
+    def run(
+        self, config: dict[str, Any], run_dir: Path, progress: Progress, overrides: list[str]
+    ) -> None:
+        self.seen.append(config)
+        self.folders.append(run_dir.relative_to(Path.cwd()))
+        failure = self.failures.get(config["seed"])
+        if failure is not None:
+            raise failure
+        progress.done("finished")
+
+    @property
+    def methods(self) -> list[tuple[str, str, int]]:
+        return [(c["augment"]["name"], c["reg"]["name"], c["seed"]) for c in self.seen]
+
+
+def fake_report(study_dir: Path) -> Path:
+    if study_dir.name == "unreportable":
+        raise UserError("nothing to report")
+    path = study_dir / "report.md"
+    path.write_text("report", encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FakeRuns:
+    """The command line in an empty folder, with runs and reports that take no time."""
+    fake = FakeRuns()
+    monkeypatch.setenv("FISHERSPLAT_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(cli, "_run", fake.run)
+    monkeypatch.setattr(framework.report, "build_report", fake_report)
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    return fake

@@ -1,0 +1,206 @@
+"""What may be typed, and which runs and folders come of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from framework.cli import main
+from framework.config import SWEEPS_DIR
+from tests.cli.conftest import FakeRuns
+
+TYPED = "+augment=safi +reg=uar seed=0,1,2 -m"
+SEEDS = [("safi", "uar", seed) for seed in (0, 1, 2)]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        TYPED,
+        "augment=safi reg=uar seed=0,1,2 -m",
+        "-m +augment=safi reg=uar seed=0,1,2",
+        "--multirun seed=0,1,2 +reg=uar +augment=safi",
+        "augment=safi reg=uar seed=range(3) -m",
+    ],
+)
+def test_the_command_as_typed_and_its_variants(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str], line: str
+) -> None:
+    assert main(line.split()) == 0
+    assert runs.methods == SEEDS
+    told = capsys.readouterr()
+    assert "[run 2 of 3] safi+uar seed 1 · finished" in told.out
+    assert told.out.splitlines()[-1] == "report: reports/embedded/report.md"
+    assert told.err == ""
+
+
+def test_spelling_does_not_change_the_folder(runs: FakeRuns) -> None:
+    main(TYPED.split())
+    main(["-m", "augment=safi", "reg=uar", "seed=0,1,2", "threads=1", "force=true"])
+    main(["augment=safi", "reg=uar"])
+    assert runs.folders[:3] == runs.folders[3:6]
+    assert runs.folders[6] == runs.folders[0]
+    assert len(set(runs.folders)) == 3
+    for folder in runs.folders:
+        assert (folder / ".hydra" / "config.yaml").is_file()
+        assert folder.parent == Path("reports/embedded/runs")
+        assert folder.name.startswith("safi-uar-s")
+
+
+def test_an_option_changes_the_folder(runs: FakeRuns) -> None:
+    main([])
+    main(["trainer.steps=300"])
+    assert runs.folders[0] != runs.folders[1]
+
+
+def test_the_defaults(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    config = runs.seen[0]
+    names = [config[g]["name"] for g in ("scene", "depth", "init", "augment", "reg", "capacity")]
+    assert names == ["embedded", "plane_sweep", "stereo", "none", "none", "fixed"]
+    assert (config["seed"], config["threads"], config["study"]) == (0, 0, "embedded")
+    assert (config["force"], config["metrics"]) == (False, {"lpips_weights": None})
+    assert "none+none seed 0 · finished" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("line", "study"),
+    [
+        ("scene=llff scene.path=photos/llff_fern scene.n_views=3", "llff_fern_3v"),
+        ("scene=llff scene.path=photos/fern/ scene.n_views=6", "llff_fern_6v"),
+        ("+scene=colmap scene.path=photos/door scene.n_views=12", "colmap_door_12v"),
+        ("scene.n_views=4", "embedded_4v"),
+        ("study=mine/first", "mine/first"),
+    ],
+)
+def test_the_study_is_named_after_the_scene(runs: FakeRuns, line: str, study: str) -> None:
+    for name in ("photos/llff_fern", "photos/fern", "photos/door"):
+        Path(name).mkdir(parents=True)
+    assert main(line.split()) == 0
+    assert runs.folders[0].parent == Path("reports", study, "runs")
+    assert runs.seen[0]["study"] == study
+
+
+def test_a_folder_given_by_hand_gets_everything(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["hydra.run.dir=here"]) == 0
+    assert runs.folders == [Path("here")]
+    assert sorted(path.name for path in Path("here").iterdir()) == [".hydra", "report.md"]
+    assert not Path("reports").exists()
+    assert "report: here/report.md" in capsys.readouterr().out
+
+
+def test_a_variant_is_a_yaml_file(runs: FakeRuns) -> None:
+    assert main(["reg=uar_hard"]) == 0
+    assert (runs.seen[0]["reg"]["name"], runs.seen[0]["reg"]["mode"]) == ("uar", "hard")
+    assert runs.folders[0].name.startswith("none-uar_hard-s0-")
+
+
+@pytest.mark.parametrize("line", ["sweep=demo", "+sweep=demo", "+sweep=demo -m"])
+def test_a_named_study(runs: FakeRuns, line: str) -> None:
+    assert main(line.split()) == 0
+    assert len(runs.seen) == len(set(runs.folders)) == 12
+    assert len(set(runs.methods)) == 12
+    assert {config["study"] for config in runs.seen} == {"demo"}
+
+
+def test_a_named_study_can_be_changed(runs: FakeRuns) -> None:
+    assert main(["+sweep=demo", "seed=5", "augment=safi", "study=other"]) == 0
+    assert runs.methods == [("safi", "none", 5), ("safi", "uar", 5)]
+    assert runs.folders[0].parent == Path("reports/other/runs")
+
+
+@pytest.mark.parametrize("path", sorted(SWEEPS_DIR.glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_sweep_starts(runs: FakeRuns, path: Path) -> None:
+    assert main([f"sweep={path.stem}"]) == 0
+    assert runs.seen
+
+
+def test_an_option_beside_a_swept_group(runs: FakeRuns) -> None:
+    assert main(["reg=uar,uar_hard", "reg.weight=0.5", "-m"]) == 0
+    assert [(c["reg"]["mode"], c["reg"]["weight"]) for c in runs.seen] == [
+        ("soft", 0.5),
+        ("hard", 0.5),
+    ]
+
+
+def test_a_sweep_over_scenes_reports_each(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("a").mkdir()
+    Path("b").mkdir()
+    assert main(["scene=llff", "scene.path=a,b", "-m"]) == 0
+    reports = [line for line in capsys.readouterr().out.splitlines() if line.startswith("report")]
+    assert reports == [f"report: reports/llff_{name}_3v/report.md" for name in "ab"]
+
+
+def test_a_failing_run_is_recorded_and_the_others_go_on(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from framework.errors import UserError
+
+    runs.failures[1] = UserError("depth: expected two views, got one; add a view")
+    assert main(["seed=0,1,2", "-m"]) == 2
+    assert [method[2] for method in runs.methods] == [0, 1, 2]
+    told = capsys.readouterr()
+    folder = runs.folders[1]
+    expected = f"1 of 3 runs failed ({folder}): depth: expected two views, got one; add a view"
+    assert told.err.splitlines() == [f"error: {expected}"]
+    assert "report: reports/embedded/report.md" in told.out
+    record = json.loads((folder / "record.json").read_text(encoding="utf-8"))
+    assert (record["status"], record["error"]) == ("failed", expected.partition("): ")[2])
+
+
+def test_a_bug_shows_its_traceback_and_exits_with_1(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs.failures[0] = RuntimeError("unlucky")
+    assert main([]) == 1
+    told = capsys.readouterr()
+    assert "Traceback" in told.err
+    assert told.err.splitlines()[-1] == "error: RuntimeError: unlucky"
+    assert "report:" not in told.out
+
+
+def test_an_interrupt_is_one_line(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
+    runs.failures[1] = KeyboardInterrupt()
+    assert main(["seed=0,1,2", "-m"]) == 130
+    assert len(runs.seen) == 2
+    assert capsys.readouterr().err.splitlines() == [
+        "error: interrupted; complete runs are kept and reused"
+    ]
+
+
+def test_a_report_that_fails_is_an_error(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["study=unreportable"]) == 2
+    assert "report of reports/unreportable: UserError: nothing" in capsys.readouterr().err
+
+
+def test_nothing_of_a_command_stays_in_the_process(runs: FakeRuns) -> None:
+    import os
+    import sys
+
+    before = dict(os.environ), list(sys.argv)
+    main(["seed=0,1", "-m"])
+    assert (dict(os.environ), list(sys.argv)) == before
+
+
+def test_a_failure_keeps_an_earlier_complete_record(runs: FakeRuns) -> None:
+    from framework.errors import UserError
+
+    main([])
+    path = runs.folders[0] / "record.json"
+    record = {"status": "complete", "identity": "x", "config": {}, "overrides": [], "scene": None}
+    path.write_text(json.dumps({**record, "timings": {}, "provenance": {}, "summary": {}}))
+    before = path.read_bytes()
+    runs.failures[0] = UserError("scene: the photos are gone")
+    assert main([]) == 2
+    assert path.read_bytes() == before
+    path.write_text("damaged")
+    assert main([]) == 2
+    assert json.loads(path.read_text(encoding="utf-8"))["status"] == "failed"

@@ -1,0 +1,57 @@
+"""The typed configuration: every choice composes, and a run's name says what changed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hydra import compose, initialize_config_dir
+
+from framework.config import CONF_DIR, OBJECT_GROUPS, check, choices, register_config
+from framework.errors import UserError
+from framework.naming import plain, run_name, study_dir, study_name
+
+
+def composed(*overrides: str) -> dict[str, Any]:
+    register_config()
+    with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
+        return plain(compose("config", list(overrides)))
+
+
+ALL = [(group, name) for group in OBJECT_GROUPS for name in choices(group)]
+VARIANTS = [(p.parent.name, p.stem) for p in sorted(CONF_DIR.glob("*/*.yaml"))]
+
+
+@pytest.mark.parametrize(("group", "name"), ALL + VARIANTS)
+def test_every_choice_composes(group: str, name: str) -> None:
+    config = composed(f"{group}={name}")
+    required = [key for key, value in (config.get(group) or {}).items() if value in ("???", "")]
+    if required:
+        with pytest.raises(UserError, match=rf"{group}\.{required[0]}"):
+            check(config)
+    else:
+        check(config)
+
+
+def test_a_missing_name_is_an_error() -> None:
+    with pytest.raises(UserError, match="reg: expected a choice, got none"):
+        check({**composed(), "reg": {"mode": "hard"}})
+
+
+@pytest.mark.parametrize("key", ["seed", "threads", "force", "study", "traceback"])
+def test_the_hash_ignores_what_changes_no_run(key: str) -> None:
+    config = composed()
+    changed = {**config, key: 7}
+    assert run_name(config, "a", "b").split("-")[-1] == run_name(changed, "a", "b").split("-")[-1]
+
+
+def test_the_name_is_safe_in_a_path() -> None:
+    assert run_name(composed(), "my/method", "b").startswith("my_method-b-s0-")
+    scene = {"name": "colmap", "path": "a b/ç&d", "n_views": 5}
+    assert study_name({**composed(), "scene": scene}) == "colmap_ç_d_5v"
+
+
+def test_the_study_of_a_run() -> None:
+    assert study_dir(Path("reports/embedded/runs/x")) == Path("reports/embedded")
+    assert study_dir(Path("anywhere")) == Path("anywhere")

@@ -1,0 +1,60 @@
+"""The documents say what is so: their commands run, their tables are complete."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from framework.cli import main
+from framework.config import CONF_DIR, OBJECT_GROUPS, ROOT, SWEEPS_DIR, choices
+from tests.cli.conftest import FakeRuns
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+COMMANDS = sorted(
+    {
+        match.group(1).strip()
+        for name in ("README.md", "CONTRIBUTING.md")
+        for match in re.finditer(
+            r"python run\.py ([^\n`#]+)", (ROOT / name).read_text(encoding="utf-8")
+        )
+    }
+)
+TYPED = "python run.py +augment=safi +reg=uar seed=0,1,2 -m"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_of_the_documents_runs(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    Path("DIR").mkdir()
+    assert main(command.split()) == 0, capsys.readouterr().err
+
+
+def test_the_readme_begins_with_what_to_type() -> None:
+    head = README[: README.index("##")]
+    assert "make demo" in head and "make test" in head
+    assert TYPED in README
+
+
+@pytest.mark.parametrize("group", OBJECT_GROUPS)
+def test_the_readme_lists_every_choice(group: str) -> None:
+    row = next(line for line in README.splitlines() if line.startswith(f"| `{group}`"))
+    variants = [path.stem for path in CONF_DIR.glob(f"{group}/*.yaml")]
+    missing = [name for name in choices(group) + variants if f"`{name}`" not in row]
+    assert not missing
+
+
+def test_the_readme_names_every_study() -> None:
+    assert all(f"sweep={path.stem}" in README for path in SWEEPS_DIR.glob("*.yaml"))
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="no make on this machine")
+def test_make_demo_runs_the_exact_command() -> None:
+    done = subprocess.run(
+        ["make", "-n", "demo"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert TYPED in done.stdout

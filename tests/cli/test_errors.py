@@ -1,0 +1,107 @@
+"""Bad input: one line that says where and what, exit code 2, and nothing left behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from framework.cli import main
+from framework.errors import UserError
+from tests.cli.conftest import FakeRuns
+
+CASES = {
+    "augment=sofi": ["augment=sofi: unknown augment", "did you mean 'safi'?", "none, safi"],
+    "+reg=uarr": ["reg=uarr: unknown reg", "did you mean 'uar'?", "uar_hard"],
+    "reg=none,uarr -m": ["reg=uarr: unknown reg", "did you mean 'uar'?"],
+    "scene=lff": ["scene=lff: unknown scene", "did you mean 'llff'?"],
+    "depth=planesweep": ["depth=planesweep", "did you mean 'plane_sweep'?"],
+    "sweep=dem": ["sweep=dem", "did you mean 'demo'?"],
+    "trainer.stepz=3": ["trainer.stepz: unknown option", "did you mean 'steps'?"],
+    "+trainer.stepz=3": ["trainer.stepz: unknown option", "did you mean 'steps'?"],
+    "+typo=3": ["typo: unknown option", "available: augment"],
+    "augmment=safi": ["augmment: unknown option", "did you mean 'augment'?"],
+    "reg=uar reg.wieght=3": ["reg.wieght: unknown option of reg=uar", "did you mean 'weight'?"],
+    "+reg.wieght=3": ["reg.wieght: unknown option of reg=none"],
+    "augment.eta=1.2": ["augment.eta: unknown option of augment=none"],
+    "augment=null": ["augment: expected a choice, got 'null'; available: none, safi"],
+    "augment=": ["augment: expected a choice, got ''"],
+    "trainer.steps=abc": ["trainer.steps: expected an integer, got 'abc'"],
+    "trainer.steps=1.5": ["trainer.steps: expected an integer, got 1.5"],
+    "force=perhaps": ["force: expected true or false, got 'perhaps'"],
+    "reg.weight=heavy": ["reg.weight: expected a number, got 'heavy'"],
+    "trainer.steps=0": ["trainer.steps: expected an integer >= 1, got 0"],
+    "trainer.steps=800,0 -m": ["trainer.steps: expected an integer >= 1, got 0"],
+    "reg=uar reg.candidate_factor=7": ["uar: candidate_factor", "got 7"],
+    "reg.start=0.9 reg.stop=0.1": ["reg=none: expected 0 <= start <= stop <= 1"],
+    "seed=-1": ["seed: expected an integer >= 0, got -1"],
+    "threads=-1": ["threads: expected an integer >= 0, got -1"],
+    "study=../elsewhere": ["study: expected a folder name", "'../elsewhere'"],
+    "scene=llff": ["scene.path: required by scene=llff, got nothing; add scene.path=VALUE"],
+    "scene=colmap,embedded -m": ["scene.path: required by scene=colmap"],
+    "augment=safi -m seed=1,2": ["expected -m first or last", "after 'augment=safi'"],
+    "threads=1,2 -m": ["multirun: expected a folder for each run", "study=NAME"],
+    "seed=0,1": ["seed"],
+    "--nonsense": ["command line: unrecognized arguments: --nonsense"],
+    "--cfg job -m": ["command line: expected -m or a flag that only informs"],
+    "--resolve": ["command line: expected --cfg beside --resolve"],
+    "seed": ["command line: cannot read 'seed'"],
+    "trainer.lr_scale=${nowhere}": ["nowhere"],
+}
+
+
+@pytest.mark.parametrize("line", CASES)
+def test_bad_input_is_one_line(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str], line: str
+) -> None:
+    assert main(line.split()) == 2
+    told = capsys.readouterr()
+    lines = told.err.splitlines()
+    assert len(lines) == 1, told.err
+    assert lines[0].startswith("error: ")
+    for part in CASES[line]:
+        assert part in lines[0]
+    assert "Traceback" not in told.err
+    assert not runs.seen
+    assert not Path("reports").exists()
+
+
+def test_a_value_with_spaces_asks_for_quotes(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["scene=llff", "scene.path=my (photos)"]) == 2
+    assert "put quotes around" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("line", ["trainer.steps=abc", "trainer.steps=0"])
+def test_the_traceback_is_there_for_the_asking(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str], line: str
+) -> None:
+    assert main([line, "traceback=true"]) == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_the_traceback_of_a_run_is_there_for_the_asking(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs.failures[0] = UserError("scene: no images")
+    assert main([]) == 2
+    assert capsys.readouterr().err == "error: scene: no images\n"
+    assert main(["traceback=true"]) == 2
+    told = capsys.readouterr().err
+    assert "Traceback" in told
+    assert told.splitlines()[-1] == "error: scene: no images"
+
+
+def test_an_experiment_cannot_half_configure_another_choice(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = Path("own/experiment")
+    folder.mkdir(parents=True)
+    text = "# @package _global_\ndefaults:\n  - override /augment: safi\naugment:\n  eta: 1.4\n"
+    (folder / "wide.yaml").write_text(text, encoding="utf-8")
+    search = f"hydra.searchpath=[file://{folder.parent.resolve()}]"
+    assert main([search, "experiment=wide"]) == 0
+    assert runs.seen[0]["augment"]["eta"] == 1.4
+    assert main([search, "experiment=wide", "augment=none"]) == 2
+    assert "augment.eta: unknown option of augment=none" in capsys.readouterr().err

@@ -1,0 +1,52 @@
+"""Help, configuration and errors answer at once: nothing heavy is imported for them."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from framework.config import ROOT
+
+HEAVY = ("torch", "numba", "pandas", "matplotlib", "scipy", "skimage", "cv2", "pycolmap", "kornia")
+REPORT_HEAVY = f"""
+import sys
+from framework.cli import main
+code = main(sys.argv[1:])
+print("HEAVY", [name for name in {HEAVY} if name in sys.modules])
+sys.exit(code)
+"""
+LIMIT_S = 1.5
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "expected"),
+    [
+        ("--help", 0, "uar_hard"),
+        ("--help augment=safi", 0, "eta:"),
+        ("--cfg job", 0, "name: embedded"),
+        ("augment=sofi", 2, "did you mean 'safi'?"),
+        ("trainer.steps=0", 2, "trainer.steps"),
+    ],
+)
+def test_it_answers_at_once(tmp_path: Path, line: str, code: int, expected: str) -> None:
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(
+        [sys.executable, "-c", REPORT_HEAVY, *line.split()],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "FISHERSPLAT_CACHE": str(tmp_path / "cache")},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert done.returncode == code, done.stderr
+    assert expected in done.stdout + done.stderr
+    assert "HEAVY []" in done.stdout
+    # CPU time, which other processes of a busy machine do not stretch
+    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    assert cpu_s < LIMIT_S

@@ -1,0 +1,92 @@
+"""The progress line: sparse on a pipe, in place on a terminal, short on a narrow one."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+
+import pytest
+
+from framework.progress import Terminal
+
+LABEL = "[run 4 of 12] safi+uar seed 1"
+
+
+class Clock:
+    """Advances by `pace_s` seconds a step."""
+
+    def __init__(self, pace_s: float) -> None:
+        self.now, self.pace_s = 0.0, pace_s
+
+    def __call__(self) -> float:
+        self.now += self.pace_s
+        return self.now
+
+
+def told(pace_s: float, in_place: bool, steps: int = 800) -> str:
+    stream = io.StringIO()
+    line = Terminal(LABEL, "[4/12] safi+uar s1", stream, in_place, Clock(pace_s))
+    for step in range(1, steps + 1):
+        line.step(step, steps, 0.0412, 39957, 22.31 if step > 100 else None)
+    line.done("22.40 dB")
+    return stream.getvalue()
+
+
+@pytest.fixture
+def columns(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
+    monkeypatch.setenv("COLUMNS", "160")
+    yield monkeypatch
+
+
+def test_a_pipe_gets_a_line_every_tenth() -> None:
+    lines = told(1 / 41, in_place=False).splitlines()
+    assert len(lines) == 12
+    assert lines[4] == (
+        f"{LABEL} · step 321/800 · loss 0.0412 · test 22.31 dB · 39957 Gaussians · 41 steps/s"
+        " · 12 s left"
+    )
+    assert lines[-2].startswith(f"{LABEL} · step 800/800 ·")
+    assert lines[-1] == f"{LABEL} · 22.40 dB"
+    assert "test" not in lines[0]
+
+
+def test_a_slow_run_speaks_every_ten_seconds() -> None:
+    lines = told(4.0, in_place=False, steps=100).splitlines()
+    assert len(lines) == 35
+    assert "0.2 steps/s" in lines[2]
+
+
+def test_a_terminal_gets_one_line_in_place(columns: pytest.MonkeyPatch) -> None:
+    text = told(1 / 41, in_place=True)
+    assert text.count("\n") == 1
+    assert "step 800/800 · loss 0.0412 · test 22.31 dB · 39957 Gaussians" in text
+
+
+def test_a_narrow_terminal_still_shows_the_time_left(columns: pytest.MonkeyPatch) -> None:
+    columns.setenv("COLUMNS", "80")
+    shown = told(1 / 41, in_place=True).split("\r\x1b[K")
+    assert max(len(line) for line in shown) <= 80
+    last = "[4/12] safi+uar s1 · 800/800 · loss 0.041 · 22.3 dB · 39957 G · 41/s · 0 s"
+    assert last in shown
+
+
+def test_a_pause_does_not_stretch_the_time_left() -> None:
+    stream, clock = io.StringIO(), Clock(0.05)
+    line = Terminal(LABEL, stream=stream, in_place=False, clock=clock)
+    for step in range(1, 101):
+        clock.now += 60.0 if step == 2 else 0.0  # compilation
+        line.step(step, 100, 0.1, 10)
+    assert "20 steps/s" in stream.getvalue().splitlines()[-1]
+
+
+def test_stages_and_notes_carry_the_label() -> None:
+    stream = io.StringIO()
+    line = Terminal("none+none seed 0", stream=stream, in_place=False)
+    line.stage("plane-sweep depth")
+    line.compiling("rasterizer")
+    line.note("reused")
+    assert stream.getvalue().splitlines() == [
+        "none+none seed 0 · plane-sweep depth",
+        "none+none seed 0 · compiling rasterizer (once per machine)",
+        "none+none seed 0 · reused",
+    ]

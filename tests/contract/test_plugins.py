@@ -1,0 +1,58 @@
+"""What every discovered plugin must do, whoever wrote it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from framework import registry
+from framework.errors import UserError
+from framework.plugin import Augmenter, Capacity, Regularizer
+
+BASES = {"augment": Augmenter, "reg": Regularizer, "capacity": Capacity}
+ALL = [(group, name) for group in registry.GROUPS for name in registry.names(group)]
+
+
+@pytest.mark.parametrize(("group", "name"), ALL)
+def test_it_builds_from_its_defaults(group: str, name: str) -> None:
+    plugged = registry.build(group, {"name": name})
+    assert isinstance(plugged.plugin, BASES[group])
+    assert (plugged.plugin.group, plugged.plugin.name) == (group, name)
+    assert plugged.weight >= 0
+
+
+@pytest.mark.parametrize(("group", "name"), ALL)
+def test_it_is_frozen_and_documented(group: str, name: str) -> None:
+    cls = registry.lookup(group, name)
+    assert dataclasses.is_dataclass(cls)
+    assert cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
+    assert cls.__doc__ and not cls.__doc__.startswith(f"{cls.__name__}(")
+
+
+@pytest.mark.parametrize(("group", "name"), ALL)
+def test_every_option_has_a_type_and_a_default(group: str, name: str) -> None:
+    cls = registry.lookup(group, name)
+    for option, kind, field in registry.option_fields(cls):
+        assert kind is not None
+        assert field.default is not dataclasses.MISSING, option
+    own = {field.name for field in dataclasses.fields(cls)}
+    assert not own & {"name", *registry.FRAMEWORK_KEYS}
+
+
+@pytest.mark.parametrize(("group", "name"), ALL)
+def test_an_unknown_option_is_refused(group: str, name: str) -> None:
+    with pytest.raises(UserError, match="unknown option 'wieght'; did you mean 'weight'"):
+        registry.build(group, {"name": name, "wieght": 1.0})
+
+
+@pytest.mark.parametrize("group", list(registry.GROUPS))
+def test_an_unknown_name_is_refused(group: str) -> None:
+    with pytest.raises(UserError, match=rf"{group}=nothing_like_it: unknown .*available: "):
+        registry.build(group, {"name": "nothing_like_it"})
+
+
+def test_discovery_can_be_repeated() -> None:
+    before = {group: registry.names(group) for group in registry.GROUPS}
+    registry.discover()
+    assert {group: registry.names(group) for group in registry.GROUPS} == before
