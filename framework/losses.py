@@ -6,7 +6,6 @@ multiplies the render and the target, so nothing outside it leaks in; see `raste
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,20 +37,12 @@ class Target:
         if mask is not None:
             valid = np.ascontiguousarray(mask.detach().numpy(), np.float32)
             pixels = pixels * valid
-        mean = _blur(pixels)
-        return Target(pixels, valid, mean, _blur(pixels * pixels) - mean * mean)
-
-
-def _blur(image: np.ndarray) -> np.ndarray:
-    """The window's mean at every pixel, zeros outside the image."""
-    for axis in (1, 2):
-        n = image.shape[axis]
-        pad = [(0, 0), (0, 0), (0, 0)]
-        pad[axis] = (5, 5)
-        wide = np.pad(image, pad)
-        shifted = (np.take(wide, range(k, k + n), axis) * photometric.WINDOW[k] for k in range(11))
-        image = functools.reduce(np.add, shifted)
-    return np.ascontiguousarray(image, np.float32)
+        mean, variance = np.empty_like(pixels), np.empty_like(pixels)
+        blurs = _blurs(pixels.shape)
+        # the image is masked already: a mask of ones keeps a fractional one from counting twice
+        run_blocks(photometric.blur_rows, pixels, pixels, np.ones_like(valid), blurs)
+        run_blocks(photometric.statistics_rows, blurs, mean, variance)
+        return Target(pixels, valid, mean, variance)
 
 
 _buffers: dict[tuple[int, ...], np.ndarray] = {}

@@ -90,6 +90,20 @@ def blur_rows(block: int, blocks: int, a: Any, b: Any, mask: Any, blurs: Any) ->
 
 
 @kernel
+def statistics_rows(block: int, blocks: int, blurs: Any, mean: Any, variance: Any) -> None:
+    """Of a target b, after `blur_rows` with a = b: its window's mean and variance [C, H, W]."""
+    channels, height, width = mean.shape
+    units = channels * height
+    for unit in range(units * block // blocks, units * (block + 1) // blocks):
+        c, y = unit // height, unit % height
+        mu, spread = mean[c, y], variance[c, y]
+        _down(blurs[0, c], y, mu, width)
+        _down(blurs[1, c], y, spread, width)
+        for x in range(width):
+            spread[x] -= mu[x] * mu[x]
+
+
+@kernel
 def ssim_rows(
     block: int, blocks: int, mu_b: Any, variance_b: Any, blurs: Any, ssim_sums: Any
 ) -> None:
