@@ -97,8 +97,9 @@ def _fingerprint(protocol: str, train: Sequence[Shot], test: Sequence[Shot], poi
         for s in shots:
             for item in (role, s.name, s.viewmat, s.K, s.image, s.mask, s.depth):
                 add(item)
-    for item in (points.xyz, points.rgb, points.seen):
-        add(item)
+    add(points.xyz)
+    add(points.rgb)
+    add(points.seen)
     return digest.hexdigest()
 
 

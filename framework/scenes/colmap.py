@@ -96,7 +96,8 @@ def undistort(
     image: NDArray[np.uint8], K: NDArray[np.float64], k: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
     """The photo as a pinhole K would have taken it, bilinear; and the mask of its valid pixels,
-    None if all are. Lens: x_distorted = x (1 + k |x|^2) in units of the focal length (SIMPLE_RADIAL)."""
+    None if all are. SIMPLE_RADIAL: x_distorted = x (1 + k |x|^2), x in units of
+    the focal length, from the principal point."""
     import cv2
     import numpy as np
 

@@ -9,6 +9,7 @@ error float64, uint64 n, n x (image id int32, point index int32).
 
 from __future__ import annotations
 
+import re
 import struct
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from framework.errors import UserError, require
 
 PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 10, 8, 8)  # by COLMAP's camera model id
 STEMS = ("cameras", "images", "points3D")
+TEXT = (("cameras", 5), ("images", 10), ("points", 8))  # what a header counts, least values
 
 
 class _Reader:
@@ -102,29 +104,34 @@ def _points(path: Path, images: dict[int, int]) -> None:
     reader.finish()
 
 
-def _check_text(folder: Path) -> None:
-    """A text model: an images.txt of line pairs; the rest is pycolmap's to parse."""
-    for stem, least in (("cameras", 5), ("images", 10), ("points3D", 8)):
-        path = folder / f"{stem}.txt"
-        try:
-            lines = path.read_text(encoding="utf-8").splitlines()
-        except UnicodeDecodeError:
-            raise UserError(f"{path}: expected text, got binary data; rebuild the model") from None
-        rows = [line.split() for line in lines if not line.startswith("#")]
-        records = rows[::2] if stem == "images" else [row for row in rows if row]
-        for number, row in enumerate(records):
-            require(
-                len(row) >= least,
-                f"{path}: expected at least {least} values per record, got {len(row)} in record"
-                f" {number + 1}; the file is truncated or damaged",
-            )
+def _check_text(path: Path, noun: str, least: int) -> None:
+    """A text file of the model: its last line ended, at least `least` values in each record, as
+    many records as the header says (if it does)."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise UserError(f"{path}: expected text, got binary data; rebuild the model") from None
+    lines = text.splitlines()
+    rows = [line.split() for line in lines if not line.startswith("#")]
+    # an image takes two lines, of which the second (its 2D points) may be empty
+    records = rows[::2] if noun == "images" else [row for row in rows if row]
+    whole = [row for row in records if len(row) >= least]
+    ended = text.endswith("\n") and (noun != "images" or len(rows) == 2 * len(records))
+    said = re.search(rf"^# Number of {noun}: (\d+)", "\n".join(lines[:5]), re.MULTILINE)
+    expected = int(said.group(1)) if said else len(records)
+    require(
+        ended and len(whole) == expected,
+        f"{path}: expected {expected} records and an ended last line, got {len(whole)} whole"
+        " records; the file is truncated or damaged; copy it again or rebuild the model",
+    )
 
 
-def check(folder: Path) -> None:
-    """Raise UserError unless `folder` holds a whole model, as .bin (preferred, as pycolmap does) or
-    .txt files."""
+def check(folder: Path) -> list[Path]:
+    """The three files of the model in `folder`: .bin (preferred, as pycolmap does) or .txt. Raises
+    UserError unless they are whole."""
     for suffix in (".bin", ".txt"):
-        missing = [stem + suffix for stem in STEMS if not (folder / f"{stem}{suffix}").is_file()]
+        files = [folder / f"{stem}{suffix}" for stem in STEMS]
+        missing = [file.name for file in files if not file.is_file()]
         if len(missing) < len(STEMS):
             break
     require(
@@ -133,7 +140,9 @@ def check(folder: Path) -> None:
         f" {', '.join(missing)}; copy the whole model",
     )
     if suffix == ".txt":
-        _check_text(folder)
-        return
-    cameras = _cameras(folder / "cameras.bin")
-    _points(folder / "points3D.bin", _images(folder / "images.bin", cameras))
+        for file, (noun, least) in zip(files, TEXT, strict=True):
+            _check_text(file, noun, least)
+    else:
+        images = _images(files[1], _cameras(files[0]))
+        _points(files[2], images)
+    return files

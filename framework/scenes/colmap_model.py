@@ -6,6 +6,10 @@ points3D.bin never ends), hence `colmap_files.check`.
 
 from __future__ import annotations
 
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -93,18 +97,39 @@ def _tracks(points: dict[int, Any], column: dict[int, int]) -> Tracks:
     return Tracks(xyz[good], rgb[good], seen[good])
 
 
-def read_model(folder: Path) -> Model:
-    """The model in `folder`. Raises UserError for missing, damaged or unsupported files."""
-    colmap_files.check(folder)
+@contextmanager
+def _quiet(pycolmap: Any) -> Iterator[None]:
+    """Keep pycolmap's own log lines off the screen: the UserError says it in one."""
+    before = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
+    try:
+        yield
+    finally:
+        pycolmap.logging.minloglevel = before
+
+
+def _reconstruction(folder: Path) -> Any:
+    """pycolmap's reading of the checked cameras, images and points3D. Newer models also have rigs
+    and frames, which repeat the poses and cannot be checked: a copy without them is read."""
+    files = colmap_files.check(folder)
     import pycolmap
 
-    try:
-        model = pycolmap.Reconstruction(str(folder))
-    except (ValueError, IndexError, RuntimeError, OSError, KeyError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise UserError(
-            f"{folder}: expected a readable COLMAP model, got damaged files ({reason}); rebuild it"
-        ) from None
+    with tempfile.TemporaryDirectory() as copy, _quiet(pycolmap):
+        for file in files:
+            shutil.copyfile(file, Path(copy) / file.name)
+        try:
+            return pycolmap.Reconstruction(copy)
+        except (ValueError, IndexError, RuntimeError, OSError, KeyError) as error:
+            reason = " ".join(str(error).split())[:120]
+            raise UserError(
+                f"{folder}: expected a readable COLMAP model, got damaged files ({reason});"
+                " rebuild it"
+            ) from None
+
+
+def read_model(folder: Path) -> Model:
+    """The model in `folder`. Raises UserError for missing, damaged or unsupported files."""
+    model = _reconstruction(folder)
     images = sorted((model.image(i) for i in model.reg_image_ids()), key=lambda image: image.name)
     require(len(images) > 0, f"{folder}: expected images with poses, got none; rebuild the model")
     lenses = {i: _lens(camera, folder) for i, camera in model.cameras.items()}

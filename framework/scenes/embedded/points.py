@@ -32,8 +32,8 @@ def _detail(image: NDArray[np.uint8], depth: NDArray[np.float32]) -> NDArray[np.
 def _corners(strength: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows and columns of the strongest pixel of each cell (the first of equals)."""
     height, width = (size // CELL * CELL for size in strength.shape)
-    cells = strength[:height, :width].reshape(height // CELL, CELL, width // CELL, CELL)
-    cells = cells.transpose(0, 2, 1, 3).reshape(height // CELL, width // CELL, CELL * CELL)
+    blocks = strength[:height, :width].reshape(height // CELL, CELL, width // CELL, CELL)
+    cells = blocks.transpose(0, 2, 1, 3).reshape(height // CELL, width // CELL, CELL * CELL)
     best = cells.argmax(axis=2)
     i, j = np.nonzero(cells.max(axis=2) >= DETAIL)
     return i * CELL + best[i, j] // CELL, j * CELL + best[i, j] % CELL

@@ -1,0 +1,234 @@
+"""The COLMAP loader: bin and txt, camera models, rescaled photos, tracks, and damaged files."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from framework.errors import UserError
+from framework.rng import stream
+from framework.scenes import load_scene
+from framework.scenes.assemble import intrinsics
+from framework.scenes.colmap import undistort
+from framework.scenes.images import resize_ratio
+from framework.types import Scene
+from tests.data import open_scene
+from tests.scenes.synthetic import FOCAL, HEIGHT, WIDTH, write_images, write_model, write_scene
+
+
+def load(folder: Path, **options: object) -> Scene:
+    return load_scene("colmap", {"path": str(folder), "n_views": 3, **options})
+
+
+def to_binary(folder: Path) -> Path:
+    """Turn the scene's text model into a binary one; returns its folder."""
+    import pycolmap
+
+    sparse = folder / "sparse" / "0"
+    model = pycolmap.Reconstruction(str(sparse))
+    shutil.rmtree(sparse)
+    sparse.mkdir()
+    model.write_binary(str(sparse))
+    return sparse
+
+
+def test_poses_intrinsics_and_bounds(tmp_path: Path) -> None:
+    scene = load(write_scene(tmp_path))
+    view = scene.training.views[1]
+    assert view.name == "im05.png" and view.mask is None and view.depth is None
+    assert view.camera.center.tolist() == pytest.approx([0.5, 0.0, 0.0])
+    assert view.camera.K.tolist() == intrinsics(FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2).tolist()
+    assert (scene.training.near, scene.training.far) == pytest.approx((4.0, 6.0), rel=1e-2)
+    assert scene.training.points.visible.all()
+
+
+def test_text_and_binary_agree(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path)
+    text = load(folder)
+    sparse = to_binary(folder)
+    assert (sparse / "images.bin").is_file()
+    assert load(folder).fingerprint == text.fingerprint
+
+
+def test_sparse_without_a_number(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path)
+    first = load(folder)
+    for file in (folder / "sparse" / "0").iterdir():
+        file.rename(folder / "sparse" / file.name)
+    (folder / "sparse" / "0").rmdir()
+    assert load(folder).fingerprint == first.fingerprint
+
+
+def test_points_of_test_tracks_never_reach_training(tmp_path: Path) -> None:
+    tracks = [(0, 8), (0, 1, 8), (0, 2, 3, 4, 8), (1, 5), (0, 5, 9), (1, 5, 9)]
+    points = [((0.1 * k, 0.0, 4.0 + k), track) for k, track in enumerate(tracks)]
+    scene = load(write_scene(tmp_path, points=points))  # training: 1, 5, 9
+    assert scene.training.points.xyz[:, 2].tolist() == [7.0, 8.0, 9.0]
+    assert (scene.training.points.visible.sum(1) >= 2).all()
+
+
+def test_rescaled_photos_scale_the_intrinsics(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path)
+    write_images(folder / "images_2", 10, WIDTH // 2, HEIGHT // 2)
+    camera = load(folder, images="images_2").training.views[0].camera
+    assert camera.K.tolist() == intrinsics(FOCAL / 2, FOCAL / 2, WIDTH / 4, HEIGHT / 4).tolist()
+
+
+def test_resize_ratio() -> None:
+    assert resize_ratio(389, 389) == 1
+    assert resize_ratio(389, 779) == 779 / 389
+    assert resize_ratio(3115, 389) == 389 / 3115
+    assert resize_ratio(400, 399) is None
+    assert resize_ratio(400, 300) is None
+    assert resize_ratio(400, 180) is None
+
+
+def test_simple_pinhole_and_unsupported_models(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path)
+    sparse = folder / "sparse" / "0"
+    write_model(sparse, 10, [((0, 0, 4), range(10))], f"SIMPLE_PINHOLE {WIDTH} {HEIGHT} 50 20 15")
+    assert load(folder).training.views[0].camera.K[1, 1] == 50
+    write_model(
+        sparse, 10, [((0, 0, 4), range(10))], f"OPENCV {WIDTH} {HEIGHT} 50 50 20 15 0 0 0 0"
+    )
+    with pytest.raises(UserError, match="SIMPLE_PINHOLE, SIMPLE_RADIAL, got OPENCV"):
+        load(folder)
+
+
+@pytest.mark.parametrize("k", [-0.2, 0.15])
+def test_undistortion_straightens_a_smooth_picture(k: float) -> None:
+    """A smooth function of the undistorted direction, photographed through the lens, comes back."""
+    width, height, f = 120, 90, 100.0
+    K = intrinsics(f, f, 58.0, 46.0)
+    x = (np.arange(width) + 0.5 - K[0, 2]) / f
+    y = ((np.arange(height) + 0.5 - K[1, 2]) / f)[:, None]
+
+    def picture(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.repeat((127 + 80 * np.sin(5 * x) * np.cos(4 * y))[..., None], 3, axis=2)
+
+    a, b = np.broadcast_arrays(x, y)
+    for _ in range(30):  # fixed point of the distortion: the direction behind each stored pixel
+        factor = 1 + k * (a * a + b * b)
+        a, b = x / factor, y / factor
+    stored = np.round(picture(a, b)).astype(np.uint8)
+    out, mask = undistort(stored, K, k)
+    valid = np.ones((height, width), bool) if mask is None else mask > 0
+    assert (mask is None) == (k < 0)
+    assert np.abs(out - picture(*np.broadcast_arrays(x, y)))[valid].max() < 2.5
+    assert valid.mean() > 0.85
+
+
+def test_radial_photos_are_straightened_at_load(tmp_path: Path) -> None:
+    folder = write_scene(tmp_path)
+    camera = f"SIMPLE_RADIAL {WIDTH} {HEIGHT} 50 20 15 0.3"
+    write_model(folder / "sparse" / "0", 10, [((0, 0, 4), range(10))], camera)
+    view = load(folder).training.views[0]
+    stored = np.asarray(Image.open(folder / "images" / "im01.png"), dtype=np.float32) / 255
+    expected, _ = undistort((stored * 255).round().astype(np.uint8), view.camera.K.numpy(), 0.3)
+    assert torch.equal(view.image, torch.from_numpy(expected.transpose(2, 0, 1).copy()) / 255)
+    assert view.mask is not None and 0 < float(view.mask.mean()) < 1
+
+
+@pytest.mark.parametrize("file", ["cameras.bin", "images.bin", "points3D.bin"])
+def test_truncated_binaries_end_in_one_line(tmp_path: Path, file: str) -> None:
+    sparse = to_binary(write_scene(tmp_path))
+    whole = (sparse / file).read_bytes()
+    for size in sorted({0, 4, 8, 12, 40, len(whole) // 2, len(whole) - 1}):
+        (sparse / file).write_bytes(whole[:size])
+        with pytest.raises(UserError, match="truncated or damaged") as caught:
+            load(tmp_path)
+        assert "\n" not in str(caught.value) and file in str(caught.value)
+    (sparse / file).write_bytes(whole + b"\0")
+    with pytest.raises(UserError, match="expected its end, got 1 more bytes"):
+        load(tmp_path)
+
+
+@pytest.mark.parametrize("file", ["cameras.txt", "images.txt", "points3D.txt"])
+def test_truncated_texts_end_in_one_line(tmp_path: Path, file: str) -> None:
+    path = write_scene(tmp_path) / "sparse" / "0" / file
+    path.write_text(path.read_text()[:-40])
+    with pytest.raises(UserError) as caught:
+        load(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_flipped_bytes_give_a_scene_or_one_line(tmp_path: Path) -> None:
+    """Any damage either leaves a loadable model or ends in a UserError; nothing hangs or aborts."""
+    sparse = to_binary(write_scene(tmp_path))
+    files = {f: (sparse / f).read_bytes() for f in ("cameras.bin", "images.bin", "points3D.bin")}
+    rng = stream(0, "tests/flip")
+    for _ in range(40):
+        name = sorted(files)[int(rng.integers(3))]
+        data = bytearray(files[name])
+        data[int(rng.integers(len(data)))] = int(rng.integers(256))
+        (sparse / name).write_bytes(bytes(data))
+        try:
+            load(tmp_path)
+        except UserError as error:
+            assert "\n" not in str(error)
+        (sparse / name).write_bytes(files[name])
+
+
+def test_every_other_error(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="scene=colmap: expected a folder at"):
+        load(tmp_path / "nowhere")
+    with pytest.raises(UserError, match="got no such folder"):
+        load(tmp_path)
+    folder = write_scene(tmp_path)
+    with pytest.raises(UserError, match="n_views of at most 8"):
+        load(folder, n_views=9)
+    (folder / "images" / "im03.png").unlink()
+    with pytest.raises(UserError, match=r"1 missing \(first: im03.png"):
+        load(folder)
+    Image.new("RGB", (WIDTH - 1, HEIGHT)).save(folder / "images" / "im03.png")
+    Image.new("RGB", (WIDTH - 1, HEIGHT)).save(folder / "images" / "im05.png")
+    with pytest.raises(UserError, match=r"im05.png: expected the camera's 40x30 .* got 39x30"):
+        load(folder)
+    (folder / "images" / "im05.png").write_text("not an image")
+    with pytest.raises(UserError, match=r"im05.png: expected a readable image"):
+        load(folder)
+    Image.new("RGBA", (WIDTH, HEIGHT)).save(folder / "images" / "im05.png")
+    with pytest.raises(UserError, match="got transparency"):
+        load(folder)
+    Image.new("I;16", (WIDTH, HEIGHT)).save(folder / "images" / "im05.png")
+    with pytest.raises(UserError, match="expected 8 bits per channel"):
+        load(folder)
+    shutil.rmtree(folder / "sparse")
+    with pytest.raises(UserError, match="expected a COLMAP model in sparse/0 or sparse"):
+        load(folder)
+
+
+def test_no_points_means_unknown_bounds(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="depth bounds are unknown"):
+        load(write_scene(tmp_path, points=[]))
+
+
+@pytest.mark.parametrize(
+    "name", ["lund_door", "dtu_scan65", "mip360_kitchen", "nerf_fox", "middlebury_motorcycle"]
+)
+def test_real_scenes(name: str) -> None:
+    """The points reproject where the training views see them: poses and intrinsics are right."""
+    n_views = 1 if name == "middlebury_motorcycle" else 6
+    training = load(open_scene(name), n_views=n_views).training
+    assert 0 < training.near < training.far
+    for k, view in enumerate(training.views):
+        camera, xyz = view.camera, training.points.xyz[training.points.visible[:, k]]
+        pixel = (xyz @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]) @ camera.K.T
+        uv = pixel[:, :2] / pixel[:, 2:]
+        assert (pixel[:, 2] > 0).all()
+        size = torch.tensor([camera.width, camera.height])
+        assert ((uv > -2) & (uv < size + 2)).all()
+
+
+def test_kitchen_at_twice_the_model_size() -> None:
+    folder = open_scene("mip360_kitchen")
+    small, large = load(folder), load(folder, images="images_4")
+    a, b = small.training.views[0].camera, large.training.views[0].camera
+    assert (b.width, b.height) == (779, 520)
+    assert float(b.K[0, 0] / a.K[0, 0]) == pytest.approx(779 / 389)
+    assert torch.equal(a.viewmat, b.viewmat)

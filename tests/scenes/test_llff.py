@@ -1,0 +1,190 @@
+"""The LLFF loader: conventions by hand, agreement with COLMAP, and every error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from framework.errors import UserError
+from framework.scenes import load_scene
+from framework.types import Scene
+from tests.data import open_scene
+from tests.scenes.synthetic import (
+    FOCAL,
+    HEIGHT,
+    WIDTH,
+    llff_rows,
+    write_llff,
+    write_model,
+)
+
+
+def load(folder: Path, **options: object) -> Scene:
+    return load_scene("llff", {"path": str(folder), **options})
+
+
+def test_axes_intrinsics_and_bounds(tmp_path: Path) -> None:
+    scene = load(write_llff(tmp_path))
+    view = scene.training.views[0]
+    assert [v.name for v in scene.training.views] == ["im01.png", "im05.png", "im09.png"]
+    assert [v.name for v in scene.test] == ["im00.png", "im08.png"]
+    expected = torch.eye(4, dtype=torch.float64)
+    expected[0, 3] = -0.1
+    assert torch.equal(view.camera.viewmat, expected)
+    K = [[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]]
+    assert view.camera.K.tolist() == K
+    assert (view.camera.width, view.camera.height) == (WIDTH, HEIGHT)
+    # training rows only: the smallest near bound belongs to test image 0
+    assert scene.training.near == pytest.approx(2.1)
+    assert scene.training.far == pytest.approx(9.9)
+    assert len(scene.training.points.xyz) == 0
+    assert scene.training.points.visible.shape == (0, 3)
+
+
+def test_pixels_are_the_files(tmp_path: Path) -> None:
+    view = load(write_llff(tmp_path)).training.views[0]
+    stored = np.asarray(Image.open(tmp_path / "images_8" / "im01.png"))
+    assert view.image.dtype == torch.float32
+    assert np.array_equal((view.image.numpy() * 255).round().transpose(1, 2, 0), stored)
+
+
+def test_points_need_two_training_views(tmp_path: Path) -> None:
+    write_llff(tmp_path)
+    tracks = [(0, 8), (0, 2, 3, 8), (1, 2), (1, 5), (0, 5, 9)]  # training: 1, 5, 9
+    points = [((0.1 * k, 0.0, 4.0), track) for k, track in enumerate(tracks)]
+    write_model(tmp_path / "sparse" / "0", 10, points)
+    found = load(tmp_path).training.points
+    assert found.visible.tolist() == [[True, True, False], [False, True, True]]
+    assert found.xyz[:, 0].tolist() == pytest.approx([0.3, 0.4])
+
+
+def test_one_view_has_no_points(tmp_path: Path) -> None:
+    write_llff(tmp_path)
+    write_model(tmp_path / "sparse" / "0", 10, [((0.0, 0.0, 4.0), tuple(range(10)))])
+    scene = load(tmp_path, n_views=1)
+    assert len(scene.training.views) == 1 and len(scene.training.points.xyz) == 0
+    assert scene.training.extent > 0
+
+
+def test_fern_split_and_agreement_with_its_colmap_model() -> None:
+    folder = open_scene("llff_fern")
+    scene = load(folder)
+    assert [v.name for v in scene.training.views] == [f"image{i:03d}.png" for i in (1, 10, 19)]
+    assert [v.name for v in scene.test] == [f"image{i:03d}.png" for i in (0, 8, 16)]
+    twin = load_scene("colmap", {"path": str(folder), "n_views": 3})
+    for a, b in zip(
+        (*scene.training.views, *scene.test), (*twin.training.views, *twin.test), strict=True
+    ):
+        assert torch.allclose(a.camera.viewmat, b.camera.viewmat, atol=1e-5)
+        assert torch.allclose(a.camera.K, b.camera.K, atol=1e-3)
+        assert torch.equal(a.image, b.image)
+    assert torch.equal(scene.training.points.xyz, twin.training.points.xyz)
+
+
+def test_fern_points_project_onto_their_observations() -> None:
+    """Points land inside the training images, in front of them, within the depth bounds."""
+    training = load(open_scene("llff_fern")).training
+    assert len(training.points.xyz) > 300
+    assert (training.points.visible.sum(1) >= 2).all()
+    for k, view in enumerate(training.views):
+        xyz = training.points.xyz[training.points.visible[:, k]]
+        camera = view.camera
+        local = xyz @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+        pixel = local @ camera.K.T
+        u, v = pixel[:, 0] / pixel[:, 2], pixel[:, 1] / pixel[:, 2]
+        assert ((u > -2) & (u < 506) & (v > -2) & (v < 380)).all()
+        inside = (local[:, 2] > 0.9 * training.near) & (local[:, 2] < 1.1 * training.far)
+        assert inside.float().mean() > 0.98
+
+
+def test_fern_never_offers_points_of_test_tracks_only() -> None:
+    """Of the model's 2912 points, those with at most one training view in the track are gone."""
+    from framework.scenes.colmap_model import read_model
+
+    folder = open_scene("llff_fern")
+    model = read_model(folder / "sparse" / "0")
+    train = [1, 10, 19]
+    forbidden = model.tracks.xyz[model.tracks.seen[:, train].sum(axis=1) < 2]
+    given = {tuple(p) for p in load(folder).training.points.xyz.tolist()}
+    assert len(forbidden) > 1000
+    assert not given & {tuple(p) for p in forbidden.tolist()}
+
+
+def test_fingerprint_tells_pixels_split_and_poses(tmp_path: Path) -> None:
+    write_llff(tmp_path)
+    first = load(tmp_path).fingerprint
+    assert load(tmp_path).fingerprint == first
+    assert load(tmp_path, n_views=2).fingerprint != first
+    file = tmp_path / "images_8" / "im01.png"
+    pixels = np.array(Image.open(file))
+    pixels[0, 0, 0] ^= 1
+    Image.fromarray(pixels).save(file)
+    second = load(tmp_path).fingerprint
+    rows = llff_rows()
+    rows[1, 3] += 1e-9
+    np.save(tmp_path / "poses_bounds.npy", rows)
+    assert len({first, second, load(tmp_path).fingerprint}) == 3
+
+
+def _no_images(folder: Path) -> None:
+    for file in (folder / "images_8").iterdir():
+        file.unlink()
+
+
+def _save(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+    return lambda folder: np.save(folder / "poses_bounds.npy", change(llff_rows()))
+
+
+def _with(row: int, column: int, value: float) -> Callable[[Path], None]:
+    def change(rows: np.ndarray) -> np.ndarray:
+        rows[row, column] = value
+        return rows
+
+    return _save(change)
+
+
+def _small_image(folder: Path) -> None:
+    Image.new("RGB", (20, 15)).save(folder / "images_8" / "im05.png")
+
+
+def _cut_image(folder: Path) -> None:
+    file = folder / "images_8" / "im05.png"
+    file.write_bytes(file.read_bytes()[:500])
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (_no_images, "images_8: expected a folder of .*images, got no image in it"),
+        (_cut_image, r"im05.png: expected a readable image, got a damaged file"),
+        (_small_image, r"im05.png: expected 40x30 pixels .*, got 20x15"),
+        (lambda f: (f / "poses_bounds.npy").unlink(), "expected LLFF poses, found no file"),
+        (lambda f: (f / "poses_bounds.npy").write_bytes(b"no"), "got a damaged file"),
+        (_save(lambda r: r[:, :16]), "expected an array of n x 17 numbers, got 10x16"),
+        (_save(lambda r: r[:9]), "got 9 rows and 10 images"),
+        (_with(3, 2, np.nan), r"expected finite numbers, got NaN or infinity in rows \[3\]"),
+        (_with(4, 15, 20.0), r"expected 0 < near < far .* rows \[4\]"),
+        (_with(4, 0, 0.5), "orthonormal camera axes"),
+        (lambda f: write_model(f / "sparse/0", 9, []), "expected the 10 images .*, got 9"),
+        (lambda f: write_model(f / "sparse/0", 10, [], center_step=0.2), "camera centres up to"),
+    ],
+)
+def test_damaged_folders(tmp_path: Path, damage: Callable[[Path], None], message: str) -> None:
+    damage(write_llff(tmp_path))
+    with pytest.raises(UserError, match=message) as caught:
+        load(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_folder_and_factor(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"expected a folder at .*, found nothing"):
+        load(tmp_path / "nowhere")
+    with pytest.raises(UserError, match=r"images_4: expected a folder of .*, got no such folder"):
+        load(write_llff(tmp_path), factor=4)
+    with pytest.raises(UserError, match="n_views of at most 8"):
+        load(tmp_path, n_views=9)

@@ -1,0 +1,68 @@
+"""Split protocols against their definition, and the shared option checks."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from framework.errors import UserError
+from framework.scenes import LOADERS, load_scene
+from framework.scenes.splits import protocol
+
+
+def names(n: int) -> list[str]:
+    return [f"{i:03d}.png" for i in range(n)]
+
+
+def test_llff_on_twenty_images() -> None:
+    split = protocol("llff").split(names(20), 3, "here")
+    assert split.train == (1, 10, 19)
+    assert split.test == (0, 8, 16)
+
+
+@pytest.mark.parametrize(("n", "views"), [(9, 1), (20, 6), (25, 12), (49, 9), (300, 24)])
+def test_llff_is_the_published_formula(n: int, views: int) -> None:
+    split = protocol("llff").split(names(n), views, "here")
+    pool = np.array([i for i in range(n) if i % 8 != 0])
+    expected = pool[np.round(np.linspace(0, len(pool) - 1, views)).astype(int)]
+    assert list(split.train) == expected.tolist()
+    assert list(split.test) == list(range(0, n, 8))
+    assert not set(split.train) & set(split.test)
+
+
+def test_too_many_views_says_how_many_there_are() -> None:
+    with pytest.raises(UserError, match=r"at most 17 \(20 images.* got 18; lower n_views"):
+        protocol("llff").split(names(20), 18, "here")
+
+
+def test_unknown_protocol_suggests() -> None:
+    with pytest.raises(UserError, match="did you mean 'llff'"):
+        protocol("lllf")
+
+
+@pytest.mark.parametrize("loader", sorted(LOADERS))
+@pytest.mark.parametrize("n_views", [0, -2])
+def test_n_views_below_one(loader: str, n_views: int) -> None:
+    with pytest.raises(UserError, match=rf"scene={loader}: expected n_views of at least 1, got"):
+        load_scene(loader, {"n_views": n_views} | ({} if loader == "embedded" else {"path": "x"}))
+
+
+def test_unknown_loader_option_and_missing_path() -> None:
+    with pytest.raises(UserError, match="did you mean 'colmap'"):
+        load_scene("colmapp", {})
+    with pytest.raises(UserError, match="did you mean 'n_views'"):
+        load_scene("llff", {"path": "x", "n_view": 3})
+    with pytest.raises(UserError, match="expected path, got nothing"):
+        load_scene("llff", {})
+
+
+def test_importing_the_package_stays_light() -> None:
+    code = (
+        "import sys, framework.scenes as s; s.Embedded(); s.Llff('x'); s.Colmap('x');"
+        "print([m for m in ('torch', 'numba', 'cv2', 'pycolmap', 'numpy') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
