@@ -62,21 +62,20 @@ def _texture(texels, start, height, width, u, v):  # type: ignore[no-untyped-def
 @njit(**INNER)
 def _contrasted(solids, p, channel, value):  # type: ignore[no-untyped-def]
     mean = solids[p, MEAN + channel]
-    return solids[p, TINT + channel] * max(0.0, mean + solids[p, CONTRAST] * (value - mean))
+    return max(0.0, mean + solids[p, CONTRAST] * (value - mean))
 
 
 @njit(**INNER)
 def _albedo(solids, texels, p, u, v):  # type: ignore[no-untyped-def]
+    r, g, b = solids[p, TINT], solids[p, TINT + 1], solids[p, TINT + 2]
     start = int(solids[p, TEXTURE])
-    if start < 0:
-        return solids[p, TINT], solids[p, TINT + 1], solids[p, TINT + 2]
-    height, width = int(solids[p, TEXTURE + 1]), int(solids[p, TEXTURE + 2])
-    r, g, b = _texture(texels, start, height, width, u, v)
-    return (
-        _contrasted(solids, p, 0, r),
-        _contrasted(solids, p, 1, g),
-        _contrasted(solids, p, 2, b),
-    )
+    if start >= 0:
+        height, width = int(solids[p, TEXTURE + 1]), int(solids[p, TEXTURE + 2])
+        x, y, z = _texture(texels, start, height, width, u, v)
+        r = r * _contrasted(solids, p, 0, x)
+        g = g * _contrasted(solids, p, 1, y)
+        b = b * _contrasted(solids, p, 2, z)
+    return r, g, b
 
 
 @njit(**INNER)
@@ -91,15 +90,12 @@ def _cell(lights, light, k, x):  # type: ignore[no-untyped-def]
 def _lit(solids, lights, casters, light, towards, x):  # type: ignore[no-untyped-def]
     """False where a caster stands between the point and the light, in direction `towards`."""
     a, b = _cell(lights, light, 0, x), _cell(lights, light, 1, x)
-    size = casters.shape[1]
-    if a < 0 or b < 0 or a >= size or b >= size:
-        return True
-    k = 0
-    while casters[light, a, b, k] >= 0:
-        if hit(solids, casters[light, a, b, k], x, towards) < np.inf:
-            return False
-        k += 1
-    return True
+    size, k, lit = casters.shape[1], 0, True
+    if 0 <= a < size and 0 <= b < size:
+        while lit and casters[light, a, b, k] >= 0:
+            lit = not hit(solids, casters[light, a, b, k], x, towards) < np.inf
+            k += 1
+    return lit
 
 
 @njit(**INNER)

@@ -106,10 +106,12 @@ def hit(solids, p, o, d):  # type: ignore[no-untyped-def]
     local_o, local_d = _local_point(solids, p, o), _local(solids, p, d[0], d[1], d[2])
     shape = solids[p, SHAPE]
     if shape == BOX:
-        return _box(local_o, local_d, h)
-    if shape == CYLINDER:
-        return _cylinder(local_o, local_d, h)
-    return _ellipsoid(local_o, local_d, h)
+        t = _box(local_o, local_d, h)
+    elif shape == CYLINDER:
+        t = _cylinder(local_o, local_d, h)
+    else:
+        t = _ellipsoid(local_o, local_d, h)
+    return t
 
 
 @njit(**INNER)
