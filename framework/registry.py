@@ -7,12 +7,13 @@ group `fishersplat.plugins`. Launchers start fresh processes, so `discover` is c
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib
 import pkgutil
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeVar
 
 from framework.errors import UserError, nearest_hint, require
@@ -51,8 +52,14 @@ def discover() -> None:
         package = importlib.import_module(package_name)
         for module in pkgutil.iter_modules(package.__path__):
             importlib.import_module(f"{package_name}.{module.name}")
-    for point in entry_points(group="fishersplat.plugins"):
+    for point in _installed():
         point.load()
+
+
+@functools.cache
+def _installed() -> tuple[EntryPoint, ...]:
+    """The entry points of installed packages; looking for them takes milliseconds, so once."""
+    return tuple(entry_points(group="fishersplat.plugins"))
 
 
 def names(group: str) -> list[str]:

@@ -114,16 +114,24 @@ def sweep_jobs(config: DictConfig) -> list[list[str]]:
 
 
 def check_jobs(config: DictConfig, jobs: list[list[str]]) -> None:
-    """Raise the error of the first bad run, before hours went into the good ones."""
+    """Raise the error of the first bad run, before hours went into the good ones.
+
+    Runs that differ in the seed alone are checked once: composing takes a tenth of a second.
+    """
     loader = GlobalHydra.instance().config_loader()
-    taken: dict[tuple[str, str], list[str]] = {}
+    checked: set[tuple[str, ...]] = set()
+    taken: dict[str, list[str]] = {}
     for job in jobs:
+        method = tuple(word for word in job if not word.startswith("seed="))
+        if method in checked:
+            continue
+        checked.add(method)
         composed = loader.load_sweep_config(config, job)
         check(plain(composed))
-        folder = (str(composed.hydra.sweep.dir), str(composed.hydra.sweep.subdir))
+        folder = f"{composed.hydra.sweep.dir}/{composed.hydra.sweep.subdir}"
         if folder in taken:
             raise UserError(
-                f"multirun: expected a folder for each run, got {'/'.join(folder)} for both"
+                f"multirun: expected a folder for each run, got {folder} for both"
                 f" '{' '.join(taken[folder])}' and '{' '.join(job)}'; give each its own study=NAME"
             )
         taken[folder] = job

@@ -31,7 +31,9 @@ def test_every_command_of_the_documents_runs(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
     Path("DIR").mkdir()
-    assert main(command.split()) == 0, capsys.readouterr().err
+    # a sweep's seeds all start alike, and the test of the command line has three of them
+    words = [re.sub(r"^seed=.*,.*", "seed=0,1", word) for word in command.split()]
+    assert main(words) == 0, capsys.readouterr().err
 
 
 def test_the_readme_begins_with_what_to_type() -> None:
