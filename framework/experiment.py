@@ -63,6 +63,8 @@ def run_experiment(
     torch.set_num_threads(1)  # kernels have their own pool; small tensors gain nothing from two
     registry.discover()
     timings: dict[str, StageTime] = {}
+    weights = config["metrics"]["lpips_weights"]
+    network = None if weights is None else load(weights)  # a bad path must not cost a training
     progress.stage(f"scene {config['scene']['name']}")
     scene, timings["scene"] = _scene(_key(config["scene"]))
     identity = identity_of(config, scene.fingerprint, code_hash())
@@ -79,8 +81,6 @@ def run_experiment(
     trained, timings[TRAIN_STAGE] = _train(config, scene, depth, gaussians, options, progress)
     progress.stage("evaluation")
     with _timed(timings, "evaluate"):
-        weights = config["metrics"]["lpips_weights"]
-        network = None if weights is None else load(weights)
         near = options.near_plane * scene.training.near
         render = _renderer(trained.gaussians, trained.background, trained.sh_degree, near)
         metrics, renders = evaluate(render, scene.test, network)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from framework.parallel import run_blocks
 from framework.rasterize import photometric
@@ -85,6 +86,7 @@ class _Photometric(torch.autograd.Function):
         return torch.tensor((1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), dtype=torch.float32)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> Any:
         scale = float(grads[0])
         return ctx.gradient if scale == 1.0 else ctx.gradient * scale, None, None

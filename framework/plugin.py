@@ -41,7 +41,8 @@ class StepContext:
     views; depth: their depth maps, in the same order. gaussians: the current ones, detached.
     version: changes whenever Gaussians were added or removed. sh_degree: the active degree.
     background: [3]. extent: see `TrainingSet.extent`; near, far: depth bounds of the scene.
-    render(camera): the current Gaussians without any dropout. fisher(camera): their information.
+    render(camera): the current Gaussians without any dropout. fisher(camera): their information;
+    fisher(camera, gaussians, sh_degree): that of others, for instance a snapshot.
     rng(purpose): this plugin's own stream for this step. log(name, value): into the history.
     """
 
@@ -58,7 +59,7 @@ class StepContext:
     near: float
     far: float
     render: Callable[[Camera], Render]
-    fisher: Callable[[Camera], FisherInformation]
+    fisher: Callable[..., FisherInformation]
     rng: Callable[[str], np.random.Generator]
     log: Callable[[str, float], None]
 

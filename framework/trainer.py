@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -282,9 +282,15 @@ class Trainer:
                 gaussians, camera, background=self.background, sh_degree=degree, near=self.near
             )
 
-        def fisher(camera: Camera) -> FisherInformation:
+        def fisher(
+            camera: Camera, others: Gaussians | None = None, sh_degree: int | None = None
+        ) -> FisherInformation:
             return fisher_information(
-                gaussians, camera, background=self.background, sh_degree=degree, near=self.near
+                gaussians if others is None else others,
+                camera,
+                background=self.background,
+                sh_degree=degree if sh_degree is None else sh_degree,
+                near=self.near,
             )
 
         def rng(purpose: str) -> np.random.Generator:
@@ -360,7 +366,9 @@ def _item(view: View, factor: int) -> _Item:
     mask = None
     if view.mask is not None:
         mask = (_box(view.mask[None], factor)[0] > 0.999).float()
-    return _Item(view, camera, Target.of(_box(view.image, factor), mask))
+    image = _box(view.image, factor)
+    coarse = replace(view, camera=camera, image=image, mask=mask, depth=None)
+    return _Item(coarse, camera, Target.of(image, mask))
 
 
 def _box(image: Tensor, factor: int) -> Tensor:

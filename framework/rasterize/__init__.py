@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from framework.errors import UserError
 from framework.rasterize.pipeline import Arrays, Image, Workspace
@@ -75,6 +76,7 @@ class _Rasterize(torch.autograd.Function):
         return rgb, alpha, depth, radii
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> Any:
         work, planes = ctx.work, ctx.planes
         if work is None:

@@ -55,40 +55,18 @@ def _screen_jacobian(
     m = times_rotation(t, r)
     s = (math.exp(log_scale[0]), math.exp(log_scale[1]), math.exp(log_scale[2]))
     ca, cb, cc = row[13], row[14], row[15]
-    for k in range(5):
-        g = pull_back(
-            camera,
-            x,
-            y,
-            z,
-            t,
-            r,
-            m,
-            s,
-            q,
-            (ca, cb, cc),
-            ONE if k == 0 else ZERO,
-            ONE if k == 1 else ZERO,
-            ONE if k == 2 else ZERO,
-            ONE if k == 3 else ZERO,
-            ONE if k == 4 else ZERO,
-            ZERO,
-        )
+    jacobian[:10, :] = ZERO
+    for p in range(3):  # u and v move with the mean alone, by T
+        jacobian[p, 1] = ca * t[p] + cb * t[3 + p]
+        jacobian[p, 2] = cb * t[p] + cc * t[3 + p]
+    for k in range(3):
+        ga, gb, gc = ONE if k == 0 else ZERO, ONE if k == 1 else ZERO, ONE if k == 2 else ZERO
+        g = pull_back(camera, x, y, z, t, r, m, s, q, (ca, cb, cc), ZERO, ZERO, ga, gb, gc, ZERO)
         unit[0], unit[1], unit[2], unit[3], unit[4] = g[0], g[1], g[2], g[3], g[4]
         unit[5], unit[6], unit[7], unit[8], unit[9] = g[5], g[6], g[7], g[8], g[9]
+        scale = -ONE if k == 1 else -HALF
         for p in range(10):
-            value = unit[p]
-            if k == 0:
-                jacobian[p, 0] = ZERO
-                jacobian[p, 1] = ca * value
-                jacobian[p, 2] = cb * value
-            elif k == 1:
-                jacobian[p, 1] += cb * value
-                jacobian[p, 2] += cc * value
-            elif k == 3:
-                jacobian[p, 4] = -value
-            else:
-                jacobian[p, 3 if k == 2 else 5] = -HALF * value
+            jacobian[p, 3 + k] = scale * unit[p]
 
 
 @kernel
@@ -113,6 +91,7 @@ def pull_back_moments(
     moments = np.empty(16, np.float32)
     jacobian = np.empty((11, 6), np.float32)
     image = np.empty((11, 6), np.float32)
+    q = np.empty((6, 6), np.float32)
     unit = np.empty(10, np.float32)
     for i in range(n * block // blocks, n * (block + 1) // blocks):
         if first[i] == first[i + 1]:
@@ -126,11 +105,14 @@ def pull_back_moments(
         _screen_jacobian(means[i], quats[i], log_scales[i], camera, rows[i], unit, jacobian)
         jacobian[10, :] = ZERO
         jacobian[10, 0] = ONE / (ONE + math.exp(logits[i]))
+        for a in range(6):
+            for b in range(6):
+                q[a, b] = moments[_PLACE[a, b]]
         for p in range(11):
             for a in range(6):
                 value = ZERO
                 for b in range(6):
-                    value += moments[_PLACE[a, b]] * jacobian[p, b]
+                    value += q[a, b] * jacobian[p, b]
                 image[p, a] = value
         for p in range(11):
             value = ZERO

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from framework.types import Camera, Gaussians
 
 FORMS = ("trace", "log")  # see framework.information.information_gain
-NEAR_SHARE = 0.01  # near plane of the Fisher passes, in units of the scene's near bound
 
 
 @dataclass(frozen=True)
@@ -87,16 +86,8 @@ class Safi(WarpingAugmenter):
         self, ctx: StepContext, gaussians: Gaussians, sh_degree: int, camera: Camera
     ) -> Tensor:
         """[N, P] diagonal Fisher information of theta_0 in `camera`, means in scene extents."""
-        from framework.fisher import fisher_information
-
         factor = min(self.downscale, camera.width, camera.height)
-        information = fisher_information(
-            gaussians,
-            camera.scaled(factor),
-            background=ctx.background,
-            sh_degree=sh_degree,
-            near=NEAR_SHARE * ctx.near,
-        )
+        information = ctx.fisher(camera.scaled(factor), gaussians, sh_degree)
         diagonal = information.diagonal.double()
         diagonal[:, :3] *= ctx.extent**2
         return diagonal

@@ -9,7 +9,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from framework.fisher import FisherInformation
+from framework.fisher import FisherInformation, fisher_information
 from framework.plugin import StepContext
 from framework.rng import stream
 from framework.types import Camera, DepthMap, Gaussians, Render, View
@@ -52,7 +52,7 @@ class Log:
 def context(
     *,
     gaussians: Gaussians | None = None,
-    fisher: Callable[[Camera], FisherInformation] | None = None,
+    fisher: Callable[..., FisherInformation] | None = None,
     step: int = 50,
     n_steps: int = 100,
     epoch: int = 10,
@@ -66,8 +66,11 @@ def context(
     def refuse(_: Camera) -> Render:
         raise AssertionError("the plugin is not expected to render")
 
-    def no_fisher(_: Camera) -> FisherInformation:
-        raise AssertionError("the plugin is not expected to ask for the current Fisher")
+    def snapshot_fisher(
+        camera: Camera, others: Gaussians | None = None, sh_degree: int | None = None
+    ) -> FisherInformation:
+        assert others is not None, "the plugin is not expected to ask for the current Fisher"
+        return fisher_information(others, camera, background=torch.zeros(3), sh_degree=sh_degree)
 
     return StepContext(
         step=step,
@@ -83,7 +86,7 @@ def context(
         near=2.0,
         far=8.0,
         render=refuse,
-        fisher=fisher or no_fisher,
+        fisher=fisher or snapshot_fisher,
         rng=lambda purpose: stream(seed, f"plugin/{purpose}", step),
         log=log or Log({}),
     )
