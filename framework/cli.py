@@ -87,8 +87,12 @@ def task(cfg: DictConfig) -> None:
         _run(config, run_dir, _progress(job, config["seed"], number), overrides)
     except Exception as error:
         message = _failed(error, config["traceback"])
-        _record_failure(run_dir, config, overrides, message)
-        add_outcome(Outcome(number, str(run_dir), message, isinstance(error, USER_ERRORS)))
+        bad_input = isinstance(error, USER_ERRORS)
+        if (
+            job.mode.name == "MULTIRUN" or not bad_input
+        ):  # a lone mistyped run is not worth a record
+            _record_failure(run_dir, config, overrides, message)
+        add_outcome(Outcome(number, str(run_dir), message, bad_input))
     else:
         add_outcome(Outcome(number, str(run_dir)))
 
@@ -206,7 +210,8 @@ def _failed(error: Exception, show: bool) -> str:
             traceback.print_exception(error)
         return one_line(error)
     traceback.print_exception(error)
-    return f"{type(error).__name__}: {one_line(error)}"
+    first = next(iter(str(error).splitlines()), "")
+    return f"{type(error).__name__}: {first}".rstrip(": ")
 
 
 def _record_failure(

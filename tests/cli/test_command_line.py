@@ -9,6 +9,7 @@ import pytest
 
 from framework.cli import main
 from framework.config import SWEEPS_DIR
+from framework.errors import UserError
 from tests.cli.conftest import FakeRuns
 
 TYPED = "+augment=safi +reg=uar seed=0,1,2 -m"
@@ -137,8 +138,6 @@ def test_a_sweep_over_scenes_reports_each(
 def test_a_failing_run_is_recorded_and_the_others_go_on(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from framework.errors import UserError
-
     runs.failures[1] = UserError("depth: expected two views, got one; add a view")
     assert main(["seed=0,1,2", "-m"]) == 2
     assert [method[2] for method in runs.methods] == [0, 1, 2]
@@ -188,15 +187,19 @@ def test_nothing_of_a_command_stays_in_the_process(runs: FakeRuns) -> None:
 
 
 def test_a_failure_keeps_an_earlier_complete_record(runs: FakeRuns) -> None:
-    from framework.errors import UserError
-
     runs.failures[0] = UserError("scene: the photos are gone")
-    assert main([]) == 2
+    assert main(["seed=0", "-m"]) == 2
     path = runs.folders[0] / "record.json"
     complete = path.read_text(encoding="utf-8").replace('"failed"', '"complete"')
     path.write_text(complete, encoding="utf-8")
-    assert main([]) == 2
+    assert main(["seed=0", "-m"]) == 2
     assert path.read_text(encoding="utf-8") == complete
     path.write_text("damaged", encoding="utf-8")
-    assert main([]) == 2
+    assert main(["seed=0", "-m"]) == 2
     assert json.loads(path.read_text(encoding="utf-8"))["status"] == "failed"
+
+
+def test_a_lone_mistake_leaves_no_record(runs: FakeRuns) -> None:
+    runs.failures[0] = UserError("scene: no such folder")
+    assert main([]) == 2
+    assert not (runs.folders[0] / "record.json").exists()
