@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class Embedded:
     """Options of `scene=embedded`.
 
-    The training cameras stand in a zigzag of their own (protocol `rig`); ten test cameras, tagged
+    The training cameras stand in a zigzag of their own (protocol `rig`); eight test cameras, tagged
     `interpolating` (inside the training cameras' hull) or `extrapolating`, are always the same.
     """
 

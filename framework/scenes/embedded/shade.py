@@ -65,7 +65,7 @@ def _contrasted(solids, p, channel, value):  # type: ignore[no-untyped-def]
     return max(0.0, mean + solids[p, CONTRAST] * (value - mean))
 
 
-@njit(**INNER)
+@njit(inline="always", **INNER)
 def _albedo(solids, texels, p, u, v):  # type: ignore[no-untyped-def]
     r, g, b = solids[p, TINT], solids[p, TINT + 1], solids[p, TINT + 2]
     start = int(solids[p, TEXTURE])
@@ -86,14 +86,14 @@ def _cell(lights, light, k, x):  # type: ignore[no-untyped-def]
     return math.floor((along - lights[light, GRID + k]) / lights[light, GRID + 2])
 
 
-@njit(**INNER)
+@njit(inline="always", **INNER)
 def _lit(solids, lights, casters, light, towards, x):  # type: ignore[no-untyped-def]
     """False where a caster stands between the point and the light, in direction `towards`."""
     a, b = _cell(lights, light, 0, x), _cell(lights, light, 1, x)
     size, k, lit = casters.shape[1], 0, True
     if 0 <= a < size and 0 <= b < size:
         while lit and casters[light, a, b, k] >= 0:
-            lit = not hit(solids, casters[light, a, b, k], x, towards) < np.inf
+            lit = not hit(solids, np.int64(casters[light, a, b, k]), x, towards) < np.inf
             k += 1
     return lit
 
@@ -120,7 +120,7 @@ def surroundings(d):  # type: ignore[no-untyped-def]
     return (0.10 + 0.16 * up, 0.11 + 0.15 * up, 0.12 + 0.14 * up)
 
 
-@njit(**INNER)
+@njit(inline="always", **INNER)
 def shade(solids, texels, lights, casters, light, p, x, d):  # type: ignore[no-untyped-def]
     """Linear RGB that leaves solid `p` at point x against the unit direction d, without mirroring;
     the normal, turned towards the viewer; and x lifted off the surface along it."""

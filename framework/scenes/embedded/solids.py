@@ -18,6 +18,7 @@ from framework.scenes.embedded.arrays import AXES, BOX, CENTER, CYLINDER, HALF, 
 # Not cached on disk: numba would not notice a change in one of the three kernel files, and what
 # the kernels make is itself cached.
 STRICT: dict[str, Any] = {"nogil": True, "fastmath": False, "error_model": "numpy"}
+# `inline="always"` on the larger ones spares atomic reference counts of their array arguments.
 INNER: dict[str, Any] = {**STRICT, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 NEAREST = 1e-6  # hits nearer than this (in units of d) are the surface the ray starts from
 

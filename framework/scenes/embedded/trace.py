@@ -15,12 +15,12 @@ from framework.scenes.embedded.shade import dot, shade, surroundings
 from framework.scenes.embedded.solids import INNER, STRICT, hit
 
 
-@njit(**INNER)
+@njit(inline="always", **INNER)
 def _first(solids, members, tile, o, d):  # type: ignore[no-untyped-def]
     """The solid of a tile's list that the ray (o, d) meets first and its t; (-1, inf) if none."""
     best, found, k = np.inf, -1, 0
     while members[tile, k] >= 0:
-        p = int(members[tile, k])
+        p = np.int64(members[tile, k])
         t = hit(solids, p, o, d)
         if t < best:
             best, found = t, p
@@ -36,7 +36,7 @@ def _reflectance(mirror, n, d):  # type: ignore[no-untyped-def]
     return mirror + (1.0 - mirror) * mirror * square * square * grazing
 
 
-@njit(**INNER)
+@njit(inline="always", **INNER)
 def _radiance(solids, texels, lights, casters, members, light, o, d, p, t):  # type: ignore[no-untyped-def]
     """Linear RGB along the ray (o, d), which meets solid `p` (-1 = none) at t."""
     length = math.sqrt(dot(d, d))
