@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numba import njit
 from torch import Tensor
 
+from framework.jit import kernel
 from framework.parallel import run_blocks
 from framework.types import Gaussians, concatenate
 
@@ -97,7 +97,7 @@ class Adam:
         self._steps = dict(zip(self._steps, state.steps, strict=True))
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def _adam_range(p, g, m, v, rate, correction):  # type: ignore[no-untyped-def]
     """p -= rate * m / (sqrt(v) * correction + eps), after the moments m and v took g in.
 
@@ -118,7 +118,7 @@ def _adam_range(p, g, m, v, rate, correction):  # type: ignore[no-untyped-def]
         p[i] -= rate * first / (np.sqrt(second) * correction + eps)
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def adam_kernel(block, n_blocks, p, g, m, v, coefficients):  # type: ignore[no-untyped-def]
     """Block `block` of one Adam update of several tensors.
 
@@ -168,7 +168,7 @@ def _edited(moments: Gaussians, keep: Tensor | None, n_appended: int) -> Gaussia
     return concatenate([kept, kept.map(lambda t: t.new_zeros((n_appended, *t.shape[1:])))])
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def _decay_range(block, n_blocks, logits, decay):  # type: ignore[no-untyped-def]
     one, log_decay = np.float32(1), np.float32(math.log(decay))
     n = len(logits)

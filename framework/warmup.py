@@ -18,12 +18,12 @@ import numpy as np
 import torch
 
 from framework import registry
-from framework.cache import cache_dir
 from framework.depth import build_provider
 from framework.errors import UserError
+from framework.jit import KERNEL_CACHE
 from framework.options import TrainerOptions
 from framework.progress import Progress, Silent
-from framework.provenance import code_hash, cpu_model
+from framework.provenance import cpu_model
 from framework.rng import stream
 from framework.trainer import Plugins, Trainer
 from framework.types import Camera, DepthMap, Gaussians, SparsePoints, TrainingSet, View
@@ -39,15 +39,15 @@ def warm_up(config: Mapping[str, Any], progress: Progress) -> None:
     chosen = {group: config[group] for group in (*registry.GROUPS, "depth")}
     chosen["sh_degree"] = config["trainer"]["sh_degree"]
     text = json.dumps(chosen, sort_keys=True, default=str)
-    key = hashlib.sha256(f"{text} {code_hash()} {cpu_model()}".encode()).hexdigest()[:16]
+    key = hashlib.sha256(f"{text} {cpu_model()}".encode()).hexdigest()[:16]
     if key in _warm:
         return
-    marker = cache_dir() / "compiled" / key
+    marker = KERNEL_CACHE / f"warm-{key}"
     if not marker.exists():
         progress.compiling("kernels")
     _tiny_run(config)
     _warm.add(key)
-    marker.parent.mkdir(exist_ok=True)
+    marker.parent.mkdir(parents=True, exist_ok=True)
     marker.touch()
 
 

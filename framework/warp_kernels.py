@@ -14,7 +14,8 @@ what falls on the border belongs to another band, or to nobody: `z_min` [blocks,
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from framework.jit import inlined, kernel
 
 Array = np.ndarray
 
@@ -24,13 +25,8 @@ ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 MIN_TAP = np.float32(1.0 / 16.0)  # least bilinear weight with which a point may hide others
 CUTOFF = np.float32(6.0)  # exp(-6) = 0.0025: points further behind the nearest one are hidden
 
-_jit = njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
-_inline = njit(
-    cache=True, nogil=True, fastmath=False, error_model="numpy", inline="always"
-)  # a call that hands over an array costs two atomic reference counts
 
-
-@_jit
+@kernel
 def project(
     block: int,
     n_blocks: int,
@@ -69,7 +65,7 @@ def project(
         bounds[row, 0], bounds[row, 1] = low, high
 
 
-@_jit
+@kernel
 def nearest(
     block: int,
     n_blocks: int,
@@ -102,7 +98,7 @@ def nearest(
             _lower(band, cell + width + 3, fy * fx, z)
 
 
-@_jit
+@kernel
 def splat(
     block: int,
     n_blocks: int,
@@ -150,14 +146,14 @@ def splat(
             _add(total, front, cell + width + 3, below * fx, rate, r, g, b, z)
 
 
-@_inline
+@inlined
 def _lower(band: Array, cell: int, tap: np.float32, z: np.float32) -> None:
     index = np.uint64(cell)
     if tap >= MIN_TAP and z < band[index]:
         band[index] = z
 
 
-@_inline
+@inlined
 def _add(
     total: Array,
     front: Array,
@@ -185,7 +181,7 @@ def _add(
     total[index + np.uint64(4)] += weight
 
 
-@_inline
+@inlined
 def _decay(x: np.float32) -> np.float32:
     """exp(-x) for 0 <= x <= CUTOFF, as the Taylor polynomial of exp(-x / 8) to the eighth power.
 
@@ -201,7 +197,7 @@ def _decay(x: np.float32) -> np.float32:
     return p * p
 
 
-@_jit
+@kernel
 def resolve(
     block: int,
     n_blocks: int,

@@ -9,13 +9,14 @@ Rows of `L` are padded by a value larger than any cost on both ends of d, which 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from framework.jit import kernel
 
 _I = np.int16
 _BEYOND = np.int16(16000)
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def _path_step(cost, before, low, small, jump, after):  # type: ignore[no-untyped-def]
     """One pixel of a horizontal path: all d. Returns the new minimum; `before` is padded."""
     n = cost.shape[0]
@@ -35,7 +36,7 @@ def _path_step(cost, before, low, small, jump, after):  # type: ignore[no-untype
     return minimum
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def _sweep_row(cost, total, penalty, small, backward, before, after):  # type: ignore[no-untyped-def]
     """Add the left-to-right (or right-to-left) path of one row; cost, total [W, D]."""
     width, planes = cost.shape
@@ -54,7 +55,7 @@ def _sweep_row(cost, total, penalty, small, backward, before, after):  # type: i
         before, after = after, before
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def aggregate_rows(block, n_blocks, cost, penalty, small, total):  # type: ignore[no-untyped-def]
     """Kernel over rows: total[y] = sum of both horizontal paths. penalty [H, W] int16: P2 between a
     pixel and its left neighbour."""
@@ -75,7 +76,7 @@ def aggregate_rows(block, n_blocks, cost, penalty, small, total):  # type: ignor
                 total[y, d, x] = sums[x, d]
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def _column_step(cost, start, before, low, jump, small, after, total):  # type: ignore[no-untyped-def]
     """One row of a vertical path over the columns from `start`: cost, total [D, W]; low, jump [n].
     Slices are taken row by row here: numba must see that they are contiguous to vectorise."""
@@ -99,7 +100,7 @@ def _column_step(cost, start, before, low, jump, small, after, total):  # type: 
             low[x] = out[x] if out[x] < low[x] else low[x]
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def aggregate_columns(block, n_blocks, cost, penalty, small, total):  # type: ignore[no-untyped-def]
     """Kernel over columns: total += both vertical paths. penalty [H, W] int16: P2 between a pixel
     and the one above. Blocks start at multiples of 16 columns, for whole vectors."""

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from framework.depth.transfer import pixel_transfer
+from framework.jit import kernel
 from framework.parallel import run_blocks
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _F = np.float32
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def count_agreement(block, n_blocks, depth, other, A, t, tolerance, count):  # type: ignore[no-untyped-def]
     """Kernel over rows: count[y, x] += 1 where `other` [h, w] confirms `depth` [H, W], both
     float32, 0 = unknown. A [3, 3], t [3] float32. count [H, W] int32."""

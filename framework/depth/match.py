@@ -15,7 +15,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from framework.jit import kernel
 
 COST_ONE = 4000  # four paths of (cost + penalty) <= 2 units each stay below the int16 limit
 VARIANCE_FLOOR = 2e-5
@@ -27,7 +28,7 @@ _WORST = np.int16(COST_ONE)
 _FLOOR = np.float32(VARIANCE_FLOOR)
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def _locate_row(shape, A, t, q, y, index, du, dv, valid):  # type: ignore[no-untyped-def]
     """Where row y of the reference falls in one source: the flat index of the upper left of four
     pixels and the position between them, moved into the image; valid = 1 where it was inside."""
@@ -59,7 +60,7 @@ def _locate_row(shape, A, t, q, y, index, du, dv, valid):  # type: ignore[no-unt
         index[x] = np.int32(offset + np.int32(j * width) + i)
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def _sample_row(pixels, width, index, du, dv, warped, radius):  # type: ignore[no-untyped-def]
     """Bilinear samples at those places; `warped` repeats its ends `radius` times on both sides."""
     n = index.shape[0]
@@ -76,20 +77,20 @@ def _sample_row(pixels, width, index, du, dv, warped, radius):  # type: ignore[n
         warped[n + radius + x] = out[n - 1]
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def _multiply_rows(warped, reference, squares, products):  # type: ignore[no-untyped-def]
     for x in range(warped.shape[0]):
         squares[x] = warped[x] * warped[x]
         products[x] = warped[x] * reference[x]
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def _copy_row(source, target):  # type: ignore[no-untyped-def]
     for x in range(target.shape[0]):
         target[x] = source[x]
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def _window_sum(values, out, taps):  # type: ignore[no-untyped-def]
     """out[x] = sum of the odd number `taps` >= 3 of values from x on; pairs of taps per pass."""
     n = out.shape[0]
@@ -102,7 +103,7 @@ def _window_sum(values, out, taps):  # type: ignore[no-untyped-def]
             out[x] += d[x] + e[x]
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def _ring_sum(ring, out):  # type: ignore[no-untyped-def]
     """out [N] = sum over the odd number >= 3 of rows of ring [taps, N]."""
     a, b, c = ring[0], ring[1], ring[2]
@@ -114,7 +115,7 @@ def _ring_sum(ring, out):  # type: ignore[no-untyped-def]
             out[x] += d[x] + e[x]
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def _score_row(sums, valid, mean, inverse_deviation, scale, out):  # type: ignore[no-untyped-def]
     """Costs of one row from its full window sums [3 W]; `scale` = 1 / window size."""
     n = out.shape[0]
@@ -131,7 +132,7 @@ def _score_row(sums, valid, mean, inverse_deviation, scale, out):  # type: ignor
         out[x] = _I(np.int32(cost * _ONE + _F(0.5)))
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def _keep_best(row, best, y):  # type: ignore[no-untyped-def]
     """Insert a row of costs into the ascending layers best[:, y]; `row` is used up."""
     for layer in range(best.shape[0]):
@@ -143,7 +144,7 @@ def _keep_best(row, best, y):  # type: ignore[no-untyped-def]
             row[x] = high
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def _match_plane(  # type: ignore[no-untyped-def]
     padded, mean, inverse_deviation, pixels, shape, A, t, q, radius, best
 ):
@@ -179,7 +180,7 @@ def _match_plane(  # type: ignore[no-untyped-def]
             _keep_best(row, best, centre)
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def match_costs(  # type: ignore[no-untyped-def]
     block, n_blocks, padded, mean, inverse_deviation, pixels, shapes, A, t, inverse_depths,
     radius, n_best, cost,

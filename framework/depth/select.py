@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from framework.depth.match import COST_ONE
+from framework.jit import kernel
 
 _F = np.float32
 _ONE = np.float32(COST_ONE)
 
 
-@njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+@kernel
 def select_planes(block, n_blocks, total, cost, position, zncc):  # type: ignore[no-untyped-def]
     """Kernel over rows: position [H, W] float32, the plane index of the lowest total, moved by the
     vertex of the parabola through it and its two neighbours; zncc [H, W] float32 at that plane."""
