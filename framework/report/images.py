@@ -134,6 +134,6 @@ def _images_caption(shown: ShownViews) -> str:
 def _aspect(shown: ShownViews) -> float:
     """Height / width of the first image shown."""
     run, view = shown.runs[0], shown.views[0][0]
-    stem = run.run.metrics.set_index("view").loc[view, "file"]
+    stem = str(run.run.metrics.set_index("view").loc[view, "file"])
     with Image.open(run.run.run_dir / RENDERS / f"{stem}_truth.png") as image:
         return image.height / image.width
