@@ -7,9 +7,10 @@ outputs, hence results do not depend on the number of threads.
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
 BLOCKS = 8  # blocks per parallel call, fixed, so that no result can depend on the thread count
@@ -35,16 +36,32 @@ def threads() -> int:
 def run_blocks(kernel: Callable[..., Any], *args: Any, blocks: int = BLOCKS) -> None:
     """Call `kernel(block, blocks, *args)` for every block; returns when all are done.
 
-    Raises whatever a block raised. The pool is rebuilt after a fork or a change of thread count.
+    Threads take the next block when they finish one; the caller is one of them. Raises whatever a
+    block raised. The pool is rebuilt after a fork or a change of thread count.
     """
-    global _pool, _pool_key
     n = threads()
     if n == 1:
         for block in range(blocks):
             kernel(block, blocks, *args)
         return
-    key = (os.getpid(), n)
+    numbers = itertools.count()  # its next() is atomic
+
+    def work() -> None:
+        while (block := next(numbers)) < blocks:
+            kernel(block, blocks, *args)
+
+    helpers = [_executor(n - 1).submit(work) for _ in range(n - 1)]
+    try:
+        work()
+    finally:
+        wait(helpers)  # nobody may still write when the caller's buffers are reused
+    for helper in helpers:
+        helper.result()
+
+
+def _executor(helpers: int) -> ThreadPoolExecutor:
+    global _pool, _pool_key
+    key = (os.getpid(), helpers)
     if _pool is None or _pool_key != key:
-        _pool, _pool_key = ThreadPoolExecutor(n, thread_name_prefix="fishersplat"), key
-    for future in [_pool.submit(kernel, block, blocks, *args) for block in range(blocks)]:
-        future.result()
+        _pool, _pool_key = ThreadPoolExecutor(helpers, thread_name_prefix="fishersplat"), key
+    return _pool
