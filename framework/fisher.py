@@ -58,7 +58,7 @@ def _render(
 ) -> Image:
     planes = np.empty((5, camera.height, camera.width), np.float32)
     image = Image(planes[:3], planes[3], planes[4])
-    work.project(arrays, camera, degree, near)
+    work.project(arrays, camera, degree, near, np.empty(len(arrays.means), np.float32))
     work.sort()
     work.bin()
     work.blend(colour, image)

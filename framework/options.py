@@ -18,7 +18,7 @@ class TrainerOptions:
     end, as a share. `lr_means` is in units of the scene extent.
     """
 
-    steps: int = 800
+    steps: int = 600
     sh_degree: int = 0  # stored degree; the active one grows by one every `sh_every` steps
     sh_every: int = 1000
     ssim_weight: float = 0.2  # loss = (1 - w) L1 + w (1 - SSIM)

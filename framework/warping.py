@@ -53,7 +53,8 @@ class WarpingAugmenter(Augmenter):
     temperature: float = 0.02
     min_coverage: float = 0.3
 
-    defaults: ClassVar[dict[str, float]] = {"start": 0.1}
+    # chosen like those of reg=uar: a warped image is softer than a photo and must not outvote it
+    defaults: ClassVar[dict[str, float]] = {"start": 0.1, "stop": 0.8, "weight": 0.3}
 
     def __post_init__(self) -> None:
         self.check("every", self.every >= 1, "an integer >= 1")

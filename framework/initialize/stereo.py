@@ -21,13 +21,16 @@ FEWEST_PIXELS = 100
 class Stereo:
     """How the depth maps become Gaussians.
 
-    budget: number of Gaussians (fewer when fewer pixels are left after fusion). detail: exponent
+    budget: number of Gaussians (fewer when fewer pixels are left after fusion); 0 = `per_pixel`
+    times the number of training pixels, so that a scene gets what its photos can support (0.07
+    gives 40,000 for three photos of 504x378). detail: exponent
     of the local image gradient in the sampling density; 0 = uniform. tolerance: relative depth
     difference up to which two views show the same surface. scale_factor: standard deviation in
     units of the mean spacing of the samples. opacity: of every Gaussian.
     """
 
-    budget: int = 40000
+    budget: int = 0
+    per_pixel: float = 0.07
     detail: float = 0.5
     tolerance: float = 0.03
     scale_factor: float = 1.1
@@ -37,7 +40,8 @@ class Stereo:
         def check(name: str, ok: bool, expected: str) -> None:
             require(ok, f"init.{name}: expected {expected}, got {getattr(self, name)}")
 
-        check("budget", self.budget >= 1, "an integer >= 1")
+        check("budget", self.budget >= 0, "an integer >= 0")
+        check("per_pixel", 0 < self.per_pixel <= 1, "a number in (0, 1]")
         check("detail", 0 <= self.detail <= 4, "a number in [0, 4]")
         check("tolerance", 0 < self.tolerance < 1, "a relative difference in (0, 1)")
         check("scale_factor", 0 < self.scale_factor < 100, "a number in (0, 100)")
@@ -64,9 +68,15 @@ class Stereo:
             f"init=stereo: expected at least {FEWEST_PIXELS} pixels with consistent depth in scene"
             f" {training.scene}, got {len(pixels.xyz)}; use init=sparse or another depth",
         )
-        probability = inclusion_probabilities(pixels.density, self.budget)
+        probability = inclusion_probabilities(pixels.density, self._budget(training))
         chosen = draw(probability, stream(seed, "init/stereo"))
         scales = self.scale_factor * pixels.size[chosen] / np.sqrt(probability[chosen])
         return isotropic_gaussians(
             pixels.xyz[chosen], pixels.rgb[chosen], scales, self.opacity, sh_degree
         )
+
+    def _budget(self, training: TrainingSet) -> int:
+        if self.budget > 0:
+            return self.budget
+        pixels = sum(view.camera.width * view.camera.height for view in training.views)
+        return max(1, round(self.per_pixel * pixels))

@@ -58,14 +58,14 @@ class _Rasterize(torch.autograd.Function):
     ) -> Any:
         tensors = (means, quats, log_scales, opacity_logits, sh0, shN, factors, offset)
         work = borrow()
-        work.project(Arrays(*(_numpy(t) for t in tensors)), camera, degree, near)
+        radii = torch.empty(len(means))
+        arrays = Arrays(*(_numpy(t) for t in tensors))
+        work.project(arrays, camera, degree, near, radii.numpy())
         work.sort()
         work.bin()
         planes = torch.empty(5, camera.height, camera.width)
         rgb, alpha, depth = planes[:3], planes[3], planes[4]
         work.blend(background, Image(rgb.numpy(), alpha.numpy(), depth.numpy()))
-        box = work.rows[:, 10:12].max(axis=1)
-        radii = torch.from_numpy(np.maximum(box, np.float32(0)))
         ctx.mark_non_differentiable(radii)
         if any(ctx.needs_input_grad):
             ctx.work = work

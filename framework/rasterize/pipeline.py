@@ -85,8 +85,10 @@ class Workspace:
         self.touched, self.first = self._touched[:n], self._first[: n + 1]
         self.order, self.spare = self._order[:n], self._spare[:n]
 
-    def project(self, arrays: Arrays, camera: Camera, degree: int, near: float) -> None:
-        """Gaussians to the screen: fills rows, clipped, bound."""
+    def project(
+        self, arrays: Arrays, camera: Camera, degree: int, near: float, radii: np.ndarray
+    ) -> None:
+        """Gaussians to the screen: fills rows, clipped, bound and radii [N]."""
         self.arrays, self.degree, self.near = arrays, degree, near
         self.width, self.height = camera.width, camera.height
         self.camera = camera_row(camera, near)
@@ -109,6 +111,7 @@ class Workspace:
             self.rows,
             self.clipped,
             self.bound,
+            radii,
         )
 
     def sort(self) -> None:

@@ -171,8 +171,9 @@ def project(
     rows: Any,
     clipped: Any,
     bound: Any,
+    radii: Any,
 ) -> None:
-    """Fill `rows` [N, 16]; clipped [N] uint8 = bit c set where colour c was clamped at 0; bound [N]
+    """Fill `rows` [N, 16]; radii [N] = the larger half-side of the box, 0 if culled; clipped [N] uint8 = bit c set where colour c was clamped at 0; bound [N]
     int32 = the number of tiles the box covers (0 = culled), an upper bound on those touched."""
     n = len(means)
     basis = np.empty(15, np.float32)
@@ -185,6 +186,7 @@ def project(
         row[10] = -ONE
         row[11] = -ONE
         bound[i] = 0
+        radii[i] = ZERO
         if not (z >= camera[19] and opacity >= _CUT):
             continue
         u = camera[15] * x / z + camera[17]
@@ -244,6 +246,7 @@ def project(
         if left <= right and top <= bottom:
             row[10] = rx
             row[11] = ry
+            radii[i] = max(rx, ry)
             bound[i] = (right // 16 - left // 16 + 1) * (bottom // 16 - top // 16 + 1)
 
 
