@@ -44,7 +44,7 @@ from framework.record import (
 from framework.scenes import load_scene
 from framework.trainer import Plugins, Trained, Trainer
 from framework.types import Camera, DepthMap, Gaussians, Scene
-from framework.warmup import warm_up
+from framework.warmup import Warmup
 
 
 def run_experiment(
@@ -65,6 +65,7 @@ def run_experiment(
     timings: dict[str, StageTime] = {}
     weights = config["metrics"]["lpips_weights"]
     network = None if weights is None else load(weights)  # a bad path must not cost a training
+    warmup = Warmup(config, progress)
     progress.stage(f"scene {config['scene']['name']}")
     scene, timings["scene"] = _scene(_key(config["scene"]))
     identity = identity_of(config, scene.fingerprint, code_hash())
@@ -72,7 +73,7 @@ def run_experiment(
     if done is not None and not config["force"]:
         progress.done(f"{_result(done)} · reused, already complete (force=true repeats it)")
         return done
-    warm_up(config, progress)
+    warmup.finish()
     progress.stage(f"depth {config['depth']['name']}")
     depth, timings["depth"] = _depth(_key(config["scene"]), _key(config["depth"]))
     options = TrainerOptions(**config["trainer"])

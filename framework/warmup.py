@@ -2,7 +2,8 @@
 
 numba compiles on first use and keeps the result on disk. So the first run on a machine does a few
 steps on three tiny synthetic views with the same depth provider, trainer options and plugins; it
-tells the user when that means compiling. Later processes load the kernels in a moment.
+tells the user when that means compiling. Later processes load the kernels in a moment. The kernels
+of the depth provider are compiled by a process beside (numba compiles one at a time in each).
 """
 
 from __future__ import annotations
@@ -11,7 +12,11 @@ import contextlib
 import dataclasses
 import hashlib
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,28 +39,63 @@ STEPS = 12
 _warm: set[str] = set()  # keys this process has warmed up
 
 
-def warm_up(config: Mapping[str, Any], progress: Progress) -> None:
-    """Run the tiny training for this configuration's choices, once per process."""
-    chosen = {group: config[group] for group in (*registry.GROUPS, "depth")}
-    chosen["sh_degree"] = config["trainer"]["sh_degree"]
-    text = json.dumps(chosen, sort_keys=True, default=str)
-    key = hashlib.sha256(f"{text} {cpu_model()}".encode()).hexdigest()[:16]
-    if key in _warm:
-        return
-    marker = KERNEL_CACHE / f"warm-{key}"
-    if not marker.exists():
-        progress.compiling("kernels")
-    _tiny_run(config)
-    _warm.add(key)
-    marker.parent.mkdir(parents=True, exist_ok=True)
-    marker.touch()
+class Warmup:
+    """The warm-up of one configuration: `Warmup(config, progress)` as early as possible, `finish()`
+    before anything is timed. Does nothing a second time in a process."""
+
+    def __init__(self, config: Mapping[str, Any], progress: Progress) -> None:
+        self.config, self.progress = config, progress
+        chosen = {group: config[group] for group in (*registry.GROUPS, "depth")}
+        chosen["sh_degree"] = config["trainer"]["sh_degree"]
+        text = json.dumps(chosen, sort_keys=True, default=str)
+        self.key = hashlib.sha256(f"{text} {cpu_model()}".encode()).hexdigest()[:16]
+        self.marker = KERNEL_CACHE / f"warm-{self.key}"
+        self.beside: subprocess.Popen[bytes] | None = None
+        if self.key not in _warm and not self.marker.exists():
+            progress.compiling("kernels")
+            self.beside = _start_beside(config["depth"])
+
+    def finish(self) -> None:
+        """Compile or load what is still missing."""
+        if self.key in _warm:
+            return
+        if self.beside is not None:
+            self.progress.compiling("kernels")
+        training, depth, gaussians = _plane(int(self.config["trainer"]["sh_degree"]))
+        _train(self.config, training, depth, gaussians)
+        if self.beside is not None:
+            self.beside.wait()  # if it failed, the next line compiles, and tells why
+        _estimate(self.config["depth"], training)
+        _warm.add(self.key)
+        self.marker.parent.mkdir(parents=True, exist_ok=True)
+        self.marker.touch()
 
 
-def _tiny_run(config: Mapping[str, Any]) -> None:
-    training, depth, gaussians = _plane(int(config["trainer"]["sh_degree"]))
-    provider = dict(config["depth"])
+def _start_beside(depth: Mapping[str, Any]) -> subprocess.Popen[bytes]:
+    """A process that compiles the kernels of a depth provider into the shared cache."""
+    root = str(Path(__file__).resolve().parent.parent)
+    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    return subprocess.Popen(
+        [sys.executable, "-m", "framework.warmup", json.dumps(dict(depth), default=str)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+def _estimate(depth: Mapping[str, Any], training: TrainingSet) -> None:
+    options = dict(depth)
     with contextlib.suppress(UserError):  # a provider of files knows nothing of synthetic views
-        build_provider(provider.pop("name"), provider).estimate(training)
+        build_provider(options.pop("name"), options).estimate(training)
+
+
+def _train(
+    config: Mapping[str, Any],
+    training: TrainingSet,
+    depth: tuple[DepthMap, ...],
+    gaussians: Gaussians,
+) -> None:
     options = dataclasses.replace(
         TrainerOptions(**config["trainer"]), steps=STEPS, sh_every=1, evaluations=1
     )
@@ -92,3 +132,7 @@ def _plane(sh_degree: int) -> tuple[TrainingSet, tuple[DepthMap, ...], Gaussians
         torch.zeros(200, terms, 3),
     )
     return training, (full,) * 3, gaussians
+
+
+if __name__ == "__main__":
+    _estimate(json.loads(sys.argv[1]), _plane(0)[0])

@@ -173,8 +173,9 @@ def project(
     bound: Any,
     radii: Any,
 ) -> None:
-    """Fill `rows` [N, 16]; radii [N] = the larger half-side of the box, 0 if culled; clipped [N] uint8 = bit c set where colour c was clamped at 0; bound [N]
-    int32 = the number of tiles the box covers (0 = culled), an upper bound on those touched."""
+    """Fill `rows` [N, 16]; clipped [N] uint8: bit c set where colour c was clamped at 0; bound [N]
+    int32: the number of tiles the box covers (0 = culled), an upper bound on those touched;
+    radii [N]: the larger half-side of the box, 0 if culled."""
     n = len(means)
     basis = np.empty(15, np.float32)
     w, h = f4(width), f4(height)
