@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import numpy as np
-    from torch import Tensor
 
     from framework.types import Camera, View
     from framework.warp import Support
@@ -136,22 +135,9 @@ def perturbed(
     """
     import torch
 
-    from framework.types import Camera
+    from framework import geometry
 
     step, axis, angle = rng.standard_normal(3), rng.standard_normal(3), rng.standard_normal()
-    turn = _rotation(axis, math.radians(sigma_degrees) * angle)
-    viewmat = camera.viewmat.clone()
-    viewmat[:3, :3] = turn @ camera.viewmat[:3, :3]
-    center = camera.center + sigma_center * torch.from_numpy(step)
-    viewmat[:3, 3] = -viewmat[:3, :3] @ center
-    return Camera(viewmat, camera.K, camera.width, camera.height)
-
-
-def _rotation(axis: np.ndarray, radians: float) -> Tensor:
-    """[3, 3] float64, by Rodrigues' formula R = I + sin K + (1 - cos) K^2, K = [axis]_x."""
-    import torch
-
-    x, y, z = (float(value) for value in axis / math.sqrt(sum(float(v) ** 2 for v in axis)))
-    cross = torch.tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=torch.float64)
-    identity = torch.eye(3, dtype=torch.float64)
-    return identity + math.sin(radians) * cross + (1 - math.cos(radians)) * (cross @ cross)
+    length = math.sqrt(sum(float(value) ** 2 for value in axis))
+    turn = math.radians(sigma_degrees) * float(angle) / length * torch.from_numpy(axis)
+    return geometry.perturbed(camera, turn, sigma_center * torch.from_numpy(step))

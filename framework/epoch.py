@@ -1,0 +1,55 @@
+"""The views of an epoch, ready for a training step at the resolution of the moment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from framework.losses import Target
+from framework.types import View
+
+
+@dataclass(frozen=True)
+class Item:
+    """A view at the resolution that is trained now, with what the loss needs of it."""
+
+    view: View
+    target: Target
+
+
+class Items:
+    """Items of real views are kept, those of pseudo views made anew: they live for an epoch."""
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[str, int], Item] = {}
+
+    def get(self, view: View, factor: int) -> Item:
+        """`view` box-downsampled by `factor`."""
+        if "pseudo" in view.tags:
+            return _item(view, factor)
+        key = (view.name, factor)
+        if key not in self._kept:
+            self._kept[key] = _item(view, factor)
+        return self._kept[key]
+
+
+def _item(view: View, factor: int) -> Item:
+    """A coarse pixel is valid if all the pixels it covers are."""
+    if factor > 1:
+        mask = None
+        if view.mask is not None:
+            mask = (box_mean(view.mask[None], factor)[0] > 0.999).float()
+        camera, image = view.camera.scaled(factor), box_mean(view.image, factor)
+        view = replace(view, camera=camera, image=image, mask=mask, depth=None)
+    return Item(view, Target.of(view.image, view.mask))
+
+
+def box_mean(image: Tensor, factor: int) -> Tensor:
+    """Mean over factor x factor boxes of [C, H, W]; a last, incomplete row or column is cut."""
+    channels, height, width = image.shape
+    h, w = height // factor, width // factor
+    boxes = image[:, : h * factor, : w * factor].numpy().reshape(channels, h, factor, w, factor)
+    return torch.from_numpy(boxes.mean(axis=(2, 4), dtype=np.float64).astype(np.float32))

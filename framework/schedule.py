@@ -1,0 +1,45 @@
+"""What changes over a training: learning rates, SH degree, resolution, evaluation steps.
+
+Rates are those of 3DGS (Kerbl et al. 2023) times `lr_scale`: the means' decays exponentially over
+the whole training, the others' over its second half.
+"""
+
+from __future__ import annotations
+
+from framework.options import TrainerOptions
+from framework.types import Camera
+
+SMALLEST_SIDE = 16  # pixels; a smaller image has nothing to gain from a coarse phase
+
+
+def learning_rates(options: TrainerOptions, step: int, extent: float) -> dict[str, float]:
+    """Rate of every tensor of the Gaussians; the means' in scene units."""
+    o, progress = options, step / options.steps
+    others = o.lr_scale * o.lr_final ** max(0.0, 2 * progress - 1)
+    return {
+        "means": o.lr_scale * o.lr_means * extent * o.lr_means_final**progress,
+        "quats": o.lr_quats * others,
+        "log_scales": o.lr_scales * others,
+        "opacity_logits": o.lr_opacities * others,
+        "sh0": o.lr_sh0 * others,
+        "shN": o.lr_sh0 * o.lr_shN_ratio * others,
+    }
+
+
+def sh_degree(options: TrainerOptions, step: int, stored: int) -> int:
+    """The active degree: one more every `sh_every` steps, up to the stored one."""
+    return min(stored, step // options.sh_every)
+
+
+def downsampling(options: TrainerOptions, step: int, camera: Camera) -> int:
+    """By which integer factor images are box-downsampled now."""
+    factor = options.coarse_factor if step < options.coarse_until * options.steps else 1
+    while factor > 1 and min(camera.width, camera.height) // factor < SMALLEST_SIDE:
+        factor //= 2
+    return factor
+
+
+def evaluation_steps(options: TrainerOptions) -> frozenset[int]:
+    """After which steps the test views are rendered: evenly spaced, the last one included."""
+    n, steps = options.evaluations, options.steps
+    return frozenset(steps * (i + 1) // n for i in range(n))

@@ -1,0 +1,141 @@
+"""The trainer on three tiny views of a plane: what may change its result and what may not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from framework import registry, schedule
+from framework.epoch import Items, box_mean
+from framework.errors import UserError
+from framework.options import TrainerOptions
+from framework.plugin import Edits, StepContext, StepStats
+from framework.progress import Silent
+from framework.record import parameters_sha256
+from framework.registry import Plugged
+from framework.trainer import Plugins, Trained, Trainer
+from framework.types import Camera, Gaussians, View
+from framework.warmup import _plane
+
+
+def _plugins(**changes: Plugged) -> Plugins:
+    chosen = {"augment": "none", "reg": "none", "capacity": "fixed"}
+    built = {group: registry.build(group, {"name": name}) for group, name in chosen.items()}
+    return Plugins(**{**built, **changes})
+
+
+def _train(plugins: Plugins | None = None, evaluate: Any = None, **options: Any) -> Trained:
+    settings = TrainerOptions(**{"steps": 12, "evaluations": 1, "sh_every": 4, **options})
+    training, depth, gaussians = _plane(settings.sh_degree)
+    trainer = Trainer(
+        training, depth, gaussians, settings, plugins or _plugins(), 0, Silent(), evaluate
+    )
+    return trainer.run()
+
+
+def test_training_lowers_the_loss() -> None:
+    losses = [row.loss for row in _train(steps=60, coarse_factor=1, opacity_decay=1.0).history]
+    assert sum(losses[-6:]) < 0.9 * sum(losses[:6])
+
+
+def test_evaluation_touches_nothing() -> None:
+    """However often and rudely the test views are looked at, the result has the same bits."""
+
+    def rude(gaussians: Gaussians, background: Tensor, sh_degree: int) -> float:
+        gaussians.means.fill_(float("nan"))
+        return 1.0
+
+    quiet = _train(evaluate=None, evaluations=1)
+    watched = _train(evaluate=rude, evaluations=6)
+    assert parameters_sha256(quiet.gaussians) == parameters_sha256(watched.gaussians)
+
+
+@pytest.mark.parametrize("background", ["mean", "black", "white", "random"])
+def test_backgrounds_train_and_differ(background: str) -> None:
+    trained = _train(background=background)
+    assert all(torch.isfinite(tensor).all() for _, tensor in trained.gaussians.items())
+    assert trained.background.shape == (3,)
+    expected = {"black": 0.0, "white": 1.0}
+    if background in expected:
+        assert torch.equal(trained.background, torch.full((3,), expected[background]))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_harmonics_join_one_degree_at_a_time(degree: int) -> None:
+    trained = _train(sh_degree=degree)
+    active = [row.sh_degree for row in trained.history]
+    assert active[-1] == min(degree, 12 // 4)
+    assert active == sorted(active)
+    if degree == 3:
+        used = trained.gaussians.shN.abs().amax((0, 2)) > 0
+        assert used.tolist() == [True] * 8 + [False] * 7  # degree 3 joins after the last step
+
+
+def test_a_capacity_that_removes_all_is_an_error() -> None:
+    @dataclass(frozen=True)
+    class Nothing:
+        name = "nothing"
+
+        def init_state(self, ctx: StepContext) -> None:
+            return None
+
+        def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits, Any]:
+            return Edits(keep=torch.zeros(len(ctx.gaussians), dtype=torch.bool)), state
+
+    with pytest.raises(UserError, match="removed every Gaussian"):
+        _train(_plugins(capacity=Plugged(Nothing(), 1.0, 0.0, 1.0)))
+
+
+def test_a_loss_that_is_not_finite_is_an_error() -> None:
+    @dataclass(frozen=True)
+    class Broken:
+        name = "broken"
+
+        def init_state(self, ctx: StepContext) -> None:
+            return None
+
+        def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[None, Any]:
+            return None, state
+
+        def loss(self, ctx: StepContext, state: Any, view: View, render: Any) -> Tensor:
+            return render.rgb.sum() * float("nan")
+
+    with pytest.raises(UserError, match=r"training step 0 on view 'plane-\d': .*lr_scale"):
+        _train(_plugins(reg=Plugged(Broken(), 1.0, 0.0, 1.0)))
+
+
+def test_an_inactive_method_changes_nothing() -> None:
+    """`start=1` keeps a plugin out: the bits are those without it."""
+    plain = _train()
+    for group, name in (("augment", "safi"), ("reg", "uar")):
+        built = registry.build(group, {"name": name, "start": 1.0, "stop": 1.0})
+        trained = _train(_plugins(**{group: built}))
+        assert parameters_sha256(trained.gaussians) == parameters_sha256(plain.gaussians)
+
+
+def test_schedule_of_the_rates() -> None:
+    options = TrainerOptions(steps=100)
+    first, half, last = (schedule.learning_rates(options, s, extent=2.0) for s in (0, 50, 100))
+    assert first["means"] == pytest.approx(5 * 1.6e-4 * 2)
+    assert last["means"] == pytest.approx(first["means"] * options.lr_means_final)
+    assert half["sh0"] == pytest.approx(first["sh0"])
+    assert last["sh0"] == pytest.approx(first["sh0"] * options.lr_final)
+    assert schedule.evaluation_steps(options) == {25, 50, 75, 100}
+
+
+def test_coarse_views_keep_the_field_of_view() -> None:
+    camera = Camera(torch.eye(4), torch.tensor([[60.0, 0, 33], [0, 50, 20], [0, 0, 1]]), 65, 48)
+    image = torch.rand(3, 48, 65, generator=torch.Generator().manual_seed(0))
+    mask = torch.ones(48, 65)
+    mask[0, 0] = 0
+    item = Items().get(View("v", camera, image, mask), 2)
+    assert (item.view.camera.width, item.view.camera.height) == (32, 24)
+    assert float(item.view.camera.K[0, 0]) == 30
+    assert item.view.mask is not None and float(item.view.mask[0, 0]) == 0
+    assert float(item.view.mask.sum()) == 32 * 24 - 1
+    expected = image[:, 2:4, 4:6].mean((1, 2))
+    torch.testing.assert_close(box_mean(image, 2)[:, 1, 2], expected)
