@@ -8,8 +8,10 @@ that name run folders, which the processes of a launcher need too.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+import shutil
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
@@ -88,10 +90,10 @@ def task(cfg: DictConfig) -> None:
     except Exception as error:
         message = _failed(error, config["traceback"])
         bad_input = isinstance(error, USER_ERRORS)
-        if (
-            job.mode.name == "MULTIRUN" or not bad_input
-        ):  # a lone mistyped run is not worth a record
+        if job.mode.name == "MULTIRUN" or not bad_input:
             _record_failure(run_dir, config, overrides, message)
+        else:  # a lone mistyped run is not worth a record, nor a folder
+            _discard(run_dir)
         add_outcome(Outcome(number, str(run_dir), message, bad_input))
     else:
         add_outcome(Outcome(number, str(run_dir)))
@@ -226,6 +228,16 @@ def _record_failure(
         complete = False
     if not complete:
         write_failed(run_dir, config, overrides, message)
+
+
+def _discard(run_dir: Path) -> None:
+    """Remove what Hydra left of a run that never began, and the study's folders if now empty."""
+    if [path.name for path in run_dir.iterdir()] != [".hydra"]:
+        return
+    shutil.rmtree(run_dir / ".hydra")
+    with contextlib.suppress(OSError):  # not empty: other runs are there
+        for folder in (run_dir, *run_dir.parents[:2]):
+            folder.rmdir()
 
 
 def _conclude() -> int:

@@ -36,7 +36,7 @@ class TrainerOptions:
     coarse_until: float = 0.4  # ... for this share of the steps
     background: str = "mean"
     near_plane: float = 0.05  # in units of the scene's near bound
-    evaluations: int = 4  # test evaluations, evenly spaced, the last after the last step
+    evaluations: int = 6  # of the test views, evenly spaced, the last after the last step
 
     def __post_init__(self) -> None:
         def check(name: str, ok: bool, expected: str) -> None:
@@ -54,4 +54,4 @@ class TrainerOptions:
         check("coarse_until", 0 <= self.coarse_until <= 1, "a share in [0, 1]")
         check("background", self.background in BACKGROUNDS, f"one of {', '.join(BACKGROUNDS)}")
         check("near_plane", 0 < self.near_plane <= 1, "a number in (0, 1]")
-        check("evaluations", 1 <= self.evaluations <= self.steps, "1 to trainer.steps")
+        check("evaluations", self.evaluations >= 1, "an integer >= 1")

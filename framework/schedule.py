@@ -40,6 +40,7 @@ def downsampling(options: TrainerOptions, step: int, camera: Camera) -> int:
 
 
 def evaluation_steps(options: TrainerOptions) -> frozenset[int]:
-    """After which steps the test views are rendered: evenly spaced, the last one included."""
-    n, steps = options.evaluations, options.steps
+    """After which steps the test views are rendered: evenly spaced, the last one included; in a
+    short training after every step."""
+    n, steps = min(options.evaluations, options.steps), options.steps
     return frozenset(steps * (i + 1) // n for i in range(n))
