@@ -231,12 +231,13 @@ def _record_failure(
 
 
 def _discard(run_dir: Path) -> None:
-    """Remove what Hydra left of a run that never began, and the study's folders if now empty."""
+    """Remove what Hydra left of a run that never began, and a study of ours that is now empty."""
     if [path.name for path in run_dir.iterdir()] != [".hydra"]:
         return
     shutil.rmtree(run_dir / ".hydra")
+    ours = run_dir.parents[:2] if run_dir.parent.name == "runs" else ()
     with contextlib.suppress(OSError):  # not empty: other runs are there
-        for folder in (run_dir, *run_dir.parents[:2]):
+        for folder in (run_dir, *ours):
             folder.rmdir()
 
 

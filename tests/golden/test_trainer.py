@@ -118,13 +118,14 @@ def test_an_inactive_method_changes_nothing() -> None:
 
 
 def test_schedule_of_the_rates() -> None:
-    options = TrainerOptions(steps=100)
+    options = TrainerOptions(steps=100, evaluations=4)
     first, half, last = (schedule.learning_rates(options, s, extent=2.0) for s in (0, 50, 100))
     assert first["means"] == pytest.approx(5 * 1.6e-4 * 2)
     assert last["means"] == pytest.approx(first["means"] * options.lr_means_final)
     assert half["sh0"] == pytest.approx(first["sh0"])
     assert last["sh0"] == pytest.approx(first["sh0"] * options.lr_final)
     assert schedule.evaluation_steps(options) == {25, 50, 75, 100}
+    assert schedule.evaluation_steps(TrainerOptions(steps=2)) == {1, 2}
 
 
 def test_coarse_views_keep_the_field_of_view() -> None:
