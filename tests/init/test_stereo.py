@@ -99,6 +99,13 @@ def test_exactly_the_budget_with_the_colours_of_the_pixels() -> None:
     assert all(t.dtype == torch.float32 and t.is_contiguous() for _, t in gaussians.items())
 
 
+def test_without_a_budget_the_photos_decide() -> None:
+    training, depth = three_views()
+    pixels = sum(view.camera.width * view.camera.height for view in training.views)
+    gaussians = Stereo(per_pixel=0.05).build(training, depth, sh_degree=0, seed=0)
+    assert len(gaussians) == round(0.05 * pixels)
+
+
 def test_the_gaussians_cover_the_surface_at_any_budget() -> None:
     """Sum of (s / factor)^2 estimates the area of all pixels without bias (Horvitz-Thompson)."""
     training, depth = three_views()
@@ -166,7 +173,14 @@ def test_every_view_needs_its_depth_map() -> None:
 
 @pytest.mark.parametrize(
     ("option", "value"),
-    [("budget", 0), ("detail", -1), ("tolerance", 0), ("scale_factor", 0), ("opacity", 1)],
+    [
+        ("budget", -1),
+        ("per_pixel", 0),
+        ("detail", -1),
+        ("tolerance", 0),
+        ("scale_factor", 0),
+        ("opacity", 1),
+    ],
 )
 def test_options_out_of_range(option: str, value: float) -> None:
     with pytest.raises(UserError, match=f"init.{option}: expected .*, got {value}"):

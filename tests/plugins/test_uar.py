@@ -134,7 +134,7 @@ def test_input_is_left_alone() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"candidate_factor": 7.0}, r"candidate_factor must be in \(1, 1/p\) = \(1, 5.0\), got 7"),
+        ({"p": 0.2, "candidate_factor": 7.0}, r"must be in \(1, 1/p\) = \(1, 5.0\), got 7"),
         ({"candidate_factor": 1.0}, "lower p"),
         ({"candidate_factor": float("nan")}, "candidate_factor"),
         ({"p": 0.0}, r"uar: p must be in \(0, 1\), got 0.0"),
@@ -154,7 +154,7 @@ def test_bad_options_are_told_in_one_line(options: dict[str, object], message: s
 
 def test_draws_come_from_the_context_alone() -> None:
     """The plugin's draws are those of its stream, in the order of the ranking."""
-    uar = Uar(mode="hard", schedule="constant")
+    uar = Uar(mode="hard", schedule="constant", p=0.2)
     result, ranking = uar.opacity_factors(ctx(), None)
     assert result is not None
     draws = stream(0, "plugin/uar", 50).random(160) < 0.5
