@@ -21,7 +21,7 @@ from torch import Tensor
 from framework import parallel, registry
 from framework.depth import build_provider
 from framework.initialize import INITIALIZERS
-from framework.lpips import load
+from framework.lpips import Lpips, load
 from framework.metrics import Missing, evaluate, psnr
 from framework.options import TrainerOptions
 from framework.progress import Progress
@@ -62,10 +62,21 @@ def run_experiment(
     parallel.set_threads(int(config["threads"]))
     torch.set_num_threads(1)  # kernels have their own pool; small tensors gain nothing from two
     registry.discover()
-    timings: dict[str, StageTime] = {}
     weights = config["metrics"]["lpips_weights"]
     network = None if weights is None else load(weights)  # a bad path must not cost a training
-    warmup = Warmup(config, progress)
+    with Warmup(config, progress) as warmup:
+        return _experiment(config, run_dir, progress, overrides, network, warmup)
+
+
+def _experiment(
+    config: Mapping[str, Any],
+    run_dir: Path,
+    progress: Progress,
+    overrides: Sequence[str],
+    network: Lpips | None,
+    warmup: Warmup,
+) -> RunRecord:
+    timings: dict[str, StageTime] = {}
     progress.stage(f"scene {config['scene']['name']}")
     scene, timings["scene"] = _scene(_key(config["scene"]))
     identity = identity_of(config, scene.fingerprint, code_hash())
@@ -160,13 +171,14 @@ def _train(
     near = options.near_plane * scene.training.near
     excluded = 0.0
 
-    def test_psnr(current: Gaussians, background: Tensor, sh_degree: int) -> float:
+    def test_psnr(current: Gaussians, background: Tensor, sh_degree: int) -> float | None:
         nonlocal excluded
         before = time.process_time()
         render = _renderer(current, background, sh_degree, near)
-        values = [_psnr(render(view.camera), view) for view in scene.test]
+        values = [psnr(render(view.camera), view.image, view.mask) for view in scene.test]
         excluded += time.process_time() - before
-        return sum(values) / len(values)
+        finite = [value for value in values if not isinstance(value, Missing)]
+        return sum(finite) / len(finite) if len(finite) == len(values) else None
 
     before = time.process_time()
     trainer = Trainer(
@@ -175,11 +187,6 @@ def _train(
     trained = trainer.run()
     cpu_s = time.process_time() - before - excluded
     return trained, StageTime(trained.train_s, cpu_s)
-
-
-def _psnr(image: Tensor, view: Any) -> float:
-    value = psnr(image, view.image, view.mask)
-    return float("nan") if isinstance(value, Missing) else value
 
 
 def _renderer(

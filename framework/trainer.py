@@ -67,14 +67,14 @@ class _Running:
     started: bool = False
 
 
-Evaluate = Callable[[Gaussians, Tensor, int], float]
+Evaluate = Callable[[Gaussians, Tensor, int], float | None]
 
 
 class Trainer:
     """One training. `run` may be called once.
 
-    evaluate(gaussians, background [3], sh_degree) -> mean test PSNR in dB, at the evaluation steps;
-    it gets copies, and its time does not count.
+    evaluate(gaussians, background [3], sh_degree) -> mean test PSNR in dB or None, at the evaluation
+    steps; it gets copies, and its time does not count.
     """
 
     def __init__(

@@ -40,8 +40,8 @@ _warm: set[str] = set()  # keys this process has warmed up
 
 
 class Warmup:
-    """The warm-up of one configuration: `Warmup(config, progress)` as early as possible, `finish()`
-    before anything is timed. Does nothing a second time in a process."""
+    """The warm-up of one configuration: `with Warmup(config, progress)` as early as possible,
+    `finish()` before anything is timed. Does nothing a second time in a process."""
 
     def __init__(self, config: Mapping[str, Any], progress: Progress) -> None:
         self.config, self.progress = config, progress
@@ -54,6 +54,15 @@ class Warmup:
         if self.key not in _warm and not self.marker.exists():
             progress.compiling("kernels")
             self.beside = _start_beside(config["depth"])
+
+    def __enter__(self) -> Warmup:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """A run that ends early does not leave the process beside to disturb what comes next."""
+        if self.beside is not None and self.beside.poll() is None:
+            self.beside.terminate()
+            self.beside.wait()
 
     def finish(self) -> None:
         """Compile or load what is still missing."""
@@ -99,7 +108,10 @@ def _train(
     options = dataclasses.replace(
         TrainerOptions(**config["trainer"]), steps=STEPS, sh_every=1, evaluations=1
     )
-    plugins = Plugins(*(registry.build(group, config[group]) for group in registry.GROUPS))
+    always = {"start": 0.0, "stop": 1.0}  # also what the user lets act for a short while only
+    plugins = Plugins(
+        *(registry.build(group, {**config[group], **always}) for group in registry.GROUPS)
+    )
     Trainer(training, depth, gaussians, options, plugins, 0, Silent()).run()
 
 
