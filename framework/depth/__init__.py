@@ -1,8 +1,9 @@
 """Depth providers: where the depth of the training views comes from.
 
-Every provider is a frozen dataclass whose fields are its options, with one method
+Every provider is a frozen dataclass whose fields are its options, with the methods
 `estimate(training) -> tuple[DepthMap, ...]`, one map per training view, in their order (see
-`framework.types.DepthMap`). Importing this package loads neither torch nor numba.
+`framework.types.DepthMap`), and `fingerprint(training) -> str` of the files it reads. Importing
+this package loads neither torch nor numba.
 """
 
 from __future__ import annotations
@@ -27,6 +28,11 @@ class DepthProvider(Protocol):
 
     def estimate(self, training: TrainingSet) -> tuple[DepthMap, ...]:
         """One depth map per training view, in their order."""
+        ...
+
+    def fingerprint(self, training: TrainingSet) -> str:
+        """What beside the options and the training set determines the maps: SHA-256 hex of the
+        files that `estimate` reads, "" if it reads none."""
         ...
 
 

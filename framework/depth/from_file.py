@@ -17,8 +17,9 @@ INVALID = ("error", "mask")
 
 @dataclass(frozen=True)
 class DepthFile:
-    """One file per training view in `path`, named by the view without its suffix: `.npy`, `.npz`
-    (key `depth`) or 16-bit `.png`. 0 = unknown; maps are resampled to the image's size."""
+    """One file per training view in `path`, named by the view without its suffix, subfolders
+    included: `.npy`, `.npz` (key `depth`) or 16-bit `.png`. 0 = unknown; maps are resampled to the
+    image's size."""
 
     path: str = ""
     kind: str = "depth"  # or inverse_depth
@@ -52,3 +53,9 @@ class DepthFile:
         from framework.depth.read import read_views
 
         return read_views(training, self)
+
+    def fingerprint(self, training: TrainingSet) -> str:
+        """SHA-256 hex of the files of all training views. Raises UserError on a missing one."""
+        from framework.depth.read import files_sha256
+
+        return files_sha256(training, self)

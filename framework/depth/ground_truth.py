@@ -28,3 +28,7 @@ class GroundTruth:
                 )
             maps.append(DepthMap(view.depth, (view.depth > 0).to(view.depth.dtype)))
         return tuple(maps)
+
+    def fingerprint(self, training: TrainingSet) -> str:
+        """Empty: no files are read."""
+        return ""

@@ -48,3 +48,7 @@ class PlaneSweep:
         from framework.depth.sweep import sweep_views
 
         return sweep_views(training, self)
+
+    def fingerprint(self, training: TrainingSet) -> str:
+        """Empty: no files are read."""
+        return ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,14 +27,19 @@ JUMP = 1.1  # neighbours whose depths differ by more lie on two surfaces: nothin
 
 
 def find_file(folder: Path, view: str) -> Path:
-    """The one depth file of a view; UserError if there is none, or more than one."""
+    """The one depth file of a view; UserError if there is none, or more than one.
+
+    Looked for under the view's relative path first (`cam1/0001.jpg`: `cam1/0001.npy`), then by its
+    file name alone.
+    """
     name = Path(view)
-    stems = dict.fromkeys([name.stem, name.name])
-    found = [p for s in stems for x in SUFFIXES if (p := folder / f"{s}{x}").is_file()]
+    inside = not name.is_absolute() and ".." not in name.parts
+    found = _with_suffixes(folder / name) if inside else []
+    found = found or _with_suffixes(folder / name.name)
     if not found:
         raise UserError(
-            f"depth=file: expected '{name.stem}' with one of {', '.join(SUFFIXES)} in {folder} for"
-            f" view '{view}', got none; name the files by the views"
+            f"depth=file: expected '{name.with_suffix('')}' with one of {', '.join(SUFFIXES)} in"
+            f" {folder} for view '{view}', got none; name the files by the views"
         )
     if len(found) > 1:
         raise UserError(
@@ -41,6 +47,43 @@ def find_file(folder: Path, view: str) -> Path:
             f" {', '.join(p.name for p in found)}; remove all but one"
         )
     return found[0]
+
+
+def _with_suffixes(image: Path) -> list[Path]:
+    """The files named like `image` with a depth suffix instead of its own, or after it."""
+    stems = dict.fromkeys([image.with_suffix("").name, image.name])
+    candidates = [image.with_name(f"{stem}{suffix}") for stem in stems for suffix in SUFFIXES]
+    return [path for path in candidates if path.is_file()]
+
+
+def find_files(training: TrainingSet, options: DepthFile) -> list[Path]:
+    """The depth files of all training views, in their order; UserError unless each has its own."""
+    folder = Path(options.path).expanduser()
+    require(
+        folder.is_dir(),
+        f"depth=file: expected a folder at {folder}, got none; set depth.path to the folder of the"
+        " depth maps",
+    )
+    owners: dict[Path, str] = {}
+    for view in training.views:
+        file = find_file(folder, view.name)
+        if file in owners:
+            raise UserError(
+                f"depth=file: expected a file for each view, got {file} for both"
+                f" '{owners[file]}' and '{view.name}'; arrange the files in {folder} like the"
+                " views, with subfolders and whole names"
+            )
+        owners[file] = view.name
+    return list(owners)
+
+
+def files_sha256(training: TrainingSet, options: DepthFile) -> str:
+    """See `framework.depth.from_file.DepthFile.fingerprint`."""
+    digest = hashlib.sha256()
+    for file in find_files(training, options):
+        # the suffix says how the bytes are read
+        digest.update(file.suffix.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()
 
 
 def _load_array(file: Path) -> NDArray[np.float64]:
@@ -119,11 +162,12 @@ def resample(values: NDArray[np.float64], width: int, height: int) -> NDArray[np
     return np.where(smooth, (weights * corners).sum(0), nearest)
 
 
-def read_view(training: TrainingSet, index: int, options: DepthFile) -> NDArray[np.float32]:
-    """Aligned depth [H, W] float32 of one training view, 0 = unknown."""
+def read_view(
+    training: TrainingSet, index: int, file: Path, options: DepthFile
+) -> NDArray[np.float32]:
+    """Aligned depth [H, W] float32 of one training view from its `file`, 0 = unknown."""
     view = training.views[index]
     width, height = view.camera.width, view.camera.height
-    file = find_file(Path(options.path).expanduser(), view.name)
     values = load_map(file, options)
     h, w = values.shape
     require(
@@ -139,14 +183,9 @@ def read_view(training: TrainingSet, index: int, options: DepthFile) -> NDArray[
 
 def read_views(training: TrainingSet, options: DepthFile) -> tuple[DepthMap, ...]:
     """See `framework.depth.from_file.DepthFile.estimate`."""
-    folder = Path(options.path).expanduser()
-    require(
-        folder.is_dir(),
-        f"depth=file: expected a folder at {folder}, got none; set depth.path to the folder of the"
-        " depth maps",
-    )
+    files = find_files(training, options)
     indices = range(len(training.views))
-    depths = [read_view(training, i, options) for i in indices]
+    depths = [read_view(training, i, files[i], options) for i in indices]
     cameras = [view.camera for view in training.views]
     maps = []
     for i, depth in enumerate(depths):

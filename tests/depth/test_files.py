@@ -14,7 +14,7 @@ import torch
 
 from framework.depth import PROVIDERS, build_provider
 from framework.depth.align import fit_scale, fit_scale_shift
-from framework.depth.read import resample
+from framework.depth.read import find_file, resample
 from framework.errors import UserError
 from framework.rng import stream
 from framework.types import TrainingSet
@@ -95,6 +95,55 @@ def test_invalid_values_are_counted_or_masked(tmp_path: Path) -> None:
     found = build_provider("file", {**options, "invalid": "mask"}).estimate(scene)[1]
     assert found.depth[0, :3].tolist() == found.confidence[0, :3].tolist() == [0, 0, 0]
     assert float(found.confidence[1:].min()) == 1
+
+
+def _renamed(scene: TrainingSet, *names: str) -> TrainingSet:
+    views = [replace(v, name=name) for v, name in zip(scene.views, names, strict=True)]
+    return replace(scene, views=tuple(views))
+
+
+def test_views_of_the_same_name_have_their_own_files(tmp_path: Path) -> None:
+    scene = _renamed(plane_scene(), "cam1/0001.jpg", "cam2/0001.jpg", "cam2/0002.jpg")
+    for i, file in enumerate(("cam1/0001.npy", "cam2/0001.jpg.npy", "0002.npy")):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        np.save(tmp_path / file, np.full_like(exact(scene)[i], i + 1))
+    found = build_provider("file", {"path": str(tmp_path), "align": "none"}).estimate(scene)
+    assert [float(m.depth.max()) for m in found] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("names", [("cam1/0001.jpg", "cam2/0001.jpg"), ("0001.jpg", "0001.png")])
+def test_a_file_for_two_views_is_refused(tmp_path: Path, names: tuple[str, str]) -> None:
+    scene = _renamed(plane_scene(), *names, "other.jpg")
+    for stem in ("0001", "other"):
+        np.save(tmp_path / f"{stem}.npy", exact(scene)[0])
+    provider = build_provider("file", {"path": str(tmp_path), "align": "none"})
+    expected = rf"0001\.npy for both '{names[0]}' and '{names[1]}'; arrange the files"
+    for use in (provider.estimate, provider.fingerprint):
+        with pytest.raises(UserError, match=expected):
+            use(scene)
+
+
+@pytest.mark.parametrize("name", ["../left.png", "/left.png"])
+def test_a_name_outside_the_folder_counts_by_its_last_part(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "depth"
+    folder.mkdir()
+    np.save(tmp_path / "left.npy", np.ones(1))  # not ours
+    np.save(folder / "left.npy", np.ones(1))
+    assert find_file(folder, name) == folder / "left.npy"
+
+
+def test_the_fingerprint_follows_the_files(tmp_path: Path) -> None:
+    scene = plane_scene()
+    write(tmp_path, scene, exact(scene), ".npy")
+    provider = build_provider("file", {"path": str(tmp_path)})
+    first = provider.fingerprint(scene)
+    assert provider.fingerprint(scene) == first
+    np.save(tmp_path / "unrelated.npy", np.ones(1))
+    assert provider.fingerprint(scene) == first
+    np.save(tmp_path / "middle.npy", 1.01 * exact(scene)[1])
+    assert provider.fingerprint(scene) != first
+    for name in ("ground_truth", "plane_sweep"):
+        assert build_provider(name, {}).fingerprint(scene) == ""
 
 
 def test_tolerance_drops_what_no_other_view_confirms(tmp_path: Path) -> None:
