@@ -11,6 +11,8 @@ from torch import Tensor
 from framework.losses import Target
 from framework.types import View
 
+PSEUDO = "pseudo"  # the tag the trainer gives to what an augmenter returns
+
 
 @dataclass(frozen=True)
 class Item:
@@ -28,7 +30,7 @@ class Items:
 
     def get(self, view: View, factor: int) -> Item:
         """`view` box-downsampled by `factor`."""
-        if "pseudo" in view.tags:
+        if PSEUDO in view.tags:
             return _item(view, factor)
         key = (view.name, factor)
         if key not in self._kept:

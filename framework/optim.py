@@ -20,6 +20,7 @@ from framework.parallel import run_blocks
 from framework.types import Gaussians, concatenate
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
+LOWEST_LOGIT = -30.0
 
 # stands for a tensor without gradient: tuples of another length would be compiled anew
 _NOTHING = (np.empty(0, dtype=np.float32),) * 4
@@ -173,7 +174,11 @@ def _decay_range(block, n_blocks, logits, decay):  # type: ignore[no-untyped-def
     one, log_decay = np.float32(1), np.float32(math.log(decay))
     n = len(logits)
     for i in range(n * block // n_blocks, n * (block + 1) // n_blocks):
-        logits[i] = log_decay - math.log(one - decay + math.exp(-logits[i]))
+        # exp(88) overflows; an opacity of 1e-13 is as good as none
+        bounded = max(logits[i], np.float32(LOWEST_LOGIT))
+        logits[i] = max(
+            log_decay - math.log(one - decay + math.exp(-bounded)), np.float32(LOWEST_LOGIT)
+        )
 
 
 def decay_opacities(logits: Tensor, decay: float) -> None:

@@ -20,7 +20,7 @@ class TrainerOptions:
 
     steps: int = 600
     sh_degree: int = 0  # stored degree; the active one grows by one every `sh_every` steps
-    sh_every: int = 1000
+    sh_every: int = 0  # 0 = evenly over the first half of the training (3DGS: 1000 of 30k steps)
     ssim_weight: float = 0.2  # loss = (1 - w) L1 + w (1 - SSIM)
     lr_scale: float = 5.0
     lr_means: float = 1.6e-4
@@ -44,7 +44,7 @@ class TrainerOptions:
 
         check("steps", self.steps >= 1, "an integer >= 1")
         check("sh_degree", 0 <= self.sh_degree <= 3, "0, 1, 2 or 3")
-        check("sh_every", self.sh_every >= 1, "an integer >= 1")
+        check("sh_every", self.sh_every >= 0, "an integer >= 0")
         check("ssim_weight", 0 <= self.ssim_weight <= 1, "a number in [0, 1]")
         for rate in ("lr_scale", "lr_means", "lr_sh0", "lr_opacities", "lr_scales", "lr_quats"):
             check(rate, 0 <= getattr(self, rate) < 1e3, "a number in [0, 1000)")

@@ -37,9 +37,10 @@ __all__ = ["Augmenter", "Capacity", "Edits", "Regularizer", "StepContext", "Step
 class StepContext:
     """What a plugin may know: read-only, and of the scene only what training may know.
 
-    step: finished steps so far (0-based index of the step about to run). views: the real training
-    views; depth: their depth maps, in the same order. gaussians: the current ones, detached.
-    version: changes whenever Gaussians were added or removed. sh_degree: the active degree.
+    step: index, from 0, of the current step: the one about to run, for `Capacity.update` the one
+    just made. views: the real training views; depth: their depth maps, in the same order.
+    gaussians: the current ones, detached; clone what is to be kept, the next step changes them in
+    place. version: changes whenever Gaussians were added or removed. sh_degree: the active degree.
     background: [3]. extent: see `TrainingSet.extent`; near, far: depth bounds of the scene.
     render(camera): the current Gaussians without any dropout. fisher(camera): their information;
     fisher(camera, gaussians, sh_degree): that of others, for instance a snapshot.
@@ -76,6 +77,11 @@ class Plugin:
     group: ClassVar[str]
     defaults: ClassVar[dict[str, float]] = {}
 
+    @classmethod
+    def weighted(cls) -> bool:
+        """Whether `weight` acts; a value for it is refused otherwise."""
+        return True
+
     def init_state(self, ctx: StepContext) -> Any:
         """The state before the first use; None for a plugin without one."""
         return None
@@ -92,6 +98,11 @@ class Augmenter(Plugin):
 
 class Regularizer(Plugin):
     """Acts on a training step; evaluation never sees it."""
+
+    @classmethod
+    def weighted(cls) -> bool:
+        """`weight` multiplies the loss term."""
+        return cls.loss is not Regularizer.loss
 
     def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
         """[N] float32 factors on the activated opacities for this step's render, or None."""
@@ -125,6 +136,11 @@ class Edits:
 
 class Capacity(Plugin):
     """Decides how many Gaussians there are; the only code that changes N."""
+
+    @classmethod
+    def weighted(cls) -> bool:
+        """There is nothing to multiply."""
+        return False
 
     def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
         """Called after each step; the trainer applies the edits to parameters and optimizer."""

@@ -106,12 +106,16 @@ def build(group: str, config: Mapping[str, Any]) -> Plugged:
     """The plugin that `config` (key `name` + options) describes. Raises UserError on a bad one."""
     options = dict(config)
     name = str(options.pop("name", ""))
-    cls = lookup(group, name)
+    cls: Any = lookup(group, name)
     known = {row[0]: row for row in option_fields(cls)}
     for key in options:
         if key not in known:
             raise UserError(f"{group}={name}: unknown option '{key}'; {nearest_hint(key, known)}")
     keys = {key: float(options.pop(key, known[key][2].default)) for key in FRAMEWORK_KEYS}
+    require(
+        keys["weight"] == known["weight"][2].default or cls.weighted(),
+        f"{group}={name}: weight multiplies a loss, and {name} has none; drop {group}.weight",
+    )
     require(keys["weight"] >= 0, f"{group}={name}: weight must be >= 0, got {keys['weight']}")
     require(
         0 <= keys["start"] <= keys["stop"] <= 1,

@@ -28,7 +28,8 @@ def learning_rates(options: TrainerOptions, step: int, extent: float) -> dict[st
 
 def sh_degree(options: TrainerOptions, step: int, stored: int) -> int:
     """The active degree: one more every `sh_every` steps, up to the stored one."""
-    return min(stored, step // options.sh_every)
+    every = options.sh_every or max(1, options.steps // (2 * max(stored, 1)))
+    return min(stored, step // every)
 
 
 def downsampling(options: TrainerOptions, step: int, camera: Camera) -> int:

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from framework import schedule
-from framework.epoch import Item, Items
+from framework.epoch import PSEUDO, Item, Items
 from framework.errors import UserError
 from framework.fisher import FisherInformation, fisher_information
 from framework.initialize import background_color, random_background
@@ -73,8 +73,8 @@ Evaluate = Callable[[Gaussians, Tensor, int], float | None]
 class Trainer:
     """One training. `run` may be called once.
 
-    evaluate(gaussians, background [3], sh_degree) -> mean test PSNR in dB or None, at the evaluation
-    steps; it gets copies, and its time does not count.
+    evaluate(gaussians, background [3], sh_degree) -> mean test PSNR in dB, or None; called at the
+    evaluation steps with copies, and its time does not count.
     """
 
     def __init__(
@@ -140,7 +140,10 @@ class Trainer:
             return []
         plugged = self.augment.plugged
         views, self.augment.state = plugged.plugin.pseudo_views(context, self.augment.state)
-        return [replace(view, weight=view.weight * plugged.weight) for view in views]
+        return [
+            replace(view, weight=view.weight * plugged.weight, tags=(*view.tags, PSEUDO))
+            for view in views
+        ]
 
     def _train_step(self, item: Item) -> float:
         """One optimizer step on one view; returns the loss."""

@@ -107,7 +107,7 @@ def rasterize(
     opacity_factors: [N], multiply the activated opacities. means2d_offset: [N, 2], added to the
     projected means; pass zeros that require a gradient to get d loss / d means2d in pixels.
     near: Gaussians with a smaller z are culled. Differentiable in all tensors but the background.
-    Raises UserError for other dtypes than float32.
+    Raises UserError for other dtypes than float32 and for wrong shapes.
     """
     n = len(gaussians)
     degree = gaussians.sh_degree if sh_degree is None else min(sh_degree, gaussians.sh_degree)
@@ -115,5 +115,22 @@ def rasterize(
     offset = torch.zeros(n, 2) if means2d_offset is None else means2d_offset
     colour = torch.zeros(3) if background is None else background
     tensors = (*(tensor for _, tensor in gaussians.items()), factors, offset)
+    _check_shapes(n, gaussians, factors, offset, colour)
     outputs = _Rasterize.apply(*tensors, camera, _numpy(colour), degree, float(near))
     return Render(*outputs)
+
+
+def _check_shapes(
+    n: int, gaussians: Gaussians, factors: Tensor, offset: Tensor, colour: Tensor
+) -> None:
+    """The kernels do not check bounds."""
+    expected = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "opacity_logits": (n,)}
+    expected |= {"sh0": (n, 1, 3), "shN": (n, gaussians.shN.shape[1], 3)}
+    given = [(name, tensor, expected[name]) for name, tensor in gaussians.items()]
+    given += [("opacity_factors", factors, (n,)), ("means2d_offset", offset, (n, 2))]
+    for name, tensor, shape in [*given, ("background", colour, (3,))]:
+        if tuple(tensor.shape) != shape:
+            raise UserError(
+                f"rasterize: expected {name} of shape {list(shape)} for {n} Gaussians, got"
+                f" {list(tensor.shape)}"
+            )

@@ -57,10 +57,12 @@ def depth_order(rows: Any, bound: Any, order: Any, spare: Any) -> int:
 
 
 @inlined
-def _reach(end: Any, b: Any, c: Any, determinant: Any, level: Any, sign: Any) -> Any:
-    """dy of the ellipse a dx^2 + 2 b dx dy + c dy^2 = level at dx = end, upper or lower branch."""
-    root = math.sqrt(max(ZERO, level * c - determinant * end * end))
-    return (sign * root - b * end) / c
+def _reach(end: Any, b: Any, c: Any, level: Any, rx: Any, ry: Any, sign: Any) -> Any:
+    """dy of the ellipse a dx^2 + 2 b dx dy + c dy^2 = level, of half-sides rx, ry, at dx = end; the
+    upper or lower branch. c (dy + b/c dx)^2 = level (1 - (dx/rx)^2): nothing cancels."""
+    share = end / rx
+    root = math.sqrt(max(ZERO, level * (ONE - share * share) / c))
+    return max(-ry, min(ry, sign * root - b / c * end))
 
 
 @kernel
@@ -88,7 +90,6 @@ def count_tiles(
         a, b, c = row[13], row[14], row[15]
         left = max(0, int(math.ceil(u - rx - HALF)))
         right = min(width - 1, int(math.floor(u + rx - HALF)))
-        determinant = a * c - b * b
         level = _TWO_LN2 * (row[5] + _LOG2_255)
         summit = -b / a * ry  # dx of the ellipse's lowest point on screen (largest dy)
         at = start[i]
@@ -98,11 +99,11 @@ def count_tiles(
             high = ry
             if summit < x0 or summit > x1:
                 end = max(-rx, min(rx, max(x0, min(x1, summit))))
-                high = _reach(end, b, c, determinant, level, ONE)
+                high = _reach(end, b, c, level, rx, ry, ONE)
             low = -ry
             if -summit < x0 or -summit > x1:
                 end = max(-rx, min(rx, max(x0, min(x1, -summit))))
-                low = _reach(end, b, c, determinant, level, -ONE)
+                low = _reach(end, b, c, level, rx, ry, -ONE)
             top = max(0, int(math.ceil(v + low - HALF)))
             bottom = min(height - 1, int(math.floor(v + high - HALF)))
             if top > bottom:

@@ -26,6 +26,7 @@ _LOG2E = f4(1.4426950408889634)
 _CUT = f4(ALPHA_MIN)
 _DILATION = f4(DILATION)
 _REACH = f4(0.5 + FRUSTUM_MARGIN)
+_HUGE = f4(1e30)
 
 # normalisation of the real spherical harmonics up to degree 3
 Y0 = f4(0.28209479177387814)
@@ -206,10 +207,17 @@ def project(
         )
         a0, a1, a2 = m[0] * s0, m[1] * s1, m[2] * s2
         b0, b1, b2 = m[3] * s0, m[4] * s1, m[5] * s2
-        xx = a0 * a0 + a1 * a1 + a2 * a2 + _DILATION
+        xx = a0 * a0 + a1 * a1 + a2 * a2
         xy = a0 * b0 + a1 * b1 + a2 * b2
-        yy = b0 * b0 + b1 * b1 + b2 * b2 + _DILATION
-        inverse = ONE / (xx * yy - xy * xy)
+        yy = b0 * b0 + b1 * b1 + b2 * b2
+        # xx yy - xy^2 would cancel for long, thin Gaussians and leave an indefinite conic
+        c01, c02, c12 = a0 * b1 - a1 * b0, a0 * b2 - a2 * b0, a1 * b2 - a2 * b1
+        determinant = c01 * c01 + c02 * c02 + c12 * c12 + _DILATION * (xx + yy + _DILATION)
+        if not (determinant > ZERO and determinant < _HUGE):  # also where parameters are not finite
+            continue
+        xx += _DILATION
+        yy += _DILATION
+        inverse = ONE / determinant
         red, green, blue = (
             HALF + Y0 * sh0[i, 0, 0],
             HALF + Y0 * sh0[i, 0, 1],

@@ -13,5 +13,10 @@ from framework.plugin import Augmenter, StepContext, register
 class NoAugmentation(Augmenter):
     """No pseudo views."""
 
+    @classmethod
+    def weighted(cls) -> bool:
+        """There is nothing to weight."""
+        return False
+
     def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[Any], Any]:
         return [], state

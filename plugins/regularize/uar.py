@@ -36,12 +36,12 @@ class Ranking:
 class Uar(Regularizer):
     """Options.
 
-    mode: a dropped opacity is multiplied by 0 ("hard") or by `soft_scale` ("soft"). p: drop rate at
-    the end of the training. schedule: "linear" grows it from 0, "constant" keeps it. C =
-    candidate_factor: the candidates are C times the dropped. refresh: steps between rankings.
-    regulariser: prior precision as a share of the median diagonal of F. compensate: scale the kept
-    candidates by (1 - s/C) / (1 - 1/C), s the factor of the dropped, so that every opacity keeps
-    its expectation.
+    mode: a dropped opacity is multiplied by 0 ("hard") or by `soft_scale` ("soft"). p: drop rate.
+    schedule: "linear" gives p(t) = p x progress of the whole training (as DropGaussian's),
+    "constant" keeps p. C = candidate_factor: the candidates are C times the dropped. refresh: steps
+    between rankings. regulariser: prior precision as a share of the median diagonal of F.
+    compensate: scale the kept candidates by (1 - s/C) / (1 - 1/C), s the factor of the dropped, so
+    that every opacity keeps its expectation.
     """
 
     mode: str = "soft"

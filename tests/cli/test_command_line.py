@@ -118,8 +118,8 @@ def test_every_sweep_starts(runs: FakeRuns, path: Path) -> None:
 
 
 def test_an_option_beside_a_swept_group(runs: FakeRuns) -> None:
-    assert main(["reg=uar,uar_hard", "reg.weight=0.5", "-m"]) == 0
-    assert [(c["reg"]["mode"], c["reg"]["weight"]) for c in runs.seen] == [
+    assert main(["reg=uar,uar_hard", "reg.start=0.5", "-m"]) == 0
+    assert [(c["reg"]["mode"], c["reg"]["start"]) for c in runs.seen] == [
         ("soft", 0.5),
         ("hard", 0.5),
     ]

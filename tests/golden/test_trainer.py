@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
@@ -115,6 +115,41 @@ def test_an_inactive_method_changes_nothing() -> None:
         built = registry.build(group, {"name": name, "start": 1.0, "stop": 1.0})
         trained = _train(_plugins(**{group: built}))
         assert parameters_sha256(trained.gaussians) == parameters_sha256(plain.gaussians)
+
+
+def test_pseudo_views_are_never_kept() -> None:
+    """An augmenter may return a changed real view under its old name: it must be trained on."""
+
+    @dataclass(frozen=True)
+    class Brighter:
+        name = "brighter"
+        by: float
+
+        def init_state(self, ctx: StepContext) -> None:
+            return None
+
+        def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[View], Any]:
+            view = ctx.views[0]
+            return [replace(view, image=view.image * self.by**ctx.epoch)], state
+
+    bits = {
+        parameters_sha256(_train(_plugins(augment=Plugged(Brighter(by), 1.0, 0.0, 1.0))).gaussians)
+        for by in (1.0, 0.5)
+    }
+    assert len(bits) == 2
+
+
+def test_a_weight_that_would_do_nothing_is_refused() -> None:
+    for group, name in (("reg", "uar"), ("capacity", "fixed"), ("augment", "none")):
+        with pytest.raises(UserError, match=rf"{group}={name}: weight multiplies a loss"):
+            registry.build(group, {"name": name, "weight": 0.5})
+    assert registry.build("augment", {"name": "safi", "weight": 0.5}).weight == 0.5
+
+
+def test_harmonics_join_by_half_of_the_training() -> None:
+    options = TrainerOptions(steps=600, sh_degree=3)
+    active = [schedule.sh_degree(options, step, 3) for step in (0, 99, 100, 200, 300, 599)]
+    assert active == [0, 0, 1, 2, 3, 3]
 
 
 def test_schedule_of_the_rates() -> None:

@@ -195,3 +195,11 @@ def test_opacity_decay_multiplies_opacities_on_any_thread_count() -> None:
     torch.testing.assert_close(results[0].sigmoid(), 0.99 * start.sigmoid(), atol=2e-7, rtol=1e-6)
     decay_opacities(results[1], 1.0)
     assert torch.equal(*results)
+
+
+def test_opacity_decay_stays_finite_forever() -> None:
+    """A Gaussian no view ever sees fades to nothing, not to minus infinity."""
+    logits = torch.tensor([-2.2, 3.0])
+    for _ in range(20000):
+        decay_opacities(logits, 0.99)
+    assert torch.isfinite(logits).all() and (logits.sigmoid() < 1e-9).all()

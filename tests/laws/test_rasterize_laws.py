@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from framework.errors import UserError
 from framework.rasterize import rasterize
 from framework.rasterize.reference import cutoff_margin, project, rasterize_reference
 from framework.rng import stream
@@ -221,3 +222,49 @@ def test_no_gaussians_give_the_background(render: Rasterizer) -> None:
     assert seen.radii.shape == (0,)
     seen.rgb.sum().backward()
     assert none.means.grad is None or none.means.grad.shape == (0, 3)
+
+
+def test_needles_near_the_camera_stay_finite() -> None:
+    """Their projected covariance has a determinant that cancels if computed naively in float32."""
+    rng = stream(0, "needles")
+    n = 200
+
+    def tensor(values: np.ndarray) -> Tensor:
+        return torch.from_numpy(values.astype(np.float32)).requires_grad_()
+
+    means = np.concatenate([rng.normal(0, 0.05, (n, 2)), rng.uniform(0.1, 0.4, (n, 1))], 1)
+    log_scales = np.log(10 ** rng.uniform([-5, -5, 0], [-3, -3, 1.2], (n, 3)))
+    needles = Gaussians(
+        tensor(means),
+        tensor(rng.normal(size=(n, 4))),
+        tensor(log_scales),
+        tensor(np.zeros(n)),
+        tensor(rng.normal(size=(n, 1, 3))),
+        tensor(np.zeros((n, 0, 3))),
+    )
+    K = torch.tensor([[400.0, 0, 64], [0, 400.0, 48], [0, 0, 1]])
+    render = rasterize(needles, Camera(torch.eye(4), K, 128, 96))
+    assert ((render.alpha >= 0) & (render.alpha <= 1)).all()
+    (render.rgb.sum() + render.depth.sum()).backward()
+    for name, parameter in needles.items():
+        assert parameter.grad is not None and torch.isfinite(parameter.grad).all(), name
+
+
+def test_wrong_shapes_are_refused() -> None:
+    """The kernels read without checking bounds."""
+    n = 5
+    gaussians = Gaussians(
+        torch.rand(n, 3),
+        torch.rand(n, 4),
+        torch.zeros(n, 3),
+        torch.zeros(n),
+        torch.zeros(n, 1, 3),
+        torch.zeros(n, 0, 3),
+    )
+    camera = Camera(torch.eye(4), torch.eye(3), 8, 8)
+    with pytest.raises(UserError, match=r"opacity_factors of shape \[5\] .* got \[4\]"):
+        rasterize(gaussians, camera, opacity_factors=torch.ones(4))
+    with pytest.raises(UserError, match=r"background of shape \[3\]"):
+        rasterize(gaussians, camera, background=torch.zeros(1))
+    with pytest.raises(UserError, match="sh0"):
+        rasterize(gaussians.replace(sh0=torch.zeros(n, 3)), camera)
