@@ -1,8 +1,9 @@
 """Resolved configuration -> scene, depth, Gaussians, training, evaluation -> one record on disk.
 
 Stages are timed by wall clock and CPU. A complete run with the same identity (configuration, scene,
-code, packages) is reused unless `force` is set. Scene and depth do not depend on the seed or the
-method and are kept for the next run of the same process, which then reports their time as it was.
+other files, code, packages) is reused unless `force` is set. Scene and depth do not depend on the
+seed or the method and are kept for the next run of the same process, which then reports their time
+as it was.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from framework.options import TrainerOptions
 from framework.progress import Progress
 from framework.provenance import (
     code_hash,
+    file_sha256,
     identity_of,
     peak_memory_bytes,
     provenance,
@@ -79,14 +81,15 @@ def _experiment(
     timings: dict[str, StageTime] = {}
     progress.stage(f"scene {config['scene']['name']}")
     scene, timings["scene"] = _scene(_key(config["scene"]))
-    identity = identity_of(config, scene.fingerprint, code_hash())
+    files = _files(config, scene)
+    identity = identity_of(config, scene.fingerprint, code_hash(), files)
     done = find_complete(run_dir, identity)
     if done is not None and not config["force"]:
         progress.done(f"{_result(done)} · reused, already complete (force=true repeats it)")
         return done
     warmup.finish()
     progress.stage(f"depth {config['depth']['name']}")
-    depth, timings["depth"] = _depth(_key(config["scene"]), _key(config["depth"]))
+    depth, timings["depth"] = _depth(_key(config["scene"]), _key(config["depth"]), files["depth"])
     options = TrainerOptions(**config["trainer"])
     with _timed(timings, "init"):
         gaussians = _initial(config, scene, depth, options)
@@ -136,8 +139,19 @@ def _scene(key: str) -> tuple[Scene, StageTime]:
     return scene, timings["scene"]
 
 
+def _files(config: Mapping[str, Any], scene: Scene) -> dict[str, str]:
+    """Purpose -> fingerprint of the files beside the scene's that the run reads; "" for none."""
+    weights = config["metrics"]["lpips_weights"]
+    provider = build_provider(*_options(_key(config["depth"])))
+    return {
+        "depth": provider.fingerprint(scene.training),
+        "lpips_weights": "" if weights is None else file_sha256(Path(weights)),
+    }
+
+
 @functools.lru_cache(maxsize=2)
-def _depth(scene_key: str, key: str) -> tuple[tuple[DepthMap, ...], StageTime]:
+def _depth(scene_key: str, key: str, fingerprint: str) -> tuple[tuple[DepthMap, ...], StageTime]:
+    """The depth maps; `fingerprint` tells files that were replaced since they were last read."""
     timings: dict[str, StageTime] = {}
     with _timed(timings, "depth"):
         depth = build_provider(*_options(key)).estimate(_scene(scene_key)[0].training)

@@ -1,8 +1,9 @@
 """Where a result comes from: code, package versions, machine; and the identity of a run.
 
 Two runs have the same identity when nothing that can change their bits differs: the resolved
-config without `NEUTRAL_KEYS`, the loaded scene, the sources and the package versions. No host name
-and no path of the machine is recorded, beyond what the user's own config holds.
+config without `NEUTRAL_KEYS`, the loaded scene, the other files read, the sources and the package
+versions. No host name and no path of the machine is recorded, beyond what the user's own config
+holds.
 """
 
 from __future__ import annotations
@@ -81,12 +82,24 @@ def code_hash() -> str:
     return digest.hexdigest()
 
 
-def identity_of(config: Mapping[str, Any], scene_fingerprint: str, code_hash: str) -> str:
-    """SHA-256 hex of all that determines a run's result; see the module's text."""
+def file_sha256(path: Path) -> str:
+    """SHA-256 hex of a file's content."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def identity_of(
+    config: Mapping[str, Any], scene_fingerprint: str, code_hash: str, files: Mapping[str, str]
+) -> str:
+    """SHA-256 hex of all that determines a run's result; see the module's text.
+
+    files: purpose -> fingerprint of the files beside the scene that the config only names.
+    """
     effective = {key: value for key, value in config.items() if key not in NEUTRAL_KEYS}
     content = {
         "config": effective,
         "scene": scene_fingerprint,
+        "files": dict(files),
         "code": code_hash,
         "packages": package_versions(),
     }

@@ -14,6 +14,7 @@ import torch
 from framework.depth.align import align
 from framework.depth.consistency import agreeing_views
 from framework.errors import UserError, require
+from framework.provenance import file_sha256
 from framework.types import DepthMap, TrainingSet
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ def files_sha256(training: TrainingSet, options: DepthFile) -> str:
     digest = hashlib.sha256()
     for file in find_files(training, options):
         # the suffix says how the bytes are read
-        digest.update(file.suffix.encode() + b"\0" + hashlib.sha256(file.read_bytes()).digest())
+        digest.update(f"{file.suffix} {file_sha256(file)}\n".encode())
     return digest.hexdigest()
 
 

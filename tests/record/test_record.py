@@ -173,17 +173,19 @@ def test_write_whole_leaves_the_old_file_on_failure(
 
 
 def test_identity_ignores_what_cannot_change_the_result() -> None:
-    base = make_config()
-    identity = provenance.identity_of(base, "scene", "code")
+    base, files = make_config(), {"depth": "", "lpips_weights": ""}
+    identity = provenance.identity_of(base, "scene", "code", files)
     neutral = {**base, "threads": 3, "force": True, "study": "x", "traceback": True}
-    assert provenance.identity_of(neutral, "scene", "code") == identity
+    assert provenance.identity_of(neutral, "scene", "code", files) == identity
     others = [
-        provenance.identity_of(make_config(seed=1), "scene", "code"),
-        provenance.identity_of(make_config(trainer={"steps": 801}), "scene", "code"),
-        provenance.identity_of(base, "other", "code"),
-        provenance.identity_of(base, "scene", "other"),
+        provenance.identity_of(make_config(seed=1), "scene", "code", files),
+        provenance.identity_of(make_config(trainer={"steps": 801}), "scene", "code", files),
+        provenance.identity_of(base, "other", "code", files),
+        provenance.identity_of(base, "scene", "other", files),
+        provenance.identity_of(base, "scene", "code", {**files, "depth": "other"}),
+        provenance.identity_of(base, "scene", "code", {**files, "lpips_weights": "other"}),
     ]
-    assert len({identity, *others}) == 5
+    assert len({identity, *others}) == 7
 
 
 def test_provenance_is_strict_json_without_host_facts() -> None:

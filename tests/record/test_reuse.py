@@ -1,0 +1,101 @@
+"""A complete run is reused only while every file it read is what it was."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from framework import experiment
+from framework.config import register_config, rows
+from framework.experiment import run_experiment
+from framework.metrics import Missing
+from framework.options import TrainerOptions
+from framework.progress import Silent
+from framework.record import RunRecord
+from framework.scenes import load_scene
+
+SCENE = {"width": 96, "height": 72, "supersampling": 2}
+
+
+class Told(Silent):
+    """Remembers the result line and the notes."""
+
+    def __init__(self) -> None:
+        self.result, self.notes = "", list[str]()
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+    def done(self, text: str) -> None:
+        self.result = text
+
+
+def group(name: str, choice: str, **changes: Any) -> dict[str, Any]:
+    defaults = {key: field.default for key, _, field in rows(name, choice)}
+    return {"name": choice, **defaults, **changes}
+
+
+def small_config(depth: dict[str, Any], weights: Path | None = None) -> dict[str, Any]:
+    """A run of four steps on the embedded scene."""
+    register_config()
+    return {
+        "seed": 0,
+        "study": "reuse",
+        "threads": 1,
+        "force": False,
+        "traceback": False,
+        "metrics": {"lpips_weights": None if weights is None else str(weights)},
+        "scene": group("scene", "embedded", **SCENE),
+        "depth": depth,
+        "init": group("init", "stereo", budget=500),
+        "augment": group("augment", "none"),
+        "reg": group("reg", "none"),
+        "capacity": group("capacity", "fixed"),
+        "trainer": asdict(TrainerOptions(steps=4, evaluations=1)),
+    }
+
+
+def run(config: dict[str, Any], folder: Path) -> tuple[RunRecord, bool]:
+    """The record and whether it was reused."""
+    progress = Told()
+    record = run_experiment(config, folder, progress)
+    return record, "reused" in progress.result
+
+
+def test_a_replaced_depth_map_is_another_run(tmp_path: Path) -> None:
+    maps = tmp_path / "depth"
+    maps.mkdir()
+    views = load_scene("embedded", SCENE).training.views
+    for view in views:
+        assert view.depth is not None
+        np.save(maps / f"{view.name}.npy", view.depth.numpy())
+    config = small_config(group("depth", "file", path=str(maps), align="none"))
+    first, _ = run(config, tmp_path / "run")
+    again, reused = run(config, tmp_path / "run")
+    assert reused and again == first
+    file = maps / f"{views[1].name}.npy"
+    np.save(file, 1.1 * np.load(file))
+    other, reused = run(config, tmp_path / "run")
+    assert not reused and other.identity != first.identity
+    assert other.parameters_sha256 != first.parameters_sha256
+
+
+def test_replaced_weights_are_another_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Nothing:
+        def distance(self, x: np.ndarray, y: np.ndarray) -> Missing:
+            return Missing("not measured here")
+
+    monkeypatch.setattr(experiment, "load", lambda path: Nothing())
+    weights = tmp_path / "weights.pt"
+    torch.save({"a": torch.zeros(1)}, weights)
+    config = small_config(group("depth", "ground_truth"), weights)
+    first, _ = run(config, tmp_path / "run")
+    assert run(config, tmp_path / "run") == (first, True)
+    torch.save({"a": torch.ones(1)}, weights)
+    other, reused = run(config, tmp_path / "run")
+    assert not reused and other.identity != first.identity
