@@ -116,17 +116,23 @@ def sweep_jobs(config: DictConfig) -> list[list[str]]:
 def check_jobs(config: DictConfig, jobs: list[list[str]]) -> None:
     """Raise the error of the first bad run, before hours went into the good ones.
 
-    Runs that differ in the seed alone are checked once: composing takes a tenth of a second.
+    Runs that differ in the seed alone are composed once, which takes a tenth of a second; their
+    seeds are checked one by one.
     """
     loader = GlobalHydra.instance().config_loader()
-    checked: set[tuple[str, ...]] = set()
+    parser = OverridesParser.create(config_loader=loader)
+    checked: dict[tuple[str, ...], DictConfig] = {}
     taken: dict[str, list[str]] = {}
     for job in jobs:
-        method = tuple(word for word in job if not word.startswith("seed="))
+        seeds = [word for word in job if word.startswith("seed=")]
+        method = tuple(word for word in job if word not in seeds)
         if method in checked:
+            for seed in parser.parse_overrides(seeds):
+                checked[method].seed = seed.value()
+            check(plain(checked[method]))
             continue
-        checked.add(method)
         composed = loader.load_sweep_config(config, job)
+        checked[method] = composed
         check(plain(composed))
         folder = f"{composed.hydra.sweep.dir}/{composed.hydra.sweep.subdir}"
         if folder in taken:
