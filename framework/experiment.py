@@ -24,6 +24,7 @@ from framework.depth import build_provider
 from framework.initialize import INITIALIZERS
 from framework.lpips import Lpips, load
 from framework.metrics import Missing, evaluate, psnr
+from framework.notices import noted
 from framework.options import TrainerOptions
 from framework.progress import Progress
 from framework.provenance import (
@@ -58,7 +59,8 @@ def run_experiment(
     """Do one run, or reuse it, and leave its record in `run_dir`.
 
     config: plain and resolved, see `conf/config.yaml`; overrides: what the user typed. Raises
-    UserError on any bad input; nothing of an older complete run is lost then.
+    UserError on any bad input; nothing of an older complete run is lost then. What the framework
+    logs meanwhile becomes notes of `progress`.
     """
     reset_peak_memory()
     parallel.set_threads(int(config["threads"]))
@@ -66,7 +68,7 @@ def run_experiment(
     registry.discover()
     weights = config["metrics"]["lpips_weights"]
     network = None if weights is None else load(weights)  # a bad path must not cost a training
-    with Warmup(config, progress) as warmup:
+    with noted(progress), Warmup(config, progress) as warmup:
         return _experiment(config, run_dir, progress, overrides, network, warmup)
 
 
