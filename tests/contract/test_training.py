@@ -1,0 +1,166 @@
+"""What every discovered plugin must keep to in a training, and that others' draws stay its own.
+
+Twenty steps on three tiny views of a plane, long enough for the methods whose schedule in steps is
+shortened by `EAGER`; a plugin without an entry there trains with its defaults.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from framework import registry
+from framework.options import TrainerOptions
+from framework.plugin import Augmenter, Capacity, Edits, Regularizer, StepContext, StepStats
+from framework.progress import Silent
+from framework.record import parameters_sha256
+from framework.trainer import Plugins, Trained, Trainer
+from framework.types import View
+from framework.warmup import _plane
+
+ALL = [(group, name) for group in registry.GROUPS for name in registry.names(group)]
+NEUTRAL = {"augment": "none", "reg": "none", "capacity": "fixed"}
+ACTING = {"augment": "safi", "reg": "uar", "capacity": "adc"}
+EAGER: dict[str, dict[str, Any]] = {
+    "adc": {"from_step": 4, "every": 4, "grad_threshold": 1e-6},
+    "uar": {"refresh": 4, "schedule": "constant"},
+}
+
+
+def content_sha256(value: Any) -> str:
+    """SHA-256 hex of all that a value of `framework.types` holds, tensors by their bytes."""
+    digest = hashlib.sha256()
+
+    def add(part: Any) -> None:
+        digest.update(type(part).__name__.encode())
+        if isinstance(part, Tensor):
+            digest.update(f"{part.dtype} {tuple(part.shape)}".encode())
+            digest.update(part.detach().contiguous().numpy().tobytes())
+        elif isinstance(part, tuple):
+            for item in part:
+                add(item)
+        elif dataclasses.is_dataclass(part):
+            add(tuple(getattr(part, field.name) for field in dataclasses.fields(part)))
+        else:
+            digest.update(repr(part).encode())
+
+    add(value)
+    return digest.hexdigest()
+
+
+def train(**names: str) -> tuple[Trained, bool]:
+    """A training with the named plugins, all active throughout, and whether its input is intact."""
+    chosen = {**NEUTRAL, **names}
+    plugins = Plugins(
+        *(
+            registry.build(group, {"name": name, **EAGER.get(name, {}), "start": 0.0, "stop": 1.0})
+            for group, name in chosen.items()
+        )
+    )
+    given = _plane(1)
+    before = content_sha256(given)
+    options = TrainerOptions(steps=20, sh_degree=1, sh_every=8, evaluations=1)
+    trained = Trainer(*given, options, plugins, 0, Silent()).run()
+    return trained, content_sha256(given) == before
+
+
+def bits(**names: str) -> str:
+    return parameters_sha256(train(**names)[0].gaussians)
+
+
+def test_the_digest_sees_every_tensor() -> None:
+    given = _plane(0)
+    whole = content_sha256(given)
+    assert content_sha256(_plane(0)) == whole
+    for tensor in (
+        *(given[0].views[1].image, given[0].views[2].camera.K, given[0].points.rgb),
+        *(given[1][2].confidence, given[2].quats),
+    ):
+        tensor[0] += 1
+        changed = content_sha256(given)
+        assert changed != whole
+        whole = changed
+
+
+@pytest.mark.parametrize(("group", "name"), ALL)
+def test_the_result_is_finite_and_the_input_untouched(group: str, name: str) -> None:
+    trained, intact = train(**{group: name})
+    assert intact
+    assert len(trained.gaussians) > 0
+    assert all(torch.isfinite(tensor).all() for _, tensor in trained.gaussians.items())
+    assert all(math.isfinite(row.loss) for row in trained.history)
+    assert all(math.isfinite(value) for row in trained.history for value in row.logged.values())
+
+
+@pytest.mark.parametrize(("group", "name"), ALL)
+def test_the_same_training_has_the_same_bits(group: str, name: str) -> None:
+    assert bits(**{group: name}) == bits(**{group: name})
+
+
+@pytest.mark.parametrize("group", list(registry.GROUPS))
+def test_these_trainings_are_long_enough_to_act(group: str) -> None:
+    """Otherwise the tests here would pass for want of anything to test."""
+    assert bits(**{group: ACTING[group]}) != bits()
+
+
+def draw(ctx: StepContext) -> None:
+    """Draw a lot, also for purposes that others have."""
+    for purpose in ("own", "camera", "uar", "split"):
+        ctx.rng(purpose).random(1000)
+
+
+@dataclass(frozen=True)
+class DrawingAugmenter(Augmenter):
+    """Draws, and returns no views."""
+
+    def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[View], Any]:
+        draw(ctx)
+        return [], state
+
+
+@dataclass(frozen=True)
+class DrawingRegularizer(Regularizer):
+    """Draws, and changes nothing."""
+
+    def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
+        draw(ctx)
+        return None, state
+
+
+@dataclass(frozen=True)
+class DrawingCapacity(Capacity):
+    """Draws, and edits nothing."""
+
+    def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
+        draw(ctx)
+        return None, state
+
+
+DRAWING = {"augment": DrawingAugmenter, "reg": DrawingRegularizer, "capacity": DrawingCapacity}
+
+
+@pytest.fixture
+def drawing(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """One more plugin, `drawing`, in each group; gone afterwards."""
+    with monkeypatch.context() as patch:
+        for group in registry.GROUPS:
+            patch.setitem(registry._classes, group, dict(registry._classes[group]))
+            registry.register(group, "drawing")(DRAWING[group])
+        yield
+
+
+@pytest.mark.parametrize("group", list(registry.GROUPS))
+@pytest.mark.parametrize("others", [NEUTRAL, ACTING], ids=["neutral", "acting"])
+def test_one_more_plugin_moves_no_other_draw(
+    drawing: None, group: str, others: dict[str, str]
+) -> None:
+    plain = bits(**{**others, group: NEUTRAL[group]})
+    assert bits(**{**others, group: "drawing"}) == plain
