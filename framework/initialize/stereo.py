@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from framework.types import DepthMap, Gaussians, TrainingSet
 
 FEWEST_PIXELS = 100
+LARGEST_BUDGET = 100_000  # of those that are not set by hand
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,8 @@ class Stereo:
 
     budget: number of Gaussians (fewer when fewer pixels are left after fusion); 0 = `per_pixel`
     times the number of training pixels, so that a scene gets what its photos can support (0.07
-    gives 40,000 for three photos of 504x378). detail: exponent
+    gives 40,000 for three photos of 504x378), at most 100,000: more photos of one scene repeat
+    much of it. detail: exponent
     of the local image gradient in the sampling density; 0 = uniform. tolerance: relative depth
     difference up to which two views show the same surface. scale_factor: standard deviation in
     units of the mean spacing of the samples. opacity: of every Gaussian.
@@ -79,4 +81,4 @@ class Stereo:
         if self.budget > 0:
             return self.budget
         pixels = sum(view.camera.width * view.camera.height for view in training.views)
-        return max(1, round(self.per_pixel * pixels))
+        return min(max(1, round(self.per_pixel * pixels)), LARGEST_BUDGET)
