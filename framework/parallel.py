@@ -13,7 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
-BLOCKS = 8  # blocks per parallel call, fixed, so that no result can depend on the thread count
+BLOCKS = 16  # blocks per parallel call, fixed, so that no result can depend on the thread count
 
 _pool: ThreadPoolExecutor | None = None
 _pool_key: tuple[int, int] = (0, 0)

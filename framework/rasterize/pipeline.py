@@ -16,7 +16,7 @@ from framework.rasterize import binning, information, projection, tiles
 from framework.rasterize.constants import ROW
 from framework.types import Camera
 
-TILE_BLOCKS = 29  # odd, so that a block's tiles do not all lie in the same columns
+TILE_BLOCKS = 59  # odd, so that a block's tiles do not all lie in the same columns
 
 
 @dataclass(frozen=True)
