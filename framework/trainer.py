@@ -93,7 +93,7 @@ class Trainer:
         self.augment = _Running("augment", plugins.augment)
         self.reg = _Running("reg", plugins.reg)
         self.capacity = _Running("capacity", plugins.capacity)
-        self.near = options.near_plane * training.near
+        self.near, self.extent = options.near_plane * training.near, training.extent
         fixed = background_color(options.background, training, seed)
         self.random_background = fixed is None
         self.background: Tensor = _mean_color(training) if fixed is None else fixed
@@ -163,7 +163,7 @@ class Trainer:
         value = self._finite(float(loss.detach()), view)
         tensors = dict(self.params.items())
         *gradients, d_pull = torch.autograd.grad(loss, [*tensors.values(), pull])
-        rates = schedule.learning_rates(self.options, self.step, self.training.extent)
+        rates = schedule.learning_rates(self.options, self.step, self.extent)
         self.optimizer.step(self.params, dict(zip(tensors, gradients, strict=True)), rates)
         decay_opacities(self.params.opacity_logits, self.options.opacity_decay)
         self._edit(StepStats(d_pull, render.radii, view.camera.width, view.camera.height))
@@ -257,7 +257,7 @@ class Trainer:
             version=self.version,
             sh_degree=active,
             background=self.background,
-            extent=self.training.extent,
+            extent=self.extent,
             near=self.training.near,
             far=self.training.far,
             render=render,

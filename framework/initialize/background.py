@@ -1,7 +1,7 @@
 """Colours behind the Gaussians: what a ray sees where nothing absorbs it.
 
 A constant colour near the scene's mean leaves the Gaussians the least to explain where no training
-view supports them (`mean`: +0.8 dB over black on LLFF fern with 3 views).
+view supports them, hence `mean` is the default.
 """
 
 from __future__ import annotations

@@ -259,7 +259,7 @@ def _fold(builder: Any, x: Any, y: Any, group: int) -> Any:
 def lane_sums(typing_context, vectors):  # type: ignore[no-untyped-def]
     """One vector whose lane i is the sum of the lanes of vectors[i], for a tuple of up to 16.
 
-    A butterfly of shuffles and additions: a third of the instructions of one sum at a time.
+    A butterfly of shuffles and additions, which all the sums share.
     """
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
