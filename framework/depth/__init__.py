@@ -1,8 +1,8 @@
 """Depth providers: where the depth of the training views comes from.
 
-Every provider is a frozen dataclass whose fields are its options, with the methods
-`estimate(training) -> tuple[DepthMap, ...]`, one map per training view, in their order (see
-`framework.types.DepthMap`), and `fingerprint(training) -> str` of the files it reads. Importing
+Every provider is a frozen dataclass whose fields are its options, derived from
+`framework.depth.provider.DepthProvider`: `estimate(training)` gives one `framework.types.DepthMap`
+per training view, in their order, `fingerprint(training)` tells the files that were read. Importing
 this package loads neither torch nor numba.
 """
 
@@ -10,36 +10,22 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
+from framework.depth.depth_anything_3 import DepthAnything3
 from framework.depth.from_file import DepthFile
 from framework.depth.ground_truth import GroundTruth
 from framework.depth.plane_sweep import PlaneSweep
+from framework.depth.provider import DepthProvider
 from framework.errors import UserError, nearest_hint
 
-if TYPE_CHECKING:
-    from framework.types import DepthMap, TrainingSet
-
 __all__ = ["PROVIDERS", "DepthProvider", "build_provider"]
-
-
-class DepthProvider(Protocol):
-    """What all providers offer."""
-
-    def estimate(self, training: TrainingSet) -> tuple[DepthMap, ...]:
-        """One depth map per training view, in their order."""
-        ...
-
-    def fingerprint(self, training: TrainingSet) -> str:
-        """What beside the options and the training set determines the maps: SHA-256 hex of the
-        files that `estimate` reads, "" if it reads none."""
-        ...
-
 
 PROVIDERS: dict[str, type] = {
     "ground_truth": GroundTruth,
     "plane_sweep": PlaneSweep,
     "file": DepthFile,
+    "depth_anything_3": DepthAnything3,
 }
 
 

@@ -66,18 +66,24 @@ def point_samples(
 
 
 def align(
-    training: TrainingSet, index: int, values: NDArray[np.float64], inverse: bool, mode: str
+    training: TrainingSet,
+    index: int,
+    values: NDArray[np.float64],
+    inverse: bool,
+    mode: str,
+    where: str = "depth=file",
+    way_out: str = "use depth.align=none with depth in scene units",
 ) -> NDArray[np.float64]:
     """Depth [H, W] in scene units from `values` [H, W] of view `index` (0 = unknown, kept).
 
     inverse: the values are inverse depths, and the fit is made in inverse depth. mode: "none",
-    "scale" or "scale_shift". Pixels the fit puts at or behind infinity become unknown. Raises
-    UserError if too few sparse points lie on known pixels or larger values turn out to be farther
-    (nearer, for inverse depth) than smaller ones.
+    "scale" or "scale_shift". where, way_out: for messages. Pixels the fit puts at or behind
+    infinity become unknown. Raises UserError if too few sparse points lie on known pixels or larger
+    values turn out to be farther (nearer, for inverse depth) than smaller ones.
     """
     scale, shift = 1.0, 0.0
     if mode != "none":
-        scale, shift = _fit(training, index, values, inverse, mode)
+        scale, shift = _fit(training, index, values, inverse, mode, where, way_out)
     fitted = np.where(values > 0, scale * values + shift, 0.0)
     known = fitted > 0
     safe = np.where(known, fitted, 1.0)
@@ -85,14 +91,20 @@ def align(
 
 
 def _fit(
-    training: TrainingSet, index: int, values: NDArray[np.float64], inverse: bool, mode: str
+    training: TrainingSet,
+    index: int,
+    values: NDArray[np.float64],
+    inverse: bool,
+    mode: str,
+    where: str,
+    way_out: str,
 ) -> tuple[float, float]:
     name = training.views[index].name
     found, depths = point_samples(training, index, values)
     if len(found) < MIN_POINTS[mode]:
         raise UserError(
-            f"depth=file: align={mode} needs {MIN_POINTS[mode]} sparse points on known depth in"
-            f" view '{name}', got {len(found)}; use depth.align=none with depth in scene units"
+            f"{where}: align={mode} needs {MIN_POINTS[mode]} sparse points on known depth in view"
+            f" '{name}', got {len(found)}; {way_out}"
         )
     targets = 1.0 / depths if inverse else depths
     if mode == "scale":
@@ -100,7 +112,7 @@ def _fit(
     scale, shift = fit_scale_shift(found, targets)
     if scale <= 0:
         raise UserError(
-            f"depth=file: expected values that grow with the {'inverse ' if inverse else ''}depth"
+            f"{where}: expected values that grow with the {'inverse ' if inverse else ''}depth"
             f" of the sparse points in view '{name}', got a fitted factor of {scale:.3g}; set"
             f" depth.kind={'depth' if inverse else 'inverse_depth'} or check the files"
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from framework.depth.provider import DepthProvider
 from framework.errors import require
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ INVALID = ("error", "mask")
 
 
 @dataclass(frozen=True)
-class DepthFile:
+class DepthFile(DepthProvider):
     """One file per training view in `path`, named by the view without its suffix, subfolders
     included: `.npy`, `.npz` (key `depth`) or 16-bit `.png`. 0 = unknown; maps are resampled to the
     image's size."""
@@ -29,6 +30,8 @@ class DepthFile:
     tolerance: float = 0.0  # relative, of a cross-view check as in plane_sweep; 0 = trust all
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+
         def choice(name: str, known: tuple[str, ...]) -> None:
             got = getattr(self, name)
             require(
@@ -45,7 +48,7 @@ class DepthFile:
             f"depth=file: expected tolerance in [0, 1), got {self.tolerance}",
         )
 
-    def estimate(self, training: TrainingSet) -> tuple[DepthMap, ...]:
+    def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
         """The aligned maps; confidence 1 where depth is known (and, with `tolerance`, confirmed).
 
         Raises UserError on a missing, unreadable or invalid file, or too few points to align with.

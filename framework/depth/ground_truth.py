@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from framework.depth.provider import DepthProvider
 from framework.errors import UserError
 
 if TYPE_CHECKING:
@@ -12,10 +13,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class GroundTruth:
-    """`View.depth`, with confidence 1 wherever it is known. No options."""
+class GroundTruth(DepthProvider):
+    """`View.depth`, with confidence 1 wherever it is known."""
 
-    def estimate(self, training: TrainingSet) -> tuple[DepthMap, ...]:
+    def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
         """One map per training view. Raises UserError if a view has no depth."""
         from framework.types import DepthMap
 
@@ -28,7 +29,3 @@ class GroundTruth:
                 )
             maps.append(DepthMap(view.depth, (view.depth > 0).to(view.depth.dtype)))
         return tuple(maps)
-
-    def fingerprint(self, training: TrainingSet) -> str:
-        """Empty: no files are read."""
-        return ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from framework.depth.provider import DepthProvider
 from framework.errors import require
 
 if TYPE_CHECKING:
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class PlaneSweep:
+class PlaneSweep(DepthProvider):
     """Plane sweep (Collins 1996) with ZNCC, semi-global aggregation (Hirschmueller 2008) and a
     cross-view consistency check. Penalties are in units of 1 - ZNCC."""
 
@@ -25,6 +26,8 @@ class PlaneSweep:
     tolerance: float = 0.03  # relative depth difference at which two views still agree
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+
         def check(name: str, ok: bool, expected: str) -> None:
             require(ok, f"depth=plane_sweep: expected {name} {expected}, got {getattr(self, name)}")
 
@@ -40,7 +43,7 @@ class PlaneSweep:
         check("edge", self.edge >= 0, ">= 0")
         check("tolerance", 0 < self.tolerance < 1, "in (0, 1)")
 
-    def estimate(self, training: TrainingSet) -> tuple[DepthMap, ...]:
+    def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
         """Dense depth of every training view; confidence > 0 only where another view agrees.
 
         Raises UserError if there are fewer than two views, or no two of them overlap.
@@ -48,7 +51,3 @@ class PlaneSweep:
         from framework.depth.sweep import sweep_views
 
         return sweep_views(training, self)
-
-    def fingerprint(self, training: TrainingSet) -> str:
-        """Empty: no files are read."""
-        return ""

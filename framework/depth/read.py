@@ -183,7 +183,7 @@ def read_view(
 
 
 def read_views(training: TrainingSet, options: DepthFile) -> tuple[DepthMap, ...]:
-    """See `framework.depth.from_file.DepthFile.estimate`."""
+    """See `framework.depth.from_file.DepthFile.measure`."""
     files = find_files(training, options)
     indices = range(len(training.views))
     depths = [read_view(training, i, files[i], options) for i in indices]

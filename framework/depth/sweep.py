@@ -190,7 +190,7 @@ def _partners(
 
 
 def sweep_views(training: TrainingSet, options: PlaneSweep) -> tuple[DepthMap, ...]:
-    """See `framework.depth.plane_sweep.PlaneSweep.estimate`."""
+    """See `framework.depth.plane_sweep.PlaneSweep.measure`."""
     _check_input(training, options)
     indices = range(len(training.views))
     bounds = [depth_bounds(training, i) for i in indices]

@@ -253,4 +253,4 @@ def test_importing_the_package_stays_light() -> None:
     code = "import sys, framework.depth; print({'torch', 'numba', 'cv2'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
-    assert sorted(PROVIDERS) == ["file", "ground_truth", "plane_sweep"]
+    assert sorted(PROVIDERS) == ["depth_anything_3", "file", "ground_truth", "plane_sweep"]

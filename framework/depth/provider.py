@@ -1,0 +1,77 @@
+"""What all depth providers are: measured maps, and a corruption for stress studies on top.
+
+A provider implements `measure` and `fingerprint`; its users call `estimate`. Importing this module
+loads neither torch nor numba.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from framework.errors import nearest_hint, require
+
+if TYPE_CHECKING:
+    from framework.types import DepthMap, TrainingSet
+
+NONE = "none"
+CORRUPTIONS = ("noise", "bias", "holes", "blur")
+DEFAULT_STRENGTH = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthProvider:
+    """Base of all providers, with the options they share.
+
+    corruption: none, or noise, bias, holes and blur in the order they act, joined by + (`noise+
+    holes`). strength: in [0, 1], of all of them; 0 changes nothing, 1 is as bad as
+    `framework.depth.corruption` says. corruption_seed: of their draws. The run's seed does not
+    move them: all seeds of a study meet the same spoiled depth.
+    """
+
+    corruption: str = NONE
+    strength: float = DEFAULT_STRENGTH
+    corruption_seed: int = 0
+
+    def __post_init__(self) -> None:
+        for kind in self.corruptions():
+            require(
+                kind in CORRUPTIONS,
+                f"depth.corruption: unknown corruption '{kind}'; {nearest_hint(kind, CORRUPTIONS)},"
+                f" several joined by +, or {NONE}",
+            )
+        require(
+            0 <= self.strength <= 1,
+            f"depth.strength: expected a number in [0, 1], got {self.strength}",
+        )
+        require(
+            self.strength == DEFAULT_STRENGTH or self.corruption != NONE,
+            "depth.strength: it is the strength of a corruption, and depth.corruption is none; add"
+            f" depth.corruption=KIND ({', '.join(CORRUPTIONS)}) or drop depth.strength",
+        )
+        require(
+            self.corruption_seed >= 0,
+            f"depth.corruption_seed: expected an integer >= 0, got {self.corruption_seed}",
+        )
+
+    def corruptions(self) -> tuple[str, ...]:
+        """The chosen corruptions in the order they act."""
+        return () if self.corruption == NONE else tuple(self.corruption.split("+"))
+
+    def estimate(self, training: TrainingSet) -> tuple[DepthMap, ...]:
+        """One map per training view, in their order, corrupted as the options say."""
+        maps = self.measure(training)
+        if not self.corruptions() or self.strength == 0:
+            return maps
+        from framework.depth.corruption import corrupt
+
+        return corrupt(maps, self.corruptions(), self.strength, self.corruption_seed)
+
+    def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
+        """One map per training view, in their order, as well as the provider can."""
+        raise NotImplementedError
+
+    def fingerprint(self, training: TrainingSet) -> str:
+        """What beside the options and the training set determines the maps: SHA-256 hex of the
+        files that `measure` reads, "" if it reads none."""
+        return ""

@@ -1,0 +1,133 @@
+"""Depth made worse on purpose: the identity at 0, the stated error at 1, the same draws again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from framework.depth import PROVIDERS, build_provider
+from framework.depth.corruption import BIAS, BLUR_LENGTH, HOLES, NOISE, corrupt, normal_field
+from framework.depth.provider import CORRUPTIONS
+from framework.errors import UserError
+from framework.rng import stream
+from framework.types import DepthMap
+from tests.depth.plane import plane_scene
+
+SIZE = (150, 200)
+
+
+def step_maps(n: int = 3) -> tuple[DepthMap, ...]:
+    """Depth 2 on the left, 6 on the right, an unknown top row; confidence 0.7 where known."""
+    depth = torch.full(SIZE, 2.0)
+    depth[:, 100:] = 6.0
+    depth[0] = 0.0
+    return tuple(DepthMap(depth.clone(), 0.7 * (depth > 0)) for _ in range(n))
+
+
+def log_errors(kind: str, strength: float, seed: int = 0) -> list[np.ndarray]:
+    clean = step_maps()
+    spoiled = corrupt(clean, [kind], strength, seed)
+    return [
+        np.log(s.depth.numpy()[1:] / c.depth.numpy()[1:])
+        for s, c in zip(spoiled, clean, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("kind", [*CORRUPTIONS, "noise+bias+holes+blur"])
+def test_strength_0_is_the_identity_bit_for_bit(kind: str) -> None:
+    plain = build_provider("ground_truth", {}).estimate(plane_scene())
+    zero = build_provider("ground_truth", {"corruption": kind, "strength": 0.0})
+    for a, b in zip(plain, zero.estimate(plane_scene()), strict=True):
+        assert torch.equal(a.depth, b.depth) and torch.equal(a.confidence, b.confidence)
+
+
+@pytest.mark.parametrize("kind", CORRUPTIONS)
+def test_same_seed_same_bits_and_inputs_stay(kind: str) -> None:
+    clean, before = step_maps(), step_maps()
+    first, again = corrupt(clean, [kind], 0.6, 3), corrupt(clean, [kind], 0.6, 3)
+    assert any(not torch.equal(a.depth, b.depth) for a, b in zip(first, clean, strict=True))
+    for a, b, now, then in zip(first, again, clean, before, strict=True):
+        assert torch.equal(a.depth, b.depth) and torch.equal(a.confidence, b.confidence)
+        assert torch.equal(now.depth, then.depth) and torch.equal(now.confidence, then.confidence)
+        assert a.depth.dtype == a.confidence.dtype == torch.float32
+        assert float(a.depth[0].abs().max()) == 0  # unknown stays unknown
+
+
+@pytest.mark.parametrize("kind", ["noise", "bias", "holes"])
+def test_another_seed_spoils_otherwise(kind: str) -> None:
+    n = 5  # views: with three, two seeds may happen on the same order of biases
+    first, other = (corrupt(step_maps(n), [kind], 1.0, seed) for seed in (0, 2))
+    assert any(not torch.equal(a.depth, b.depth) for a, b in zip(first, other, strict=True))
+
+
+def test_noise_has_the_stated_deviation_and_grows_with_the_strength() -> None:
+    full, half = log_errors("noise", 1.0), log_errors("noise", 0.5)
+    deviation = np.sqrt(np.mean(np.square(full)))
+    assert deviation == pytest.approx(NOISE, rel=0.1)
+    np.testing.assert_allclose(np.stack(half), 0.5 * np.stack(full), atol=1e-6)
+    assert not np.allclose(full[0], full[1])
+
+
+def test_bias_is_one_factor_per_view_spread_over_the_range() -> None:
+    shares = [error / BIAS for error in log_errors("bias", 1.0)]
+    assert max(share.std() for share in shares) < 1e-5
+    assert sorted(share.mean() for share in shares) == pytest.approx([-1, 0, 1], abs=1e-5)
+
+
+def test_holes_take_the_stated_share_nested_and_without_confidence() -> None:
+    known = float((step_maps()[0].depth > 0).sum())
+    small, large = (corrupt(step_maps(), ["holes"], s, 0)[0] for s in (0.25, 1.0))
+    for spoiled, strength in ((small, 0.25), (large, 1.0)):
+        left = float((spoiled.depth > 0).sum())
+        assert left == pytest.approx((1 - HOLES * strength) * known, abs=1)
+        assert torch.equal(spoiled.confidence > 0, spoiled.depth > 0)
+    assert bool(((small.depth > 0) | (large.depth == 0)).all())
+    gone = (small.depth[1:] == 0).float()
+    borders = (gone.diff(dim=0) != 0).float().mean() + (gone.diff(dim=1) != 0).float().mean()
+    assert float(borders) < 0.15  # blobs: single pixels would give 2 * 2 * 0.225 * 0.775 = 0.7
+
+
+def test_blur_spreads_the_edge_alone() -> None:
+    spoiled = corrupt(step_maps(), ["blur"], 1.0, 0)[0]
+    sigma_px = BLUR_LENGTH * float(np.hypot(*SIZE))
+    row = spoiled.depth[75].numpy()
+    assert np.all(np.diff(row) >= -1e-5)
+    assert row[99] < 1 / (0.5 * (1 / 2 + 1 / 6)) < row[100]  # inverse depth meets in the middle
+    away = np.abs(np.arange(200) - 99.5) > 5 * sigma_px
+    np.testing.assert_allclose(row[away], step_maps()[0].depth[75].numpy()[away], rtol=1e-4)
+    assert torch.equal(spoiled.confidence, step_maps()[0].confidence)
+
+
+def test_corruptions_act_in_the_order_given() -> None:
+    order = ("holes", "blur")
+    both, reverse = (corrupt(step_maps(), kinds, 1.0, 0) for kinds in (order, order[::-1]))
+    one_by_one = corrupt(corrupt(step_maps(), ["holes"], 1.0, 0), ["blur"], 1.0, 0)
+    assert torch.allclose(both[0].depth, one_by_one[0].depth, rtol=1e-5)
+    assert not torch.allclose(both[0].depth, reverse[0].depth, rtol=1e-2)
+
+
+def test_the_field_is_standard_normal_and_smooth() -> None:
+    fields = np.stack([normal_field((64, 96), 0.02, stream(0, "test", i)) for i in range(40)])
+    assert abs(fields.mean()) < 0.05
+    assert fields.std() == pytest.approx(1.0, abs=0.05)
+    assert np.corrcoef(fields[:, :, 1:].ravel(), fields[:, :, :-1].ravel())[0, 1] > 0.9
+
+
+@pytest.mark.parametrize("name", sorted(PROVIDERS))
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"corruption": "nois"}, "unknown corruption 'nois'; did you mean 'noise'"),
+        ({"corruption": "noise+"}, "unknown corruption ''"),
+        ({"corruption": "noise", "strength": 1.1}, r"strength: expected a number in \[0, 1\]"),
+        ({"strength": 0.25}, "depth.corruption is none; add depth.corruption=KIND"),
+        ({"corruption_seed": -1}, "corruption_seed: expected an integer >= 0"),
+    ],
+)
+def test_every_provider_checks_the_options(
+    name: str, options: dict[str, object], message: str
+) -> None:
+    needed = {"path": "somewhere"} if name == "file" else {}
+    with pytest.raises(UserError, match=message):
+        build_provider(name, {**needed, **options})

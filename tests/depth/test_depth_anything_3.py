@@ -1,0 +1,311 @@
+"""Depth Anything 3 behind a stand-in that keeps the package's conventions for poses and shapes."""
+
+from __future__ import annotations
+
+import builtins
+import hashlib
+import importlib.util
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from framework.depth import build_provider
+from framework.depth.network import load_network, normalised_poses
+from framework.errors import UserError
+from framework.types import Camera, TrainingSet
+from tests.depth.plane import NORMAL, OFFSET, camera, no_points, plane_depth, plane_scene, view
+
+NETWORK_SIZE = (56, 84)  # multiples of 14, near the aspect ratio of the views
+
+
+def equal_views(n_points: int = 100) -> TrainingSet:
+    """The plane scene with views of one size, which the package wants."""
+    scene = plane_scene(n_points)
+    views = (
+        *(scene.views[i] for i in (0, 2)),
+        view("middle.JPG", camera((0.0, 0.2, 0.1), (96, 72), 88.0)),
+    )
+    return replace(scene, views=views)
+
+
+@dataclass
+class Answer:
+    depth: Any
+    conf: Any
+    extrinsics: Any
+    sky: Any = None
+
+
+class StandIn:
+    """Ray-traces the plane of `tests.depth.plane` for whatever cameras it is given, as the network
+    would see it: at its own size, times an unknown `factor`."""
+
+    def __init__(self, world: Camera, unit: float, factor: float = 1.0) -> None:
+        self.world, self.unit, self.factor = world, unit, factor  # the given world's first camera
+        self.calls: list[dict[str, Any]] = []
+        self.change: Callable[[Answer], None] = lambda answer: None
+
+    def to(self, device: torch.device) -> StandIn:
+        self.device = device
+        return self
+
+    def eval(self) -> StandIn:
+        return self
+
+    def inference(
+        self,
+        image: list[np.ndarray],
+        extrinsics: np.ndarray | None = None,
+        intrinsics: np.ndarray | None = None,
+        align_to_input_ext_scale: bool = True,
+        process_res: int = 504,
+    ) -> Answer:
+        assert extrinsics is not None and intrinsics is not None
+        assert all(i.dtype == np.uint8 and i.shape == image[0].shape for i in image)
+        self.calls.append({"image": image, "extrinsics": extrinsics, "process_res": process_res})
+        height, width = image[0].shape[:2]
+        depth = [
+            self._trace(pose, K, width, height)
+            for pose, K in zip(extrinsics.astype(float), intrinsics.astype(float), strict=True)
+        ]
+        stack = np.stack(depth).astype(np.float32) * self.factor
+        answer = Answer(stack, np.full_like(stack, 4.0), extrinsics[:, :3].copy())
+        self.change(answer)
+        return answer
+
+    def _trace(self, pose: np.ndarray, K: np.ndarray, width: int, height: int) -> np.ndarray:
+        """z in the given unit, from the first camera's true place: a relative pose is all it is."""
+        first = self.calls[-1]["extrinsics"][0].astype(float)
+        relative = pose @ np.linalg.inv(first)
+        relative[:3, 3] *= self.unit
+        true = relative @ self.world.viewmat.numpy()
+        h, w = NETWORK_SIZE
+        y, x = np.mgrid[:h, :w] + 0.5
+        pixels = np.stack([x * width / w, y * height / h, np.ones_like(x)], -1)
+        rays = pixels @ np.linalg.inv(K).T @ true[:3, :3]
+        center = -true[:3, :3].T @ true[:3, 3]
+        depth: np.ndarray = (OFFSET - NORMAL @ center) / (rays @ NORMAL) / self.unit
+        return depth
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    (tmp_path / "config.json").write_text("{}")
+    (tmp_path / "model.safetensors").write_bytes(b"weights")
+    return tmp_path
+
+
+def install(monkeypatch: pytest.MonkeyPatch, network: StandIn) -> list[str]:
+    """Put the stand-in where the package would be; returns what it was asked to load."""
+    loaded: list[str] = []
+
+    def from_pretrained(folder: str) -> StandIn:
+        loaded.append(folder)
+        return network
+
+    package, api = ModuleType("depth_anything_3"), ModuleType("depth_anything_3.api")
+    api.DepthAnything3 = SimpleNamespace(from_pretrained=from_pretrained)  # type: ignore[attr-defined]
+    package.api = api  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "depth_anything_3", package)
+    monkeypatch.setitem(sys.modules, "depth_anything_3.api", api)
+    load_network.cache_clear()
+    return loaded
+
+
+def stand_in(scene: TrainingSet, factor: float = 1.0) -> StandIn:
+    return StandIn(scene.views[0].camera, normalised_poses(scene)[1], factor)
+
+
+def provider(weights: Path, **options: object) -> Any:
+    return build_provider("depth_anything_3", {"weights": str(weights), **options})
+
+
+@pytest.mark.parametrize(
+    ("align", "factor"), [("points", 3.7), ("plane_sweep", 0.2), ("none", 1.0)]
+)
+def test_depth_comes_back_in_scene_units(
+    monkeypatch: pytest.MonkeyPatch, weights: Path, align: str, factor: float
+) -> None:
+    scene = equal_views()
+    network = stand_in(scene, factor)
+    loaded = install(monkeypatch, network)
+    maps = provider(weights, align=align, process_res=280).estimate(scene)
+    assert loaded == [str(weights)] and network.device == torch.device("cpu")
+    assert network.calls[0]["process_res"] == 280
+    for found, of in zip(maps, scene.views, strict=True):
+        assert found.depth.shape == found.confidence.shape == of.image.shape[1:]
+        assert found.depth.dtype == found.confidence.dtype == torch.float32
+        error = np.abs(found.depth.numpy() / plane_depth(of.camera) - 1)
+        assert np.median(error) < 0.005 and (error < 0.02).mean() > 0.99
+        confident = found.confidence.numpy()
+        assert confident.max() == pytest.approx(0.75) and (confident > 0).mean() > 0.8
+
+
+def test_poses_go_in_centred_and_of_unit_size(
+    monkeypatch: pytest.MonkeyPatch, weights: Path
+) -> None:
+    scene = equal_views()
+    network = stand_in(scene)
+    install(monkeypatch, network)
+    provider(weights).estimate(scene)
+    poses = network.calls[0]["extrinsics"].astype(float)
+    centers = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
+    assert np.abs(centers.mean(0)).max() < 1e-5
+    assert np.median(np.linalg.norm(centers, axis=1)) == pytest.approx(1, rel=1e-5)
+    np.testing.assert_allclose(poses[:, :3, :3], [v.camera.viewmat[:3, :3] for v in scene.views])
+    pixels = network.calls[0]["image"][1]
+    np.testing.assert_allclose(pixels / 255, scene.views[1].image.permute(1, 2, 0), atol=0.002)
+
+
+def test_sky_invalid_values_and_contradicted_pixels_get_no_confidence(
+    monkeypatch: pytest.MonkeyPatch, weights: Path
+) -> None:
+    def spoil(answer: Answer) -> None:
+        answer.sky = np.zeros(answer.depth.shape, bool)
+        answer.sky[:, :14] = True
+        answer.depth[1, 14:28] = np.nan
+        answer.depth[2, 30:, :] *= 1.5
+
+    scene = equal_views()
+    network = stand_in(scene)
+    network.change = spoil
+    install(monkeypatch, network)
+    maps = provider(weights, align="none").estimate(scene)
+    assert float(maps[0].depth[:16].max()) == float(maps[0].confidence[:16].max()) == 0
+    assert float(maps[1].confidence[:34].max()) == 0
+    assert float(maps[2].confidence[42:].max()) == 0 and float(maps[2].depth[42:].min()) > 0
+    assert float(maps[0].confidence[40:].max()) > 0
+
+
+def test_without_confidence_of_its_own_all_known_pixels_count(
+    monkeypatch: pytest.MonkeyPatch, weights: Path
+) -> None:
+    scene = equal_views()
+    network = stand_in(scene)
+    network.change = lambda answer: setattr(answer, "conf", None)
+    install(monkeypatch, network)
+    maps = provider(weights, tolerance=0.0).estimate(scene)
+    assert all(float(m.confidence.min()) == 1 for m in maps)
+
+
+def test_units_of_its_own_are_refused_when_nothing_aligns_them(
+    monkeypatch: pytest.MonkeyPatch, weights: Path
+) -> None:
+    def own_poses(answer: Answer) -> None:
+        answer.extrinsics = 2 * answer.extrinsics
+
+    scene = equal_views()
+    network = stand_in(scene)
+    network.change = own_poses
+    install(monkeypatch, network)
+    provider(weights).estimate(scene)  # the points set the scale
+    with pytest.raises(UserError, match=r"own units .* use depth\.align=points"):
+        provider(weights, align="none").estimate(scene)
+
+
+def fail(answer: Answer) -> None:
+    raise RuntimeError("Degenerate covariance rank")
+
+
+def test_what_cannot_work_ends_in_one_line(monkeypatch: pytest.MonkeyPatch, weights: Path) -> None:
+    scene = equal_views()
+    network = stand_in(scene)
+    install(monkeypatch, network)
+    with pytest.raises(UserError, match="one size, got 96x72, 104x80"):
+        provider(weights).estimate(plane_scene(100))
+    with pytest.raises(UserError, match=r"align=scale needs 8 sparse points .*align=plane_sweep"):
+        provider(weights).estimate(replace(scene, points=no_points(3)))
+    network.change = fail
+    with pytest.raises(UserError, match=r"RuntimeError \(Degenerate covariance rank\).*three"):
+        provider(weights).estimate(scene)
+    (weights / "model.safetensors").unlink()
+    with pytest.raises(UserError, match=r"got no model\.safetensors; set depth\.weights"):
+        provider(weights).fingerprint(scene)
+
+
+def test_a_name_of_the_hub_is_downloaded_once_asked(
+    monkeypatch: pytest.MonkeyPatch, weights: Path
+) -> None:
+    asked: list[tuple[str, str]] = []
+
+    def snapshot_download(name: str, revision: str, allow_patterns: list[str]) -> str:
+        asked.append((name, revision))
+        if name == "someone/else":
+            raise OSError("not found")
+        return str(weights)
+
+    hub = ModuleType("huggingface_hub")
+    hub.snapshot_download = snapshot_download  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "huggingface_hub", hub)
+    scene = equal_views()
+    install(monkeypatch, stand_in(scene))
+    build_provider("depth_anything_3", {"revision": "abc"}).estimate(scene)
+    assert asked == [("depth-anything/DA3-BASE", "abc")]
+    with pytest.raises(UserError, match=r"'someone/else' .*OSError \(not found\)"):
+        build_provider("depth_anything_3", {"weights": "someone/else"}).fingerprint(scene)
+
+
+def test_the_fingerprint_follows_the_weights(
+    monkeypatch: pytest.MonkeyPatch, weights: Path
+) -> None:
+    scene = equal_views()
+    install(monkeypatch, stand_in(scene))
+    first = provider(weights).fingerprint(scene)
+    assert first == provider(weights).fingerprint(scene) and len(first) == 64
+    (weights / "model.safetensors").write_bytes(b"others, and longer")
+    assert provider(weights).fingerprint(scene) not in (first, hashlib.sha256().hexdigest())
+
+
+def test_without_the_package_one_line_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, weights: Path
+) -> None:
+    original = builtins.__import__
+
+    def absent(name: str, *args: Any, **kwargs: Any) -> Any:
+        if name.split(".")[0] == "depth_anything_3":
+            raise ModuleNotFoundError("No module named 'depth_anything_3'")
+        return original(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", absent)
+    load_network.cache_clear()
+    for call in ("estimate", "fingerprint"):
+        with pytest.raises(
+            UserError, match=r"pip install git\+https://\S+Depth-Anything-3"
+        ) as error:
+            getattr(provider(weights), call)(equal_views())
+        assert "\n" not in str(error.value)
+
+
+def test_the_command_line_refuses_before_training(weights: Path) -> None:
+    if importlib.util.find_spec("depth_anything_3") is not None:
+        pytest.skip("the package is installed here")
+    command = [sys.executable, "run.py", "experiment=smoke", "depth=depth_anything_3"]
+    command += [f"depth.weights={weights}", f"hydra.run.dir={weights}/run"]
+    root = Path(__file__).parents[2]
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("error: depth=depth_anything_3: expected the package")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"align": "point"}, "align one of points, plane_sweep, none"),
+        ({"process_res": 13}, "process_res of at least 14"),
+        ({"weights": ""}, "weights a name"),
+        ({"tolerance": 1.0}, r"tolerance in \[0, 1\)"),
+        ({"device": ""}, "device a torch device"),
+    ],
+)
+def test_bad_options_are_named(options: dict[str, object], message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        build_provider("depth_anything_3", options)
