@@ -32,6 +32,7 @@ from framework.help import help_text
 from framework.naming import plain, register_resolvers, study_name
 from framework.progress import Progress, Terminal
 from framework.study import Outcome, Refused, add_outcome, job_count, ledger, outcomes, short_path
+from framework.trust import check_command
 
 register_resolvers()
 
@@ -45,6 +46,7 @@ def main(argv: Sequence[str]) -> int:
         with _hydra_process(arguments):
             register_config()
             flags = _parse(arguments)
+            check_command(flags)
             if flags.help:
                 print(help_text(flags.overrides))
                 return 0

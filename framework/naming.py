@@ -17,6 +17,7 @@ from typing import Any
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from framework.config import check, rows
+from framework.trust import refuse_environment
 
 # A run's name must not depend on these: the seed is written out, the others do not change a run.
 NOT_HASHED = ("seed", "threads", "force", "study", "traceback")
@@ -63,8 +64,10 @@ def study_dir(run_dir: Path) -> Path:
 def register_resolvers() -> None:
     """Make `${fishersplat.study:}` and `${fishersplat.run_name:}` known to OmegaConf.
 
-    Both check the configuration first: a bad one is refused before a folder is made.
+    Both check the configuration first: a bad one is refused before a folder is made. The
+    environment (`${oc.env:NAME}`) is refused, see `framework.trust`.
     """
+    OmegaConf.register_new_resolver("oc.env", refuse_environment, replace=True)
     for name, resolver in (("study", _resolve_study), ("run_name", _resolve_run_name)):
         OmegaConf.register_new_resolver(f"fishersplat.{name}", resolver, replace=True)
 

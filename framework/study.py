@@ -29,6 +29,7 @@ from framework.config import check
 from framework.errors import UserError
 from framework.files import write_whole
 from framework.naming import plain, study_dir
+from framework.trust import check_composed
 
 LEDGER_VARIABLE = "FISHERSPLAT_LEDGER"
 JOBS_VARIABLE = "FISHERSPLAT_JOBS"
@@ -132,6 +133,7 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> None:
             check(plain(checked[method]))
             continue
         composed = loader.load_sweep_config(config, job)
+        check_composed(composed)
         checked[method] = composed
         check(plain(composed))
         folder = f"{composed.hydra.sweep.dir}/{composed.hydra.sweep.subdir}"
