@@ -11,15 +11,25 @@ from typing import TYPE_CHECKING, Any
 
 from framework.errors import UserError, nearest_hint
 from framework.scenes.colmap import Colmap
+from framework.scenes.dtu import Dtu
 from framework.scenes.embedded import Embedded
 from framework.scenes.llff import Llff
+from framework.scenes.mip360 import Mip360
+from framework.scenes.transforms import Transforms
 
 if TYPE_CHECKING:
     from framework.types import Scene
 
-__all__ = ["LOADERS", "Colmap", "Embedded", "Llff", "load_scene"]
+__all__ = ["LOADERS", "Colmap", "Dtu", "Embedded", "Llff", "Mip360", "Transforms", "load_scene"]
 
-LOADERS: dict[str, type] = {"embedded": Embedded, "llff": Llff, "colmap": Colmap}
+LOADERS: dict[str, type] = {
+    "embedded": Embedded,
+    "llff": Llff,
+    "dtu": Dtu,
+    "mip360": Mip360,
+    "transforms": Transforms,
+    "colmap": Colmap,
+}
 
 
 def load_scene(name: str, options: Mapping[str, Any]) -> Scene:

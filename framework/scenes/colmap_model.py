@@ -20,21 +20,9 @@ from numpy.typing import NDArray
 from framework.errors import UserError, require
 from framework.scenes import colmap_files
 from framework.scenes.assemble import Tracks
+from framework.scenes.lens import Distortion, Lens
 
-SUPPORTED = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL")
-
-
-@dataclass(frozen=True)
-class Lens:
-    """A camera of the model: size and focal in pixels, k the radial term (0 for a pinhole)."""
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    k: float
+SUPPORTED = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 
 
 @dataclass(frozen=True)
@@ -69,9 +57,11 @@ def _lens(camera: Any, where: Path) -> Lens:
     p = [float(v) for v in camera.params]
     ok = all(np.isfinite(p)) and p[0] > 0 and camera.width > 0 and camera.height > 0
     require(ok, f"{where}: expected finite intrinsics, got camera {camera.camera_id} with {p}")
-    fx, fy, cx, cy = p[:4] if name == "PINHOLE" else (p[0], p[0], p[1], p[2])
-    k = p[3] if name == "SIMPLE_RADIAL" else 0.0
-    return Lens(camera.width, camera.height, fx, fy, cx, cy, k)
+    two_focals = name in ("PINHOLE", "OPENCV")
+    fx, fy, cx, cy = p[:4] if two_focals else (p[0], p[0], p[1], p[2])
+    # after these come the model's coefficients, in the order of Distortion's fields
+    distortion = Distortion(*p[4 if two_focals else 3 :])
+    return Lens(camera.width, camera.height, fx, fy, cx, cy, distortion)
 
 
 def _viewmat(image: Any, where: Path) -> NDArray[np.float64]:

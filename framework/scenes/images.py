@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +14,9 @@ from framework.errors import UserError, require
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from PIL import Image
 
+AUTO = "auto"
 SUFFIXES = {".png", ".jpg", ".jpeg"}
 EIGHT_BIT = {"L", "P", "RGB", "RGBA", "LA"}
 
@@ -41,25 +45,80 @@ def list_images(folder: Path) -> list[Path]:
     return images
 
 
-def read_image(path: Path) -> NDArray[np.uint8]:
-    """[H, W, 3] uint8. Raises UserError for a damaged, deeper than 8-bit or transparent image."""
-    import numpy as np
+def photo_folder(folder: Path, images: str) -> Path:
+    """The folder of the photos inside a scene's: `images`, or for "auto" the usual size of the
+    sparse-view benchmarks, an eighth: `images_8` where there is one, else `images`."""
+    if images != AUTO:
+        return folder / images
+    return folder / ("images_8" if (folder / "images_8").is_dir() else "images")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """The image; whatever is wrong with the file raises UserError."""
     from PIL import Image
 
     try:
         with Image.open(path) as image:
-            image.load()
-            mode = image.mode
-            transparent = "A" in mode and image.getchannel("A").getextrema()[0] != 255
-            pixels = np.asarray(image.convert("RGB"), dtype=np.uint8)
+            yield image
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        if isinstance(error, UserError):
+            raise
         reason = " ".join(str(error).split()).replace(str(path), "").strip(" '")
         raise UserError(
             f"{path}: expected a readable image, got a damaged file ({reason}); replace it"
         ) from None
-    require(mode in EIGHT_BIT, f"{path}: expected 8 bits per channel, got mode {mode}; convert it")
-    require(not transparent, f"{path}: expected an opaque image, got transparency; flatten it")
-    return pixels
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """(width, height) from the file's header."""
+    with _opened(path) as image:
+        return image.size
+
+
+def read_image(path: Path, paper: int | None = None) -> NDArray[np.uint8]:
+    """[H, W, 3] uint8. paper: grey value 0 to 255 to lay a transparent image on, alpha blending the
+    stored (sRGB) values as the NeRF synthetic data set is used; None refuses transparency.
+
+    Raises UserError for a damaged, deeper than 8-bit or (with None) transparent image.
+    """
+    import numpy as np
+
+    with _opened(path) as image:
+        image.load()
+        mode = image.mode
+        require(
+            mode in EIGHT_BIT, f"{path}: expected 8 bits per channel, got mode {mode}; convert it"
+        )
+        clear = image.has_transparency_data
+        pixels = np.asarray(image.convert("RGBA" if clear else "RGB"), dtype=np.uint8)
+    if not clear:
+        return pixels
+    alpha = pixels[..., 3:].astype(np.float64) / 255.0
+    if alpha.min() < 1:
+        require(
+            paper is not None, f"{path}: expected an opaque image, got transparency; flatten it"
+        )
+        blended = pixels[..., :3] * alpha + float(paper or 0) * (1.0 - alpha)
+        return np.rint(blended).astype(np.uint8)
+    return np.ascontiguousarray(pixels[..., :3])
+
+
+def read_mask(path: Path, height: int, width: int) -> NDArray[np.float32]:
+    """[H, W] float32, 1 where the first channel is at least one half of white, else 0.
+
+    Raises UserError for a missing or damaged file or another size.
+    """
+    import numpy as np
+
+    require(path.is_file(), f"{path}: expected a mask, found no file; restore it")
+    grey = read_image(path)[..., 0]
+    require(
+        grey.shape == (height, width),
+        f"{path}: expected a mask of the photo's {width}x{height} pixels, got"
+        f" {grey.shape[1]}x{grey.shape[0]}; resize it",
+    )
+    return (grey >= 128).astype(np.float32)
 
 
 def resize_ratio(model: int, image: int) -> float | None:

@@ -1,9 +1,10 @@
-"""`scene=llff`: `poses_bounds.npy` beside `images_<factor>/`, as the LLFF data set comes.
+"""`scene=llff`: `poses_bounds.npy` beside `images_8/`, as the LLFF data set comes.
 
 A row of `poses_bounds.npy` holds a 3 x 5 matrix, row-major, and the near and far depth bounds. Its
 columns are the camera's down, right and backward axes in the world, its centre, and (height, width,
 focal) in pixels of the full-size photo (Mildenhall et al. 2019, LLFF's `poses/pose_utils.py`). Row
-i belongs to the i-th image in sorted order. The principal point is the image's middle.
+i belongs to the i-th image in sorted order. The principal point is the image's middle. Photos may
+be of that size or over an integer, rounded (`images_4`, `images_8`).
 
 Sparse points come from the COLMAP model `sparse/0` where there is one (else there are none); it
 must have the same poses. Near and far are the bounds of the training rows.
@@ -16,18 +17,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
-from framework.scenes.options import check_folder_options
+from framework.scenes.options import check_folder_options, check_images
 from framework.scenes.splits import protocol
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from framework.scenes.assemble import Shot, Tracks
+    from framework.scenes.lens import Lens
     from framework.types import Scene
 
 NOT_ROTATION = 1e-3  # largest deviation of an axis' products from those of a rotation
-SAME_POSE = 0.01  # distance between two models' camera centres, of the rig's size
 
 
 @dataclass(frozen=True)
@@ -36,32 +36,39 @@ class Llff:
 
     path: str
     n_views: int = 3
-    factor: int = 8  # images_<factor> is read; 1 = images
+    images: str = "auto"  # folder of the photos; auto = images_8 where there is one, else images
+    downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
     split: str = "llff"
 
     def __post_init__(self) -> None:
-        check_folder_options("llff", self.path, self.n_views, self.split)
-        require(
-            self.factor >= 1,
-            f"scene=llff: expected factor of at least 1, got {self.factor}; set scene.factor",
-        )
+        check_folder_options("llff", self.path, self.n_views, self.split, self.downscale)
+        check_images("llff", self.images)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where the folder does not hold what the layout asks for."""
         from framework.scenes.assemble import assemble
-        from framework.scenes.images import list_images, scene_folder
+        from framework.scenes.images import list_images, photo_folder, scene_folder
+        from framework.scenes.photo import check_memory, photo_shot
+        from framework.scenes.points import colmap_tracks
 
         folder = scene_folder("llff", self.path)
-        files = list_images(folder / (f"images_{self.factor}" if self.factor > 1 else "images"))
+        files = list_images(photo_folder(folder, self.images))
         rows = _read_poses(folder / "poses_bounds.npy", files)
-        names = [f.name for f in files]
+        names, viewmats = [f.name for f in files], [_viewmat(row) for row in rows]
         split = protocol(self.split).split(names, self.n_views, f"scene=llff: {folder}")
-        shots = {i: _shot(files[i], rows[i], self.factor) for i in (*split.train, *split.test)}
-        tracks = _tracks(folder, files, rows).for_training(split.train)
+        check_memory([files[i] for i in (*split.train, *split.test)], self.downscale)
+        train, test = (
+            [
+                photo_shot(files[i], names[i], _lens(rows[i]), viewmats[i], self.downscale)
+                for i in part
+            ]
+            for part in (split.train, split.test)
+        )
+        tracks = colmap_tracks(folder, "poses_bounds.npy", names, viewmats)
         bounds = rows[list(split.train), 15:]
-        train, test = ([shots[i] for i in part] for part in (split.train, split.test))
         near, far = float(bounds[:, 0].min()), float(bounds[:, 1].max())
-        return assemble(folder.resolve().name, self.split, train, test, tracks, near, far)
+        points = tracks.for_training(split.train)
+        return assemble(folder.resolve().name, self.split, train, test, points, near, far)
 
 
 def _read_poses(path: Path, files: list[Path]) -> NDArray[np.float64]:
@@ -114,47 +121,9 @@ def _viewmat(row: NDArray[np.float64]) -> NDArray[np.float64]:
     return viewmat
 
 
-def _shot(file: Path, row: NDArray[np.float64], factor: int) -> Shot:
-    from framework.scenes.assemble import Shot, intrinsics
-    from framework.scenes.images import read_image
+def _lens(row: NDArray[np.float64]) -> Lens:
+    """The camera of a full-size photo."""
+    from framework.scenes.lens import Lens
 
-    image = read_image(file)
-    height, width = image.shape[:2]
-    full_height, full_width, focal = row[4], row[9], row[14]
-    require(
-        abs(full_height / factor - height) < 1 and abs(full_width / factor - width) < 1,
-        f"{file}: expected {full_width / factor:g}x{full_height / factor:g} pixels"
-        f" ({full_width:g}x{full_height:g} by factor {factor}), got {width}x{height};"
-        " correct scene.factor or resize the images",
-    )
-    fx, fy = focal * width / full_width, focal * height / full_height
-    return Shot(file.name, _viewmat(row), intrinsics(fx, fy, width / 2, height / 2), image)
-
-
-def _tracks(folder: Path, files: list[Path], rows: NDArray[np.float64]) -> Tracks:
-    """The points of `sparse/0` with their tracks over the sorted images; none without a model."""
-    import numpy as np
-
-    from framework.scenes.assemble import Tracks
-    from framework.scenes.colmap_model import read_model
-
-    sparse = folder / "sparse" / "0"
-    if not sparse.is_dir():
-        return Tracks()
-    model = read_model(sparse)
-    stems = [Path(name).stem for name in model.names]
-    if stems != [f.stem for f in files] and len(stems) != len(files):
-        raise UserError(
-            f"{sparse}: expected the {len(files)} images of poses_bounds.npy, got {len(stems)};"
-            " remove the folder (then there are no sparse points) or rebuild the model"
-        )
-    theirs = np.array([-v[:3, :3].T @ v[:3, 3] for v in model.viewmats])
-    ours = rows[:, :15].reshape(-1, 3, 5)[:, :, 3]
-    size = np.linalg.norm(ours - ours.mean(axis=0), axis=1).max()
-    away = np.linalg.norm(theirs - ours, axis=1).max()
-    require(
-        away <= SAME_POSE * size,
-        f"{sparse}: expected the poses of poses_bounds.npy, got camera centres up to {away:.3g}"
-        f" away (rig radius {size:.3g}); remove the folder or rebuild the model with these poses",
-    )
-    return model.tracks
+    height, width, focal = round(row[4]), round(row[9]), float(row[14])
+    return Lens(width, height, focal, focal, width / 2, height / 2)

@@ -15,11 +15,37 @@ def check_n_views(loader: str, n_views: int) -> None:
     )
 
 
-def check_folder_options(loader: str, path: str, n_views: int, split: str) -> None:
-    """What every loader of a folder takes: its path, the number of views, the split protocol."""
+def check_folder_options(
+    loader: str, path: str, n_views: int, split: str, downscale: int = 1
+) -> None:
+    """What every loader of a folder takes: its path, the number of views, the split protocol and
+    by how much the photos are reduced."""
     require(
         isinstance(path, str) and path != "",
         f"scene={loader}: expected the scene's folder, got '{path}'; give scene.path=DIR",
     )
     check_n_views(loader, n_views)
+    whole = isinstance(downscale, int) and not isinstance(downscale, bool)
+    require(
+        whole and downscale >= 1,
+        f"scene={loader}: expected downscale to be an integer >= 1, got {downscale};"
+        " 1 keeps the photos' size",
+    )
     protocol(split)
+
+
+def check_images(loader: str, images: str) -> None:
+    """The name of a folder inside the scene's."""
+    require(
+        isinstance(images, str) and images != "",
+        f"scene={loader}: expected the folder of the photos, got '{images}'; set scene.images",
+    )
+
+
+def check_choice(loader: str, option: str, value: str, choices: tuple[str, ...]) -> None:
+    """One of a few words."""
+    require(
+        value in choices,
+        f"scene={loader}: expected {option} to be one of {', '.join(choices)}, got '{value}';"
+        f" set scene.{option}",
+    )

@@ -3,7 +3,15 @@
 `llff`: file names sorted; test = every 8th, starting with the first (the LLFF convention of NeRF
 and Mip-NeRF 360); training = the rest, of which n_views are taken at the indices
 `round(linspace(0, n - 1, n_views))` (RegNeRF, Niemeyer et al. 2022; so do FSGS, DropGaussian and
-CoR-GS). Ties round to even, as in numpy.
+CoR-GS). Ties round to even, as in numpy. The usual counts are 3, 6 and 9.
+
+`mip360`: the same rule; the usual counts are 12 and 24 (FSGS, CoR-GS, DropGaussian). nerfbaselines'
+variant truncates instead of rounding and so takes other frames.
+
+`dtu`: the 49 positions of the rig, numbered from 0. Training = the first n_views of 25, 22, 28, 40,
+44, 48, 0, 8, 13 (pixelNeRF, Yu et al. 2021; RegNeRF; CoR-GS), usually 3, 6 or 9; test = the 25
+positions that are neither among these nine nor among 3-7, 16-21, 36-39, which pixelNeRF's
+evaluation leaves out as badly exposed, whatever n_views is.
 """
 
 from __future__ import annotations
@@ -12,6 +20,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from framework.errors import UserError, nearest_hint, require
+
+DTU_TRAINING = (25, 22, 28, 40, 44, 48, 0, 8, 13)
+DTU_EXCLUDED = (3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 36, 37, 38, 39)
+DTU_POSITIONS = 49
 
 
 @dataclass(frozen=True)
@@ -24,39 +36,74 @@ class Split:
 
 @dataclass(frozen=True)
 class Protocol:
-    """A named rule. divide(n) -> (pool for training, test) of n sorted names."""
+    """A named rule. divide(n) -> (pool for training, test) of n sorted names;
+    pick(pool, n_views) -> training. images: how many there must be, where that is fixed."""
 
     name: str
     source: str
     divide: Callable[[int], tuple[list[int], list[int]]]
+    pick: Callable[[list[int], int], list[int]]
+    images: int | None = None
 
     def split(self, names: Sequence[str], n_views: int, where: str) -> Split:
         """The split of `names` (sorted) with n_views training views; `where` opens the error."""
         require(list(names) == sorted(names), f"{where}: split protocols need sorted names")
+        require(
+            self.images in (None, len(names)),
+            f"{where}: expected {self.images} images for split={self.name}, got {len(names)};"
+            " restore the missing ones or choose another scene.split",
+        )
         pool, test = self.divide(len(names))
         if n_views > len(pool):
             raise UserError(
                 f"{where}: expected n_views of at most {len(pool)} ({len(names)} images, of which"
                 f" split={self.name} keeps {len(test)} for testing), got {n_views}; lower n_views"
             )
-        return Split(tuple(pool[i] for i in _spaced(len(pool), n_views)), tuple(test))
+        return Split(tuple(sorted(self.pick(pool, n_views))), tuple(test))
 
 
-def _spaced(n: int, count: int) -> list[int]:
-    """`round(linspace(0, n - 1, count))`."""
+def _spaced(pool: list[int], count: int) -> list[int]:
+    """Those at `round(linspace(0, n - 1, count))`."""
     import numpy as np
 
-    return [int(i) for i in np.round(np.linspace(0, n - 1, count))]
+    return [pool[int(i)] for i in np.round(np.linspace(0, len(pool) - 1, count))]
+
+
+def _first(pool: list[int], count: int) -> list[int]:
+    return pool[:count]
 
 
 def _every_eighth(n: int) -> tuple[list[int], list[int]]:
     return [i for i in range(n) if i % 8], [i for i in range(n) if i % 8 == 0]
 
 
+def _dtu(n: int) -> tuple[list[int], list[int]]:
+    taken = {*DTU_TRAINING, *DTU_EXCLUDED}
+    return list(DTU_TRAINING), [i for i in range(n) if i not in taken]
+
+
 PROTOCOLS: dict[str, Protocol] = {
     p.name: p
     for p in (
-        Protocol("llff", "NeRF's every-8th test views, RegNeRF's rounded linspace", _every_eighth),
+        Protocol(
+            "llff",
+            "NeRF's every-8th test views, RegNeRF's rounded linspace",
+            _every_eighth,
+            _spaced,
+        ),
+        Protocol(
+            "mip360",
+            "Mip-NeRF 360's every-8th test views, FSGS's rounded linspace",
+            _every_eighth,
+            _spaced,
+        ),
+        Protocol(
+            "dtu",
+            "pixelNeRF's nine training views and RegNeRF's 25 test views of DTU's 49",
+            _dtu,
+            _first,
+            images=DTU_POSITIONS,
+        ),
     )
 }
 

@@ -114,6 +114,24 @@ def test_mask_leaves_invalid_pixels_out() -> None:
     assert isinstance(metrics.psnr(render, truth, torch.zeros(40, 53)), Missing)
 
 
+def test_masked_metrics_are_those_of_the_dtu_protocol() -> None:
+    """PSNR over the object's pixels alone; the others of both images laid on white."""
+    truth = image("truth")
+    render = similar(truth)
+    mask = torch.zeros(40, 53)
+    mask[8:33, 11:40] = 1
+    white = [torch.where(mask > 0, picture, 1.0) for picture in (render, truth)]
+    measured = metrics.evaluate_view(view_of(truth, mask), render)
+    assert measured.ssim == metrics.ssim(*white)
+    assert measured.flip == metrics.flip(*white)
+    inside = [torch.from_numpy(on_disk(p).transpose(2, 0, 1))[:, mask > 0] for p in (render, truth)]
+    mse = float(((inside[0] - inside[1]) ** 2).mean())
+    assert measured.psnr == pytest.approx(-10 * math.log10(mse))
+    whole = metrics.psnr(*white)
+    assert isinstance(measured.psnr, float) and isinstance(whole, float)
+    assert whole > measured.psnr  # white pixels agree; they must not raise the PSNR
+
+
 def test_evaluate_view_explains_what_is_missing() -> None:
     truth = image("truth", 8, 8)
     measured = metrics.evaluate_view(view_of(truth), similar(truth), render_s=0.5)

@@ -149,7 +149,7 @@ def _with(row: int, column: int, value: float) -> Callable[[Path], None]:
 
 
 def _small_image(folder: Path) -> None:
-    Image.new("RGB", (20, 15)).save(folder / "images_8" / "im05.png")
+    Image.new("RGB", (25, 15)).save(folder / "images_8" / "im05.png")
 
 
 def _cut_image(folder: Path) -> None:
@@ -162,7 +162,7 @@ def _cut_image(folder: Path) -> None:
     [
         (_no_images, "images_8: expected a folder of .*images, got no image in it"),
         (_cut_image, r"im05.png: expected a readable image, got a damaged file"),
-        (_small_image, r"im05.png: expected 40x30 pixels .*, got 20x15"),
+        (_small_image, r"im05.png: expected the camera's 320x240 .*, got 25x15"),
         (lambda f: (f / "poses_bounds.npy").unlink(), "expected LLFF poses, found no file"),
         (lambda f: (f / "poses_bounds.npy").write_bytes(b"no"), "got a damaged file"),
         (_save(lambda r: r[:, :16]), "expected an array of n x 17 numbers, got 10x16"),
@@ -185,6 +185,6 @@ def test_missing_folder_and_factor(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"expected a folder at .*, found nothing"):
         load(tmp_path / "nowhere")
     with pytest.raises(UserError, match=r"images_4: expected a folder of .*, got no such folder"):
-        load(write_llff(tmp_path), factor=4)
+        load(write_llff(tmp_path), images="images_4")
     with pytest.raises(UserError, match="n_views of at most 8"):
         load(tmp_path, n_views=9)

@@ -33,6 +33,29 @@ def test_llff_is_the_published_formula(n: int, views: int) -> None:
     assert not set(split.train) & set(split.test)
 
 
+@pytest.mark.parametrize("views", [3, 6, 9])
+def test_dtu_is_the_published_list(views: int) -> None:
+    split = protocol("dtu").split(names(49), views, "here")
+    assert sorted([25, 22, 28, 40, 44, 48, 0, 8, 13][:views]) == list(split.train)
+    assert len(split.test) == 25
+    excluded = {3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 36, 37, 38, 39}
+    assert not set(split.test) & ({25, 22, 28, 40, 44, 48, 0, 8, 13} | excluded)
+
+
+def test_dtu_needs_the_whole_rig_and_has_nine_views_to_give() -> None:
+    with pytest.raises(UserError, match="expected 49 images for split=dtu, got 48"):
+        protocol("dtu").split(names(48), 3, "here")
+    with pytest.raises(UserError, match="n_views of at most 9"):
+        protocol("dtu").split(names(49), 10, "here")
+
+
+@pytest.mark.parametrize("views", [12, 24])
+def test_mip360_is_the_same_rule_as_llff(views: int) -> None:
+    assert protocol("mip360").split(names(279), views, "here") == protocol("llff").split(
+        names(279), views, "here"
+    )
+
+
 def test_too_many_views_says_how_many_there_are() -> None:
     with pytest.raises(UserError, match=r"at most 17 \(20 images.* got 18; lower n_views"):
         protocol("llff").split(names(20), 18, "here")
@@ -61,7 +84,8 @@ def test_unknown_loader_option_and_missing_path() -> None:
 
 def test_importing_the_package_stays_light() -> None:
     code = (
-        "import sys, framework.scenes as s; s.Embedded(); s.Llff('x'); s.Colmap('x');"
+        "import sys, framework.scenes as s; s.Embedded();"
+        "[s.LOADERS[n]('x') for n in ('llff', 'colmap', 'dtu', 'mip360', 'transforms')];"
         "print([m for m in ('torch', 'numba', 'cv2', 'pycolmap', 'numpy') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -1,0 +1,84 @@
+"""The cameras of a DTU scan from `cameras_sphere.npz`: projections to intrinsics and poses.
+
+P = K [R | t] is split by the RQ decomposition of its left 3 x 3 block (Hartley & Zisserman, 2004,
+section 6.2.4), K with positive diagonal and K[2, 2] = 1.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from framework.errors import UserError, require
+from framework.scenes.lens import Lens
+
+FILES = ("cameras_sphere.npz", "cameras.npz")
+WIDTH, HEIGHT = 1600, 1200  # of the photos the projections are for
+MOST_SKEW = 1e-3  # of the focal length
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """viewmat: [4, 4] world-to-camera, millimetres. lens: for photos of 1600 x 1200."""
+
+    viewmat: NDArray[np.float64]
+    lens: Lens
+
+
+def read_cameras(folder: Path, n: int) -> list[Calibration]:
+    """The calibrations of positions 0 to n - 1. Raises UserError unless all are there and sound."""
+    path = next((folder / name for name in FILES if (folder / name).is_file()), None)
+    if path is None:
+        raise UserError(
+            f"{folder}: expected the cameras in {' or '.join(FILES)}, found neither; is scene.path"
+            " the folder of one scan?"
+        )
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            keys = [f"world_mat_{i}" for i in range(n)]
+            missing = [key for key in keys if key not in file]
+            matrices = [file[key] for key in keys if key in file]
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        raise UserError(f"{path}: expected an .npz file, got a damaged one; replace it") from None
+    require(
+        not missing,
+        f"{path}: expected world_mat_0 to world_mat_{n - 1}, missing {len(missing)} (first:"
+        f" {missing[0] if missing else ''}); restore the file",
+    )
+    return [decompose(m, f"{path}: world_mat_{i}") for i, m in enumerate(matrices)]
+
+
+def decompose(matrix: NDArray, where: str) -> Calibration:
+    """The calibration of a projection, [3, 4] or [4, 4]; `where` opens the error."""
+    from scipy.linalg import rq
+
+    good = matrix.shape in ((3, 4), (4, 4)) and matrix.dtype.kind in "fiu"
+    require(
+        good and bool(np.isfinite(matrix).all()),
+        f"{where}: expected a finite 3x4 or 4x4 projection, got"
+        f" {'NaN or infinity' if good else f'{matrix.shape} {matrix.dtype}'}; replace the file",
+    )
+    projection = matrix[:3].astype(np.float64)
+    determinant = np.linalg.det(projection[:, :3])
+    require(
+        abs(determinant) > 1e-12 * np.abs(projection[:, :3]).max() ** 3,
+        f"{where}: expected a projection of full rank, got a singular matrix; replace the file",
+    )
+    projection = projection * np.sign(determinant)
+    K, rotation = rq(projection[:, :3])
+    signs = np.sign(np.diag(K))
+    K, rotation = K * signs, signs[:, None] * rotation
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = rotation
+    viewmat[:3, 3] = np.linalg.solve(K, projection[:, 3])
+    K = K / K[2, 2]
+    require(
+        abs(K[0, 1]) <= MOST_SKEW * K[0, 0],
+        f"{where}: expected square pixel axes, got a skew of {K[0, 1]:.3g} at a focal length of"
+        f" {K[0, 0]:.4g}; is it a DTU camera?",
+    )
+    return Calibration(viewmat, Lens(WIDTH, HEIGHT, K[0, 0], K[1, 1], K[0, 2], K[1, 2]))

@@ -1,0 +1,89 @@
+"""Lens distortion and its removal: every photo reaches training as a pinhole would have taken it.
+
+The model is OpenCV's (its calib3d documentation), for x, y in units of the focal length from the
+principal point and r^2 = x^2 + y^2:
+x_distorted = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
+y_distorted = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y.
+COLMAP's SIMPLE_RADIAL, RADIAL and OPENCV cameras are special cases of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Radial (k) and tangential (p) coefficients; all 0 is a pinhole."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+    @property
+    def none(self) -> bool:
+        """Whether the lens is a pinhole."""
+        return not any(astuple(self))
+
+
+PINHOLE = Distortion()
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Intrinsics of a photo of width x height: focal lengths and principal point in pixels."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: Distortion = PINHOLE
+
+
+def distorted_pixels(
+    height: int, width: int, K: NDArray[np.float64], lens: Distortion
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """For each pinhole pixel its place (u, v) in the stored photo, each [H, W], in pixels with
+    centres at +0.5; and whether the radial model is still monotonic there, [H, W]."""
+    import numpy as np
+
+    x = (np.arange(width) + 0.5 - K[0, 2]) / K[0, 0]
+    y = ((np.arange(height) + 0.5 - K[1, 2]) / K[1, 1])[:, None]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
+    slope = 1.0 + r2 * (3 * lens.k1 + r2 * (5 * lens.k2 + r2 * 7 * lens.k3))
+    u = x * radial + 2 * lens.p1 * x * y + lens.p2 * (r2 + 2 * x * x)
+    v = y * radial + lens.p1 * (r2 + 2 * y * y) + 2 * lens.p2 * x * y
+    return K[0, 0] * u + K[0, 2], K[1, 1] * v + K[1, 2], slope > 0
+
+
+def undistort(
+    image: NDArray[np.uint8], K: NDArray[np.float64], lens: Distortion
+) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
+    """The photo [H, W, 3] as a pinhole K would have taken it, bilinear; and the mask [H, W] of the
+    pixels that the photo covers, None if it covers all."""
+    import cv2
+    import numpy as np
+
+    height, width = image.shape[:2]
+    u, v, single = distorted_pixels(height, width, K, lens)
+    straight = cv2.remap(
+        image,
+        (u - 0.5).astype(np.float32),  # OpenCV counts pixel centres from 0
+        (v - 0.5).astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    # a pixel's own area reaches half a pixel beyond the outermost centres
+    valid = single & (u >= 0) & (u <= width) & (v >= 0) & (v <= height)
+    out = np.ascontiguousarray(straight, dtype=np.uint8)
+    return out, None if valid.all() else valid.astype(np.float32)

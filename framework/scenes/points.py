@@ -1,0 +1,125 @@
+"""Where a scene's sparse points come from, and the depth bounds they give.
+
+Points of a COLMAP model have tracks, so those that too few training views support are left out (see
+`assemble.Tracks.for_training`). A PLY file has none: it is taken only when the user names it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from framework.errors import UserError, require
+from framework.scenes.assemble import Tracks
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from framework.scenes.assemble import Shot
+
+SAME_POSE = 0.01  # distance between two models' camera centres, of the rig's size
+PERCENTILES = (0.1, 99.9)  # of the depths, as LLFF's poses_bounds.npy has them
+
+
+def center_of(viewmat: NDArray[np.float64]) -> NDArray[np.float64]:
+    """[3] camera centre of a [4, 4] world-to-camera."""
+    center: NDArray[np.float64] = -viewmat[:3, :3].T @ viewmat[:3, 3]
+    return center
+
+
+def colmap_tracks(
+    folder: Path, source: str, names: Sequence[str], viewmats: Sequence[NDArray[np.float64]]
+) -> Tracks:
+    """The points of `folder/sparse/0` with their tracks over the (sorted) images `names`; none
+    without such a model. `source` names what the poses are from.
+
+    Raises UserError unless the model has the same images at the same places.
+    """
+    from framework.scenes.colmap_model import read_model
+
+    sparse = folder / "sparse" / "0"
+    if not sparse.is_dir():
+        return Tracks()
+    model = read_model(sparse)
+    stems = [Path(name).stem for name in model.names]
+    if stems != [Path(name).stem for name in names] and len(stems) != len(names):
+        raise UserError(
+            f"{sparse}: expected the {len(names)} images of {source}, got {len(stems)};"
+            " remove the folder (then there are no sparse points) or rebuild the model"
+        )
+    theirs = np.array([center_of(v) for v in model.viewmats])
+    ours = np.array([center_of(v) for v in viewmats])
+    size = np.linalg.norm(ours - ours.mean(axis=0), axis=1).max()
+    away = np.linalg.norm(theirs - ours, axis=1).max()
+    require(
+        away <= SAME_POSE * size,
+        f"{sparse}: expected the poses of {source}, got camera centres up to {away:.3g}"
+        f" away (rig radius {size:.3g}); remove the folder or rebuild the model with these poses",
+    )
+    return model.tracks
+
+
+def ply_points(path: Path, shots: Sequence[Shot]) -> Tracks:
+    """The points (x, y, z and uchar red, green, blue) of a PLY file that at least two of the
+    training `shots` have in their image; `seen` says so, occlusion unknown.
+
+    Raises UserError for a file that is no such PLY.
+    """
+    xyz, rgb = _read_ply(path)
+    seen = np.stack([_in_image(shot, xyz) for shot in shots], axis=1)
+    return Tracks(xyz, rgb, seen).for_training(range(len(shots)))
+
+
+def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    from plyfile import PlyData, PlyParseError
+
+    try:
+        vertex = PlyData.read(str(path))["vertex"]
+        xyz = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=1)
+        rgb = np.stack([np.asarray(vertex[c]) for c in ("red", "green", "blue")], axis=1)
+    except (OSError, PlyParseError, KeyError, ValueError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise UserError(
+            f"{path}: expected a PLY file of coloured points (x y z red green blue), got none"
+            f" ({reason}); correct scene.points"
+        ) from None
+    require(
+        rgb.dtype == np.uint8,
+        f"{path}: expected colours of type uchar, got {rgb.dtype}; convert the file",
+    )
+    good = np.isfinite(xyz).all(axis=1)
+    return xyz[good], rgb[good]
+
+
+def _in_image(shot: Shot, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """[M] whether each point lies in front of the camera and inside its image."""
+    pixel = (xyz @ shot.viewmat[:3, :3].T + shot.viewmat[:3, 3]) @ shot.K.T
+    z = pixel[:, 2]
+    u, v = pixel[:, 0], pixel[:, 1]
+    height, width = shot.image.shape[:2]
+    return (z > 0) & (u >= 0) & (u < width * z) & (v >= 0) & (v < height * z)
+
+
+def depth_bounds(
+    tracks: Tracks, viewmats: Sequence[NDArray[np.float64]], train: Sequence[int], where: str
+) -> tuple[float, float]:
+    """(near, far): 0.1 and 99.9 percentiles of the depths at which the training views see points.
+
+    Every point with a training view in its track counts. Raises UserError if there is none.
+    """
+    depths = []
+    for i in train:
+        xyz, viewmat = tracks.xyz[tracks.seen[:, i]], viewmats[i]
+        depths.append(xyz @ viewmat[2, :3] + viewmat[2, 3])
+    z = np.concatenate(depths)
+    z = z[z > 0]
+    if not len(z):
+        raise UserError(
+            f"{where}: expected 3D points seen by the training views, got none, so that"
+            " depth bounds are unknown; triangulate points or choose other views"
+        )
+    near, far = np.percentile(z, PERCENTILES)
+    return float(near), float(max(far, near * (1 + 1e-6)))

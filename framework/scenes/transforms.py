@@ -1,0 +1,128 @@
+"""`scene=transforms`: photos with a `transforms.json`, as instant-ngp, NeRF and nerfstudio use it.
+
+Each of `frames` has a `file_path` (relative to the file, with or without the suffix) and a
+`transform_matrix`, camera-to-world with OpenGL axes (x right, y up, z backward). Intrinsics are
+`fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` or `camera_angle_x` (radians), once for all or per frame;
+`k1`, `k2`, `k3`, `p1`, `p2` are OpenCV's, and the photos are undistorted. The world of the file is
+kept: `applied_transform`, `scale` and `aabb_scale` say how others turned or framed it. Transparent
+photos are laid on white or black (then use the same `trainer.background`).
+
+`split=llff` names no standard of these scenes; it is the usual every-8th rule on the sorted paths.
+Depth bounds are those of the training views' points, as in `scene=colmap`, unless given.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from framework.errors import UserError, require
+from framework.scenes.options import check_choice, check_folder_options
+from framework.scenes.splits import Split, protocol
+
+if TYPE_CHECKING:
+    from framework.scenes.assemble import Shot, Tracks
+    from framework.scenes.transforms_file import Frame
+    from framework.types import Scene
+
+PAPERS = {"white": 255, "black": 0}
+
+
+@dataclass(frozen=True)
+class Transforms:
+    """Options of `scene=transforms`.
+
+    points: auto = the COLMAP model `sparse/0` where there is one; none; or a PLY file of points,
+    relative to path. A PLY has no tracks: it must have been made from the training views alone.
+    near, far: depth bounds in scene units; null = from the points.
+    """
+
+    path: str
+    n_views: int = 12
+    file: str = "transforms.json"  # inside path
+    downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
+    paper: str = "white"  # what transparent photos are laid on: white, black
+    points: str = "auto"
+    near: float | None = None
+    far: float | None = None
+    split: str = "llff"
+
+    def __post_init__(self) -> None:
+        check_folder_options("transforms", self.path, self.n_views, self.split, self.downscale)
+        check_choice("transforms", "paper", self.paper, tuple(PAPERS))
+        given = [bound for bound in (self.near, self.far) if bound is not None]
+        require(
+            all(0 < bound < math.inf for bound in given) and given == sorted(set(given)),
+            f"scene=transforms: expected 0 < near < far, got near={self.near}, far={self.far};"
+            " correct scene.near and scene.far",
+        )
+
+    def load(self) -> Scene:
+        """The scene. Raises UserError where file and photos do not hold what they must."""
+        from framework.scenes.assemble import assemble
+        from framework.scenes.images import scene_folder
+        from framework.scenes.photo import check_memory
+        from framework.scenes.transforms_file import read_frames
+
+        folder = scene_folder("transforms", self.path)
+        frames = read_frames(folder / self.file)
+        where = f"scene=transforms: {folder}"
+        split = protocol(self.split).split([f.name for f in frames], self.n_views, where)
+        check_memory([frames[i].file for i in (*split.train, *split.test)], self.downscale)
+        train, test = ([self._shot(frames[i]) for i in part] for part in (split.train, split.test))
+        tracks = self._tracks(folder, frames, split, train)
+        near, far = self._bounds(tracks, frames, split, where)
+        points = tracks.for_training(split.train)
+        return assemble(folder.resolve().name, self.split, train, test, points, near, far)
+
+    def _shot(self, frame: Frame) -> Shot:
+        from framework.scenes.images import read_image
+        from framework.scenes.photo import pinhole_shot, resized
+
+        image = read_image(frame.file, PAPERS[self.paper])
+        height, width = image.shape[:2]
+        lens = frame.lens(width, height)
+        K = resized(frame.file, image, lens)
+        distortion, downscale = lens.distortion, self.downscale
+        return pinhole_shot(frame.name, frame.viewmat, K, image, distortion, downscale=downscale)
+
+    def _tracks(self, folder: Path, frames: list[Frame], split: Split, train: list[Shot]) -> Tracks:
+        """Points with their tracks over all frames; those of a PLY only over the training ones."""
+        import numpy as np
+
+        from framework.scenes.assemble import Tracks
+        from framework.scenes.points import colmap_tracks, ply_points
+
+        if self.points == "none":
+            return Tracks()
+        if self.points == "auto":
+            names, viewmats = [f.name for f in frames], [f.viewmat for f in frames]
+            return colmap_tracks(folder, self.file, names, viewmats)
+        found = ply_points(folder / self.points, train)
+        seen = np.zeros((len(found.xyz), len(frames)), dtype=bool)
+        seen[:, list(split.train)] = found.seen
+        return Tracks(found.xyz, found.rgb, seen)
+
+    def _bounds(
+        self, tracks: Tracks, frames: list[Frame], split: Split, where: str
+    ) -> tuple[float, float]:
+        """(near, far): given, or from the points; without points both must be given."""
+        from framework.scenes.points import depth_bounds
+
+        if self.near is not None and self.far is not None:
+            return self.near, self.far
+        if not len(tracks.xyz):
+            raise UserError(
+                f"{where}: expected sparse points to know the depth bounds from, found none; give"
+                " scene.near and scene.far in the units of the poses"
+            )
+        near, far = depth_bounds(tracks, [f.viewmat for f in frames], split.train, where)
+        near, far = self.near or near, self.far or far
+        require(
+            near < far,
+            f"{where}: expected near < far, got near={near:.4g}, far={far:.4g} (one of them from"
+            " the points); give both",
+        )
+        return near, far

@@ -1,0 +1,196 @@
+"""Reading and checking a `transforms.json`; see `transforms` for what is in it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from framework.errors import UserError, require
+from framework.scenes.images import SUFFIXES
+from framework.scenes.lens import Distortion, Lens
+
+MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+UNSUPPORTED = ("k4", "k5", "k6", "s1", "s2", "s3", "s4")
+NUMBERS = (
+    *("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", "camera_angle_y"),
+    *("k1", "k2", "k3", "p1", "p2", *UNSUPPORTED),
+)
+NOT_ROTATION = 1e-3  # largest deviation of the axes' products from those of a rotation
+OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])  # the signs of a camera's axes
+
+
+@dataclass(frozen=True)
+class Frame:
+    """name: the file path as written, suffix included. viewmat: [4, 4] OpenCV world-to-camera.
+    values: the intrinsics that apply to it; where: opens an error about them."""
+
+    name: str
+    file: Path
+    viewmat: NDArray[np.float64]
+    values: Mapping[str, float]
+    where: str
+
+    def lens(self, width: int, height: int) -> Lens:
+        """The intrinsics, for a photo of width x height where the file states no size.
+
+        fl_x, else from camera_angle_x = 2 atan(w / (2 fl_x)); fl_y likewise, else fl_x. The
+        principal point is the middle unless given.
+        """
+        v = self.values
+        w, h = v.get("w", width), v.get("h", height)
+        fx = self._focal("fl_x", "camera_angle_x", w)
+        require(
+            fx is not None,
+            f"{self.where}: expected fl_x or camera_angle_x, got neither; add one to the file",
+        )
+        assert fx is not None
+        fy = self._focal("fl_y", "camera_angle_y", h)
+        distortion = Distortion(*(v.get(k, 0.0) for k in ("k1", "k2", "p1", "p2", "k3")))
+        cx, cy = v.get("cx", w / 2), v.get("cy", h / 2)
+        good = w >= 1 and h >= 1 and fx > 0 and (fy is None or fy > 0)
+        require(good, f"{self.where}: expected positive sizes and focal lengths, got {dict(v)}")
+        return Lens(round(w), round(h), fx, fx if fy is None else fy, cx, cy, distortion)
+
+    def _focal(self, key: str, angle: str, size: float) -> float | None:
+        """The focal length in pixels under `key`, else from the `angle` of view over `size`."""
+        if key in self.values or angle not in self.values:
+            return self.values.get(key)
+        view = self.values[angle]
+        require(
+            0 < view < math.pi,
+            f"{self.where}: expected {angle} in (0, pi) radians, got {view}; correct it",
+        )
+        return size / (2 * math.tan(view / 2))
+
+
+def read_frames(path: Path) -> list[Frame]:
+    """The frames, sorted by name. Raises UserError for whatever is missing or unsound."""
+    data = _read_json(path)
+    entries = data.get("frames")
+    if not isinstance(entries, list) or not entries:
+        raise UserError(f"{path}: expected a list 'frames' of photos, got none; is it complete?")
+    common = _values(data, str(path))
+    frames = []
+    for i, entry in enumerate(entries):
+        where = f"{path}: frame {i}"
+        if not isinstance(entry, dict) or not isinstance(entry.get("file_path"), str):
+            raise UserError(f"{where}: expected an object with 'file_path', got none; add it")
+        where = f"{where} ({entry['file_path']})"
+        file = _photo(path.parent, entry["file_path"])
+        viewmat = _viewmat(entry.get("transform_matrix"), where)
+        values = {**common, **_values(entry, where)}
+        name = entry["file_path"].removeprefix("./")
+        frames.append(Frame(_with_suffix(name, file), file, viewmat, values, where))
+    _check_files(path, frames)
+    return sorted(frames, key=lambda frame: frame.name)
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    require(path.is_file(), f"{path}: expected camera poses, found no file; is scene.path right?")
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise UserError(f"{path}: expected JSON, got a damaged file ({reason}); fix it") from None
+    require(isinstance(data, dict), f"{path}: expected a JSON object, got something else; fix it")
+    result: dict[str, Any] = data
+    return result
+
+
+def _values(entry: Mapping[str, Any], where: str) -> dict[str, float]:
+    """The intrinsics in an object. Raises UserError for lenses that are not supported."""
+    model = entry.get("camera_model", MODELS[0])
+    require(
+        model in MODELS and not entry.get("is_fisheye", False),
+        f"{where}: expected camera_model among {', '.join(MODELS)}, got"
+        f" {'a fisheye' if entry.get('is_fisheye') else model}; undistort the photos first",
+    )
+    values = {}
+    for key in NUMBERS:
+        if key not in entry:
+            continue
+        value = entry[key]
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        require(
+            number and math.isfinite(value),
+            f"{where}: expected {key} to be a finite number, got {value}; correct it",
+        )
+        values[key] = float(value)
+    odd = [key for key in UNSUPPORTED if values.get(key, 0.0) != 0.0]
+    require(
+        not odd,
+        f"{where}: expected the lens terms k1, k2, k3, p1, p2 only, got {', '.join(odd)};"
+        " undistort the photos first",
+    )
+    return values
+
+
+def _photo(folder: Path, file_path: str) -> Path:
+    """The photo of a file_path: as it stands, else with a suffix appended. May not exist."""
+    exact = folder / file_path
+    if exact.suffix.lower() in SUFFIXES or exact.is_file():
+        return exact
+    candidates = [exact.with_name(exact.name + suffix) for suffix in sorted(SUFFIXES)]
+    found = [candidate for candidate in candidates if candidate.is_file()]
+    require(
+        len(found) <= 1,
+        f"{exact}: expected one photo of that name, found {', '.join(f.name for f in found)};"
+        " write the suffix into file_path",
+    )
+    return found[0] if found else exact.with_name(exact.name + ".png")
+
+
+def _with_suffix(name: str, file: Path) -> str:
+    return name if name.endswith(file.suffix) else name + file.suffix
+
+
+def _viewmat(matrix: Any, where: str) -> NDArray[np.float64]:
+    """[4, 4] OpenCV world-to-camera of an OpenGL camera-to-world, 3 x 4 or 4 x 4."""
+    try:
+        pose = np.array(matrix, dtype=np.float64)
+    except (TypeError, ValueError):
+        pose = np.zeros(0)
+    require(
+        pose.shape in ((3, 4), (4, 4)),
+        f"{where}: expected a transform_matrix of 4x4 numbers, got"
+        f" {'none' if matrix is None else f'shape {pose.shape}'}; correct it",
+    )
+    require(
+        bool(np.isfinite(pose).all()),
+        f"{where}: expected a finite transform_matrix, got NaN or infinity; remove the frame",
+    )
+    rotation = pose[:3, :3]
+    off = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    require(
+        off <= NOT_ROTATION and np.linalg.det(rotation) > 0,
+        f"{where}: expected right-handed, orthonormal axes in transform_matrix, got others (off by"
+        f" {off:.2g}); scale positions, not axes",
+    )
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = (rotation * OPENGL_TO_OPENCV).T
+    viewmat[:3, 3] = -viewmat[:3, :3] @ pose[:3, 3]
+    return viewmat
+
+
+def _check_files(path: Path, frames: list[Frame]) -> None:
+    """Every frame has a photo of its own."""
+    missing = [frame.name for frame in frames if not frame.file.is_file()]
+    require(
+        not missing,
+        f"{path}: expected a photo for each of {len(frames)} frames, {len(missing)} missing (first:"
+        f" {missing[0] if missing else ''}); restore them or remove their frames",
+    )
+    names = [frame.name for frame in frames]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    require(
+        not twice,
+        f"{path}: expected each photo once, got {twice[0] if twice else ''} more than once; remove"
+        " the surplus frames",
+    )

@@ -1,0 +1,187 @@
+"""The DTU loader: calibration, masks of tests and training, and every error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from framework.errors import UserError
+from framework.rng import stream
+from framework.scenes import load_scene
+from framework.scenes.dtu import DARK_RUN, background
+from framework.scenes.dtu_cameras import decompose
+from framework.types import Scene
+from tests.data import open_scene
+from tests.scenes.synthetic import write_model
+
+WIDTH, HEIGHT = 40, 30
+K_RIG = np.array([[2000.0, 0, 820], [0, 1900, 610], [0, 0, 1]])
+
+
+def projection(i: int) -> np.ndarray:
+    """Of a camera at x = 10 i mm that looks along z."""
+    pose = np.eye(4)[:3]
+    pose[0, 3] = -10.0 * i
+    return np.vstack([-3.0 * K_RIG @ pose, [0, 0, 0, 1]])  # of any scale and sign
+
+
+def write_dtu(folder: Path, n: int = 49) -> Path:
+    for name in ("image", "mask"):
+        (folder / name).mkdir(parents=True)
+    for i in range(n):
+        pixels = stream(i, "tests/dtu").integers(60, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+        pixels[:5] = 3
+        Image.fromarray(pixels).save(folder / "image" / f"{i:06d}.png")
+        mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+        mask[10:20, 10:30] = 255
+        Image.fromarray(mask).save(folder / "mask" / f"{i:03d}.png")
+    np.savez(folder / "cameras.npz", **{f"world_mat_{i}": projection(i) for i in range(n)})
+    return folder
+
+
+def load(folder: Path, **options: object) -> Scene:
+    return load_scene("dtu", {"path": str(folder), "downscale": 1, **options})
+
+
+def test_cameras_split_and_bounds(tmp_path: Path) -> None:
+    scene = load(write_dtu(tmp_path / "scan9"))
+    assert [v.name for v in scene.training.views] == ["000022.png", "000025.png", "000028.png"]
+    assert (scene.name, scene.protocol, len(scene.test)) == ("scan9", "dtu", 25)
+    camera = scene.training.views[0].camera
+    expected = np.diag([1 / 40, 1 / 40, 1]) @ K_RIG
+    assert torch.allclose(camera.K, torch.from_numpy(expected))
+    assert camera.center.tolist() == pytest.approx([220.0, 0.0, 0.0], abs=1e-9)
+    assert (scene.training.near, scene.training.far) == (425.0, 935.0)
+    assert len(scene.training.points.xyz) == 0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_decomposition_gives_back_the_camera(seed: int) -> None:
+    rng = stream(seed, "tests/projection")
+    rotation, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    rotation *= np.linalg.det(rotation)
+    pose = np.column_stack([rotation, 500 * rng.standard_normal(3)])
+    found = decompose(float(rng.uniform(-5, 5)) * K_RIG @ pose, "here")
+    assert np.allclose(found.viewmat[:3], pose, atol=1e-9)
+    lens = found.lens
+    assert [lens.fx, lens.fy, lens.cx, lens.cy] == pytest.approx([2000, 1900, 820, 610])
+
+
+def test_tests_are_masked_by_the_object(tmp_path: Path) -> None:
+    scene = load(write_dtu(tmp_path / "scan9"))
+    for view in scene.test:
+        assert view.mask is not None and view.mask.sum() == 200
+        assert view.mask[10:20, 10:30].all()
+
+
+@pytest.mark.parametrize(
+    ("choice", "share"), [("full", None), ("object", 1 / 6), ("background", 5 / 6)]
+)
+def test_train_masks(tmp_path: Path, choice: str, share: float | None) -> None:
+    training = load(write_dtu(tmp_path / "scan9"), train_mask=choice).training
+    for view in training.views:
+        found = None if view.mask is None else float(view.mask.mean())
+        assert found == (None if share is None else pytest.approx(share))
+
+
+def test_background_is_dark_from_the_top_or_for_a_long_run() -> None:
+    image = np.full((200, 3, 3), 100, np.uint8)
+    image[:10, 0] = 29  # reaches the top
+    image[20:60, 1] = 29  # a shadow, too short
+    image[20:100, 2] = 29  # long enough: from its 50th pixel on
+    image[90, 2, 1] = 30
+    found = background(image, 30)
+    assert np.flatnonzero(found[:, 0]).tolist() == list(range(10))
+    assert not found[:, 1].any()
+    assert np.flatnonzero(found[:, 2]).tolist() == list(range(20 + DARK_RUN - 1, 90))
+    assert not background(image, 15).any()
+
+
+def test_default_size_is_400_wide(tmp_path: Path) -> None:
+    folder = write_dtu(tmp_path / "scan9")
+    with pytest.raises(UserError, match=r"set scene.downscale"):
+        load(folder, downscale=None)
+    assert load(folder, downscale=2).training.views[0].image.shape == (3, 15, 20)
+
+
+def test_scans_of_a_folder(tmp_path: Path) -> None:
+    write_dtu(tmp_path / "scan9")
+    write_dtu(tmp_path / "dtu_scan65")
+    assert load(tmp_path, scan=65).name == "dtu_scan65"
+    with pytest.raises(UserError, match=r"expected scan 24 .* found scans: 9, 65; correct"):
+        load(tmp_path, scan=24)
+
+
+def test_points_need_two_training_views(tmp_path: Path) -> None:
+    folder = write_dtu(tmp_path / "scan9")
+    tracks = [(0, 1, 2), (22, 1), (22, 25), (1, 25, 28)]
+    points = [((float(k), 0.0, 600.0), track) for k, track in enumerate(tracks)]
+    write_model(folder / "sparse" / "0", 49, points, center_step=10.0)
+    found = load(folder).training.points
+    assert found.xyz[:, 0].tolist() == [2.0, 3.0]
+    assert found.visible.tolist() == [[True, True, False], [False, True, True]]
+
+
+def _npz(change: Callable[[dict[str, np.ndarray]], object]) -> Callable[[Path], None]:
+    def damage(folder: Path) -> None:
+        matrices = {f"world_mat_{i}": projection(i) for i in range(49)}
+        change(matrices)
+        np.savez(folder / "cameras.npz", **matrices)
+
+    return damage
+
+
+def _mask(array: np.ndarray) -> Callable[[Path], None]:
+    return lambda folder: Image.fromarray(array).save(folder / "mask" / "022.png")
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda f: (f / "cameras.npz").unlink(), "expected the cameras in cameras_sphere.npz or"),
+        (lambda f: (f / "cameras.npz").write_bytes(b"PK no"), "expected an .npz file"),
+        (_npz(lambda m: m.pop("world_mat_7")), "missing 1 .first: world_mat_7"),
+        (_npz(lambda m: m["world_mat_7"].fill(np.nan)), "world_mat_7: .* got NaN or infinity"),
+        (_npz(lambda m: m["world_mat_7"].fill(1.0)), "got a singular matrix"),
+        (_npz(lambda m: m.update(world_mat_7=np.eye(2))), r"got \(2, 2\) float64"),
+        (_npz(lambda m: m["world_mat_7"].__iadd__(100 * np.eye(4, k=1))), "got a skew of"),
+        (lambda f: (f / "mask" / "048.png").unlink(), "a mask for each of 49 photos, got 48"),
+        (lambda f: (f / "image" / "000003.png").unlink(), "without a gap .* got 000004.png"),
+        (_mask(np.zeros((HEIGHT, WIDTH), np.uint8)), "expected some white pixels, got none"),
+        (_mask(np.full((20, 20), 255, np.uint8)), "expected a mask of the photo's 40x30 .* 20x20"),
+    ],
+)
+def test_damaged_folders(tmp_path: Path, damage: Callable[[Path], None], message: str) -> None:
+    damage(write_dtu(tmp_path))
+    with pytest.raises(UserError, match=message) as caught:
+        load(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_options() -> None:
+    with pytest.raises(UserError, match="train_mask to be one of background, full, object, got"):
+        load_scene("dtu", {"path": "x", "train_mask": "table"})
+    with pytest.raises(UserError, match="downscale to be an integer >= 1, got 0"):
+        load_scene("dtu", {"path": "x", "downscale": 0})
+
+
+@pytest.mark.parametrize("name", ["dtu_scan24", "dtu_scan65"])
+def test_real_scans_agree_with_their_colmap_model(name: str) -> None:
+    """Cameras from the projections equal those of the model, made independently of this code."""
+    folder = open_scene(name)
+    scene = load_scene("dtu", {"path": str(folder), "n_views": 9})
+    twin = load_scene("colmap", {"path": str(folder), "split": "dtu", "n_views": 9})
+    for a, b in zip(
+        (*scene.training.views, *scene.test), (*twin.training.views, *twin.test), strict=True
+    ):
+        assert torch.allclose(a.camera.viewmat, b.camera.viewmat, atol=1e-2)  # millimetres
+        assert torch.allclose(a.camera.K, b.camera.K, atol=1e-2)
+        assert torch.equal(a.image, b.image)
+    assert torch.equal(scene.training.points.xyz, twin.training.points.xyz)
+    assert (scene.training.points.visible.sum(1) >= 2).all()
+    assert 300 < scene.training.extent < 600

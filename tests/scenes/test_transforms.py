@@ -1,0 +1,234 @@
+"""The transforms.json loader: conventions by hand, agreement with COLMAP, and every error."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from plyfile import PlyData, PlyElement
+
+from framework.errors import UserError
+from framework.rng import stream
+from framework.scenes import load_scene
+from framework.scenes.lens import Distortion, undistort
+from framework.types import Scene
+from tests.data import open_scene
+from tests.scenes.synthetic import FOCAL, HEIGHT, WIDTH, write_images, write_model
+
+Data = dict[str, Any]
+BOUNDS = {"near": 1.0, "far": 10.0}
+
+
+def pose(i: int) -> list[list[float]]:
+    """OpenGL camera-to-world of a camera at x = 0.1 i that looks along +z, y down."""
+    return [[1.0, 0, 0, 0.1 * i], [0, -1.0, 0, 0], [0, 0, -1.0, 0], [0, 0, 0, 1.0]]
+
+
+def frames(n: int = 10, name: str = "images/im{:02d}.png") -> list[Data]:
+    return [{"file_path": name.format(i), "transform_matrix": pose(i)} for i in range(n)]
+
+
+def write(folder: Path, change: Callable[[Data], object] = lambda data: None) -> Path:
+    if not (folder / "images").exists():
+        write_images(folder / "images", 10)
+    data: Data = {"fl_x": FOCAL, "frames": frames()}
+    change(data)
+    (folder / "transforms.json").write_text(json.dumps(data))
+    return folder
+
+
+def load(folder: Path, **options: object) -> Scene:
+    return load_scene("transforms", {"path": str(folder), "n_views": 3, **options})
+
+
+def test_axes_intrinsics_and_split(tmp_path: Path) -> None:
+    scene = load(write(tmp_path), **BOUNDS)
+    view = scene.training.views[0]
+    assert [v.name for v in scene.training.views] == [f"images/im{i:02d}.png" for i in (1, 5, 9)]
+    assert [v.name for v in scene.test] == ["images/im00.png", "images/im08.png"]
+    expected = torch.eye(4, dtype=torch.float64)
+    expected[0, 3] = -0.1
+    assert torch.equal(view.camera.viewmat, expected)
+    assert view.camera.K.tolist() == [[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]]
+    assert view.mask is None
+    assert (scene.training.near, scene.training.far) == (1.0, 10.0)
+
+
+def test_paths_without_suffix_and_angles(tmp_path: Path) -> None:
+    def blender(data: Data) -> None:
+        del data["fl_x"]
+        data["camera_angle_x"] = 2 * math.atan(WIDTH / 2 / FOCAL)
+        data["frames"] = frames(name="./images/im{:02d}")
+
+    first = load(write(tmp_path), **BOUNDS)
+    second = load(write(tmp_path, blender), **BOUNDS)
+    assert [v.name for v in second.test] == [v.name for v in first.test]
+    a, b = first.training.views[0].camera, second.training.views[0].camera
+    assert torch.allclose(a.K, b.K) and torch.equal(a.viewmat, b.viewmat)
+    Image.new("RGB", (WIDTH, HEIGHT)).save(tmp_path / "images" / "im01.jpg")
+    with pytest.raises(UserError, match=r"expected one photo .* im01.jpg, im01.png"):
+        load(tmp_path, **BOUNDS)
+
+
+def test_a_frame_has_its_own_intrinsics_and_stated_size(tmp_path: Path) -> None:
+    def own(data: Data) -> None:
+        data["frames"][1] |= {
+            "fl_x": 120.0,
+            "fl_y": 130.0,
+            "cx": 41.0,
+            "cy": 29.0,
+            "w": 80,
+            "h": 60,
+        }
+
+    camera = load(write(tmp_path, own), **BOUNDS).training.views[0].camera
+    assert camera.K.tolist() == [[60, 0, 20.5], [0, 65, 14.5], [0, 0, 1]]
+    small = load(tmp_path, downscale=2, **BOUNDS).training.views[0].camera
+    assert (small.width, small.height) == (20, 15)
+    assert small.K.tolist() == [[30, 0, 10.25], [0, 32.5, 7.25], [0, 0, 1]]
+
+
+def test_photos_are_undistorted(tmp_path: Path) -> None:
+    lens = {"k1": 0.2, "k2": 0.03, "p1": 0.01, "p2": -0.02, "camera_model": "OPENCV"}
+    view = load(write(tmp_path, lambda d: d.update(lens)), **BOUNDS).training.views[0]
+    stored = np.asarray(Image.open(tmp_path / "images" / "im01.png"))
+    straight, mask = undistort(stored, view.camera.K.numpy(), Distortion(0.2, 0.03, 0.01, -0.02))
+    assert np.array_equal((view.image.numpy() * 255).round().transpose(1, 2, 0), straight)
+    assert view.mask is not None and mask is not None and np.array_equal(view.mask, mask)
+
+
+@pytest.mark.parametrize(("paper", "grey"), [("white", 255), ("black", 0)])
+def test_transparency_is_laid_on_paper(tmp_path: Path, paper: str, grey: int) -> None:
+    write(tmp_path)
+    pixels = stream(0, "tests/rgba").integers(0, 256, (HEIGHT, WIDTH, 4), dtype=np.uint8)
+    Image.fromarray(pixels, "RGBA").save(tmp_path / "images" / "im01.png")
+    image = load(tmp_path, paper=paper, **BOUNDS).training.views[0].image
+    alpha = pixels[..., 3:] / 255.0
+    expected = np.rint(pixels[..., :3] * alpha + grey * (1 - alpha)).transpose(2, 0, 1)
+    assert np.array_equal((image.numpy() * 255).round(), expected)
+
+
+def test_points_need_two_training_views(tmp_path: Path) -> None:
+    write(tmp_path)
+    tracks = [(0, 8), (0, 2, 8), (1, 0), (1, 5), (0, 5, 9)]  # training: 1, 5, 9
+    points = [((0.1 * k, 0.0, 4.0 + k), track) for k, track in enumerate(tracks)]
+    write_model(tmp_path / "sparse" / "0", 10, points)
+    training = load(tmp_path).training
+    assert training.points.visible.tolist() == [[True, True, False], [False, True, True]]
+    assert (training.near, training.far) == pytest.approx((6.0, 8.0), rel=1e-2)
+    none = load(tmp_path, points="none", **BOUNDS).training
+    assert len(none.points.xyz) == 0
+    write_model(tmp_path / "sparse" / "0", 10, points, center_step=0.2)
+    with pytest.raises(UserError, match=r"expected the poses of transforms.json"):
+        load(tmp_path)
+
+
+def write_ply(path: Path, xyz: list[tuple[float, float, float]], colour: str = "u1") -> None:
+    names = [(a, "f4") for a in "xyz"] + [(c, colour) for c in ("red", "green", "blue")]
+    table = np.array([(*p, 10, 20, 30) for p in xyz], dtype=names)
+    PlyData([PlyElement.describe(table, "vertex")]).write(str(path))
+
+
+def test_a_named_ply_gives_points_inside_two_training_images(tmp_path: Path) -> None:
+    write(tmp_path)
+    write_ply(
+        tmp_path / "fused.ply",
+        [(0.5, 0.0, 4.0), (0.5, 0.0, -4.0), (-1.4, 0.0, 4.0), (float("nan"), 0.0, 4.0)],
+    )
+    assert len(load(tmp_path, **BOUNDS).training.points.xyz) == 0  # never taken by itself
+    training = load(tmp_path, points="fused.ply").training
+    assert training.points.xyz.tolist() == [[0.5, 0.0, 4.0]]
+    assert training.points.visible.all() and training.near == pytest.approx(4.0)
+    assert (training.points.rgb * 255).round().tolist() == [[10, 20, 30]]
+
+
+def test_bad_plys(tmp_path: Path) -> None:
+    write(tmp_path)
+    with pytest.raises(UserError, match=r"fused.ply: expected a PLY file of coloured points"):
+        load(tmp_path, points="fused.ply")
+    (tmp_path / "fused.ply").write_bytes(b"ply\nno\n")
+    with pytest.raises(UserError, match="expected a PLY file of coloured points"):
+        load(tmp_path, points="fused.ply")
+    write_ply(tmp_path / "fused.ply", [(0, 0, 4)], "f4")
+    with pytest.raises(UserError, match="expected colours of type uchar, got float32"):
+        load(tmp_path, points="fused.ply")
+
+
+def test_bounds_without_points_must_be_given(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"give scene.near and scene.far"):
+        load(write(tmp_path), near=1.0)
+    with pytest.raises(UserError, match=r"expected 0 < near < far, got near=3.0, far=2.0"):
+        load(tmp_path, near=3.0, far=2.0)
+
+
+def _frame(**changes: object) -> Callable[[Data], None]:
+    return lambda data: data["frames"][3].update(changes)
+
+
+def _matrix(row: int, column: int, value: float) -> Callable[[Data], None]:
+    def change(data: Data) -> None:
+        data["frames"][3]["transform_matrix"][row][column] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d.pop("frames"), "expected a list 'frames' of photos, got none"),
+        (lambda d: d["frames"][3].pop("file_path"), "frame 3: expected .* 'file_path', got none"),
+        (lambda d: d["frames"][3].pop("transform_matrix"), r"im03.png\): .* 4x4 numbers, got none"),
+        (_frame(transform_matrix=[[1, 2], [3, 4]]), r"4x4 numbers, got shape \(2, 2\)"),
+        (_frame(transform_matrix=[[1], [3, "a"]]), r"4x4 numbers, got shape"),
+        (_matrix(0, 3, float("nan")), "got NaN or infinity; remove the frame"),
+        (_matrix(0, 0, 2.0), r"orthonormal axes .* got others \(off by 3"),
+        (_matrix(0, 0, -1.0), "right-handed, orthonormal axes"),
+        (lambda d: d.pop("fl_x"), "expected fl_x or camera_angle_x, got neither"),
+        (lambda d: d.update(fl_x=-1.0), "expected positive sizes and focal lengths"),
+        (lambda d: d.update(fl_x="wide"), "expected fl_x to be a finite number, got wide"),
+        (lambda d: (d.pop("fl_x"), d.update(camera_angle_x=4.0)), "camera_angle_x in .0, pi."),
+        (lambda d: d.update(camera_model="OPENCV_FISHEYE"), "got OPENCV_FISHEYE; undistort"),
+        (lambda d: d.update(is_fisheye=True), "got a fisheye; undistort"),
+        (lambda d: d.update(k4=0.1), "got k4; undistort"),
+        (lambda d: d.update(w=50, h=37), r"im0\d.png: expected the camera's 50x37 .* got 40x30"),
+        (_frame(file_path="images/no"), r"photo for each of 10 frames, 1 missing .*images/no.png"),
+        (_frame(file_path="images/im02.png"), "each photo once, got images/im02.png more than"),
+    ],
+)
+def test_bad_files(tmp_path: Path, change: Callable[[Data], object], message: str) -> None:
+    with pytest.raises(UserError, match=message) as caught:
+        load(write(tmp_path, change), **BOUNDS)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_file_and_no_json(tmp_path: Path) -> None:
+    write_images(tmp_path / "images", 10)
+    with pytest.raises(UserError, match="expected camera poses, found no file"):
+        load(tmp_path)
+    for text, message in (("{", "got a damaged file"), ("[]", "expected a JSON object")):
+        (tmp_path / "transforms.json").write_text(text)
+        with pytest.raises(UserError, match=message) as caught:
+            load(tmp_path)
+        assert "\n" not in str(caught.value)
+
+
+def test_fox_agrees_with_its_colmap_model() -> None:
+    folder = open_scene("nerf_fox")
+    scene = load_scene("transforms", {"path": str(folder)})
+    twin = load_scene("colmap", {"path": str(folder)})
+    for a, b in zip(
+        (*scene.training.views, *scene.test), (*twin.training.views, *twin.test), strict=True
+    ):
+        assert a.name == f"images/{b.name}"
+        assert torch.allclose(a.camera.viewmat, b.camera.viewmat, atol=1e-6)
+        assert torch.allclose(a.camera.K, b.camera.K, atol=1e-3)
+        assert torch.equal(a.image, b.image)
+    assert torch.equal(scene.training.points.xyz, twin.training.points.xyz)
+    assert (scene.training.points.visible.sum(1) >= 2).all()
