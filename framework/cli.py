@@ -1,6 +1,7 @@
 """The command line: from arguments to runs, and from errors to one line and an exit code.
 
-Exit codes: 0 all runs are complete · 1 a bug or the machine · 2 bad input · 130 interrupted.
+Exit codes: 0 all runs are complete · 1 a bug or the machine · 2 bad input, no room or no right to
+write · 3 another process is still at some of the runs · 130 interrupted.
 
 Nothing heavy is imported before a run really starts. Importing this module registers the resolvers
 that name run folders, which the processes of a launcher need too.
@@ -11,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import shlex
 import shutil
 import sys
 import traceback
@@ -28,7 +30,9 @@ from omegaconf import DictConfig, OmegaConf
 from framework.complaints import USER_ERRORS, one_line
 from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, check, choices, register_config
 from framework.errors import UserError
+from framework.files import MENDABLE, unwritable
 from framework.help import help_text
+from framework.locks import Busy
 from framework.naming import plain, register_resolvers, study_name
 from framework.progress import Progress, Terminal
 from framework.study import Outcome, Refused, add_outcome, job_count, ledger, outcomes, short_path
@@ -60,7 +64,8 @@ def main(argv: Sequence[str]) -> int:
                 application()
                 return _conclude()
     except KeyboardInterrupt:
-        print("error: interrupted; complete runs are kept and reused", file=sys.stderr)
+        line = shlex.join(["python", "run.py", *argv])
+        print(f"error: interrupted; what is done is kept, go on with: {line}", file=sys.stderr)
         return 130
     except (Refused, *USER_ERRORS) as error:
         if "traceback=true" in argv:
@@ -70,6 +75,11 @@ def main(argv: Sequence[str]) -> int:
     except BrokenPipeError:  # the reader, for instance `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.errno not in MENDABLE:
+            raise
+        print(f"error: {unwritable(error, error.filename or 'output')}", file=sys.stderr)
+        return 2
     except SystemExit as end:  # Hydra ends --help and its like this way
         return end.code if isinstance(end.code, int) else int(end.code is not None)
 
@@ -92,11 +102,14 @@ def task(cfg: DictConfig) -> None:
     except Exception as error:
         message = _failed(error, config["traceback"])
         bad_input = isinstance(error, USER_ERRORS)
-        if job.mode.name == "MULTIRUN" or not bad_input:
-            _record_failure(run_dir, config, overrides, message)
+        busy = isinstance(error, Busy)
+        if busy:
+            pass  # it is the other process's to tell
+        elif job.mode.name == "MULTIRUN" or not bad_input:
+            message = _record_failure(run_dir, config, overrides, message)
         else:  # a lone mistyped run is not worth a record, nor a folder
             _discard(run_dir)
-        add_outcome(Outcome(number, str(run_dir), message, bad_input))
+        add_outcome(Outcome(number, str(run_dir), message, bad_input, busy))
     else:
         add_outcome(Outcome(number, str(run_dir)))
 
@@ -220,16 +233,15 @@ def _failed(error: Exception, show: bool) -> str:
 
 def _record_failure(
     run_dir: Path, config: dict[str, Any], overrides: list[str], message: str
-) -> None:
-    """Leave the error in the run's folder, unless an earlier complete run is there to keep."""
-    from framework.record import RECORD, read_record, write_failed
+) -> str:
+    """Leave the error in the run's folder; returns it, with what kept it from being written."""
+    from framework.record import write_failed
 
     try:
-        complete = read_record(run_dir / RECORD).status == "complete"
-    except UserError:  # no record yet, or a damaged one
-        complete = False
-    if not complete:
         write_failed(run_dir, config, overrides, message)
+    except USER_ERRORS as error:
+        return message if one_line(error) in message else f"{message}; {one_line(error)}"
+    return message
 
 
 def _discard(run_dir: Path) -> None:
@@ -244,18 +256,24 @@ def _discard(run_dir: Path) -> None:
 
 
 def _conclude() -> int:
-    """Tell the failures of the command, equal ones together; returns the exit code."""
+    """Tell what the command did not complete, a line for each reason; returns the exit code."""
     ended = outcomes()
-    failed = [outcome for outcome in ended if outcome.error is not None]
-    lost = (job_count() or 0) - len(ended)
+    failed = [outcome for outcome in ended if outcome.error is not None and not outcome.busy]
+    busy = [outcome for outcome in ended if outcome.busy]
+    total = job_count() or len(ended)
+    lost = total - len(ended)
     for message in dict.fromkeys(outcome.error for outcome in failed):
         same = [outcome for outcome in failed if outcome.error == message]
-        print(f"error: {_which(same, job_count() or len(ended))}{message}", file=sys.stderr)
+        print(f"error: {_which(same, total)}{message}", file=sys.stderr)
     if lost > 0:
         print(f"error: {lost} runs ended without telling how", file=sys.stderr)
-    if not failed and lost <= 0:
-        return 0
-    return 2 if lost <= 0 and all(outcome.bad_input for outcome in failed) else 1
+    if busy:
+        first = f"{busy[0].error}" if total == 1 else f"for instance {busy[0].error}"
+        count = "" if total == 1 else f"{len(busy)} of {total} runs are being done elsewhere, "
+        print(f"error: {count}{first}; then the same command again", file=sys.stderr)
+    if failed or lost > 0:
+        return 2 if lost <= 0 and all(outcome.bad_input for outcome in failed) else 1
+    return 3 if busy else 0
 
 
 def _which(same: Sequence[Outcome], total: int) -> str:

@@ -8,22 +8,23 @@ as it was.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from framework import parallel, registry
+from framework.checkpoint import remove_checkpoints
 from framework.depth import build_provider
-from framework.initialize import INITIALIZERS
+from framework.files import remove_temporaries
+from framework.locks import locked
 from framework.lpips import Lpips, load
-from framework.metrics import Missing, evaluate, psnr
+from framework.metrics import Missing, evaluate
 from framework.notices import noted
 from framework.options import TrainerOptions
 from framework.progress import Progress
@@ -35,7 +36,6 @@ from framework.provenance import (
     provenance,
     reset_peak_memory,
 )
-from framework.rasterize import rasterize
 from framework.record import (
     TRAIN_STAGE,
     RunRecord,
@@ -45,8 +45,9 @@ from framework.record import (
     write_run,
 )
 from framework.scenes import load_scene
-from framework.trainer import Plugins, Trained, Trainer
-from framework.types import Camera, DepthMap, Gaussians, Scene
+from framework.stopwatch import Stopwatch
+from framework.training import initial, renderer, train
+from framework.types import DepthMap, Scene
 from framework.warmup import Warmup
 
 
@@ -59,8 +60,9 @@ def run_experiment(
     """Do one run, or reuse it, and leave its record in `run_dir`.
 
     config: plain and resolved, see `conf/config.yaml`; overrides: what the user typed. Raises
-    UserError on any bad input; nothing of an older complete run is lost then. What the framework
-    logs meanwhile becomes notes of `progress`.
+    UserError on any bad input; nothing of an older complete run is lost then. Raises `locks.Busy`
+    when another process is at this run. What the framework logs meanwhile becomes notes of
+    `progress`.
     """
     reset_peak_memory()
     parallel.set_threads(int(config["threads"]))
@@ -85,41 +87,72 @@ def _experiment(
     scene, timings["scene"] = _scene(_key(config["scene"]))
     files = _files(config, scene)
     identity = identity_of(config, scene.fingerprint, code_hash(), files)
-    done = find_complete(run_dir, identity)
-    if done is not None and not config["force"]:
-        progress.done(f"{_result(done)} · reused, already complete (force=true repeats it)")
+    done = _reusable(config, run_dir, identity, progress)
+    if done is not None:
         return done
-    warmup.finish()
-    progress.stage(f"depth {config['depth']['name']}")
-    depth, timings["depth"] = _depth(_key(config["scene"]), _key(config["depth"]), files["depth"])
+    with locked(run_dir):
+        # whoever held the lock before us may have done it
+        done = _reusable(config, run_dir, identity, progress)
+        if done is not None:
+            return done
+        remove_temporaries(run_dir)
+        warmup.finish()
+        progress.stage(f"depth {config['depth']['name']}")
+        keys = _key(config["scene"]), _key(config["depth"])
+        depth, timings["depth"] = _depth(*keys, files["depth"])
+        record = RunRecord(
+            identity=identity,
+            config=dict(config),
+            overrides=tuple(overrides),
+            scene=_info(scene),
+            timings=timings,
+            provenance={**provenance(), "threads": parallel.threads()},
+        )
+        record = _trained(record, timings, run_dir, scene, depth, network, progress)
+    progress.done(_result(record))
+    return record
+
+
+def _reusable(
+    config: Mapping[str, Any], run_dir: Path, identity: str, progress: Progress
+) -> RunRecord | None:
+    """The complete record of the same run, unless it is to be repeated."""
+    done = find_complete(run_dir, identity)
+    if done is None or config["force"]:
+        return None
+    remove_checkpoints(run_dir)  # of a process killed just after its record was written
+    progress.done(f"{_result(done)} · reused, already complete (force=true repeats it)")
+    return done
+
+
+def _trained(
+    record: RunRecord,
+    timings: dict[str, StageTime],
+    run_dir: Path,
+    scene: Scene,
+    depth: tuple[DepthMap, ...],
+    network: Lpips | None,
+    progress: Progress,
+) -> RunRecord:
+    """The record with the result of its run, as written; `timings` are those it holds."""
+    config = record.config
     options = TrainerOptions(**config["trainer"])
     with _timed(timings, "init"):
-        gaussians = _initial(config, scene, depth, options)
-    trained, timings[TRAIN_STAGE] = _train(config, scene, depth, gaussians, options, progress)
+        gaussians = initial(config, scene, depth, options)
+    trained = train(config, scene, depth, gaussians, options, run_dir, record.identity, progress)
+    timings[TRAIN_STAGE] = StageTime(trained.wall_s, trained.cpu_s)
     progress.stage("evaluation")
     with _timed(timings, "evaluate"):
         near = options.near_plane * scene.training.near
-        render = _renderer(trained.gaussians, trained.background, trained.sh_degree, near)
+        render = renderer(trained.gaussians, trained.background, trained.sh_degree, near)
         metrics, renders = evaluate(render, scene.test, network)
-    record = RunRecord(
-        identity=identity,
-        config=dict(config),
-        overrides=tuple(overrides),
-        scene=_info(scene),
-        timings=timings,
-        provenance={**provenance(), "threads": parallel.threads()},
-        peak_memory_bytes=peak_memory_bytes(),
+    record = dataclasses.replace(
+        record, peak_memory_bytes=peak_memory_bytes(), resumed=trained.resumed
     )
     record = write_run(
-        run_dir,
-        record,
-        metrics,
-        trained.history,
-        trained.gaussians,
-        trained.background,
-        renders,
+        run_dir, record, metrics, trained.history, trained.gaussians, trained.background, renders
     )
-    progress.done(_result(record))
+    remove_checkpoints(run_dir)
     return record
 
 
@@ -160,64 +193,6 @@ def _depth(scene_key: str, key: str, fingerprint: str) -> tuple[tuple[DepthMap, 
     return depth, timings["depth"]
 
 
-def _initial(
-    config: Mapping[str, Any],
-    scene: Scene,
-    depth: tuple[DepthMap, ...],
-    options: TrainerOptions,
-) -> Gaussians:
-    name, rest = _options(_key(config["init"]))
-    builder = INITIALIZERS[name](**rest)
-    gaussians: Gaussians = builder.build(
-        scene.training, depth, options.sh_degree, int(config["seed"])
-    )
-    return gaussians
-
-
-def _train(
-    config: Mapping[str, Any],
-    scene: Scene,
-    depth: tuple[DepthMap, ...],
-    gaussians: Gaussians,
-    options: TrainerOptions,
-    progress: Progress,
-) -> tuple[Trained, StageTime]:
-    """The training and its time without the evaluations on the way."""
-    plugins = Plugins(*(registry.build(group, config[group]) for group in registry.GROUPS))
-    near = options.near_plane * scene.training.near
-    excluded = 0.0
-
-    def test_psnr(current: Gaussians, background: Tensor, sh_degree: int) -> float | None:
-        nonlocal excluded
-        before = time.process_time()
-        render = _renderer(current, background, sh_degree, near)
-        values = [psnr(render(view.camera), view.image, view.mask) for view in scene.test]
-        excluded += time.process_time() - before
-        finite = [value for value in values if not isinstance(value, Missing)]
-        return sum(finite) / len(finite) if len(finite) == len(values) else None
-
-    before = time.process_time()
-    trainer = Trainer(
-        scene.training, depth, gaussians, options, plugins, int(config["seed"]), progress, test_psnr
-    )
-    trained = trainer.run()
-    cpu_s = time.process_time() - before - excluded
-    return trained, StageTime(trained.train_s, cpu_s)
-
-
-def _renderer(
-    gaussians: Gaussians, background: Tensor, sh_degree: int, near: float
-) -> Callable[[Camera], Tensor]:
-    """What evaluation sees: the Gaussians alone, without plugins or gradients."""
-
-    def render(camera: Camera) -> Tensor:
-        return rasterize(
-            gaussians, camera, background=background, sh_degree=sh_degree, near=near
-        ).rgb
-
-    return render
-
-
 def _info(scene: Scene) -> SceneInfo:
     return SceneInfo(
         scene.name,
@@ -240,6 +215,6 @@ def _result(record: RunRecord) -> str:
 
 @contextmanager
 def _timed(timings: dict[str, StageTime], stage: str) -> Iterator[None]:
-    wall, cpu = time.perf_counter(), time.process_time()
+    watch = Stopwatch()
     yield
-    timings[stage] = StageTime(time.perf_counter() - wall, time.process_time() - cpu)
+    timings[stage] = StageTime(watch.wall_s, watch.cpu_s)

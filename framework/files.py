@@ -1,19 +1,68 @@
-"""Files are written whole or not at all: beside the target first, then renamed over it."""
+"""Files are written whole or not at all: beside the target first, then renamed over it.
+
+The content is on the disk before the rename, so that a power failure leaves the old file or the
+new one. A process killed in between leaves a temporary file, which `remove_temporaries` clears.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
 from pathlib import Path
 
+from framework.errors import UserError
+
+# what the user can mend: no room, no right, no such medium
+MENDABLE = frozenset(
+    getattr(errno, name)
+    for name in (
+        "ENOSPC",
+        "EDQUOT",
+        "EFBIG",
+        "EROFS",
+        "EACCES",
+        "EPERM",
+        "EEXIST",
+        "ENOTDIR",
+        "EIO",
+    )
+)
+
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Replace `path` by `content` in one step; text is UTF-8. A reader never sees half of it."""
+    """Replace `path` by `content` in one step; text is UTF-8. A reader never sees half of it.
+
+    Raises UserError when the disk is full or the folder cannot be written; nothing is changed then.
+    """
     data = content.encode("utf-8") if isinstance(content, str) else content
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        temporary.write_bytes(data)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno in MENDABLE:
+            raise UserError(unwritable(error, path, len(data))) from error
         raise
+
+
+def unwritable(error: OSError, path: Path | str, n_bytes: int | None = None) -> str:
+    """One line about a file that could not be written, and what to do."""
+    what = "to write it" if n_bytes is None else f"to write {n_bytes / 1e6:.1f} MB"
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+    advice = "free some space" if full else "make the folder writable or choose another"
+    return f"{path}: expected {what}, got '{error.strerror}'; {advice} and run the same again"
+
+
+def remove_temporaries(folder: Path) -> None:
+    """Remove what killed processes were writing in `folder` and below. Call it only while nobody
+    else writes there."""
+    for path in folder.rglob(".*.tmp"):
+        with contextlib.suppress(OSError):
+            path.unlink()

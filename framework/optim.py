@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from framework.jit import kernel
-from framework.parallel import run_blocks
+from framework.parallel import BLOCKS, run_blocks
 from framework.types import Gaussians, concatenate
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
@@ -53,8 +53,9 @@ class Adam:
         params: Gaussians,
         grads: Gaussians | Mapping[str, Tensor | None],
         rates: Mapping[str, float],
-    ) -> None:
-        """Update `params` in place.
+    ) -> tuple[str, ...]:
+        """Update `params` in place; returns the names of tensors with a value or a second moment
+        that is not finite now, which a gradient that is not finite always causes.
 
         grads: by tensor name, shaped like the parameters; a tensor without one (None or missing)
         is left alone, its moments too, as in torch. rates: learning rate of every tensor with a
@@ -74,7 +75,9 @@ class Adam:
             arrays = (parameter, gradient.contiguous(), first, second)
             rows.append(tuple(_flat(t) for t in arrays))
         p, g, m, v = zip(*rows, strict=True)
-        run_blocks(adam_kernel, p, g, m, v, self._coefficients)
+        broken = np.zeros((BLOCKS, len(rows)), dtype=np.int32)
+        run_blocks(adam_kernel, p, g, m, v, self._coefficients, broken)
+        return tuple(name for name, n in zip(self._steps, broken.sum(0), strict=True) if n > 0)
 
     def edit(self, keep: Tensor | None, n_appended: int) -> None:
         """Follow a change of the set: first keep ([N] bool; None = all), then `n_appended` new
@@ -100,7 +103,8 @@ class Adam:
 
 @kernel
 def _adam_range(p, g, m, v, rate, correction):  # type: ignore[no-untyped-def]
-    """p -= rate * m / (sqrt(v) * correction + eps), after the moments m and v took g in.
+    """p -= rate * m / (sqrt(v) * correction + eps), after the moments m and v took g in; returns
+    how many p or v are not finite now.
 
     rate = learning rate / (1 - beta1^t), correction = 1 / sqrt(1 - beta2^t). A first moment below
     1e-30 becomes 0: it moves a parameter by less than 1e-15 rates, and decaying moments of unseen
@@ -109,28 +113,33 @@ def _adam_range(p, g, m, v, rate, correction):  # type: ignore[no-untyped-def]
     beta1, beta2 = np.float32(BETA1), np.float32(BETA2)
     # not 1 - float32(beta), whose rounding is 1e-5 of a share this small
     share1, share2 = np.float32(1 - BETA1), np.float32(1 - BETA2)
-    eps, tiny = np.float32(EPS), np.float32(1e-30)
+    eps, tiny, infinity = np.float32(EPS), np.float32(1e-30), np.float32(np.inf)
+    broken = np.int32(0)
     for i in range(len(p)):
         first = beta1 * m[i] + share1 * g[i]
         first = first if abs(first) >= tiny else np.float32(0)
         second = beta2 * v[i] + share2 * (g[i] * g[i])
         m[i] = first
         v[i] = second
-        p[i] -= rate * first / (np.sqrt(second) * correction + eps)
+        value = p[i] - rate * first / (np.sqrt(second) * correction + eps)
+        p[i] = value
+        # an integer sum, which the compiler may reorder and so vectorise; NaN compares false
+        broken += np.int32(1) - np.int32((abs(value) < infinity) & (second < infinity))
+    return broken
 
 
 @kernel
-def adam_kernel(block, n_blocks, p, g, m, v, coefficients):  # type: ignore[no-untyped-def]
+def adam_kernel(block, n_blocks, p, g, m, v, coefficients, broken):  # type: ignore[no-untyped-def]
     """Block `block` of one Adam update of several tensors.
 
     p, g, m, v: tuples of flat float32 arrays (parameters, gradients, moments), all C-contiguous.
-    coefficients: [len(p), 2] float32, see `_adam_range`.
+    coefficients: [len(p), 2] float32, see `_adam_range`. broken: [n_blocks, len(p)] int32, out.
     """
     for k in range(len(p)):
         n = len(p[k])
         a, b = n * block // n_blocks, n * (block + 1) // n_blocks
         rate, correction = coefficients[k, 0], coefficients[k, 1]
-        _adam_range(p[k][a:b], g[k][a:b], m[k][a:b], v[k][a:b], rate, correction)
+        broken[block, k] = _adam_range(p[k][a:b], g[k][a:b], m[k][a:b], v[k][a:b], rate, correction)
 
 
 def _coefficients(step: int, rate: float) -> tuple[float, float]:

@@ -2,6 +2,8 @@
 a folder with a complete record is complete.
 
     record.json        status, identity, config, scene, timings, summary, provenance
+    failed.json        only if the last attempt failed: its error and overrides; if the training
+                       diverged, diverged.safetensors beside it holds the state
     metrics.csv        one row per test view; an empty cell is explained in its column `missing`
     history.csv        one row per logged step: loss, PSNR, Gaussians, seconds of training
     point_cloud.ply    the trained Gaussians, see `framework.ply`
@@ -72,6 +74,7 @@ __all__ = [
 TRAIN_STAGE = "train"  # the stage whose wall time the report calls train seconds
 METHOD_GROUPS = ("augment", "reg", "capacity", "depth", "init")
 RECORD, PLY = "record.json", "point_cloud.ply"
+FAILED, DIVERGED = "failed.json", "diverged.safetensors"
 
 
 @dataclass(frozen=True)
@@ -98,8 +101,9 @@ class RunRecord:
     """One run. `write_run` fills in the fields from `gaussians` down.
 
     config: resolved. timings: by stage, in order; the training itself is `TRAIN_STAGE`.
-    provenance: see `framework.provenance`. summary: mean over the test views of each metric.
-    error: one line, of a failed run.
+    provenance: see `framework.provenance`. resumed: how often an interrupted training was taken up
+    again; its time is the sum of the parts, the other stages' that of the last process. summary:
+    mean over the test views of each metric. error: one line, of a failed run.
     """
 
     identity: str
@@ -109,6 +113,7 @@ class RunRecord:
     timings: Mapping[str, StageTime]
     provenance: Mapping[str, Any]
     peak_memory_bytes: int = 0
+    resumed: int = 0
     gaussians: int = 0
     sh_degree: int = 0
     parameters_sha256: str = ""
@@ -180,6 +185,8 @@ def write_run(
         error=None,
     )
     _write_record(run_dir, finished)
+    for name in (FAILED, DIVERGED):  # of an earlier attempt
+        (run_dir / name).unlink(missing_ok=True)
     return finished
 
 
@@ -190,7 +197,14 @@ def write_failed(
     error: str,
     scene: SceneInfo | None = None,
 ) -> RunRecord:
-    """Record a run that ended with `error` (one line), so that a study's report can tell it."""
+    """Record a run that ended with `error` (one line), so that a study's report can tell it.
+
+    `failed.json` tells it of the last attempt; the record too, unless it is of a complete run,
+    which is kept.
+    """
+    error = " ".join(error.split())
+    told = {"error": error, "overrides": list(overrides)}
+    write_whole(run_dir / FAILED, strict_json(told, indent=2) + "\n")
     record = RunRecord(
         identity="",
         config=config,
@@ -199,10 +213,18 @@ def write_failed(
         timings={},
         provenance=provenance(),
         status="failed",
-        error=" ".join(error.split()),
+        error=error,
     )
-    _write_record(run_dir, record)
+    if not _is_complete(run_dir):
+        _write_record(run_dir, record)
     return record
+
+
+def _is_complete(run_dir: Path) -> bool:
+    try:
+        return read_record(run_dir / RECORD).status == "complete"
+    except UserError:  # no record yet, or a damaged one
+        return False
 
 
 def read_record(path: Path) -> RunRecord:
@@ -280,6 +302,7 @@ def _write_record(run_dir: Path, record: RunRecord) -> None:
 def _from_json(content: dict[str, Any]) -> RunRecord:
     scene = content["scene"]
     lists = ("training", "test")
+    content = {"resumed": 0, **content}  # a record of before runs could be resumed
     fields = {f.name: content[f.name] for f in dataclasses.fields(RunRecord)}
     return RunRecord(
         **fields

@@ -42,12 +42,14 @@ class Refused(BaseException):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one run ended. error: one line, None if it went well. bad_input: the user's to fix."""
+    """How one run ended. error: one line, None if it went well. bad_input: the user's to fix.
+    busy: not done, since another process is at it."""
 
     number: int
     run_dir: str
     error: str | None = None
     bad_input: bool = False
+    busy: bool = False
 
 
 @contextmanager

@@ -9,7 +9,6 @@ view can be reached from here; `evaluate` is a callback that sees only the Gauss
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,6 +21,7 @@ from framework import schedule
 from framework.epoch import PSEUDO, Item, Items
 from framework.errors import UserError
 from framework.fisher import FisherInformation, fisher_information
+from framework.guard import check_loss, diverged
 from framework.initialize import background_color, random_background
 from framework.losses import photometric_loss
 from framework.optim import Adam, decay_opacities
@@ -32,6 +32,8 @@ from framework.rasterize import rasterize
 from framework.registry import Plugged
 from framework.rng import stream
 from framework.run_files import HistoryRow
+from framework.stopwatch import Stopwatch
+from framework.training_state import Keeper, PluginState, TrainerState
 from framework.types import Camera, DepthMap, Gaussians, Render, TrainingSet, View, concatenate
 
 HISTORY_ROWS = 60  # about so many rows of history per run, beside the evaluations
@@ -48,13 +50,17 @@ class Plugins:
 
 @dataclass(frozen=True)
 class Trained:
-    """What a training gives. background: [3], what renders for evaluation stand on."""
+    """What a training gives. background: [3], what renders for evaluation stand on. wall_s, cpu_s:
+    of the training without evaluations, all its parts together. resumed: how often it was taken up
+    again from a kept state."""
 
     gaussians: Gaussians
     background: Tensor
     sh_degree: int
     history: tuple[HistoryRow, ...]
-    train_s: float
+    wall_s: float
+    cpu_s: float
+    resumed: int
 
 
 @dataclass
@@ -74,7 +80,8 @@ class Trainer:
     """One training. `run` may be called once.
 
     evaluate(gaussians, background [3], sh_degree) -> mean test PSNR in dB, or None; called at the
-    evaluation steps with copies, and its time does not count.
+    evaluation steps with copies, and its time does not count. keeper: is offered the state after
+    every step. start: a kept state of the same training, to go on from instead of `gaussians`.
     """
 
     def __init__(
@@ -87,9 +94,11 @@ class Trainer:
         seed: int,
         progress: Progress,
         evaluate: Evaluate | None = None,
+        keeper: Keeper | None = None,
+        start: TrainerState | None = None,
     ) -> None:
         self.training, self.depth, self.options = training, depth, options
-        self.seed, self.progress, self.evaluate = seed, progress, evaluate
+        self.seed, self.progress, self.evaluate, self.keeper = seed, progress, evaluate, keeper
         self.augment = _Running("augment", plugins.augment)
         self.reg = _Running("reg", plugins.reg)
         self.capacity = _Running("capacity", plugins.capacity)
@@ -97,42 +106,93 @@ class Trainer:
         fixed = background_color(options.background, training, seed)
         self.random_background = fixed is None
         self.background: Tensor = _mean_color(training) if fixed is None else fixed
-        self.params = gaussians.map(lambda t: t.detach().clone().requires_grad_())
+        self.params = gaussians.clone().map(_parameter)
         self.optimizer = Adam(self.params)
         self.items = Items()
+        self.pseudo: list[View] = []
         self.queue: list[View] = []
         self.step, self.epoch, self.version = 0, -1, 0
         self.logged: dict[str, float] = {}
         self.history: list[HistoryRow] = []
         self.psnr: float | None = None
+        self.watch, self.resumed = Stopwatch(), 0
+        if start is not None:
+            self._take_up(start)
 
     def run(self) -> Trained:
-        """Train for `options.steps` steps. Raises UserError when the loss stops being finite."""
-        started, excluded = time.perf_counter(), 0.0
+        """Train for `options.steps` steps. Raises Diverged when loss, gradients or parameters
+        stop being finite."""
         evaluations = schedule.evaluation_steps(self.options)
         every = max(1, self.options.steps // HISTORY_ROWS)
         while self.step < self.options.steps:
             loss = self._train_step(self._next_item())
             self.step += 1
             if self.step in evaluations or self.step % every == 0:
-                before = time.perf_counter()
-                self._record(loss, before - started - excluded, self.step in evaluations)
-                excluded += time.perf_counter() - before
+                with self.watch.paused():
+                    self._record(loss, self.step in evaluations)
             n = len(self.params)
             self.progress.step(self.step, self.options.steps, loss, n, self.psnr)
-        train_s = time.perf_counter() - started - excluded
-        history = tuple(self.history)
-        return Trained(self.params.clone(), self.background, self._sh_degree(), history, train_s)
+            if self.keeper is not None and self.keeper.due():
+                self.keeper.keep(self.state())
+        return Trained(
+            self.params.clone(),
+            self.background,
+            self._sh_degree(),
+            tuple(self.history),
+            self.watch.wall_s,
+            self.watch.cpu_s,
+            self.resumed,
+        )
+
+    def state(self) -> TrainerState:
+        """All that is needed to go on from here, with tensors that the next step changes."""
+        return TrainerState(
+            step=self.step,
+            epoch=self.epoch,
+            version=self.version,
+            left=len(self.queue),
+            gaussians=self.params.detach(),
+            adam=self.optimizer.state(),
+            pseudo=tuple(self.pseudo),
+            plugins={r.group: PluginState(r.started, r.state) for r in self._running()},
+            history=tuple(self.history),
+            logged=dict(self.logged),
+            psnr=self.psnr,
+            wall_s=self.watch.wall_s,
+            cpu_s=self.watch.cpu_s,
+            resumed=self.resumed,
+        )
+
+    def _take_up(self, state: TrainerState) -> None:
+        self.step, self.epoch, self.version = state.step, state.epoch, state.version
+        self.params = state.gaussians.map(_parameter)
+        self.optimizer.load(state.adam)
+        self.pseudo = list(state.pseudo)
+        self.queue = self._shuffled()[: state.left] if state.left else []
+        for running in self._running():
+            kept = state.plugins[running.group]
+            running.started, running.state = kept.started, kept.value
+        self.history, self.logged = list(state.history), dict(state.logged)
+        self.psnr, self.resumed = state.psnr, state.resumed + 1
+        self.watch = Stopwatch(state.wall_s, state.cpu_s)
+
+    def _running(self) -> tuple[_Running, ...]:
+        return self.augment, self.reg, self.capacity
 
     def _next_item(self) -> Item:
         """The next view of the epoch, at the current resolution; starts an epoch when needed."""
         if not self.queue:
             self.epoch += 1
-            views = [*self.training.views, *self._pseudo_views()]
-            order = stream(self.seed, "epoch", self.epoch).permutation(len(views))
-            self.queue = [views[i] for i in order]
+            self.pseudo = self._pseudo_views()
+            self.queue = self._shuffled()
         view = self.queue.pop()
         return self.items.get(view, schedule.downsampling(self.options, self.step, view.camera))
+
+    def _shuffled(self) -> list[View]:
+        """The epoch's views in its order; the last one is trained on first."""
+        views = [*self.training.views, *self.pseudo]
+        order = stream(self.seed, "epoch", self.epoch).permutation(len(views))
+        return [views[i] for i in order]
 
     def _pseudo_views(self) -> list[View]:
         context = self._context_if_active(self.augment)
@@ -160,11 +220,15 @@ class Trainer:
         )
         loss = photometric_loss(render.rgb, item.target, self.options.ssim_weight) * view.weight
         loss = loss + self._penalty(reg, view, render)
-        value = self._finite(float(loss.detach()), view)
+        where = f"training step {self.step} on view '{view.name}'"
+        value = check_loss(float(loss.detach()), where, self.params.detach())
         tensors = dict(self.params.items())
         *gradients, d_pull = torch.autograd.grad(loss, [*tensors.values(), pull])
+        by_name = dict(zip(tensors, gradients, strict=True))
         rates = schedule.learning_rates(self.options, self.step, self.extent)
-        self.optimizer.step(self.params, dict(zip(tensors, gradients, strict=True)), rates)
+        broken = self.optimizer.step(self.params, by_name, rates)
+        if broken:
+            raise diverged(broken, where, self.params.detach(), by_name)
         decay_opacities(self.params.opacity_logits, self.options.opacity_decay)
         self._edit(StepStats(d_pull, render.radii, view.camera.width, view.camera.height))
         return value
@@ -215,7 +279,7 @@ class Trainer:
                 f"training step {self.step}: the capacity plugin removed every Gaussian; raise"
                 " init.budget or lower its pruning threshold"
             )
-        self.params = params.map(lambda t: t.detach().contiguous().requires_grad_())
+        self.params = params.map(_parameter)
 
     def _sh_degree(self) -> int:
         return schedule.sh_degree(self.options, self.step, self.params.sh_degree)
@@ -266,9 +330,9 @@ class Trainer:
             log=self.logged.__setitem__,
         )
 
-    def _record(self, loss: float, seconds: float, evaluating: bool) -> None:
+    def _record(self, loss: float, evaluating: bool) -> None:
         """A row of the history; on evaluation steps with the test PSNR."""
-        psnr = None
+        seconds, psnr = self.watch.wall_s, None
         if evaluating and self.evaluate is not None:
             psnr = self.evaluate(self.params.clone(), self.background, self._sh_degree())
             self.psnr = psnr
@@ -285,13 +349,10 @@ class Trainer:
         )
         self.logged.clear()
 
-    def _finite(self, loss: float, view: View) -> float:
-        if not math.isfinite(loss):
-            raise UserError(
-                f"training step {self.step} on view '{view.name}': expected a finite loss, got"
-                f" {loss}; lower trainer.lr_scale (now {self.options.lr_scale:g})"
-            )
-        return loss
+
+def _parameter(tensor: Tensor) -> Tensor:
+    """A leaf that the optimizer may change in place."""
+    return tensor.detach().contiguous().requires_grad_()
 
 
 def _mean_color(training: TrainingSet) -> Tensor:

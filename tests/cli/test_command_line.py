@@ -166,7 +166,7 @@ def test_an_interrupt_is_one_line(runs: FakeRuns, capsys: pytest.CaptureFixture[
     assert main(["seed=0,1,2", "-m"]) == 130
     assert len(runs.seen) == 2
     assert capsys.readouterr().err.splitlines() == [
-        "error: interrupted; complete runs are kept and reused"
+        "error: interrupted; what is done is kept, go on with: python run.py seed=0,1,2 -m"
     ]
 
 

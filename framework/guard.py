@@ -1,0 +1,64 @@
+"""Divergence is caught at the step where it happens: loss, gradients, moments and parameters are
+finite after every step, or the training ends and tells which of them is not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from framework.errors import UserError
+from framework.types import Gaussians
+
+ADVICE = "lower trainer.lr_scale"
+
+
+class Diverged(UserError):
+    """A training that cannot go on. state: what to look at, values that `framework.tree` holds."""
+
+    def __init__(self, message: str, state: Mapping[str, Any]) -> None:
+        super().__init__(message)
+        self.state = dict(state)
+
+
+def check_loss(loss: float, where: str, gaussians: Gaussians) -> float:
+    """`loss` if it is finite. Raises Diverged."""
+    if not math.isfinite(loss):
+        raise Diverged(
+            f"{where}: expected a finite loss, got {loss}; {ADVICE}",
+            {"where": where, "loss": loss, "gaussians": gaussians},
+        )
+    return loss
+
+
+def diverged(
+    names: tuple[str, ...],
+    where: str,
+    gaussians: Gaussians,
+    gradients: Mapping[str, Tensor],
+) -> Diverged:
+    """The error of a step that left the tensors `names` (parameters or moments) not finite.
+
+    gaussians: after the step; gradients: of it, by name.
+    """
+    name = names[0]
+    broken = {n: _broken(gradient) for n, gradient in gradients.items()}
+    if broken[name] > 0:
+        what = f"finite gradients, got NaN or infinity for {broken[name]} Gaussians in '{name}'"
+    else:
+        count = _broken(getattr(gaussians, name))
+        what = (
+            f"finite parameters, got NaN or infinity for {count} Gaussians in '{name}'"
+            if count
+            else f"gradients below 1e19, got larger ones in '{name}', whose squares overflow"
+        )
+    state = {"where": where, "gaussians": gaussians, "gradients": dict(gradients)}
+    return Diverged(f"{where}: expected {what}; {ADVICE}", state)
+
+
+def _broken(tensor: Tensor) -> int:
+    """The number of rows with a value that is not finite."""
+    return int((~torch.isfinite(tensor.detach()).reshape(len(tensor), -1).all(dim=1)).sum())

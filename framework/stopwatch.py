@@ -1,0 +1,37 @@
+"""Wall-clock and CPU seconds of a work that pauses, or that another process began."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+class Stopwatch:
+    """Runs from its creation. wall_s, cpu_s: seconds already counted before, in another process.
+
+    CPU time is that of the whole process, all threads together.
+    """
+
+    def __init__(self, wall_s: float = 0.0, cpu_s: float = 0.0) -> None:
+        self._wall, self._cpu = time.perf_counter() - wall_s, time.process_time() - cpu_s
+
+    @property
+    def wall_s(self) -> float:
+        """Seconds counted so far."""
+        return time.perf_counter() - self._wall
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU seconds counted so far."""
+        return time.process_time() - self._cpu
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """What is done inside does not count."""
+        wall, cpu = time.perf_counter(), time.process_time()
+        try:
+            yield
+        finally:
+            self._wall += time.perf_counter() - wall
+            self._cpu += time.process_time() - cpu

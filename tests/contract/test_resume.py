@@ -1,0 +1,84 @@
+"""Every plugin's state goes through a checkpoint file and the training ends with the same bits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from framework import registry
+from framework.checkpoint import Checkpoints
+from framework.options import TrainerOptions
+from framework.progress import Silent
+from framework.record import parameters_sha256
+from framework.trainer import Plugins, Trained, Trainer
+from framework.training_state import TrainerState
+from framework.warmup import _plane
+from tests.contract.test_training import ACTING, ALL, EAGER, NEUTRAL, content_sha256
+
+STEPS = 20
+TAKEN_UP_AT = (1, 7, 19)  # inside an epoch, at several of the plugins' moments, before the last
+
+
+class Files:
+    """Writes chosen states with a run's `Checkpoints` and gives them back as another process
+    would read them."""
+
+    def __init__(self, folder: Path, plugins: Plugins) -> None:
+        chosen = [p.plugin for p in (plugins.augment, plugins.reg, plugins.capacity)]
+        self.folder, self.chosen, self.seen = folder, chosen, dict[int, str]()
+
+    def due(self) -> bool:
+        return True
+
+    def checkpoints(self, step: int) -> Checkpoints:
+        return Checkpoints(self.folder / str(step), "identity", self.chosen, 0)
+
+    def keep(self, state: TrainerState) -> None:
+        if state.step in TAKEN_UP_AT:
+            self.checkpoints(state.step).keep(state)
+            self.seen[state.step] = content_sha256(tuple(state.plugins.values()))
+
+
+def plugins(**names: str) -> Plugins:
+    chosen = {**NEUTRAL, **names}
+    return Plugins(
+        *(
+            registry.build(group, {"name": name, **EAGER.get(name, {}), "start": 0.0, "stop": 1.0})
+            for group, name in chosen.items()
+        )
+    )
+
+
+def train(chosen: Plugins, keeper: Any = None, start: TrainerState | None = None) -> Trained:
+    options = TrainerOptions(steps=STEPS, sh_degree=1, sh_every=8, evaluations=2)
+    return Trainer(*_plane(1), options, chosen, 0, Silent(), lambda *_: 1.5, keeper, start).run()
+
+
+def outcome(trained: Trained) -> tuple[Any, ...]:
+    """All of a training but its times."""
+    rows = [(r.step, r.loss, r.gaussians, r.test_psnr, dict(r.logged)) for r in trained.history]
+    return parameters_sha256(trained.gaussians), rows, trained.sh_degree
+
+
+@pytest.mark.parametrize(("group", "name"), ALL)
+def test_a_training_taken_up_again_ends_with_the_same_bits(
+    group: str, name: str, tmp_path: Path
+) -> None:
+    """And every tensor of the plugin's state comes back with its type, shape and bits."""
+    chosen = plugins(**{group: name})
+    files = Files(tmp_path, chosen)
+    whole = train(chosen, files)
+    for step in TAKEN_UP_AT:
+        state = files.checkpoints(step).newest()
+        assert state is not None and state.step == step
+        assert content_sha256(tuple(state.plugins.values())) == files.seen[step]
+        again = train(chosen, start=state)
+        assert outcome(again) == outcome(whole)
+        assert again.resumed == 1 and again.wall_s > state.wall_s
+
+
+def test_keeping_changes_nothing(tmp_path: Path) -> None:
+    chosen = plugins(**ACTING)
+    assert outcome(train(chosen, Files(tmp_path, chosen))) == outcome(train(chosen))
