@@ -77,7 +77,8 @@ class _Encoder:
         strides = tensor.stride()
         order = sorted(range(tensor.dim()), key=lambda axis: -strides[axis])
         name = str(len(self.tensors))
-        self.tensors[name] = tensor.permute(order).contiguous()
+        # a copy: the format refuses tensors that share memory, as cameras' matrices may
+        self.tensors[name] = tensor.permute(order).clone(memory_format=torch.contiguous_format)
         return {"name": name, "order": order}
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 from framework import checkpoint
 from framework.checkpoint import Checkpoints, remove_checkpoints
@@ -111,6 +112,15 @@ def test_they_cost_at_most_a_fiftieth(tmp_path: Path, monkeypatch: pytest.Monkey
             spent += 3.0
             assert spent <= 0.062 * now  # the first is guessed: 1 s here, though it took 3
     assert 0 < spent <= 0.02 * now
+
+
+def test_tensors_that_share_memory(tmp_path: Path) -> None:
+    whole = torch.arange(6.0)
+    value = (whole, whole[:3], whole.view(2, 3), whole.detach())
+    path = tmp_path / "a.safetensors"
+    path.write_bytes(checkpoint.pack(value, [], "mine", "test"))
+    for back, expected in zip(checkpoint.unpack(path, [])[1], value, strict=True):
+        assert torch.equal(back, expected)
 
 
 def test_a_state_that_cannot_be_held_is_told(tmp_path: Path) -> None:
