@@ -1,4 +1,7 @@
-"""`python -m framework.report STUDY_DIR`: rebuild a study's report from its records."""
+"""`python -m framework.report DIR [DIR ...]`: rebuild a report from the records of its runs.
+
+Several folders are reported as one study; `--out` says where that report goes.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +9,27 @@ import argparse
 import sys
 from pathlib import Path
 
-from framework.errors import UserError
+from framework.errors import UserError, require
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit status: 0, or 2 with one line on stderr for bad input."""
     parser = argparse.ArgumentParser(prog="python -m framework.report", description=__doc__)
-    parser.add_argument("study_dir", type=Path, help="folder of the study, as reports/embedded")
-    parser.add_argument("--title", help="heading of the report (default: the folder's name)")
+    parser.add_argument(
+        "study_dirs", type=Path, nargs="+", metavar="DIR", help="folder of a study, as reports/demo"
+    )
+    parser.add_argument("--out", type=Path, help="folder of the report (default: the only DIR)")
+    parser.add_argument("--title", help="heading of the report (default: its folder's name)")
     options = parser.parse_args(arguments)
-    from framework.report.build import build_report
-
     try:
-        path = build_report(options.study_dir, options.title)
+        require(
+            options.out is not None or len(options.study_dirs) == 1,
+            f"--out: expected a folder for the report of {len(options.study_dirs)} studies, got"
+            " none; add --out DIR",
+        )
+        from framework.report.build import build_report
+
+        path = build_report(options.study_dirs, options.title, options.out)
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -1,31 +1,28 @@
-"""From a study's folder to `report.md` and its figures beside it."""
+"""From the folders of one or more studies to `report.md`, `report.html` and the figures."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from framework.files import write_whole
+from framework.report import markdown
 from framework.report.collect import collect
-from framework.report.figures import draw_curves
-from framework.report.images import draw_images
-from framework.report.markdown import render
+from framework.report.sections import document
 
 REPORT = "report.md"
 
 
-def build_report(study_dir: Path, title: str | None = None) -> Path:
-    """Rebuild the report of all runs below `study_dir`; returns the path of `report.md`.
+def build_report(
+    study_dirs: Path | Sequence[Path], title: str | None = None, out_dir: Path | None = None
+) -> Path:
+    """Rebuild the report of all runs below the folders; returns the path of `report.md`.
 
-    title: the heading, else the folder's name. Raises UserError when there is no run to report or
-    a record is damaged.
+    title: the heading, else the name of the report's folder. out_dir: where the report goes, else
+    the first folder. Raises UserError when there is no run to report or a record is damaged.
     """
-    study = collect(study_dir)
-    figures = [
-        figure
-        for scene in study.scenes
-        for figure in (draw_images(study, scene), draw_curves(study, scene))
-        if figure is not None
-    ]
-    text = render(study, figures, title or study_dir.resolve().name)
-    write_whole(study_dir / REPORT, text)
-    return study_dir / REPORT
+    study = collect(study_dirs, out_dir)
+    study.out_dir.mkdir(parents=True, exist_ok=True)
+    made = document(study, title or study.out_dir.resolve().name)
+    write_whole(study.out_dir / REPORT, markdown.render(made))
+    return study.out_dir / REPORT

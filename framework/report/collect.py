@@ -1,28 +1,25 @@
-"""The runs of a study, each with the name of its method and of its scene.
-
-A method is what a user compares: augmenter and regularizer, plus every other option that differs
-between the runs: another capacity plugin, depth provider or initializer, an option of a plugin
-that differs between runs of the same plugin, `trainer.steps`, and so on. The seed, the scene and
-keys that cannot change a result (`NEUTRAL_KEYS`) are no part of it.
-"""
+"""The runs of one or more studies, each with the name of its method and of its scene."""
 
 from __future__ import annotations
 
 import json
+import os
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from framework.errors import require
-from framework.metrics import Missing
-from framework.provenance import NEUTRAL_KEYS
-from framework.record import METHOD_GROUPS, RECORD, Run, RunRecord, read_run
+import yaml
 
-NAMED = ("augment", "reg")  # groups every method's name starts with
-NO_METHOD = ("seed", "scene", "metrics", *NEUTRAL_KEYS)
+from framework.errors import UserError, require
+from framework.metrics import Missing
+from framework.record import RECORD, Run, RunRecord, read_run
+from framework.report.axes import Axis
+from framework.report.labels import MethodLabel, SceneLabel, method_labels, scene_labels
+
 BASELINE = "none + none"
+FAILED = "failed.json"  # what a run that ended with an error leaves instead of a record
 
 
 @dataclass(frozen=True)
@@ -30,8 +27,16 @@ class ReportRun:
     """A complete run with the labels it has in this study."""
 
     run: Run
-    method: str
-    scene: str
+    method_label: MethodLabel
+    scene_label: SceneLabel
+
+    @property
+    def method(self) -> str:
+        return self.method_label.full
+
+    @property
+    def scene(self) -> str:
+        return self.scene_label.full
 
     @property
     def record(self) -> RunRecord:
@@ -46,20 +51,44 @@ class ReportRun:
         value = self.record.summary.get(metric, Missing("not measured"))
         return None if isinstance(value, Missing) else float(value)
 
+    def level(self, axis: Axis) -> float | None:
+        """The strength of a stress; None where the run's options do not have it as a number."""
+        value = self.scene_label.data.get(axis.key)
+        return float(value) if isinstance(value, int | float) else None
+
+
+@dataclass(frozen=True)
+class FailedRun:
+    """A run that ended with an error. method, scene: "" where it left no configuration."""
+
+    run_dir: Path
+    error: str
+    overrides: tuple[str, ...]
+    config: Mapping[str, Any]
+    provenance: Mapping[str, Any]
+    method: str = ""
+    scene: str = ""
+
+    @property
+    def seed(self) -> int | None:
+        return int(self.config["seed"]) if "seed" in self.config else None
+
 
 @dataclass(frozen=True)
 class Study:
-    """runs: complete, sorted by scene, method, seed. notes: what a reader must be told."""
+    """out_dir: where the report goes. runs: complete, sorted by scene, method, seed. notes: what a
+    reader must be told. missing: (scene, method, seed) that a full cross would have."""
 
-    study_dir: Path
+    out_dir: Path
     runs: tuple[ReportRun, ...]
-    failed: tuple[Run, ...]
+    failed: tuple[FailedRun, ...]
     notes: tuple[str, ...]
+    missing: tuple[tuple[str, str, int], ...] = ()
 
     @property
     def scenes(self) -> list[str]:
         """Scene labels, sorted."""
-        return sorted({run.scene for run in self.runs})
+        return sorted({run.scene for run in self.runs}, key=natural)
 
     @property
     def methods(self) -> list[str]:
@@ -67,9 +96,34 @@ class Study:
         return sorted({run.method for run in self.runs}, key=method_order)
 
     @property
+    def tried(self) -> list[str]:
+        """`methods` and those of which every run failed."""
+        names = {run.method for run in self.runs} | {run.method for run in self.failed}
+        return sorted(names - {""}, key=method_order)
+
+    @property
+    def families(self) -> list[str]:
+        """Method labels without budgets, in the order of `methods`."""
+        return sorted({run.method_label.family for run in self.runs}, key=method_order)
+
+    @property
     def baseline(self) -> str:
         """What the others are compared with: `none + none` if it ran, else the first by name."""
         return self.methods[0]
+
+    @property
+    def has_plain(self) -> bool:
+        """Whether the baseline is `none + none`, perhaps with options of its own."""
+        return bool(self.runs) and self.baseline.startswith(BASELINE)
+
+    def baseline_of(self, method: str) -> str:
+        """The baseline with the budget of `method`, where there is one; else the study's."""
+        if len(self.families) < 2:
+            return self.baseline
+        labels = {run.method: run.method_label for run in self.runs}
+        budget = labels[method].budget if method in labels else ""
+        equal = [m for m in self.methods if labels[m].budget == budget]
+        return equal[0] if equal else self.baseline
 
     def of(self, scene: str | None = None, method: str | None = None) -> list[ReportRun]:
         """The runs of a scene and method (None = any), by seed."""
@@ -77,99 +131,128 @@ class Study:
             run for run in self.runs if scene in (None, run.scene) and method in (None, run.method)
         ]
 
+    def folder_of(self, run_dir: Path) -> str:
+        """`run_dir` as seen from the report."""
+        return Path(os.path.relpath(run_dir.resolve(), self.out_dir.resolve())).as_posix()
 
-def method_order(method: str) -> tuple[bool, bool, str]:
+
+def method_order(method: str) -> tuple[bool, bool, list[tuple[int, float, str]]]:
     """Sort key: plain `none + none`, then its variants, then the others by name."""
-    return method != BASELINE, not method.startswith(BASELINE), method
+    return method != BASELINE, not method.startswith(BASELINE), natural(method)
 
 
-def collect(study_dir: Path) -> Study:
-    """Read every record below `study_dir`. Raises UserError if there is none or one is damaged."""
-    paths = sorted(study_dir.rglob(RECORD)) if study_dir.is_dir() else []
-    require(
-        len(paths) > 0,
-        f"{study_dir}: expected a study's folder with runs in it, got none; give the folder that"
-        " holds runs/, as reports/embedded",
-    )
-    runs = [read_run(path.parent) for path in paths]
-    complete = [run for run in runs if run.record.status == "complete"]
-    configs = [run.record.config for run in complete]
-    methods, scenes = method_labels(configs), scene_labels([run.record for run in complete])
-    labelled = [ReportRun(*parts) for parts in zip(complete, methods, scenes, strict=True)]
+def natural(text: str) -> list[tuple[int, float, str]]:
+    """Sort key by which `n=9` comes before `n=10`."""
+    parts: list[tuple[int, float, str]] = []
+    for word in text.replace("=", " = ").replace(")", " )").replace(",", " ,").split():
+        try:
+            parts.append((0, float(word), ""))
+        except ValueError:
+            parts.append((1, 0.0, word))
+    return parts
+
+
+def collect(study_dirs: Path | Sequence[Path], out_dir: Path | None = None) -> Study:
+    """Read every record below the folders. out_dir: where the report goes, else the first folder.
+
+    Raises UserError if a folder has no run, or a record is damaged.
+    """
+    folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
+    runs, failed, origins = [], [], []
+    for folder in folders:
+        complete, lost = _read(folder)
+        require(
+            len(complete) + len(lost) > 0,
+            f"{folder}: expected a study's folder with runs in it, got none; give the folder that"
+            " holds runs/, as reports/embedded",
+        )
+        runs += complete
+        failed += lost
+        origins += [folder] * len(complete)
+    labelled, named = _label(runs, failed)
+    missing = _missing(labelled, named, origins)
     unique, repeated = _without_repeats(labelled)
-    unique.sort(key=lambda r: (r.scene, method_order(r.method), r.seed))
-    failed = tuple(run for run in runs if run.record.status != "complete")
-    return Study(study_dir, tuple(unique), failed, (*repeated, *_code_notes(complete)))
+    unique.sort(key=lambda r: (natural(r.scene), method_order(r.method), r.seed))
+    notes = (*repeated, *_code_notes(runs))
+    return Study(out_dir or folders[0], tuple(unique), tuple(named), notes, tuple(missing))
 
 
-def method_labels(configs: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The name of each run's method among `configs`; equal configs have equal names."""
-    flat = [_flatten(config) for config in configs]
-    varying = sorted({key for key in set().union(*flat) if _varies(key, flat)})
-    return [_method_label(entry, varying) for entry in flat]
-
-
-def scene_labels(records: list[RunRecord]) -> list[str]:
-    """The scene's name; where one name stands for several scenes, with what tells them apart."""
-    variants: dict[str, set[str]] = defaultdict(set)
-    for record in records:
-        if record.scene is not None:
-            variants[record.scene.name].add(record.scene.fingerprint)
-    return [_scene_label(record, records, variants) for record in records]
-
-
-def _scene_label(
-    record: RunRecord, records: list[RunRecord], variants: Mapping[str, set[str]]
-) -> str:
-    scene = record.scene
-    if scene is None:
-        return "unknown scene"
-    if len(variants[scene.name]) == 1:
-        return scene.name
-    alike = [_flatten(r.config) for r in records if r.scene and r.scene.name == scene.name]
-    own = _flatten(record.config)
-    options = sorted({k for e in alike for k in e if k.startswith("scene.") and _varies(k, alike)})
-    named = [f"{key.removeprefix('scene.')}={_text(own.get(key))}" for key in options]
-    # the fingerprint settles what the options do not tell, such as edited images
-    return f"{scene.name} ({', '.join([*named, scene.fingerprint[:8]])})"
-
-
-def _flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Dotted keys of a nested config."""
-    flat: dict[str, Any] = {}
-    for key, value in config.items():
-        if isinstance(value, Mapping):
-            flat |= _flatten(value, f"{prefix}{key}.")
+def _read(folder: Path) -> tuple[list[Run], list[FailedRun]]:
+    """All complete and all failed runs below `folder`, by path."""
+    if not folder.is_dir():
+        return [], []
+    paths = sorted({path.parent for path in [*folder.rglob(RECORD), *folder.rglob(FAILED)]})
+    complete, failed = [], []
+    for path in paths:
+        run = read_run(path) if (path / RECORD).is_file() else None
+        if run is not None and run.record.status == "complete":
+            complete.append(run)
+        elif run is not None:
+            record = run.record
+            error = record.error or "not told"
+            failed.append(
+                FailedRun(path, error, record.overrides, record.config, record.provenance)
+            )
         else:
-            flat[f"{prefix}{key}"] = value
-    return flat
+            failed.append(_read_failed(path))
+    return complete, failed
 
 
-def _varies(key: str, configs: list[dict[str, Any]]) -> bool:
-    """Whether runs differ in `key`; an option of a plugin only counts among runs of that plugin."""
-    group = key.split(".")[0]
-    seen: dict[Any, set[str]] = defaultdict(set)
-    for config in configs:
-        own = group in METHOD_GROUPS and key != f"{group}.name"
-        name = config.get(f"{group}.name") if own else None
-        if not own or key in config:
-            seen[name].add(_text(config.get(key)))
-    return any(len(values) > 1 for values in seen.values())
+def _read_failed(run_dir: Path) -> FailedRun:
+    """What a failed run left: its error, and the configuration Hydra noted beside it."""
+    path, composed = run_dir / FAILED, run_dir / ".hydra" / "config.yaml"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        error, overrides = str(content["error"]), tuple(str(o) for o in content["overrides"])
+        config = yaml.safe_load(composed.read_text(encoding="utf-8")) if composed.is_file() else {}
+    except (ValueError, KeyError, TypeError, OSError, yaml.YAMLError) as problem:
+        raise UserError(
+            f"{path}: expected the error of a failed run, got a damaged file ({problem}); delete"
+            " that folder and run again"
+        ) from problem
+    return FailedRun(run_dir, error, overrides, config or {}, {})
 
 
-def _method_label(config: dict[str, Any], varying: Iterable[str]) -> str:
-    named = " + ".join(str(config.get(f"{group}.name", "none")) for group in NAMED)
-    parts = [named]
-    for key in varying:
-        group, _, option = key.partition(".")
-        if group in NO_METHOD or key in {f"{g}.name" for g in NAMED} or key not in config:
-            continue
-        parts.append(f"{group if option == 'name' else key}={_text(config[key])}")
-    return ", ".join(parts)
+def _label(
+    runs: Sequence[Run], failed: Sequence[FailedRun]
+) -> tuple[list[ReportRun], list[FailedRun]]:
+    """Names among all runs, so that a failed run has the name its method has elsewhere."""
+    known = [run for run in failed if run.config]
+    configs = [run.record.config for run in runs] + [run.config for run in known]
+    methods = method_labels(configs)
+    scenes = scene_labels(configs, [run.record.scene for run in runs] + [None] * len(known))
+    cut = len(runs)
+    labelled = [ReportRun(*p) for p in zip(runs, methods[:cut], scenes[:cut], strict=True)]
+    named = {
+        run.run_dir: (method.full, scene.full)
+        for run, method, scene in zip(known, methods[cut:], scenes[cut:], strict=True)
+    }
+    return labelled, [_named(run, *named.get(run.run_dir, ("", ""))) for run in failed]
 
 
-def _text(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value)
+def _named(run: FailedRun, method: str, scene: str) -> FailedRun:
+    return FailedRun(
+        run.run_dir, run.error, run.overrides, run.config, run.provenance, method, scene
+    )
+
+
+def _missing(
+    runs: Sequence[ReportRun], failed: Sequence[FailedRun], origins: Sequence[Path]
+) -> list[tuple[str, str, int]]:
+    """What each folder lacks to be the full cross of its own scenes, methods and seeds."""
+    there = {(run.scene, run.method, run.seed) for run in runs}
+    there |= {(run.scene, run.method, run.seed) for run in failed if run.seed is not None}
+    by_folder: dict[Path, list[ReportRun]] = defaultdict(list)
+    for run, folder in zip(runs, origins, strict=True):
+        by_folder[folder].append(run)
+    lacking = {
+        (scene, method, seed)
+        for own in by_folder.values()
+        for scene in {run.scene for run in own}
+        for method in {run.method for run in own}
+        for seed in {run.seed for run in own}
+    } - there
+    return sorted(lacking, key=lambda cell: (natural(cell[0]), method_order(cell[1]), cell[2]))
 
 
 def _without_repeats(runs: list[ReportRun]) -> tuple[list[ReportRun], list[str]]:

@@ -4,8 +4,10 @@ says so where a single run supports nothing."""
 from __future__ import annotations
 
 from framework.report.collect import Study
+from framework.report.numbers import decimals, interval_text, p_text, significant, spanned
 from framework.report.outcomes import Outcomes
 from framework.report.statistics import Comparison, Interval, Spread
+from framework.report.variance import SigmaComparison
 
 
 def sentence(study: Study, found: Outcomes) -> str:
@@ -18,31 +20,56 @@ def sentence(study: Study, found: Outcomes) -> str:
         ((method, only),) = found.psnr.items()
         return f"On {_where(study)}, {method} reaches {_level(only)}."
     best = max(found.psnr, key=lambda method: found.psnr[method].mean)
-    if best == study.baseline:
-        rivals = [m for m in found.psnr if m != best]
+    base = study.baseline_of(best)
+    if best == base:
+        rivals = [m for m in found.psnr if study.baseline_of(m) == best and m != best]
+        if not rivals:
+            return f"On {_where(study)}, {best} reaches {_level(found.psnr[best])}."
         rival = max(rivals, key=lambda method: found.psnr[method].mean)
         comparison = found.comparisons.get(rival)
     else:
-        rival, comparison = study.baseline, found.comparisons.get(best)
-    reach = f"{best} reaches {found.psnr[best].mean:.2f} dB"
+        rival, comparison = base, found.comparisons.get(best)
+    reach = f"{best} reaches {found.psnr[best].mean:.{_places(found.psnr[best])}f} dB"
     if comparison is None:
         return f"On {_where(study)}, {reach}; it shares no seed with {rival}, so no comparison."
     return _compared(study, reach, rival, comparison, len(found.comparisons))
 
 
-def p_text(p: float) -> str:
-    """`p = 0.012`, or `p < 0.001`."""
-    return "p < 0.001" if p < 0.001 else f"p = {p:.2g}"
+def stability_sentence(study: Study, found: Outcomes) -> str | None:
+    """Whether a method's runs agree better than the baseline's; None where nothing was tested."""
+    tested = [c for c in found.sigmas.values() if c.ratio is not None]
+    if not tested:
+        return None
+    clear = [c for c in tested if c.significant]
+    if clear:
+        told = "; ".join(
+            f"{c.method} {significant(c.ratio or 0)} times that of {c.baseline}"
+            f" ({_p(c)}, 95 % interval {spanned(c.interval)})"
+            for c in clear
+            if c.interval is not None
+        )
+        return f"σ_PSNR differs: {told} (Brown–Forsythe{_holm(len(found.sigmas))})."
+    lowest = min(tested, key=lambda c: c.ratio or 0)
+    seeds = "" if lowest.seeds is None else f"; about {lowest.seeds} seeds each would tell it"
+    return (
+        f"σ_PSNR: no significant difference between the methods (Brown–Forsythe"
+        f"{_holm(len(found.sigmas))}). The lowest is {lowest.method} with"
+        f" {significant(lowest.ratio or 0)} times that of {lowest.baseline} ({_p(lowest)}{seeds})."
+    )
 
 
-def interval_text(interval: Interval, digits: int = 2) -> str:
-    """`0.21 to 0.60`."""
-    return f"{interval.low:.{digits}f} to {interval.high:.{digits}f}"
+def _p(c: SigmaComparison) -> str:
+    return p_text(c.p if c.p_holm is None else c.p_holm)
+
+
+def _holm(tests: int) -> str:
+    return f", Holm-corrected for {tests} comparisons" if tests > 1 else ""
 
 
 def _compared(study: Study, reach: str, rival: str, c: Comparison, tests: int) -> str:
     side = "above" if rival == c.baseline else "below"
-    margin = f"{abs(c.difference):.2f} dB {_direction(c, rival)} {rival}"
+    half = 0.0 if c.interval is None else (c.interval.high - c.interval.low) / 2
+    margin = f"{abs(c.difference):.{decimals(half, 2)}f} dB {_direction(c, rival)} {rival}"
     if c.interval is None or c.p_holm is None:
         return (
             f"On {_where(study)}, {reach}, {margin} in a single paired run: nothing can be said"
@@ -50,10 +77,9 @@ def _compared(study: Study, reach: str, rival: str, c: Comparison, tests: int) -
         )
     # the interval is of method minus baseline; seen from the best method its sign may turn
     shown = c.interval if side == "above" else Interval(-c.interval.high, -c.interval.low)
-    correction = f", Holm-corrected for {tests} comparisons" if tests > 1 else ""
     evidence = (
         f"95 % interval {interval_text(shown)}, n = {c.n} {_pairs(study)},"
-        f" {p_text(c.p_holm)}{correction}"
+        f" {p_text(c.p_holm)}{_holm(tests)}"
     )
     if c.significant:
         return f"On {_where(study)}, {reach}, {margin} ({evidence})."
@@ -71,9 +97,14 @@ def _level(only: Spread) -> str:
             f"{only.mean:.2f} dB in a single run (n = 1): nothing can be said about its stability"
         )
     return (
-        f"{only.mean:.2f} dB (95 % interval {interval_text(only.mean_interval)}, n = {only.n}"
-        f" seeds, σ_PSNR {only.sd:.3f} dB)"
+        f"{only.mean:.{_places(only)}f} dB (95 % interval {interval_text(only.mean_interval)}, n ="
+        f" {only.n} seeds, σ_PSNR {significant(only.sd)} dB)"
     )
+
+
+def _places(found: Spread) -> int:
+    interval = found.mean_interval
+    return 2 if interval is None else decimals((interval.high - interval.low) / 2, 2)
 
 
 def _where(study: Study) -> str:

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -92,15 +93,27 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return corrected
 
 
+@functools.cache
+def t_quantile(freedom: int) -> float:
+    """The t that a t variate exceeds in absolute value with probability 1 - `CONFIDENCE`."""
+    return float(stats.t.ppf((1 + CONFIDENCE) / 2, freedom))
+
+
 def _mean_interval(x: np.ndarray) -> Interval:
-    half = float(stats.t.ppf((1 + CONFIDENCE) / 2, len(x) - 1) * x.std(ddof=1) / math.sqrt(len(x)))
+    half = t_quantile(len(x) - 1) * float(x.std(ddof=1)) / math.sqrt(len(x))
     return Interval(float(x.mean()) - half, float(x.mean()) + half)
 
 
 def _sd_interval(sd: float, n: int) -> Interval:
-    quantiles = stats.chi2.ppf([(1 + CONFIDENCE) / 2, (1 - CONFIDENCE) / 2], n - 1)
-    low, high = (sd * math.sqrt((n - 1) / float(q)) for q in quantiles)
+    low, high = (sd * math.sqrt((n - 1) / quantile) for quantile in _chi2_quantiles(n - 1))
     return Interval(low, high)
+
+
+@functools.cache
+def _chi2_quantiles(freedom: int) -> tuple[float, float]:
+    """The 97.5 % and 2.5 % quantiles of chi2."""
+    high, low = stats.chi2.ppf([(1 + CONFIDENCE) / 2, (1 - CONFIDENCE) / 2], freedom)
+    return float(high), float(low)
 
 
 def _paired_p(d: np.ndarray) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -75,10 +76,16 @@ def fake_run(
     tagged: bool = True,
     scene: str = "embedded",
     run_name: str | None = None,
+    condition: dict[str, Any] | None = None,
     **more: Any,
 ) -> Path:
-    """Write a run whose test PSNR is BASE_PSNR + gain + a little that depends on the seed."""
+    """Write a run whose test PSNR is BASE_PSNR + gain + a little that depends on the seed.
+
+    condition: options of the scene; other ones make another scene of the same name."""
     config = make_config(augment, reg, seed, **more)
+    config["scene"] = config["scene"] | (condition or {})
+    mark = f"{scene}{sorted((condition or {}).items())}"
+    fingerprint = hashlib.sha256(mark.encode()).hexdigest()
     views = [make_view(i, tags=tags if tagged else ()) for i, tags in enumerate(TAGS)]
     shift = gain + 0.2 * float(stream(seed, f"{augment}/{reg}").standard_normal())
     renders = [
@@ -101,7 +108,13 @@ def fake_run(
         identity=f"{augment}{reg}{seed}",
         config=config,
         overrides=(f"+augment={augment}", f"+reg={reg}", f"seed={seed}"),
-        scene=SceneInfo(scene, "own", f"{scene}f" * 8, ("train 00",), tuple(v.name for v in views)),
+        scene=SceneInfo(
+            scene,
+            "own",
+            fingerprint,
+            ("train 00",),
+            tuple(v.name for v in views),
+        ),
         timings={"scene": StageTime(0.5, 0.4), "train": StageTime(16.0 + gain + seed / 8, 30.0)},
         provenance=provenance(),
         peak_memory_bytes=600_000_000,

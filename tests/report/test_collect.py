@@ -6,15 +6,22 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from framework.errors import UserError
-from framework.report.collect import collect, method_labels, scene_labels
+from framework.record import SceneInfo, write_failed
+from framework.report.collect import collect
+from framework.report.labels import method_labels, scene_labels
 from tests.record.fakes import fake_run, make_config
+
+
+def names(configs: list[dict[str, Any]]) -> list[str]:
+    return [label.full for label in method_labels(configs)]
 
 
 def test_methods_are_named_by_augmenter_and_regularizer() -> None:
     configs = [make_config(), make_config("safi", "uar"), make_config("safi", "uar", seed=5)]
-    assert method_labels(configs) == ["none + none", "safi + uar", "safi + uar"]
+    assert names(configs) == ["none + none", "safi + uar", "safi + uar"]
 
 
 @pytest.mark.parametrize(
@@ -22,12 +29,12 @@ def test_methods_are_named_by_augmenter_and_regularizer() -> None:
     [{"threads": 2}, {"study": "x"}, {"force": True}, {"scene": {"name": "llff"}}],
 )
 def test_seed_scene_and_neutral_keys_are_no_method(neutral: dict[str, Any]) -> None:
-    labels = method_labels([make_config(), make_config(seed=3, **neutral)])
+    labels = names([make_config(), make_config(seed=3, **neutral)])
     assert labels == ["none + none"] * 2
 
 
 def test_every_other_difference_is_named() -> None:
-    labels = method_labels(
+    labels = names(
         [
             make_config(trainer={"steps": 300, "sh_degree": 0}),
             make_config(capacity={"name": "adc", "weight": 1.0, "every": 100}),
@@ -45,8 +52,8 @@ def test_options_only_count_among_runs_of_one_plugin() -> None:
     def uar(**options: Any) -> dict[str, Any]:
         return make_config() | {"reg": {"name": "uar", "weight": 1.0, **options}}
 
-    assert method_labels([make_config(), uar(p=0.2)]) == ["none + none", "none + uar"]
-    assert method_labels([make_config(), uar(p=0.2), uar(p=0.3)]) == [
+    assert names([make_config(), uar(p=0.2)]) == ["none + none", "none + uar"]
+    assert names([make_config(), uar(p=0.2), uar(p=0.3)]) == [
         "none + none",
         "none + uar, reg.p=0.2",
         "none + uar, reg.p=0.3",
@@ -83,21 +90,96 @@ def test_runs_of_different_code_are_told(tmp_path: Path) -> None:
     assert "2 versions of the code" in collect(tmp_path).notes[0]
 
 
-def test_one_scene_name_with_two_splits(tmp_path: Path) -> None:
-    from dataclasses import replace
+def info(name: str, fingerprint: str) -> SceneInfo:
+    return SceneInfo(name, "own", fingerprint * 32, ("a",), ("b",))
 
-    records = []
-    for n_views in (3, 6):
-        run_dir = fake_run(tmp_path, run_name=f"{n_views}")
-        record = collect(run_dir).runs[0].record
-        assert record.scene is not None
-        scene = replace(record.scene, fingerprint=f"{n_views}" * 64)
-        config = {**record.config, "scene": {"name": "llff", "n_views": n_views}}
-        records.append(replace(record, scene=scene, config=config))
-    assert scene_labels(records) == [
-        "embedded (n_views=3, 33333333)",
-        "embedded (n_views=6, 66666666)",
+
+def scene_names(*scenes: tuple[dict[str, Any], SceneInfo | None]) -> list[str]:
+    configs = [make_config() | {"scene": {"name": "llff", **options}} for options, _ in scenes]
+    return [label.full for label in scene_labels(configs, [found for _, found in scenes])]
+
+
+def test_one_scene_name_with_two_splits() -> None:
+    three, six = ({"n_views": 3}, info("fern", "33")), ({"n_views": 6}, info("fern", "66"))
+    assert scene_names(three, six) == ["fern (n_views=3)", "fern (n_views=6)"]
+    assert scene_names(three, ({"n_views": 3}, info("door", "77"))) == ["fern", "door"]
+
+
+def test_the_fingerprint_tells_what_the_options_do_not() -> None:
+    edited = [({"n_views": 3}, info("fern", mark)) for mark in ("33", "66")]
+    assert scene_names(*edited) == ["fern (33333333)", "fern (66666666)"]
+
+
+def test_a_corrupted_depth_is_a_condition_and_no_method() -> None:
+    configs = [
+        make_config() | {"depth": {"name": "file", "corruption": kind, "strength": s}}
+        for kind, s in (("noise", 0.1), ("noise", 0.2), ("bias", 0.1))
     ]
+    assert names(configs) == ["none + none"] * 3
+    labels = scene_labels(configs, [info("embedded", "11")] * 3)
+    assert [label.full for label in labels] == [
+        "embedded (corruption=noise, strength=0.1)",
+        "embedded (corruption=noise, strength=0.2)",
+        "embedded (corruption=bias, strength=0.1)",
+    ]
+
+
+def test_budgets_are_told_apart_from_the_family() -> None:
+    configs = [make_config("safi", trainer={"steps": steps}) for steps in (100, 400)]
+    assert [(label.family, label.budget) for label in method_labels(configs)] == [
+        ("safi + none", "trainer.steps=100"),
+        ("safi + none", "trainer.steps=400"),
+    ]
+
+
+def test_the_baseline_has_the_same_budget(tmp_path: Path) -> None:
+    for augment in ("none", "safi"):
+        for steps in (100, 400):
+            fake_run(tmp_path, augment, trainer={"steps": steps}, run_name=f"{augment}{steps}")
+    study = collect(tmp_path)
+    assert study.baseline_of("safi + none, trainer.steps=400") == "none + none, trainer.steps=400"
+
+
+def test_budgets_of_one_method_are_compared_with_the_first(tmp_path: Path) -> None:
+    for steps in (100, 400):
+        fake_run(tmp_path, trainer={"steps": steps}, run_name=f"{steps}")
+    study = collect(tmp_path)
+    assert study.baseline_of("none + none, trainer.steps=400") == "none + none, trainer.steps=100"
+
+
+def test_failed_runs_have_the_name_of_their_method(tmp_path: Path) -> None:
+    fake_run(tmp_path, "safi", seed=0)
+    write_failed(tmp_path / "runs" / "x", make_config("safi", seed=1), ["seed=1"], "no overlap")
+    (failed,) = collect(tmp_path).failed
+    assert (failed.method, failed.scene, failed.seed) == ("safi + none", "embedded", 1)
+
+
+def test_a_failed_run_without_a_record_is_read_from_what_it_left(tmp_path: Path) -> None:
+    fake_run(tmp_path, "safi", seed=0)
+    folder = tmp_path / "runs" / "x"
+    (folder / ".hydra").mkdir(parents=True)
+    (folder / ".hydra" / "config.yaml").write_text(yaml.safe_dump(make_config("safi", seed=1)))
+    (folder / "failed.json").write_text('{"error": "no overlap", "overrides": ["seed=1"]}')
+    (failed,) = collect(tmp_path).failed
+    assert (failed.method, failed.scene, failed.seed) == ("safi + none", "embedded", 1)
+    (folder / "failed.json").write_text("{")
+    with pytest.raises(UserError, match="error of a failed run"):
+        collect(tmp_path)
+
+
+def test_missing_runs_of_a_cross(tmp_path: Path) -> None:
+    for augment, seed in (("none", 0), ("none", 1), ("safi", 0)):
+        fake_run(tmp_path, augment, seed=seed)
+    assert collect(tmp_path).missing == (("embedded", "safi + none", 1),)
+
+
+def test_merged_studies_lack_only_what_each_of_them_lacks(tmp_path: Path) -> None:
+    for seed in (0, 1):
+        fake_run(tmp_path / "a", seed=seed)
+    fake_run(tmp_path / "b", scene="fern", seed=0)
+    study = collect([tmp_path / "a", tmp_path / "b"], tmp_path / "both")
+    assert study.scenes == ["embedded", "fern"] and study.missing == ()
+    assert study.folder_of(study.runs[0].run.run_dir) == "../a/runs/embedded-none-none-s0"
 
 
 def test_a_folder_without_runs_is_one_line(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy import stats
 
 from framework.provenance import ROOT
 from framework.record import write_failed
@@ -17,9 +18,10 @@ from framework.report import build_report
 from framework.report.__main__ import main
 from framework.report.collect import collect
 from framework.report.finding import sentence
-from framework.report.images import choose_views
 from framework.report.markdown import render
 from framework.report.outcomes import outcomes
+from framework.report.sections import document
+from framework.report.views import choose_views
 from tests.record.fakes import fake_run, make_config
 
 
@@ -39,19 +41,24 @@ def report(study_dir: Path) -> str:
     return (study_dir / "report.md").read_text(encoding="utf-8")
 
 
+def text_of(folder: Path) -> str:
+    return render(document(collect(folder), "x"))
+
+
 def first_sentence(folder: Path) -> str:
     study = collect(folder)
     return sentence(study, outcomes(study))
 
 
 def test_first_screen_is_one_sentence_and_one_table(report: str) -> None:
-    title, _, finding, _, header, _, *rows = report.splitlines()
+    title, _, finding, _, stability, _, header, _, *rows = report.splitlines()
     assert title == "# embedded"
     assert re.fullmatch(
         r"On embedded, safi \+ uar reaches \d\d\.\d\d dB, \d\.\d\d dB above none \+ none \(95 %"
         r" interval \d\.\d\d to \d\.\d\d, n = 3 seeds, paired, p [=<] 0\.\d+\)\.",
         finding,
     )
+    assert stability.startswith("σ_PSNR: no significant difference between the methods (Brown–")
     names = [name.strip() for name in header.strip("|").split("|")]
     assert names == [
         *("Method", "PSNR (dB)", "σ_PSNR (dB)", "SSIM ↑", "FLIP ↓", "Train (s)", "Gaussians")
@@ -65,8 +72,9 @@ def test_table_numbers_are_the_records(study_dir: Path, report: str) -> None:
     values = [float(run.run.metrics["psnr"].mean()) for run in runs]
     row = next(line for line in report.splitlines() if line.startswith("| safi + uar"))
     cells = [cell.strip() for cell in row.strip("|").split("|")]
-    assert cells[1] == f"{np.mean(values):.2f}"
-    assert cells[2].startswith(f"{np.std(values, ddof=1):.3f} [")
+    half = stats.t.ppf(0.975, 2) * np.std(values, ddof=1) / 3**0.5
+    assert cells[1] == f"{np.mean(values):.2f} ± {half:.2f}"
+    assert cells[2].startswith(f"{np.std(values, ddof=1):.2f} [")
     assert cells[5] == "18.1" and cells[6] == "12"
 
 
@@ -74,18 +82,24 @@ def test_report_has_all_parts(study_dir: Path, report: str) -> None:
     for heading in (
         "Failed runs",
         "Comparisons",
+        "Stability",
+        "Worst case",
+        "Speed against accuracy",
         "Kinds of test views apart",
         "Images",
+        "Where runs disagree",
         "Quality over training time",
+        "Published figures",
         "Every run",
         "Missing metrics",
         "Provenance",
     ):
         assert f"\n## {heading}\n" in report
     assert "depth: a \\| b" in report
-    assert "PSNR (dB), interpolating (2 views)" in report
+    assert "PSNR (dB), interpolating" in report
     assert "LPIPS: missing in 6 of 6 runs: no weights given" in report
-    assert "`+augment=safi +reg=uar seed=2`" in report
+    assert "- `+augment=safi +reg=uar`: seed 0, 1, 2" in report
+    assert "| none + none |" in report and "| 1 of 4 [5 to 70 %]" in report
     assert str(study_dir) not in report and str(ROOT) not in report
 
 
@@ -106,7 +120,9 @@ def test_rebuilding_gives_the_same_bytes(study_dir: Path, report: str) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"report: {study_dir / 'report.md'}\n"
     assert set(before) == {
-        *("report.md", "images_embedded.png", "curves_embedded.png", "curves_embedded.svg")
+        *("report.md", "images_embedded.png", "sigma_embedded.png"),
+        *("curves_embedded.png", "curves_embedded.svg"),
+        *("tradeoff_embedded.png", "tradeoff_embedded.svg"),
     }
     assert contents() == before
 
@@ -119,14 +135,14 @@ def test_images_are_of_the_same_views_and_seed(study_dir: Path) -> None:
         "test 03": "extrapolating, median; worst",
     }
     with Image.open(study_dir / "images_embedded.png") as image:
-        assert image.width > 900 and len(np.unique(np.asarray(image.convert("L")))) > 100
+        assert image.width == 792 and len(np.unique(np.asarray(image.convert("L")))) > 100
 
 
 def test_views_without_tags_are_best_median_worst(tmp_path: Path) -> None:
     fake_run(tmp_path, tagged=False)
     shown = choose_views(collect(tmp_path), "embedded")
     assert dict(shown.views) == {"test 00": "best", "test 02": "median", "test 03": "worst"}
-    assert "Kinds of test views" not in render(collect(tmp_path), [], "x")
+    assert "Kinds of test views" not in text_of(tmp_path)
 
 
 def test_one_method_with_seeds(tmp_path: Path) -> None:
@@ -139,7 +155,7 @@ def test_one_method_with_seeds(tmp_path: Path) -> None:
 def test_single_runs_say_nothing_about_stability(tmp_path: Path) -> None:
     fake_run(tmp_path)
     assert "(n = 1): nothing can be said about its stability" in first_sentence(tmp_path)
-    assert "– (n = 1)" in render(collect(tmp_path), [], "x")
+    assert "– (n = 1)" in text_of(tmp_path)
     fake_run(tmp_path, "safi", gain=1.0)
     assert "single paired run: nothing can be said about stability" in first_sentence(tmp_path)
 
@@ -182,6 +198,7 @@ def test_several_scenes(tmp_path: Path) -> None:
     assert "On 2 scenes, safi + none reaches" in text
     assert "n = 4 pairs of scene and seed" in text
     assert text.count("| mean of all") == 2 and "| door" in text
+    assert "mean of the scenes' σ (dB)" in text
     assert (tmp_path / "images_fern.png").is_file() and (tmp_path / "curves_door.svg").is_file()
 
 

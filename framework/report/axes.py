@@ -1,0 +1,44 @@
+"""Options that a report draws along an axis: budgets buy quality with time, stresses make the data
+harder.
+
+A budget is part of a method's name, a stress part of a scene's; what remains of the names ties the
+points of a curve together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Axis:
+    """key: of the configuration. label: with its unit. harder: +1 if larger values are harder."""
+
+    key: str
+    label: str
+    harder: int
+
+    @property
+    def short(self) -> str:
+        """The option's own name, as `n_views`."""
+        return self.key.rpartition(".")[2]
+
+
+STRESSES = (
+    Axis("scene.n_views", "training views", -1),
+    Axis("depth.strength", "strength of the depth error", 1),
+    Axis("scene.spread", "camera spread (m)", 1),
+    Axis("scene.pose_noise", "pose noise (px)", 1),
+    Axis("scene.texture", "texture contrast (factor)", -1),
+    Axis("scene.gloss", "gloss (factor)", 1),
+)
+# part of the conditions a method meets, without an order of their own
+CONDITIONS = ("depth.corruption",)
+DATA_KEYS = (*(axis.key for axis in STRESSES), *CONDITIONS)
+BUDGETS = (
+    "trainer.steps",
+    "trainer.coarse_factor",
+    "trainer.coarse_until",
+    "init.budget",
+    "init.per_pixel",
+)

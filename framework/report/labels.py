@@ -1,0 +1,175 @@
+"""Names of methods and scenes among the runs of a study: what differs is named, nothing else.
+
+A method is what a user compares: augmenter and regularizer, plus every other option that differs
+between the runs: another capacity plugin, depth provider or initializer, an option of a plugin
+that differs between runs of the same plugin, `trainer.steps`, and so on. The seed, the scene, the
+stresses of `framework.report.axes` and keys that cannot change a result (`NEUTRAL_KEYS`) are no
+part of it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from framework.provenance import NEUTRAL_KEYS
+from framework.record import METHOD_GROUPS, SceneInfo
+from framework.report.axes import BUDGETS, DATA_KEYS
+
+NAMED = ("augment", "reg")  # groups every method's name starts with
+NO_METHOD = ("seed", "scene", "metrics", *NEUTRAL_KEYS)
+UNKNOWN_SCENE = "unknown scene"
+
+Flat = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class MethodLabel:
+    """full: the name. family: the name without budgets. budget: these alone, "" if none varies."""
+
+    full: str
+    family: str
+    budget: str
+
+
+@dataclass(frozen=True)
+class SceneLabel:
+    """full: the name with all that tells it from others of its name. data: the values of the
+    stresses and conditions (`DATA_KEYS`) that it has."""
+
+    full: str
+    name: str
+    data: Flat
+
+
+def flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Dotted keys of a nested config."""
+    flat: dict[str, Any] = {}
+    for key, value in config.items():
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def method_labels(configs: Sequence[Mapping[str, Any]]) -> list[MethodLabel]:
+    """The name of each run's method among `configs`; equal configs have equal names."""
+    flat = [flatten(config) for config in configs]
+    keys = {key for key in set().union(*flat) if _may_name_a_method(key)}
+    varying = sorted(key for key in keys if _varies(key, flat))
+    return [_method_label(entry, varying) for entry in flat]
+
+
+def scene_labels(
+    configs: Sequence[Mapping[str, Any]], scenes: Sequence[SceneInfo | None]
+) -> list[SceneLabel]:
+    """The scene's name; where one name stands for several scenes or conditions, with what tells
+    them apart. scenes: None for a run that failed before it was loaded."""
+    flat = [flatten(config) for config in configs]
+    names = _scene_names(configs, scenes)
+    labels: list[SceneLabel | None] = [None] * len(flat)
+    for name in set(names):
+        own = [index for index, other in enumerate(names) if other == name]
+        texts = _scene_texts(name, [flat[i] for i in own], [scenes[i] for i in own])
+        for index, text in zip(own, texts, strict=True):
+            data = {key: flat[index][key] for key in DATA_KEYS if key in flat[index]}
+            labels[index] = SceneLabel(text, name, data)
+    return [label for label in labels if label is not None]
+
+
+def text_of(value: Any) -> str:
+    """An option's value as it is shown."""
+    return outside(value) if isinstance(value, str) else json.dumps(value)
+
+
+def outside(text: str) -> str:
+    """A text from outside as one line without backticks, which a report gives a meaning."""
+    return " ".join(text.split()).replace("`", "'")
+
+
+def code(text: str) -> str:
+    """A text from outside as code; empty stays empty."""
+    line = outside(text)
+    return f"`{line}`" if line else ""
+
+
+def _scene_names(
+    configs: Sequence[Mapping[str, Any]], scenes: Sequence[SceneInfo | None]
+) -> list[str]:
+    """A scene that was not loaded is called as where the same loader opened the same folder."""
+    given = [config.get("scene") or {} for config in configs]
+    asked = [(options.get("name", UNKNOWN_SCENE), options.get("path")) for options in given]
+    known = {key: info.name for key, info in zip(asked, scenes, strict=True) if info}
+    pairs = zip(asked, scenes, strict=True)
+    return [outside(info.name if info else known.get(key, str(key[0]))) for key, info in pairs]
+
+
+def _scene_texts(name: str, alike: Sequence[Flat], scenes: Sequence[SceneInfo | None]) -> list[str]:
+    """A label for each of the runs `alike`, which all have a scene called `name`."""
+    prints = {info.fingerprint for info in scenes if info}
+    keys = [key for key in _keys(alike) if key in DATA_KEYS and _varies(key, alike)]
+    if len(prints) > 1:
+        keys += [
+            key
+            for key in _keys(alike)
+            if key.startswith("scene.") and key not in keys and _varies(key, alike)
+        ]
+    named = [
+        tuple(f"{k.rpartition('.')[2]}={text_of(e[k])}" for k in sorted(keys) if k in e)
+        for e in alike
+    ]
+    found: dict[tuple[str, ...], set[str]] = defaultdict(set)
+    for parts, info in zip(named, scenes, strict=True):
+        if info:
+            found[parts].add(info.fingerprint)
+    texts = []
+    for parts, info in zip(named, scenes, strict=True):
+        # the fingerprint settles what the options do not tell, such as edited images
+        told = [info.fingerprint[:8]] if info and len(found[parts]) > 1 else []
+        texts.append(f"{name} ({', '.join([*parts, *told])})" if parts or told else name)
+    return texts
+
+
+def _keys(flat: Sequence[Flat]) -> list[str]:
+    return sorted(set().union(*flat))
+
+
+def _may_name_a_method(key: str) -> bool:
+    group = key.partition(".")[0]
+    return group not in NO_METHOD and key not in DATA_KEYS
+
+
+def _varies(key: str, configs: Sequence[Flat]) -> bool:
+    """Whether runs differ in `key`; an option of a plugin only counts among runs of that plugin."""
+    group = key.partition(".")[0]
+    own = group in METHOD_GROUPS and key != f"{group}.name"
+    seen: dict[Any, set[str]] = defaultdict(set)
+    for config in configs:
+        if not own or key in config:
+            name = config.get(f"{group}.name") if own else None
+            seen[name].add(text_of(config.get(key)))
+    return any(len(values) > 1 for values in seen.values())
+
+
+def _method_label(config: Flat, varying: Sequence[str]) -> MethodLabel:
+    named = " + ".join(text_of(config.get(f"{group}.name", "none")) for group in NAMED)
+    options: list[str] = []
+    budgets: list[str] = []
+    for key in varying:
+        group, _, option = key.partition(".")
+        if key in {f"{g}.name" for g in NAMED} or key not in config:
+            continue
+        text = f"{group if option == 'name' else key}={text_of(config[key])}"
+        (budgets if key in BUDGETS else options).append(text)
+    family = ", ".join([named, *options])
+    return MethodLabel(", ".join([family, *budgets]), family, ", ".join(budgets))
+
+
+def slug(text: str) -> str:
+    """`text` as part of a file name."""
+    return re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")

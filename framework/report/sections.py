@@ -1,0 +1,262 @@
+"""The report as a document. The first screen answers the study's question; all the rest is for who
+wants to check.
+
+What the first screen is depends on what varies: along a stress, where each method stops helping;
+over budgets, which choice to take for a given time; else the table and its finding.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+
+from framework.metrics import METRICS, Missing
+from framework.report import curves, stress, tables, tradeoff
+from framework.report.collect import Study
+from framework.report.document import Block, Bullets, Document, Heading, Picture, Text, table
+from framework.report.figures import chart_picture
+from framework.report.finding import sentence, stability_sentence
+from framework.report.images import draw_images, draw_sigma_maps
+from framework.report.labels import code, outside
+from framework.report.outcomes import Outcomes, outcomes
+from framework.report.provenance import provenance_blocks
+from framework.report.published import PUBLISHED, SOURCE
+
+WORDS = ("Scene", "Method", "Compared with", "Run", "Overrides", "Error", "Parameters", "Folder")
+DEFINITIONS = (
+    "PSNR, SSIM and FLIP: mean over the test views, then over seeds, from the saved 8-bit renders;"
+    " ± is half the width of the 95 % interval of the mean over seeds (t). σ_PSNR: standard"
+    " deviation (n − 1) over seeds of the mean PSNR over the test views{over}, in brackets its 95 %"
+    " interval (χ², normal errors). Train: wall seconds of the training alone, mean over runs."
+    " Numbers are rounded to what their uncertainty supports."
+)
+
+
+def document(study: Study, title: str) -> Document:
+    """Everything the report says; draws its figures into `study.out_dir`."""
+    found, panels = outcomes(study), stress.panels(study)
+    shown = stress.shown_scenes(study, panels)
+    blocks: list[Block] = [Heading(1, outside(title))]
+    if panels:
+        blocks += _stress(study, panels)
+    elif any(run.method_label.budget for run in study.runs):
+        blocks += _budgets(study, found)
+    else:
+        blocks += _plain(study, found)
+    blocks += [Text(note, "note") for note in study.notes]
+    blocks += [*_failures(study), *_missing_runs(study)]
+    if not panels:  # the strengths of a stress share their seeds: no independent pairs
+        blocks += [*_comparisons(found), *_stability(study, found)]
+    blocks += _worst(study)
+    blocks += _costs(study, [] if panels else study.scenes)
+    blocks += _by_tag(study, shown)
+    blocks += _pictures(study, shown)
+    if study.runs:
+        blocks += [Heading(2, "Published figures"), PUBLISHED, Text(SOURCE)]
+        blocks += [Heading(2, "Every run"), table(tables.seed_rows(study), WORDS)]
+    blocks += [*_missing_metrics(study), *provenance_blocks(study)]
+    return Document(outside(title), tuple(blocks))
+
+
+def _plain(study: Study, found: Outcomes) -> list[Block]:
+    blocks: list[Block] = [Text(sentence(study, found), "finding")]
+    stability = stability_sentence(study, found)
+    if stability:
+        blocks.append(Text(stability, "finding"))
+    return [*blocks, *_main_table(study)]
+
+
+def _main_table(study: Study) -> list[Block]:
+    if not study.runs:
+        return []
+    over = " and scenes" if len(study.scenes) > 1 else ""
+    rows = tables.main_rows(study, study.scenes)
+    return [table(rows, WORDS), Text(DEFINITIONS.format(over=over))]
+
+
+def _budgets(study: Study, found: Outcomes) -> list[Block]:
+    """Advice and its chart for every scene, then the table."""
+    blocks: list[Block] = []
+    for scene in study.scenes:
+        advice = tradeoff.advice(study, scene)
+        if advice:
+            blocks += [Text(f"On {scene}, by seconds of training:", "finding")]
+            blocks += [Bullets(tuple(advice))]
+        for charts in tradeoff.charts(study, scene)[:1]:
+            alt = f"PSNR against training time of {scene}"
+            blocks.append(chart_picture(study.out_dir, charts, alt, TRADEOFF_CAPTION))
+    return [*blocks, Text(sentence(study, found)), *_main_table(study)]
+
+
+TRADEOFF_CAPTION = (
+    "A line per method through its budgets that no other budget of the same method beats; faint:"
+    " the beaten ones; ringed: the Pareto front of all methods. Bars: 95 % interval of the mean"
+    " over seeds."
+)
+STRESS_CAPTION = (
+    "Above: test PSNR against the strength; below: its difference to the baseline of the same seed."
+    " Bars: 95 % interval of the mean over seeds; methods stand a little beside each other. The"
+    " turning point is where the lower curve meets zero, interpolated linearly between tested"
+    " strengths; its interval holds every strength where a paired t test does not refute zero."
+)
+
+
+def _stress(study: Study, panels: Sequence[stress.Panel]) -> list[Block]:
+    limits = stress.limits(study, panels)
+    blocks: list[Block] = []
+    for panel in panels:
+        told = tuple(stress.sentence(limit) for limit in limits if limit.panel is panel)
+        blocks.append(Text(f"{panel.title}, along {panel.axis.label}:", "finding"))
+        if told:
+            blocks.append(Bullets(told))
+        alt = f"PSNR of {panel.title} against {panel.axis.label}"
+        charts = stress.charts(study, panel)
+        blocks.append(chart_picture(study.out_dir, charts, alt, STRESS_CAPTION))
+        blocks.append(table(stress.rows(panel), WORDS))
+    text = "Cells: PSNR (dB), mean over seeds ± half the width of its 95 % interval (t)."
+    return [*blocks, Text(text)]
+
+
+def _failures(study: Study) -> list[Block]:
+    if not study.failed:
+        return []
+    rows = [
+        {
+            "Run": code(study.folder_of(run.run_dir)),
+            "Overrides": code(" ".join(run.overrides)),
+            "Error": outside(run.error),
+        }
+        for run in study.failed
+    ]
+    return [Heading(2, "Failed runs"), table(rows, WORDS)]
+
+
+def _missing_runs(study: Study) -> list[Block]:
+    if not study.missing:
+        return []
+    seeds: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for scene, method, seed in study.missing:
+        seeds[scene, method].append(str(seed))
+    items = [f"{method} on {scene}: seed {', '.join(s)}" for (scene, method), s in seeds.items()]
+    text = (
+        f"{len(study.missing)} runs are missing to the full cross of the scenes, methods and seeds"
+        " that are there:"
+    )
+    return [Heading(2, "Missing runs"), Text(text), Bullets(tuple(items))]
+
+
+def _comparisons(found: Outcomes) -> list[Block]:
+    if not found.comparisons:
+        return []
+    text = (
+        "Differences of runs paired by scene and seed; t interval and two-sided t test. The"
+        " interval belongs to its row alone, the last column is corrected for all rows."
+    )
+    rows = tables.comparison_rows(found)
+    return [Heading(2, "Comparisons"), table(rows, WORDS), Text(text)]
+
+
+def _stability(study: Study, found: Outcomes) -> list[Block]:
+    blocks: list[Block] = []
+    if found.scene_sigma and any(s.sd is not None for s in found.psnr.values()):
+        text = (
+            "Two readings of σ_PSNR over several scenes. First: standard deviation (n − 1) over"
+            " seeds of the mean over scenes, interval by χ². Second: mean over scenes of their"
+            " standard deviations, each freed from its bias (c4); its interval takes the mean as a"
+            " scaled χ with matched variance (Satterthwaite). Normal errors, scenes independent."
+        )
+        blocks += [table(tables.pooled_sigma_rows(found), WORDS), Text(text)]
+    if found.sigmas:
+        text = (
+            "Ratio of the standard deviations over seeds. p: Brown–Forsythe test, which needs no"
+            " normal errors and is conservative below about ten seeds. Interval: F distribution,"
+            " normal and independent errors. Seeds needed: per method, for the two-sided F test at"
+            " 5 % to find the observed ratio with a power of 80 %."
+        )
+        blocks += [table(tables.sigma_rows(found), WORDS), Text(text)]
+    return [Heading(2, "Stability"), *blocks] if blocks else []
+
+
+def _worst(study: Study) -> list[Block]:
+    rows = tables.worst_rows(study)
+    if not rows:
+        return []
+    limit = (
+        ", or lies at least 1 dB below `none + none` of the same scene, budget and seed"
+        if study.has_plain
+        else " (the study has no `none + none` to compare with)"
+    )
+    text = (
+        "Worst seed: lowest mean PSNR of a run. Worst view and 5th percentile: over the test views"
+        " of all runs. A run counts as failed if it ended with an error, has no finite PSNR, ends"
+        f" at least 1 dB below its own best evaluation{limit}; in brackets the 95 % interval of the"
+        " share (Wilson)."
+    )
+    return [Heading(2, "Worst case"), table(rows, WORDS), Text(text)]
+
+
+def _costs(study: Study, scenes: Sequence[str]) -> list[Block]:
+    blocks: list[Block] = []
+    has_budgets = any(run.method_label.budget for run in study.runs)
+    for scene in scenes:
+        own: list[Block] = [table(tradeoff.rows(study, scene), WORDS)]
+        drawn = tradeoff.charts(study, scene)
+        for charts in drawn[1:] if has_budgets else drawn:  # the first is on the first screen
+            alt = f"PSNR against cost of {scene}"
+            own.append(chart_picture(study.out_dir, charts, alt, TRADEOFF_CAPTION))
+        if not has_budgets:
+            own += [Bullets(tuple(tradeoff.advice(study, scene)))] if drawn else []
+        blocks += [Heading(3, scene), *own]
+    if not blocks:
+        return []
+    cpus = sorted({str(run.record.provenance.get("cpu")) for run in study.runs})
+    text = (
+        "Train: seconds of the training without its evaluations, by the wall clock and by the CPU"
+        " time of all threads of the process, which other programs disturb less. Render: test views"
+        f" per second. Machine: {'; '.join(map(outside, cpus))}. Pareto: no other has as much PSNR"
+        " in as little time."
+    )
+    return [Heading(2, "Speed against accuracy"), *blocks, Text(text)]
+
+
+def _by_tag(study: Study, scenes: Sequence[str]) -> list[Block]:
+    rows = tables.tag_rows(study, scenes)
+    return [Heading(2, "Kinds of test views apart"), table(rows, WORDS)] if rows else []
+
+
+def _pictures(study: Study, scenes: Sequence[str]) -> list[Block]:
+    drawn = {
+        "Images": [(scene, draw_images(study, scene)) for scene in scenes],
+        "Where runs disagree": [(scene, draw_sigma_maps(study, scene)) for scene in scenes],
+        "Quality over training time": [(scene, _curves(study, scene)) for scene in scenes],
+    }
+    blocks: list[Block] = []
+    for heading, pictures in drawn.items():
+        present = [(scene, picture) for scene, picture in pictures if picture is not None]
+        if present:
+            blocks.append(Heading(2, heading))
+            blocks += [block for s, picture in present for block in (Heading(3, s), picture)]
+    return blocks
+
+
+def _curves(study: Study, scene: str) -> Picture | None:
+    chart = curves.chart(study, scene)
+    if chart is None:
+        return None
+    alt = f"Quality over training time of {scene}"
+    return chart_picture(study.out_dir, (chart,), alt, curves.CAPTION)
+
+
+def _missing_metrics(study: Study) -> list[Block]:
+    """Each missing metric once per reason, with the number of runs it concerns."""
+    counts: dict[tuple[str, str], int] = defaultdict(int)
+    for run in study.runs:
+        for metric in METRICS:
+            value = run.record.summary.get(metric)
+            if isinstance(value, Missing):
+                counts[metric.upper(), outside(value.reason)] += 1
+    lines = [
+        f"{metric}: missing in {n} of {len(study.runs)} runs: {reason}"
+        for (metric, reason), n in sorted(counts.items())
+    ]
+    return [Heading(2, "Missing metrics"), Bullets(tuple(lines))] if lines else []

@@ -1,0 +1,212 @@
+"""Speed against accuracy: what every method and budget costs, which of them no other beats, and
+which one to take for a given time.
+
+A configuration is a method with its budget. It lies on the Pareto front of a scene if no other has
+at least its mean PSNR at no more of the cost. Seconds are those of the training alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from framework.report.chart import Chart, Point, Series
+from framework.report.collect import ReportRun, Study
+from framework.report.labels import slug
+from framework.report.numbers import average, mean_text, p_text
+from framework.report.outcomes import by_pair
+from framework.report.statistics import Spread, compare, spread
+
+LIMITS_S = (15.0, 60.0, 300.0)
+SAME_COST = 0.02  # costs that differ by less than this share are not worth a chart
+SIGNIFICANCE = 0.05
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A method with a budget on one scene: means over its runs."""
+
+    method: str
+    family: str
+    budget: str
+    psnr: Spread
+    train_s: float
+    gaussians: float
+    megabytes: float
+    runs: tuple[ReportRun, ...]
+
+
+def entries(study: Study, scene: str) -> list[Entry]:
+    """What was measured on a scene, for methods with PSNR and training time in every run."""
+    found = []
+    for method in study.methods:
+        runs = study.of(scene, method)
+        psnr = [value for run in runs if (value := run.mean("psnr")) is not None]
+        seconds = average([run.record.train_s for run in runs])
+        if not runs or len(psnr) < len(runs) or seconds is None:
+            continue
+        label = runs[0].method_label
+        size = float(np.mean([run.record.ply_bytes for run in runs])) / 1e6
+        count = float(np.mean([run.record.gaussians for run in runs]))
+        found.append(
+            Entry(method, label.family, label.budget, spread(psnr), seconds, count, size, (*runs,))
+        )
+    return found
+
+
+def front(found: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
+    """Indices of the entries on the Pareto front, the cheapest first."""
+    order = sorted(range(len(found)), key=lambda k: (cost(found[k]), -found[k].psnr.mean))
+    best, kept = -np.inf, []
+    for k in order:
+        if found[k].psnr.mean > best:
+            best = found[k].psnr.mean
+            kept.append(k)
+    return kept
+
+
+def charts(study: Study, scene: str) -> list[tuple[Chart, ...]]:
+    """PSNR against seconds; against Gaussians and file size where these differ."""
+    found = entries(study, scene)
+    if len(found) < 2:
+        return []
+    name = slug(scene)
+    time = _chart(study, found, f"tradeoff_{name}", scene, "training time (s, wall clock)", _time)
+    sizes = [
+        _chart(study, found, f"size_{name}", scene, label, cost)
+        for label, cost in (("Gaussians", _gaussians), ("file size (MB)", _size))
+        if _differs([cost(entry) for entry in found])
+    ]
+    return [(time,), *([tuple(sizes)] if sizes else [])]
+
+
+def advice(study: Study, scene: str) -> list[str]:
+    """Which configuration to take at each of `LIMITS_S`, a sentence each."""
+    found = entries(study, scene)
+    return [_advice(found, limit) for limit in LIMITS_S] if len(found) > 1 else []
+
+
+def rows(study: Study, scene: str) -> list[dict[str, str]]:
+    """The cost of every method."""
+    pareto = {found[k].method for found in [entries(study, scene)] for k in front(found, _time)}
+    return [
+        {
+            "Method": method,
+            "PSNR (dB)": mean_text([run.mean("psnr") for run in runs], 2, show_half=True),
+            "Train, wall (s)": mean_text([run.record.train_s for run in runs], 1),
+            "Train, CPU (s)": mean_text([_cpu_s(run) for run in runs], 1),
+            "Render (frames/s)": mean_text([_frames_per_s(run) for run in runs], 1),
+            "Gaussians": mean_text([float(run.record.gaussians) for run in runs], 0),
+            "PLY (kB)": mean_text([run.record.ply_bytes / 1000 for run in runs], 0),
+            "Pareto": "yes" if method in pareto else "",
+        }
+        for method in study.methods
+        if (runs := study.of(scene, method))
+    ]
+
+
+def _time(entry: Entry) -> float:
+    return entry.train_s
+
+
+def _gaussians(entry: Entry) -> float:
+    return entry.gaussians
+
+
+def _size(entry: Entry) -> float:
+    return entry.megabytes
+
+
+def _cpu_s(run: ReportRun) -> float | None:
+    stage = run.record.timings.get("train")
+    return None if stage is None else stage.cpu_s
+
+
+def _frames_per_s(run: ReportRun) -> float | None:
+    """Test views per second of rendering; None where no time was taken."""
+    total = float(run.run.metrics["render_s"].sum())
+    return len(run.run.metrics) / total if total > 0 else None
+
+
+def _differs(costs: Sequence[float]) -> bool:
+    return min(costs) > 0 and max(costs) > (1 + SAME_COST) * min(costs)
+
+
+def _chart(
+    study: Study,
+    found: Sequence[Entry],
+    name: str,
+    title: str,
+    x_label: str,
+    cost: Callable[[Entry], float],
+) -> Chart:
+    """A series per method through its undominated budgets; dominated ones faint; the front of all
+    is ringed."""
+    on_front = set(front(found, cost))
+    series = []
+    for family in study.families:
+        own = [k for k, entry in enumerate(found) if entry.family == family]
+        index = study.families.index(family)
+        best = [own[k] for k in front([found[k] for k in own], cost)]
+        others = [k for k in own if k not in best]
+        ringed = tuple(i for i, k in enumerate(best) if k in on_front)
+        points = tuple(_point(found[k], cost) for k in best)
+        series.append(Series(family, index, points, joined=len(points) > 1, ringed=ringed))
+        if others:
+            faint = tuple(_point(found[k], cost) for k in others)
+            series.append(Series(family, index, faint, faint=True, joined=False))
+    log_x = _differs([cost(entry) for entry in found])
+    return Chart(
+        name, title, x_label, "test PSNR (dB)", tuple(s for s in series if s.points), log_x
+    )
+
+
+def _point(entry: Entry, cost: Callable[[Entry], float]) -> Point:
+    interval, mean = entry.psnr.mean_interval, entry.psnr.mean
+    low, high = (interval.low, interval.high) if interval else (mean, mean)
+    note = f"{entry.budget}, " if entry.budget else ""
+    return Point(cost(entry), mean, low, high, f"{note}n = {entry.psnr.n}")
+
+
+def _advice(found: Sequence[Entry], limit_s: float) -> str:
+    within = [entry for entry in found if entry.train_s <= limit_s]
+    if not within:
+        quickest = min(found, key=_time)
+        return (
+            f"Within {limit_s:g} s: nothing tested fits; the quickest is {quickest.method} with"
+            f" {quickest.train_s:.0f} s."
+        )
+    best = max(within, key=lambda entry: entry.psnr.mean)
+    level = mean_text([run.mean("psnr") for run in best.runs], 2, show_half=True)
+    said = f"Within {limit_s:g} s: {best.method}, {level} dB in {best.train_s:.1f} s"
+    return f"{said}; {_rival(best, within)}."
+
+
+def _rival(best: Entry, within: Sequence[Entry]) -> str:
+    """The quickest configuration that the paired test does not tell from the best one."""
+    if best.psnr.n < 2:
+        return "single runs, so the order may be chance"
+    if len(within) == 1:
+        return "nothing else fits"
+    alike = [entry for entry in within if entry is not best and _alike(best, entry) is not None]
+    quicker = [entry for entry in alike if entry.train_s < best.train_s]
+    if not alike:
+        return "every other choice within that time is significantly worse"
+    if not quicker:
+        return f"no significant difference to {len(alike)} others, which are no quicker"
+    quickest = min(quicker, key=_time)
+    return (
+        f"no significant difference to {quickest.method}"
+        f" ({p_text(_alike(best, quickest) or 0)}, uncorrected), which takes"
+        f" {quickest.train_s:.1f} s"
+    )
+
+
+def _alike(best: Entry, other: Entry) -> float | None:
+    """p of the paired test if it does not tell them apart, else None; 1 without common seeds."""
+    found = compare("", by_pair(best.runs), "", by_pair(other.runs))
+    if found is None or found.p is None:
+        return 1.0
+    return found.p if found.p >= SIGNIFICANCE else None

@@ -1,0 +1,106 @@
+"""Deviations compared, break-down points, failure rates: known inputs, known answers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from framework.report.breakdown import break_down
+from framework.report.robustness import wilson
+from framework.report.variance import c4, compare_sigmas, mean_deviation, seeds_needed
+from framework.rng import stream
+
+
+def test_the_comparison_is_scipys_levene_about_the_median() -> None:
+    draw = stream(0, "levene")
+    a, b = 0.3 * draw.standard_normal(8), 0.1 * draw.standard_normal(8)
+    found = compare_sigmas("a", list(a), "b", list(b))
+    assert found is not None and found.ratio is not None and found.interval is not None
+    assert found.p == pytest.approx(stats.levene(a, b, center="median").pvalue)
+    assert found.ratio == pytest.approx(a.std(ddof=1) / b.std(ddof=1))
+    assert found.interval.low < found.ratio < found.interval.high
+
+
+def test_degenerate_deviations() -> None:
+    assert compare_sigmas("a", [1.0, 2.0], "b", [1.0, 2.0, 3.0]) is None
+    same = compare_sigmas("a", [1.0] * 4, "b", [2.0] * 4)
+    assert same is not None and same.p == 1.0 and same.ratio is None and same.seeds is None
+    fixed = compare_sigmas("a", [1.0] * 4, "b", [1.0, 2.0, 3.0, 5.0])
+    assert fixed is not None and fixed.p < 1 and fixed.ratio is None
+
+
+def test_seeds_needed_have_the_power_they_promise() -> None:
+    n = seeds_needed(2.0)
+    assert n is not None and seeds_needed(0.5) == n
+    ratios = (4 * stats.f.rvs(n - 1, n - 1, size=4000, random_state=0)).reshape(-1)
+    low, high = stats.f.ppf([0.025, 0.975], n - 1, n - 1)
+    assert np.mean((ratios < low) | (ratios > high)) == pytest.approx(0.8, abs=0.03)
+    wide, narrow = seeds_needed(3.0), seeds_needed(1.2)
+    assert wide is not None and narrow is not None and wide < n < narrow
+    assert seeds_needed(1.0) is None
+
+
+def test_c4_of_the_tables() -> None:
+    known = {2: 0.797885, 5: 0.939986, 10: 0.972659}
+    assert c4(np.array(list(known), dtype=float)) == pytest.approx(list(known.values()), abs=1e-6)
+
+
+def test_mean_deviation_of_one_scene_is_the_chi_square_interval() -> None:
+    values = [1.0, 2.0, 4.0, 4.5, 6.0]
+    found = mean_deviation([values])
+    sd, quantiles = np.std(values, ddof=1), stats.chi2.ppf([0.975, 0.025], 4)
+    assert found is not None
+    assert found[0] == pytest.approx(sd / 0.939986, rel=1e-5)
+    assert (found[1].low, found[1].high) == pytest.approx(sd * np.sqrt(4 / quantiles), rel=1e-4)
+    assert mean_deviation([]) is None and mean_deviation([[1.0]]) is None
+    flat = mean_deviation([[1.0, 1.0]])
+    assert flat is not None and flat[0] == 0
+
+
+def test_a_break_down_between_two_strengths() -> None:
+    noise = 0.01 * stream(0, "noise").standard_normal((3, 5))
+    found = break_down(np.array([0.0, 1.0, 2.0]), np.array([[1.0], [0.5], [-0.5]]) + noise)
+    assert found.helps and found.starts is None and found.significant
+    assert found.stops == pytest.approx(1.5, abs=0.02)
+    assert found.interval is not None and found.interval.low < 1.5 < found.interval.high
+    assert found.interval.high - found.interval.low < 0.1
+
+
+def test_fewer_views_are_the_harder_end() -> None:
+    gains = np.array([[0.4, 0.4], [0.2, 0.2], [-0.2, -0.2]])
+    found = break_down(np.array([9.0, 5.0, 3.0]), gains)
+    assert found.stops == pytest.approx(4.0)
+    assert found.interval is not None and found.interval.low == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(
+    ("means", "helps", "starts", "stops"),
+    [
+        ([1, 1, 1], True, None, None),
+        ([-1, -1, 0], False, None, None),
+        ([-1, 1, 1], True, 0.5, None),
+        ([-1, 1, -1], True, 0.5, 1.5),
+        ([1, -1, 1], True, None, 0.5),
+    ],
+)
+def test_all_courses(
+    means: list[float], helps: bool, starts: float | None, stops: float | None
+) -> None:
+    found = break_down(np.arange(3.0), np.array(means, dtype=float)[:, None])
+    assert (found.helps, found.starts, found.stops) == (helps, starts, stops)
+    assert found.n == 1 and found.interval is None and not found.significant
+
+
+def test_no_doubt_and_nothing_but_doubt() -> None:
+    noise = 0.1 * stream(1, "noise").standard_normal((3, 6))
+    sure = break_down(np.arange(3.0), 5 + noise)
+    assert sure.interval is None and sure.significant
+    unsure = break_down(np.arange(3.0), noise)
+    assert unsure.interval is not None and not unsure.significant
+
+
+def test_wilson_of_a_textbook() -> None:
+    found = wilson(1, 10)
+    assert (found.low, found.high) == pytest.approx((0.0179, 0.4042), abs=1e-4)
+    assert wilson(0, 10).low == 0 and wilson(10, 10).high == 1
