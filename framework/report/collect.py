@@ -14,12 +14,11 @@ import yaml
 
 from framework.errors import UserError, require
 from framework.metrics import Missing
-from framework.record import RECORD, Run, RunRecord, read_run
+from framework.record import FAILED, RECORD, Run, RunRecord, read_run
 from framework.report.axes import Axis
-from framework.report.labels import MethodLabel, SceneLabel, method_labels, scene_labels
+from framework.report.labels import MethodLabel, SceneLabel, method_labels, outside, scene_labels
 
 BASELINE = "none + none"
-FAILED = "failed.json"  # what a run that ended with an error leaves instead of a record
 
 
 @dataclass(frozen=True)
@@ -173,7 +172,7 @@ def collect(study_dirs: Path | Sequence[Path], out_dir: Path | None = None) -> S
     missing = _missing(labelled, named, origins)
     unique, repeated = _without_repeats(labelled)
     unique.sort(key=lambda r: (natural(r.scene), method_order(r.method), r.seed))
-    notes = (*repeated, *_code_notes(runs))
+    notes = (*repeated, *_repeat_notes(unique), *_code_notes(runs))
     return Study(out_dir or folders[0], tuple(unique), tuple(named), notes, tuple(missing))
 
 
@@ -267,6 +266,16 @@ def _without_repeats(runs: list[ReportRun]) -> tuple[list[ReportRun], list[str]]
                 f" `{run.run.run_dir.name}` is left out in favour of `{first.run.run_dir.name}`."
             )
     return list(kept.values()), notes
+
+
+def _repeat_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """A complete run outlives a repetition that failed, which is told."""
+    again = [run.run.run_dir for run in runs if (run.run.run_dir / FAILED).is_file()]
+    return [
+        f"The run in `{folder.name}` was repeated and failed ({outside(_read_failed(folder).error)})"
+        "; the earlier, complete one is reported."
+        for folder in again
+    ]
 
 
 def _code_notes(runs: list[Run]) -> list[str]:

@@ -167,6 +167,14 @@ def test_a_failed_run_without_a_record_is_read_from_what_it_left(tmp_path: Path)
         collect(tmp_path)
 
 
+def test_a_repetition_that_failed_is_told(tmp_path: Path) -> None:
+    run_dir = fake_run(tmp_path)
+    write_failed(run_dir, make_config(), [], "no memory")
+    study = collect(tmp_path)
+    assert len(study.runs) == 1 and not study.failed
+    assert "was repeated and failed (no memory)" in study.notes[0]
+
+
 def test_missing_runs_of_a_cross(tmp_path: Path) -> None:
     for augment, seed in (("none", 0), ("none", 1), ("safi", 0)):
         fake_run(tmp_path, augment, seed=seed)
