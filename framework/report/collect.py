@@ -272,8 +272,8 @@ def _repeat_notes(runs: Sequence[ReportRun]) -> list[str]:
     """A complete run outlives a repetition that failed, which is told."""
     again = [run.run.run_dir for run in runs if (run.run.run_dir / FAILED).is_file()]
     return [
-        f"The run in `{folder.name}` was repeated and failed ({outside(_read_failed(folder).error)})"
-        "; the earlier, complete one is reported."
+        f"The run in `{folder.name}` was repeated and failed"
+        f" ({outside(_read_failed(folder).error)}); the earlier, complete one is reported."
         for folder in again
     ]
 

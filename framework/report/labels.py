@@ -70,7 +70,7 @@ def scene_labels(
 ) -> list[SceneLabel]:
     """The scene's name; where one name stands for several scenes or conditions, with what tells
     them apart. scenes: None for a run that failed before it was loaded."""
-    flat = [flatten(config) for config in configs]
+    flat = [_without_idle_strength(flatten(config)) for config in configs]
     names = _scene_names(configs, scenes)
     labels: list[SceneLabel | None] = [None] * len(flat)
     for name in set(names):
@@ -96,6 +96,13 @@ def code(text: str) -> str:
     """A text from outside as code; empty stays empty."""
     line = outside(text)
     return f"`{line}`" if line else ""
+
+
+def _without_idle_strength(flat: dict[str, Any]) -> dict[str, Any]:
+    """The strength of no corruption is no condition."""
+    if flat.get("depth.corruption") == "none":
+        flat.pop("depth.strength", None)
+    return flat
 
 
 def _scene_names(
