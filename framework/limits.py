@@ -14,7 +14,7 @@ from framework.errors import require
 MIB = 1 << 20
 
 IMAGE_PIXELS = 50_000_000  # of one image or depth map; a 45 megapixel photo fits
-SCENE_PIXELS = 250_000_000  # of all loaded views together; 15 bytes each while loading
+SCENE_BYTES = 4096 * MIB  # of all images of a scene together, as float32
 SIDE_PIXELS = 65_500  # of an image's or camera's longer side
 ARRAY_BYTES = 8 * IMAGE_PIXELS  # of one array in a .npy or .npz
 PLY_BYTES = 1024 * MIB

@@ -8,7 +8,9 @@ The header comment `background r g b` holds the colour the Gaussians were traine
 
 from __future__ import annotations
 
+import math
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
@@ -17,6 +19,7 @@ import numpy as np
 
 from framework.errors import UserError, require
 from framework.files import write_whole
+from framework.limits import PLY_BYTES, check_size
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -24,7 +27,9 @@ if TYPE_CHECKING:
     from framework.types import Gaussians
 
 HEADER_LIMIT = 65536  # bytes; no splat header is near it, a file that is no PLY soon is
+COUNT = re.compile(r"\d{1,15}", re.ASCII)
 FLOAT_NAMES = ("float", "float32")
+NORMALS = {"nx", "ny", "nz"}  # written for viewers that expect them, but without a meaning
 REST_COUNTS = {0: 0, 9: 3, 24: 8, 45: 15}  # number of f_rest properties -> coefficients per channel
 
 
@@ -60,11 +65,13 @@ def write_ply(path: Path, gaussians: Gaussians, background: Tensor) -> int:
 def read_ply(path: Path) -> tuple[Gaussians, Tensor | None]:
     """The Gaussians (float32) and the background [3], None where the file does not tell it.
 
-    Raises UserError when the file is missing, is no splat PLY, or its size contradicts its header.
+    Raises UserError when the file is missing, is no splat PLY, is too large, its size contradicts
+    its header, or it holds NaN or infinity.
     """
     import torch
 
     require(path.is_file(), f"{path}: expected a PLY file, found none; check the path")
+    check_size(path, PLY_BYTES)
     with path.open("rb") as file:
         header = _read_header(file, path)
         rest = _rest_count(header.names, path)
@@ -78,6 +85,13 @@ def read_ply(path: Path) -> tuple[Gaussians, Tensor | None]:
         raw = np.fromfile(file, dtype="<f4").reshape(header.count, len(header.names))
     background = header.background
     columns = {name: index for index, name in enumerate(header.names)}
+    used = [columns[name] for name in property_names(rest) if name not in NORMALS]
+    bad = np.flatnonzero(~np.isfinite(raw[:, used]).all(axis=1))
+    require(
+        not len(bad),
+        f"{path}: expected finite parameters, got NaN or infinity in {len(bad)} vertices (first:"
+        f" {bad[0] if len(bad) else ''}); remove them or export the model again",
+    )
     return _from_table(raw, columns, rest), None if background is None else torch.tensor(background)
 
 
@@ -123,8 +137,7 @@ def _rest_count(names: tuple[str, ...], path: Path) -> int:
         f"{path}: expected 0, 9, 24 or 45 f_rest properties (SH degree 0 to 3), got {n_rest};"
         " export it again with a degree up to 3",
     )
-    # normals are written for viewers that expect them, but mean nothing
-    absent = set(property_names(REST_COUNTS[n_rest])) - {"nx", "ny", "nz"} - set(names)
+    absent = set(property_names(REST_COUNTS[n_rest])) - NORMALS - set(names)
     require(
         not absent,
         f"{path}: expected the 3DGS properties, got none named {', '.join(sorted(absent)[:4])};"
@@ -156,7 +169,7 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
                 background = _background(values, path)
             case ["comment" | "obj_info", *_]:
                 pass
-            case ["element", "vertex", number] if count is None and number.isdecimal():
+            case ["element", "vertex", number] if count is None and COUNT.fullmatch(number):
                 count = int(number)
             case ["property", kind, name] if count is not None and kind in FLOAT_NAMES:
                 names.append(name)
@@ -192,9 +205,11 @@ def _header_lines(file: BinaryIO, path: Path) -> list[str]:
 def _background(values: list[str], path: Path) -> list[float]:
     try:
         red, green, blue = (float(value) for value in values)
+        if not all(map(math.isfinite, (red, green, blue))):
+            raise ValueError("NaN or infinity")
     except ValueError as error:
         raise UserError(
-            f"{path}: expected 'comment background r g b' with three numbers, got"
+            f"{path}: expected 'comment background r g b' with three finite numbers, got"
             f" '{' '.join(values)[:60]}'; correct the header"
         ) from error
     return [red, green, blue]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,10 +10,13 @@ import cv2
 import numpy as np
 import torch
 
+from framework.arrays import read_npy, read_npz
 from framework.depth.align import align
 from framework.depth.consistency import agreeing_views
 from framework.errors import UserError, require
+from framework.limits import IMAGE_PIXELS
 from framework.provenance import file_sha256
+from framework.scenes.images import image_size
 from framework.types import DepthMap, TrainingSet
 
 if TYPE_CHECKING:
@@ -89,28 +91,19 @@ def files_sha256(training: TrainingSet, options: DepthFile) -> str:
 
 def _load_array(file: Path) -> NDArray[np.float64]:
     try:
-        loaded = np.load(file, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            return loaded.astype(np.float64)
-        with loaded:
-            require(
-                "depth" in loaded,
-                f"depth=file: expected key 'depth' in {file}, got {', '.join(loaded) or 'none'};"
-                " save it with numpy.savez(file, depth=map)",
-            )
-            array: NDArray[np.float64] = loaded["depth"].astype(np.float64)
-            return array
-    except UserError:
-        raise
-    except (OSError, EOFError, ValueError, TypeError, zipfile.BadZipFile) as problem:
-        reason = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
-        raise UserError(
-            f"depth=file: expected a numeric numpy array in {file}, got one that cannot be read"
-            f" ({reason}); write it again with numpy.save"
-        ) from problem
+        values = read_npy(file) if file.suffix == ".npy" else read_npz(file, ["depth"])[0]
+    except UserError as problem:
+        raise UserError(f"depth=file: {problem}") from problem
+    require(
+        values.size <= IMAGE_PIXELS,
+        f"depth=file: expected at most {IMAGE_PIXELS:,} pixels in {file}, got {values.size:,};"
+        " resize the depth map",
+    )
+    return values.astype(np.float64)
 
 
 def _load_png(file: Path, scale: float) -> NDArray[np.float64]:
+    image_size(file)  # refuses a small file that would unpack to a huge image
     image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
     got = "an unreadable file" if image is None else f"{image.dtype} {image.shape}"
     if image is None or image.dtype != np.uint16 or image.ndim != 2:

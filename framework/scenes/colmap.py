@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import require
+from framework.paths import inside
 from framework.scenes.options import check_folder_options, check_images
 from framework.scenes.splits import protocol
 
@@ -41,7 +42,7 @@ class Colmap:
         from framework.scenes.images import scene_folder
 
         folder = scene_folder("colmap", self.path)
-        return load_colmap("colmap", folder, folder / self.images, self)
+        return load_colmap("colmap", folder, inside(folder, self.images), self)
 
 
 def load_colmap(loader: str, folder: Path, photos: Path, options: Colmap) -> Scene:
@@ -74,7 +75,7 @@ def load_colmap(loader: str, folder: Path, photos: Path, options: Colmap) -> Sce
 
 def _files(folder: Path, model: Model) -> list[Path]:
     """The photo of each image of the model, by name."""
-    files = [folder / name for name in model.names]
+    files = [inside(folder, name) for name in model.names]
     missing = [f.name for f in files if not f.is_file()]
     require(
         not missing,

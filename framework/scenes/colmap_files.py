@@ -9,21 +9,23 @@ error float64, uint64 n, n x (image id int32, point index int32).
 
 from __future__ import annotations
 
-import re
 import struct
 from pathlib import Path
 
 from framework.errors import UserError, require
+from framework.limits import MODEL_BYTES, check_size
+from framework.paths import inside
+from framework.scenes.colmap_text import check_text
 
 PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 10, 8, 8)  # by COLMAP's camera model id
 STEMS = ("cameras", "images", "points3D")
-TEXT = (("cameras", 5), ("images", 10), ("points", 8))  # what a header counts, least values
 
 
 class _Reader:
     """Walks a binary file; whatever lies outside it raises UserError."""
 
     def __init__(self, path: Path) -> None:
+        check_size(path, MODEL_BYTES)
         self.path, self.data, self.at = path, path.read_bytes(), 0
 
     def take(self, layout: str) -> tuple:
@@ -64,6 +66,9 @@ def _cameras(path: Path) -> set[int]:
             " the file is damaged or newer than this reader",
         )
         reader.skip(8 * PARAMETERS[model])
+        require(
+            camera not in ids, f"{path}: expected each camera once, got {camera} twice; rebuild it"
+        )
         ids.add(camera)
     reader.finish()
     return ids
@@ -71,7 +76,7 @@ def _cameras(path: Path) -> set[int]:
 
 def _images(path: Path, cameras: set[int]) -> dict[int, int]:
     """image id -> number of its 2D points."""
-    reader, points = _Reader(path), {}
+    reader, points, names = _Reader(path), {}, set()
     for _ in range(reader.take("<Q")[0]):
         image = reader.take("<i7d")[0]
         (camera,) = reader.take("<i")
@@ -79,17 +84,18 @@ def _images(path: Path, cameras: set[int]) -> dict[int, int]:
         (n,) = reader.take("<Q")
         reader.skip(24 * n)
         require(
-            camera in cameras and image not in points,
-            f"{path}: expected image '{name}' to be listed once with a camera of cameras.bin, got"
-            f" id {image} with camera {camera}; rebuild the model",
+            camera in cameras and image not in points and name not in names,
+            f"{path}: expected image '{name[:80]}' to be listed once with a camera of cameras.bin,"
+            f" got id {image} with camera {camera}; rebuild the model",
         )
         points[image] = n
+        names.add(name)
     reader.finish()
     return points
 
 
 def _points(path: Path, images: dict[int, int]) -> None:
-    reader = _Reader(path)
+    reader, ids = _Reader(path), set()
     for _ in range(reader.take("<Q")[0]):
         point = reader.take("<Q3d3Bd")[0]
         (n,) = reader.take("<Q")
@@ -97,33 +103,12 @@ def _points(path: Path, images: dict[int, int]) -> None:
         reader.skip(8 * n)
         track = struct.iter_unpack("<ii", reader.data[start : reader.at])
         require(
-            all(0 <= index < images.get(image, 0) for image, index in track),
-            f"{path}: expected tracks of images in images.bin, got others for point {point};"
-            " rebuild the model",
+            point not in ids and all(0 <= i < images.get(image, 0) for image, i in track),
+            f"{path}: expected each point once, with a track of images in images.bin, got"
+            f" otherwise for point {point}; rebuild the model",
         )
+        ids.add(point)
     reader.finish()
-
-
-def _check_text(path: Path, noun: str, least: int) -> None:
-    """A text file of the model: its last line ended, at least `least` values in each record, as
-    many records as the header says (if it does)."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise UserError(f"{path}: expected text, got binary data; rebuild the model") from None
-    lines = text.splitlines()
-    rows = [line.split() for line in lines if not line.startswith("#")]
-    # an image takes two lines, of which the second (its 2D points) may be empty
-    records = rows[::2] if noun == "images" else [row for row in rows if row]
-    whole = [row for row in records if len(row) >= least]
-    ended = text.endswith("\n") and (noun != "images" or len(rows) == 2 * len(records))
-    said = re.search(rf"^# Number of {noun}: (\d+)", "\n".join(lines[:5]), re.MULTILINE)
-    expected = int(said.group(1)) if said else len(records)
-    require(
-        ended and len(whole) == expected,
-        f"{path}: expected {expected} records and an ended last line, got {len(whole)} whole"
-        " records; the file is truncated or damaged; copy it again or rebuild the model",
-    )
 
 
 def check(folder: Path) -> list[Path]:
@@ -139,9 +124,10 @@ def check(folder: Path) -> list[Path]:
         f"{folder}: expected cameras, images and points3D as .bin or .txt, missing"
         f" {', '.join(missing)}; copy the whole model",
     )
+    for file in files:
+        inside(folder, file.name)
     if suffix == ".txt":
-        for file, (noun, least) in zip(files, TEXT, strict=True):
-            _check_text(file, noun, least)
+        check_text(files)
     else:
         images = _images(files[1], _cameras(files[0]))
         _points(files[2], images)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from framework.errors import UserError, require
+from framework.limits import MODEL_CELLS, SIDE_PIXELS
 from framework.scenes import colmap_files
 from framework.scenes.assemble import Tracks
 from framework.scenes.lens import Distortion, Lens
@@ -55,8 +56,13 @@ def _lens(camera: Any, where: Path) -> Lens:
         f" {camera.camera_id}); undistort with `colmap image_undistorter` first",
     )
     p = [float(v) for v in camera.params]
-    ok = all(np.isfinite(p)) and p[0] > 0 and camera.width > 0 and camera.height > 0
-    require(ok, f"{where}: expected finite intrinsics, got camera {camera.camera_id} with {p}")
+    sides = (camera.width, camera.height)
+    ok = all(np.isfinite(p)) and p[0] > 0 and all(0 < side <= SIDE_PIXELS for side in sides)
+    require(
+        ok,
+        f"{where}: expected finite intrinsics and sides of 1 to {SIDE_PIXELS} pixels, got camera"
+        f" {camera.camera_id} of {sides[0]}x{sides[1]} with {p}; rebuild the model",
+    )
     two_focals = name in ("PINHOLE", "OPENCV")
     fx, fy, cx, cy = p[:4] if two_focals else (p[0], p[0], p[1], p[2])
     # after these come the model's coefficients, in the order of Distortion's fields
@@ -74,9 +80,15 @@ def _viewmat(image: Any, where: Path) -> NDArray[np.float64]:
     return viewmat
 
 
-def _tracks(points: dict[int, Any], column: dict[int, int]) -> Tracks:
+def _tracks(points: dict[int, Any], column: dict[int, int], where: Path) -> Tracks:
     """column: image id -> index of its sorted name. Points in the order of their ids."""
     ids = sorted(points)
+    cells = len(ids) * len(column)
+    require(
+        cells <= MODEL_CELLS,
+        f"{where}: expected at most {MODEL_CELLS:,} points x images, got {cells:,}; filter the"
+        " points or split the model",
+    )
     seen = np.zeros((len(ids), len(column)), dtype=bool)
     for row, point_id in enumerate(ids):
         for element in points[point_id].track.elements:
@@ -127,5 +139,7 @@ def read_model(folder: Path) -> Model:
         names=[image.name for image in images],
         lenses=[lenses[image.camera_id] for image in images],
         viewmats=[_viewmat(image, folder) for image in images],
-        tracks=_tracks(dict(model.points3D), {im.image_id: k for k, im in enumerate(images)}),
+        tracks=_tracks(
+            dict(model.points3D), {im.image_id: k for k, im in enumerate(images)}, folder
+        ),
     )

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
+from framework.paths import inside
 from framework.scenes.options import check_choice, check_folder_options, check_images
 from framework.scenes.splits import protocol
 
@@ -67,8 +68,8 @@ class Dtu:
         from framework.scenes.points import colmap_tracks
 
         folder = scan_folder(self.path, self.scan)
-        files = _numbered(folder / self._images(folder))
-        masks = _numbered(folder / "mask")
+        files = _numbered(inside(folder, self._images(folder)))
+        masks = _numbered(inside(folder, "mask"))
         require(
             len(masks) == len(files),
             f"{folder}: expected a mask for each of {len(files)} photos, got {len(masks)}; restore"

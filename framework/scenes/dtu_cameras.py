@@ -6,13 +6,13 @@ section 6.2.4), K with positive diagonal and K[2, 2] = 1.
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from framework.arrays import read_npz
 from framework.errors import UserError, require
 from framework.scenes.lens import Lens
 
@@ -37,18 +37,7 @@ def read_cameras(folder: Path, n: int) -> list[Calibration]:
             f"{folder}: expected the cameras in {' or '.join(FILES)}, found neither; is scene.path"
             " the folder of one scan?"
         )
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            keys = [f"world_mat_{i}" for i in range(n)]
-            missing = [key for key in keys if key not in file]
-            matrices = [file[key] for key in keys if key in file]
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        raise UserError(f"{path}: expected an .npz file, got a damaged one; replace it") from None
-    require(
-        not missing,
-        f"{path}: expected world_mat_0 to world_mat_{n - 1}, missing {len(missing)} (first:"
-        f" {missing[0] if missing else ''}); restore the file",
-    )
+    matrices = read_npz(path, [f"world_mat_{i}" for i in range(n)])
     return [decompose(m, f"{path}: world_mat_{i}") for i, m in enumerate(matrices)]
 
 

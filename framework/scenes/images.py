@@ -4,12 +4,15 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
+from framework.limits import check_pixels
+from framework.paths import inside
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,6 +21,7 @@ if TYPE_CHECKING:
 
 AUTO = "auto"
 SUFFIXES = {".png", ".jpg", ".jpeg"}
+FORMATS = ("PNG", "JPEG")  # whatever the suffix says; Pillow knows many more, some run programs
 EIGHT_BIT = {"L", "P", "RGB", "RGBA", "LA"}
 
 
@@ -33,9 +37,11 @@ def scene_folder(loader: str, path: str) -> Path:
 
 
 def list_images(folder: Path) -> list[Path]:
-    """The image files of `folder`, sorted by name. Raises UserError if there are none."""
+    """The image files of `folder`, sorted by name. Raises UserError if there are none, or if one is
+    a link that leads out of the folder."""
     found = sorted(folder.glob("*")) if folder.is_dir() else []
-    images = [p for p in found if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+    named = [p for p in found if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+    images = [inside(folder, p.name) for p in named]
     if not images:
         what = "no image in it" if folder.is_dir() else "no such folder"
         raise UserError(
@@ -49,17 +55,22 @@ def photo_folder(folder: Path, images: str) -> Path:
     """The folder of the photos inside a scene's: `images`, or for "auto" the usual size of the
     sparse-view benchmarks, an eighth: `images_8` where there is one, else `images`."""
     if images != AUTO:
-        return folder / images
-    return folder / ("images_8" if (folder / "images_8").is_dir() else "images")
+        return inside(folder, images)
+    return inside(folder, "images_8" if (folder / "images_8").is_dir() else "images")
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
-    """The image; whatever is wrong with the file raises UserError."""
+    """The image, of which only the header was read: its size is within `limits`, also that of a
+    small file that would unpack to a huge image. Whatever is wrong raises UserError."""
     from PIL import Image
 
     try:
-        with Image.open(path) as image:
+        with warnings.catch_warnings():  # Pillow warns of large images, which are refused here
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            image = Image.open(path, formats=FORMATS)
+        with image:
+            check_pixels(path, *image.size)
             yield image
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         if isinstance(error, UserError):

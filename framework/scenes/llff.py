@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from framework.errors import UserError, require
+from framework.errors import require
 from framework.scenes.options import check_folder_options, check_images
 from framework.scenes.splits import protocol
 
@@ -75,11 +75,10 @@ def _read_poses(path: Path, files: list[Path]) -> NDArray[np.float64]:
     """[n, 17] rows for n images. Raises UserError unless they are complete and sensible."""
     import numpy as np
 
+    from framework.arrays import read_npy
+
     require(path.is_file(), f"{path}: expected LLFF poses, found no file; is scene.path right?")
-    try:
-        rows = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError):
-        raise UserError(f"{path}: expected a .npy array, got a damaged file; replace it") from None
+    rows = read_npy(path)
     shape = "x".join(map(str, rows.shape))
     require(
         rows.ndim == 2 and rows.shape[1] == 17 and rows.dtype.kind in "fiu",

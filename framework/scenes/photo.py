@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from framework.errors import UserError, require
+from framework.limits import SCENE_BYTES
 from framework.scenes.assemble import Shot, intrinsics
 from framework.scenes.images import image_size, read_image, resize_ratio
 from framework.scenes.lens import PINHOLE, Distortion, Lens, undistort
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 BYTES_PER_PIXEL = 12  # three float32
-MOST_BYTES = 4 << 30  # of all images of a scene
 MOST_STRETCH = 1.1  # by which the two axes of a resized photo may differ
 
 
@@ -34,8 +34,8 @@ def check_memory(files: Sequence[Path], downscale: int) -> None:
         pixels += (width // downscale) * (height // downscale)
     need = pixels * BYTES_PER_PIXEL
     require(
-        need <= MOST_BYTES,
-        f"{files[0].parent}: expected images of at most {MOST_BYTES >> 30} GiB in all, got"
+        need <= SCENE_BYTES,
+        f"{files[0].parent}: expected images of at most {SCENE_BYTES >> 30} GiB in all, got"
         f" {need / 2**30:.1f} GiB ({len(files)} views); raise scene.downscale (now {downscale})",
     )
 

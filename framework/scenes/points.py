@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from framework.errors import UserError, require
+from framework.ply_counts import check_counts
 from framework.scenes.assemble import Tracks
 
 if TYPE_CHECKING:
@@ -76,6 +77,11 @@ def ply_points(path: Path, shots: Sequence[Shot]) -> Tracks:
 def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     from plyfile import PlyData, PlyParseError
 
+    require(
+        path.is_file(),
+        f"{path}: expected a PLY file of coloured points, found none; correct scene.points",
+    )
+    check_counts(path)
     try:
         vertex = PlyData.read(str(path))["vertex"]
         xyz = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=1)

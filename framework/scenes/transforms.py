@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
+from framework.paths import inside
 from framework.scenes.options import check_choice, check_folder_options
 from framework.scenes.splits import Split, protocol
 
@@ -67,7 +68,7 @@ class Transforms:
         from framework.scenes.transforms_file import read_frames
 
         folder = scene_folder("transforms", self.path)
-        frames = read_frames(folder / self.file)
+        frames = read_frames(inside(folder, self.file))
         where = f"scene=transforms: {folder}"
         split = protocol(self.split).split([f.name for f in frames], self.n_views, where)
         check_memory([frames[i].file for i in (*split.train, *split.test)], self.downscale)
@@ -100,7 +101,7 @@ class Transforms:
         if self.points == "auto":
             names, viewmats = [f.name for f in frames], [f.viewmat for f in frames]
             return colmap_tracks(folder, self.file, names, viewmats)
-        found = ply_points(folder / self.points, train)
+        found = ply_points(inside(folder, self.points), train)
         seen = np.zeros((len(found.xyz), len(frames)), dtype=bool)
         seen[:, list(split.train)] = found.seen
         return Tracks(found.xyz, found.rgb, seen)

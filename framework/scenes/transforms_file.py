@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from framework.errors import UserError, require
+from framework.limits import TEXT_BYTES, check_size
+from framework.paths import inside
 from framework.scenes.images import SUFFIXES
 from framework.scenes.lens import Distortion, Lens
 
@@ -94,6 +96,7 @@ def read_frames(path: Path) -> list[Frame]:
 
 def _read_json(path: Path) -> dict[str, Any]:
     require(path.is_file(), f"{path}: expected camera poses, found no file; is scene.path right?")
+    check_size(path, TEXT_BYTES)
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
@@ -133,12 +136,13 @@ def _values(entry: Mapping[str, Any], where: str) -> dict[str, float]:
 
 
 def _photo(folder: Path, file_path: str) -> Path:
-    """The photo of a file_path: as it stands, else with a suffix appended. May not exist."""
-    exact = folder / file_path
+    """The photo of a file_path: as it stands, else with a suffix appended. May not exist. Raises
+    UserError when it is not inside the folder."""
+    exact = inside(folder, file_path)
     if exact.suffix.lower() in SUFFIXES or exact.is_file():
         return exact
     candidates = [exact.with_name(exact.name + suffix) for suffix in sorted(SUFFIXES)]
-    found = [candidate for candidate in candidates if candidate.is_file()]
+    found = [inside(folder, c.relative_to(folder)) for c in candidates if c.is_file()]
     require(
         len(found) <= 1,
         f"{exact}: expected one photo of that name, found {', '.join(f.name for f in found)};"

@@ -69,7 +69,7 @@ def test_a_file_of_another_trainer_without_background(tmp_path: Path) -> None:
         (lambda b: b.replace(b"property float opacity", b"property float opaqueness"), "opacity"),
         (lambda b: b.replace(b"float opacity", b"double opacity"), "float properties"),
         (lambda b: b.replace(b"property float f_rest_8\n", b""), "got 8"),
-        (lambda b: b.replace(b"background 0.0 0.0", b"background a 0.0"), "three numbers"),
+        (lambda b: b.replace(b"background 0.0 0.0", b"background a 0.0"), "three finite numbers"),
         (lambda b: b.replace(b"rot_3", b"rot_2"), "distinct"),
         (lambda b: b.replace(b"vertex 4", b"vertex -4"), "element 'vertex'"),
         (lambda b: b[:60], "not a PLY"),

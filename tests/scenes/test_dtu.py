@@ -144,8 +144,8 @@ def _mask(array: np.ndarray) -> Callable[[Path], None]:
     ("damage", "message"),
     [
         (lambda f: (f / "cameras.npz").unlink(), "expected the cameras in cameras_sphere.npz or"),
-        (lambda f: (f / "cameras.npz").write_bytes(b"PK no"), "expected an .npz file"),
-        (_npz(lambda m: m.pop("world_mat_7")), "missing 1 .first: world_mat_7"),
+        (lambda f: (f / "cameras.npz").write_bytes(b"PK no"), "expected a zip archive"),
+        (_npz(lambda m: m.pop("world_mat_7")), "1 missing .first: world_mat_7"),
         (_npz(lambda m: m["world_mat_7"].fill(np.nan)), "world_mat_7: .* got NaN or infinity"),
         (_npz(lambda m: m["world_mat_7"].fill(1.0)), "got a singular matrix"),
         (_npz(lambda m: m.update(world_mat_7=np.eye(2))), r"got \(2, 2\) float64"),

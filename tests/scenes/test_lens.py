@@ -87,7 +87,7 @@ def test_memory_is_checked_from_the_headers(
     files = [tmp_path / f"{i}.png" for i in range(4)]
     for file in files:
         Image.new("RGB", (100, 50)).save(file)
-    monkeypatch.setattr(photo, "MOST_BYTES", 4 * 100 * 50 * 12)
+    monkeypatch.setattr(photo, "SCENE_BYTES", 4 * 100 * 50 * 12)
     photo.check_memory(files, 1)
     with pytest.raises(UserError, match=r"5 views\); raise scene.downscale \(now 1\)"):
         photo.check_memory([*files, files[0]], 1)

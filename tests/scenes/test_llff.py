@@ -164,7 +164,7 @@ def _cut_image(folder: Path) -> None:
         (_cut_image, r"im05.png: expected a readable image, got a damaged file"),
         (_small_image, r"im05.png: expected the camera's 320x240 .*, got 25x15"),
         (lambda f: (f / "poses_bounds.npy").unlink(), "expected LLFF poses, found no file"),
-        (lambda f: (f / "poses_bounds.npy").write_bytes(b"no"), "got a damaged file"),
+        (lambda f: (f / "poses_bounds.npy").write_bytes(b"no"), "that cannot be read"),
         (_save(lambda r: r[:, :16]), "expected an array of n x 17 numbers, got 10x16"),
         (_save(lambda r: r[:9]), "got 9 rows and 10 images"),
         (_with(3, 2, np.nan), r"expected finite numbers, got NaN or infinity in rows \[3\]"),

@@ -1,0 +1,111 @@
+"""Whether the text files of a COLMAP model are whole and refer to each other rightly.
+
+Layout (COLMAP's documentation, "Output format"; `#` opens a comment): a camera takes a line of id,
+model, width, height and parameters; an image two, of id, quaternion, translation, camera id and
+name, and of x y point-id triples (may be empty); a point one, of id, xyz, rgb, error and pairs of
+image id and index into that image's triples.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from framework.errors import UserError, require
+from framework.limits import MODEL_BYTES, check_size
+
+INTEGER = re.compile(r"-?\d{1,18}", re.ASCII)
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|nan)", re.ASCII | re.I)
+
+
+def check_text(files: Sequence[Path]) -> None:
+    """Raise UserError unless cameras.txt, images.txt and points3D.txt are sound."""
+    cameras = _cameras(files[0])
+    images = _images(files[1], cameras)
+    _points(files[2], images)
+
+
+def _cameras(path: Path) -> set[int]:
+    ids = set()
+    for number, row in _records(path, "cameras"):
+        good = len(row) >= 7 and _integers([row[0], *row[2:4]]) and _numbers(row[4:])
+        _require(good, path, number, "id, model, width, height and its parameters", row)
+        _require(int(row[0]) not in ids, path, number, "each camera once", row)
+        ids.add(int(row[0]))
+    return ids
+
+
+def _images(path: Path, cameras: set[int]) -> dict[int, int]:
+    """image id -> number of its 2D points."""
+    points: dict[int, int] = {}
+    names: set[str] = set()
+    rows = _records(path, "images", pairs=True)
+    for number, row in rows:
+        good = len(row) >= 10 and _integers([row[0], row[8]]) and _numbers(row[1:8])
+        _require(good, path, number, "id, 7 numbers of the pose, camera id and name", row)
+        image, camera, name = int(row[0]), int(row[8]), " ".join(row[9:])
+        known = camera in cameras and image not in points and name not in names
+        _require(known, path, number, "each image once, with a camera of cameras.txt", row)
+        number, triples = next(rows, (number, ["missing"]))
+        good = len(triples) % 3 == 0 and _integers(triples[2::3])
+        good = good and _numbers(triples[0::3]) and _numbers(triples[1::3])
+        _require(good, path, number, "triples of x, y and point id", triples)
+        points[image] = len(triples) // 3
+        names.add(name)
+    return points
+
+
+def _points(path: Path, images: dict[int, int]) -> None:
+    ids = set()
+    for number, row in _records(path, "points"):
+        good = len(row) >= 8 and len(row) % 2 == 0 and _integers([row[0], *row[4:7], *row[8:]])
+        good = good and _numbers([*row[1:4], row[7]])
+        _require(good, path, number, "id, xyz, rgb, error and its track", row)
+        track = zip(map(int, row[8::2]), map(int, row[9::2]), strict=True)
+        within = all(0 <= index < images.get(image, 0) for image, index in track)
+        _require(within, path, number, "a track of images in images.txt", row)
+        _require(int(row[0]) not in ids, path, number, "each point once", row)
+        ids.add(int(row[0]))
+
+
+def _records(path: Path, noun: str, pairs: bool = False) -> Iterator[tuple[int, list[str]]]:
+    """(line number, words) of the lines that are no comment; blank ones only where the format gives
+    them a meaning (`pairs`). As many records as the header says, if it does."""
+    check_size(path, MODEL_BYTES)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise UserError(f"{path}: expected text, got binary data; rebuild the model") from None
+    lines = text.removesuffix("\n").split("\n")
+    found = 0
+    for number, line in enumerate(lines, start=1):
+        words = line.split()
+        if line.startswith("#") or (not words and not (pairs and found % 2)):
+            continue
+        found += 1
+        yield number, words
+    said = re.search(rf"^# Number of {noun}: (\d{{1,18}})", "\n".join(lines[:5]), re.MULTILINE)
+    records = -(-found // 2) if pairs else found
+    expected = int(said.group(1)) if said else records
+    require(
+        text.endswith("\n") and records == expected,
+        f"{path}: expected {expected} records and an ended last line, got {records} whole"
+        " records; the file is truncated or damaged; copy it again or rebuild the model",
+    )
+
+
+def _integers(words: Sequence[str]) -> bool:
+    return all(INTEGER.fullmatch(word) for word in words)
+
+
+def _numbers(words: Sequence[str]) -> bool:
+    return all(len(word) < 400 and NUMBER.fullmatch(word) for word in words)
+
+
+def _require(good: bool, path: Path, number: int, expected: str, row: Sequence[str]) -> None:
+    if not good:
+        raise UserError(
+            f"{path}: expected {expected} in line {number}, got '{' '.join(row[:12])[:80]}'; the"
+            " file is damaged, copy it again or rebuild the model"
+        )
