@@ -27,6 +27,7 @@ from safetensors.torch import save
 
 from framework import fisher, optim, types, warp
 from framework.files import write_whole
+from framework.limits import CHECKPOINT_BYTES, check_size
 from framework.run_files import HistoryRow
 from framework.training_state import PluginState, TrainerState
 from framework.tree import decode, encode
@@ -119,8 +120,9 @@ class Checkpoints:
 
     def _read(self, path: Path) -> TrainerState | None:
         """The state in `path`; None if it is damaged, which is told, or another run's."""
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()[:32]
         try:
+            check_size(path, CHECKPOINT_BYTES)
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()[:32]
             if not path.stem.endswith(f"-{digest}"):
                 raise ValueError("its content does not match the checksum in its name")
             identity, state = unpack(path, self.classes)

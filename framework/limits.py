@@ -20,6 +20,7 @@ ARRAY_BYTES = 8 * IMAGE_PIXELS  # of one array in a .npy or .npz
 PLY_BYTES = 1024 * MIB
 MODEL_BYTES = 512 * MIB  # of one file of a COLMAP model
 MODEL_CELLS = 250_000_000  # points x images of a COLMAP model: who sees what, a byte each
+CHECKPOINT_BYTES = 4096 * MIB
 WEIGHTS_BYTES = 512 * MIB  # of LPIPS weights, unpacked
 TEXT_BYTES = 64 * MIB  # of one JSON or CSV file
 CONFIG_BYTES = MIB // 4  # of one YAML file

@@ -11,6 +11,7 @@ authors define it; figures in sparse-view papers are often made with [0, 1] fed 
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,9 +21,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from framework.archives import open_zip
 from framework.errors import UserError, require
+from framework.limits import WEIGHTS_BYTES
 from framework.metrics import Measurement, Missing
 
+MOST_CHANNELS = 512  # of VGG-16's widest layer
 NORM_EPS = 1e-10  # keeps the division finite where no feature responds
 
 
@@ -52,7 +56,7 @@ class Lpips:
 
     def __init__(self, backbone: Backbone, weights: dict[str, Tensor]) -> None:
         self._backbone = backbone
-        self._weights = weights
+        self.weights = weights
 
     def distance(self, x: np.ndarray, y: np.ndarray) -> Measurement:
         """LPIPS of two [H, W, 3] float images in [0, 1]; Missing where they are too small."""
@@ -65,7 +69,7 @@ class Lpips:
             stages = zip(self._features(x), self._features(y), strict=True)
             for stage, (fx, fy) in enumerate(stages):
                 difference = (_normalise(fx) - _normalise(fy)) ** 2
-                weighted = difference * self._weights[f"lin{stage}.model.1.weight"]
+                weighted = difference * self.weights[f"lin{stage}.model.1.weight"]
                 total += weighted.sum(1).mean().to(torch.float64)
         return float(total)
 
@@ -73,7 +77,7 @@ class Lpips:
         """[1, C, h, w] after the last ReLU of each stage."""
         planar = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1))).float()[None]
         h = 2.0 * planar - 1.0
-        h = (h - self._weights["scaling_layer.shift"]) / self._weights["scaling_layer.scale"]
+        h = (h - self.weights["scaling_layer.shift"]) / self.weights["scaling_layer.scale"]
         features = []
         for stage, layers in enumerate(self._backbone.layers):
             if stage in self._backbone.pooled_stages:
@@ -87,8 +91,8 @@ class Lpips:
         key = f"net.slice{stage + 1}.{layer}"
         return F.conv2d(
             h,
-            self._weights[f"{key}.weight"],
-            self._weights[f"{key}.bias"],
+            self.weights[f"{key}.weight"],
+            self.weights[f"{key}.bias"],
             stride=self._backbone.strides.get(layer, 1),
             padding=self._backbone.paddings.get(layer, 1),
         ).relu()
@@ -111,12 +115,34 @@ def load(path: str | Path) -> Lpips:
         f" lacks {len(absent)} tensors, first '{absent[0] if absent else ''}'; save the whole"
         " model's state_dict()",
     )
-    return Lpips(backbone, {key: weights[key] for key in _keys(backbone)})
+    network = Lpips(backbone, {key: weights[key] for key in _keys(backbone)})
+    _try(network, backbone, path)
+    return network
+
+
+def _try(network: Lpips, backbone: Backbone, path: str | Path) -> None:
+    """Raise UserError unless the weights fit each other: the smallest image passes through."""
+    image = np.full((backbone.min_size, backbone.min_size, 3), 0.5)
+    wide = [k for k, w in network.weights.items() if max((*w.shape, 1)) > MOST_CHANNELS]
+    try:
+        if wide:
+            raise ValueError(f"{wide[0]} has more than {MOST_CHANNELS} channels")
+        got = network.distance(image, 1.0 - image)
+        if not isinstance(got, float) or not math.isfinite(got):
+            raise ValueError("they give no finite distance")
+    except (RuntimeError, ValueError, IndexError) as error:
+        reason = re.sub(r"\s+", " ", str(error))[:120]
+        raise UserError(
+            f"metrics.lpips_weights: expected the weights of one network in '{path}', got some that"
+            f" do not fit each other ({reason}); save the whole model's state_dict()"
+        ) from None
 
 
 def _tensors(file: Path) -> dict[str, Tensor]:
-    # weights_only refuses pickled code: a weights file is data from elsewhere
+    # weights_only refuses pickled code, and open_zip what would unpack to too much: a weights file
+    # is data from elsewhere. PyTorch writes zip archives since 1.6
     try:
+        open_zip(file, WEIGHTS_BYTES).close()
         loaded = torch.load(file, map_location="cpu", weights_only=True)
     except Exception as error:
         reason = re.sub(r"\s+", " ", str(error))[:120]
@@ -128,6 +154,12 @@ def _tensors(file: Path) -> dict[str, Tensor]:
         isinstance(loaded, dict) and all(isinstance(v, Tensor) for v in loaded.values()),
         f"metrics.lpips_weights: expected a dict of tensors in '{file}', got"
         f" {type(loaded).__name__}; save it with torch.save(model.state_dict(), file)",
+    )
+    n_bytes = 4 * sum(value.numel() for value in loaded.values())  # a view may stand for much more
+    require(
+        n_bytes <= WEIGHTS_BYTES and all(isinstance(key, str) for key in loaded),
+        f"metrics.lpips_weights: expected tensors of at most {WEIGHTS_BYTES:,} bytes in '{file}',"
+        f" got {n_bytes:,}; save the model's state_dict() alone",
     )
     return {key: value.float() for key, value in loaded.items()}
 

@@ -19,6 +19,7 @@ is null with its reason beside it. Importing this module and reading records nee
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import hashlib
 import json
@@ -31,8 +32,10 @@ import numpy as np
 
 from framework.errors import UserError, require
 from framework.files import write_whole
+from framework.limits import TEXT_BYTES, check_size
 from framework.metrics import METRICS, Measurement, Missing, ViewMetrics, mean_of
 from framework.provenance import code_hash, identity_of, provenance, strict_json
+from framework.record_check import check_record
 from framework.run_files import (
     ERROR_SCALE,
     HISTORY_CSV,
@@ -230,9 +233,12 @@ def _is_complete(run_dir: Path) -> bool:
 def read_record(path: Path) -> RunRecord:
     """The record in a `record.json`. Raises UserError when it is missing or damaged."""
     require(path.is_file(), f"{path}: expected a run's record, found none; check the path")
+    check_size(path, TEXT_BYTES)
     try:
-        return _from_json(json.loads(path.read_text(encoding="utf-8")))
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        check_record(content)
+        return _from_json(content)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise UserError(
             f"{path}: expected a run's record, got a damaged one ({type(error).__name__}: {error});"
             " delete that folder and run again"
@@ -254,7 +260,9 @@ def read_run(run_dir: Path) -> Run:
         )
     try:
         metrics, history = (read_table(run_dir / name) for name in (METRICS_CSV, HISTORY_CSV))
-    except (ValueError, IndexError) as error:
+    except UserError:
+        raise
+    except (ValueError, IndexError, csv.Error) as error:
         raise UserError(
             f"{run_dir}: expected {METRICS_CSV} and {HISTORY_CSV} as a run writes them, got damaged"
             f" ones ({error}); delete that folder and run again"

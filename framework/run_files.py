@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from framework.files import write_whole
+from framework.limits import TEXT_BYTES, check_size
 from framework.metrics import METRICS, Missing, ViewMetrics, quantise
+from framework.record_check import check_columns, check_stems
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -84,13 +86,19 @@ def history_csv(history: Sequence[HistoryRow]) -> str:
 
 
 def read_table(path: Path) -> pd.DataFrame:
-    """A table written here; empty text cells come back as ''."""
+    """A table written here; empty text cells come back as ''.
+
+    Raises ValueError, IndexError or csv.Error for anything else, UserError for a too large file.
+    """
     import pandas as pd
 
+    check_size(path, TEXT_BYTES)
     # pandas' own number parser is not exact in every supported version
     with path.open(newline="", encoding="utf-8") as file:
         columns, *rows = list(csv.reader(file))
+    check_columns(columns, METRIC_COLUMNS if path.name == METRICS_CSV else HISTORY_COLUMNS)
     cells = {name: [row[index] for row in rows] for index, name in enumerate(columns)}
+    check_stems(cells.get("file", []))
     return pd.DataFrame({name: _parse(name, texts) for name, texts in cells.items()})
 
 
