@@ -154,7 +154,7 @@ def test_bad_plys(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"fused.ply: expected a PLY file of coloured points"):
         load(tmp_path, points="fused.ply")
     (tmp_path / "fused.ply").write_bytes(b"ply\nno\n")
-    with pytest.raises(UserError, match="expected a PLY file of coloured points"):
+    with pytest.raises(UserError, match="expected a PLY header, got none"):
         load(tmp_path, points="fused.ply")
     write_ply(tmp_path / "fused.ply", [(0, 0, 4)], "f4")
     with pytest.raises(UserError, match="expected colours of type uchar, got float32"):
