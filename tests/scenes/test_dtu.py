@@ -102,6 +102,18 @@ def test_background_is_dark_from_the_top_or_for_a_long_run() -> None:
     assert not background(image, 15).any()
 
 
+def test_background_is_the_published_rule() -> None:
+    """CoR-GS keeps a dark pixel as background unless one of the 49 above it, shifted in, is not."""
+    image = stream(0, "tests/background").integers(0, 32, (120, 30, 3), dtype=np.uint8)
+    image[:, 10:] //= 2
+    dark = image.max(axis=2) < 30
+    expected = dark.copy()
+    for shift in range(1, DARK_RUN):
+        expected[shift:] &= dark[:-shift]
+    assert 0.1 < expected.mean() < 0.9
+    assert np.array_equal(background(image, 30) > 0, expected)
+
+
 def test_default_size_is_400_wide(tmp_path: Path) -> None:
     folder = write_dtu(tmp_path / "scan9")
     with pytest.raises(UserError, match=r"set scene.downscale"):
