@@ -17,10 +17,13 @@ from torch import Tensor
 
 from framework.jit import kernel
 from framework.parallel import BLOCKS, run_blocks
+from framework.rasterize.chunks import put1, take1
+from framework.rasterize.simd import LANES, exp2, log2, maximum, splat
 from framework.types import Gaussians, concatenate
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
 LOWEST_LOGIT = -30.0
+_LN2, _LOG2E = np.float32(math.log(2)), np.float32(1 / math.log(2))
 
 # stands for a tensor without gradient: tuples of another length would be compiled anew
 _NOTHING = (np.empty(0, dtype=np.float32),) * 4
@@ -180,14 +183,15 @@ def _edited(moments: Gaussians, keep: Tensor | None, n_appended: int) -> Gaussia
 
 @kernel
 def _decay_range(block, n_blocks, logits, decay):  # type: ignore[no-untyped-def]
-    one, log_decay = np.float32(1), np.float32(math.log(decay))
-    n = len(logits)
-    for i in range(n * block // n_blocks, n * (block + 1) // n_blocks):
+    log_decay, lowest = np.float32(math.log(decay)), splat(np.float32(LOWEST_LOGIT))
+    kept, scratch = np.float32(1) - decay, np.empty(LANES, np.float32)
+    begin, end = len(logits) * block // n_blocks, len(logits) * (block + 1) // n_blocks
+    for base in range(begin, end, LANES):
+        count = min(LANES, end - base)
         # exp(88) overflows; an opacity of 1e-13 is as good as none
-        bounded = max(logits[i], np.float32(LOWEST_LOGIT))
-        logits[i] = max(
-            log_decay - math.log(one - decay + math.exp(-bounded)), np.float32(LOWEST_LOGIT)
-        )
+        bounded = maximum(take1(logits, base, count, scratch), lowest)
+        decayed = log_decay - _LN2 * log2(kept + exp2(-bounded * _LOG2E))
+        put1(logits, base, count, scratch, maximum(decayed, lowest))
 
 
 def decay_opacities(logits: Tensor, decay: float) -> None:

@@ -14,8 +14,11 @@ from typing import Any
 import numpy as np
 
 from framework.jit import inlined, kernel
+from framework.rasterize.simd import prefetch
 
 MAX_GAUSSIANS = 1 << 23  # what fits beside two rows in an int32
+
+_AHEAD = 8  # Gaussians between asking for one's row and using it
 
 f4 = np.float32
 ZERO, ONE, HALF = f4(0), f4(1), f4(0.5)
@@ -24,45 +27,61 @@ _LOG2_255 = f4(math.log2(255))
 
 
 @kernel
-def depth_order(rows: Any, bound: Any, order: Any, spare: Any) -> int:
-    """Indices of the visible Gaussians (bound > 0) by depth into order[:count]; stable radix sort
-    of the float bits (depths are positive). `spare` is scratch of the same length."""
+def depth_order(rows: Any, bound: Any, keys: Any, spare: Any, order: Any, start: Any) -> int:
+    """Indices of the visible Gaussians (bound > 0) by depth into order[:n]; start[:n + 1] = prefix
+    sums of bound in that order. Returns n.
+
+    Stable radix sort of the float bits (depths are positive); keys and spare are uint64 scratch of
+    the same length: a key beside its index is read in sequence, where the row would be a miss.
+    """
     bits = rows.view(np.uint32)
     counts = np.zeros((3, 2048), np.int64)
     n = 0
     for i in range(len(rows)):
         if bound[i] > 0:
-            key = bits[i, 9]
-            order[n] = i
+            key = np.uint64(bits[i, 9])
+            keys[n] = key << np.uint64(32) | np.uint64(i)
             n += 1
-            counts[0, key & np.uint32(2047)] += 1
-            counts[1, (key >> np.uint32(11)) & np.uint32(2047)] += 1
-            counts[2, key >> np.uint32(22)] += 1
-    source, target = order, spare
+            counts[0, key & np.uint64(2047)] += 1
+            counts[1, (key >> np.uint64(11)) & np.uint64(2047)] += 1
+            counts[2, key >> np.uint64(22)] += 1
     for digit in range(3):
         total = 0
         for value in range(2048):
             count = counts[digit, value]
             counts[digit, value] = total
             total += count
-        shift = np.uint32(11 * digit)
-        for i in range(n):
-            index = source[i]
-            value = (bits[index, 9] >> shift) & np.uint32(2047)
-            target[counts[digit, value]] = index
+        shift = np.uint64(32 + 11 * digit)
+        for k in range(n):
+            value = (keys[k] >> shift) & np.uint64(2047)
+            spare[counts[digit, value]] = keys[k]
             counts[digit, value] += 1
-        source, target = target, source
-    order[:n] = source[:n]
+        keys, spare = spare, keys
+    total = 0
+    for k in range(n):
+        i = keys[k] & np.uint64(0xFFFFFFFF)
+        order[k] = i
+        start[k] = total
+        total += bound[i]
+    start[n] = total
     return n
 
 
 @inlined
-def _reach(end: Any, b: Any, c: Any, level: Any, rx: Any, ry: Any, sign: Any) -> Any:
-    """dy of the ellipse a dx^2 + 2 b dx dy + c dy^2 = level, of half-sides rx, ry, at dx = end; the
-    upper or lower branch. c (dy + b/c dx)^2 = level (1 - (dx/rx)^2): nothing cancels."""
-    share = end / rx
-    root = math.sqrt(max(ZERO, level * (ONE - share * share) / c))
-    return max(-ry, min(ry, sign * root - b / c * end))
+def _edge(at: Any, x0: Any, x1: Any, ellipse: Any, sign: Any) -> Any:
+    """dy of the ellipse's upper (sign -1) or lower branch where it is farthest from dy = 0 in the
+    columns x0 ... x1 of dx; its extreme point lies at dx = at.
+
+    ellipse: (half-sides rx, ry; 1 / rx; b / c; level / c) of a dx^2 + 2 b dx dy + c dy^2 = level;
+    c (dy + b/c dx)^2 = level (1 - (dx/rx)^2): nothing cancels.
+    """
+    rx, ry, over_rx, shear, height = ellipse
+    if x0 <= at and at <= x1:
+        return sign * ry
+    dx = max(-rx, min(rx, max(x0, min(x1, at))))
+    share = dx * over_rx
+    root = math.sqrt(max(ZERO, height * (ONE - share * share)))
+    return max(-ry, min(ry, sign * root - shear * dx))
 
 
 @kernel
@@ -79,33 +98,30 @@ def count_tiles(
     touched: Any,
     histogram: Any,
 ) -> None:
-    """List the tiles of every Gaussian of this block into items[start[i]...] as
-    (tile << 8 | last row << 4 | first row); touched[i] = how many; histogram[block, tile] += 1."""
+    """List the tiles of the Gaussian order[k], for the k of this block, into items[start[k]...] as
+    (tile << 8 | last row << 4 | first row); touched[order[k]] = how many; histogram[block, tile] is
+    the number of items."""
     columns = (width + 15) // 16
     histogram[block, :] = 0
+    flat = rows.reshape(-1)
     for k in range(n * block // blocks, n * (block + 1) // blocks):
         i = order[k]
+        prefetch(flat, order[min(k + _AHEAD, n - 1)] * 16)
         row = rows[i]
         u, v, rx, ry = row[0], row[1], row[10], row[11]
         a, b, c = row[13], row[14], row[15]
         left = max(0, int(math.ceil(u - rx - HALF)))
         right = min(width - 1, int(math.floor(u + rx - HALF)))
         level = _TWO_LN2 * (row[5] + _LOG2_255)
+        ellipse = (rx, ry, ONE / rx, b / c, level / c)
         summit = -b / a * ry  # dx of the ellipse's lowest point on screen (largest dy)
-        at = start[i]
+        at = start[k]
         for column in range(left // 16, right // 16 + 1):
             x0 = f4(column * 16) + HALF - u
             x1 = x0 + f4(15)
-            high = ry
-            if summit < x0 or summit > x1:
-                end = max(-rx, min(rx, max(x0, min(x1, summit))))
-                high = _reach(end, b, c, level, rx, ry, ONE)
-            low = -ry
-            if -summit < x0 or -summit > x1:
-                end = max(-rx, min(rx, max(x0, min(x1, -summit))))
-                low = _reach(end, b, c, level, rx, ry, -ONE)
-            top = max(0, int(math.ceil(v + low - HALF)))
-            bottom = min(height - 1, int(math.floor(v + high - HALF)))
+            top = max(0, int(math.ceil(v + _edge(-summit, x0, x1, ellipse, -ONE) - HALF)))
+            low = int(math.floor(v + _edge(summit, x0, x1, ellipse, ONE) - HALF))
+            bottom = min(height - 1, low)
             if top > bottom:
                 continue
             for band in range(top // 16, bottom // 16 + 1):
@@ -115,17 +131,7 @@ def count_tiles(
                 items[at] = tile << 8 | last << 4 | first
                 histogram[block, tile] += 1
                 at += 1
-        touched[i] = at - start[i]
-
-
-@kernel
-def prefix_bounds(bound: Any, start: Any) -> int:
-    """start = exclusive prefix sum of bound; returns the total."""
-    total = 0
-    for i in range(len(bound)):
-        start[i] = total
-        total += bound[i]
-    return total
+        touched[i] = at - start[k]
 
 
 @kernel
@@ -165,7 +171,7 @@ def fill_tiles(
     for k in range(n * block // blocks, n * (block + 1) // blocks):
         i = order[k]
         for j in range(first[i + 1] - first[i]):
-            item = items[start[i] + j]
+            item = items[start[k] + j]
             tile = item >> 8
             place = places[tile]
             places[tile] = place + 1

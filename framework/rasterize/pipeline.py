@@ -73,17 +73,18 @@ class Workspace:
             size = self._capacity
             self._rows = np.empty((size, ROW), np.float32)
             self._clipped = np.empty(size, np.uint8)
-            self._bound, self._start = np.empty(size, np.int32), np.empty(size, np.int32)
+            self._bound, self._start = np.empty(size, np.int32), np.empty(size + 1, np.int32)
             self._touched = np.zeros(size, np.int32)
             self._first = np.empty(size + 1, np.int32)
-            self._order, self._spare = np.empty(size, np.int32), np.empty(size, np.int32)
+            self._order = np.empty(size, np.int32)
+            self._keys, self._spare = np.empty(size, np.uint64), np.empty(size, np.uint64)
         if self.histogram.shape[1] != n_tiles:
             self.histogram = np.empty((BLOCKS, n_tiles), np.int32)
             self.offsets = np.empty(n_tiles + 1, np.int32)
         self.rows, self.clipped = self._rows[:n], self._clipped[:n]
-        self.bound, self.start = self._bound[:n], self._start[:n]
+        self.bound, self.start = self._bound[:n], self._start[: n + 1]
         self.touched, self.first = self._touched[:n], self._first[: n + 1]
-        self.order, self.spare = self._order[:n], self._spare[:n]
+        self.order, self.keys, self.spare = self._order[:n], self._keys[:n], self._spare[:n]
 
     def project(
         self, arrays: Arrays, camera: Camera, degree: int, near: float, radii: np.ndarray
@@ -96,19 +97,19 @@ class Workspace:
         self._fit(len(arrays.means), columns * bands)
         run_blocks(
             projection.project,
-            arrays.means,
-            arrays.quats,
-            arrays.log_scales,
+            arrays.means.reshape(-1),
+            arrays.quats.reshape(-1),
+            arrays.log_scales.reshape(-1),
             arrays.logits,
-            arrays.sh0,
+            arrays.sh0.reshape(-1),
             arrays.shN,
             arrays.factors,
-            arrays.offset,
+            arrays.offset.reshape(-1),
             degree,
             self.camera,
             self.width,
             self.height,
-            self.rows,
+            self.rows.reshape(-1),
             self.clipped,
             self.bound,
             radii,
@@ -116,11 +117,13 @@ class Workspace:
 
     def sort(self) -> None:
         """Depth order of the visible Gaussians."""
-        self.n_visible = binning.depth_order(self.rows, self.bound, self.order, self.spare)
+        self.n_visible = binning.depth_order(
+            self.rows, self.bound, self.keys, self.spare, self.order, self.start
+        )
 
     def bin(self) -> None:
         """The tiles' lists, front to back."""
-        entries = binning.prefix_bounds(self.bound, self.start)
+        entries = int(self.start[self.n_visible])
         if len(self.items) < entries:
             self.items = np.empty(entries + entries // 4, np.int32)
         self.touched[:] = 0
@@ -209,26 +212,26 @@ class Workspace:
         arrays = self.arrays
         run_blocks(
             projection.project_backward,
-            arrays.means,
-            arrays.quats,
-            arrays.log_scales,
+            arrays.means.reshape(-1),
+            arrays.quats.reshape(-1),
+            arrays.log_scales.reshape(-1),
             arrays.logits,
             arrays.shN,
             arrays.factors,
             self.degree,
             self.camera,
-            self.rows,
+            self.rows.reshape(-1),
             self.clipped,
             self.first,
             self.slots.reshape(-1),
-            gradient.means,
-            gradient.quats,
-            gradient.log_scales,
+            gradient.means.reshape(-1),
+            gradient.quats.reshape(-1),
+            gradient.log_scales.reshape(-1),
             gradient.logits,
-            gradient.sh0,
+            gradient.sh0.reshape(-1),
             gradient.shN,
             gradient.factors,
-            gradient.offset,
+            gradient.offset.reshape(-1),
         )
 
     def information(self, block: np.ndarray, diagonal: np.ndarray) -> None:

@@ -1,4 +1,4 @@
-"""Gaussians -> screen, and the gradient back: kernels over blocks of Gaussians.
+"""Gaussians -> screen, and the gradient back: kernels over blocks of Gaussians, 16 at a time.
 
 A projected Gaussian is one row of 16 floats (a cache line): 0-1 mean u, v [px]; 2-4 -A/2, -B, -C/2
 times log2(e); 5 log2(opacity); 6-8 colour; 9 depth; 10-11 half-sides of the box that holds all
@@ -6,7 +6,8 @@ alpha >= 1/255 [px], -1 if culled; 12 opacity; 13-15 conic A, B, C (inverse 2D c
 With it the blending kernels get alpha = 2^(row[5] + row[2] dx^2 + row[3] dx dy + row[4] dy^2).
 
 Camera row (float32[20]): rotation (9), translation (3), centre (3), fx, fy, cx, cy, near.
-EWA splatting (Zwicker et al. 2001) as in 3DGS, spherical harmonics with its signs.
+EWA splatting (Zwicker et al. 2001) as in 3DGS, spherical harmonics with its signs. The helpers are
+for float32 numbers and for vectors of them (`simd`) alike.
 """
 
 from __future__ import annotations
@@ -17,8 +18,30 @@ from typing import Any
 import numpy as np
 
 from framework.jit import inlined, kernel
+from framework.rasterize.chunks import put1, put2, put3, put4, take1, take2, take3, take4
 from framework.rasterize.constants import ALPHA_MIN, DILATION, FRUSTUM_MARGIN
-from framework.rasterize.simd import load, store, zeros
+from framework.rasterize.simd import (
+    LANES,
+    absolute,
+    any_lane,
+    both,
+    ceil,
+    exp2,
+    floor,
+    greater,
+    greater_equal,
+    load,
+    load16,
+    log2,
+    maximum,
+    minimum,
+    select,
+    splat,
+    store,
+    store16,
+    store_whole,
+    zeros,
+)
 
 f4 = np.float32
 
@@ -27,6 +50,9 @@ _CUT = f4(ALPHA_MIN)
 _DILATION = f4(DILATION)
 _REACH = f4(0.5 + FRUSTUM_MARGIN)
 _HUGE = f4(1e30)
+_LARGEST = f4(126)
+_TWO_LN2, _LOG2_255 = f4(2 * math.log(2)), f4(math.log2(255))
+_TILE = f4(1 / 16)
 
 # normalisation of the real spherical harmonics up to degree 3
 Y0 = f4(0.28209479177387814)
@@ -39,30 +65,30 @@ ZERO, HALF = f4(0), f4(0.5)
 
 
 @inlined
-def _basis(degree: int, x: Any, y: Any, z: Any, out: Any) -> None:
-    """The basis functions 1.. of `degree` at the unit direction, into out[0..]."""
-    out[0] = -_Y1 * y
-    out[1] = _Y1 * z
-    out[2] = -_Y1 * x
-    if degree > 1:
-        xx, yy, zz = x * x, y * y, z * z
-        out[3] = _Y2A * x * y
-        out[4] = -_Y2A * y * z
-        out[5] = _Y2B * (TWO * zz - xx - yy)
-        out[6] = -_Y2A * x * z
-        out[7] = _Y2C * (xx - yy)
-        if degree > 2:
-            out[8] = -_Y3A * y * (THREE * xx - yy)
-            out[9] = _Y3B * x * y * z
-            out[10] = -_Y3C * y * (FOUR * zz - xx - yy)
-            out[11] = _Y3D * z * (TWO * zz - THREE * xx - THREE * yy)
-            out[12] = -_Y3C * x * (FOUR * zz - xx - yy)
-            out[13] = _Y3E * z * (xx - yy)
-            out[14] = -_Y3A * x * (xx - THREE * yy)
+def basis(x: Any, y: Any, z: Any) -> tuple[Any, ...]:
+    """The 15 basis functions of the degrees 1 to 3 at a unit direction."""
+    xx, yy, zz = x * x, y * y, z * z
+    return (
+        -_Y1 * y,
+        _Y1 * z,
+        -_Y1 * x,
+        _Y2A * x * y,
+        -_Y2A * y * z,
+        _Y2B * (TWO * zz - xx - yy),
+        -_Y2A * x * z,
+        _Y2C * (xx - yy),
+        -_Y3A * y * (THREE * xx - yy),
+        _Y3B * x * y * z,
+        -_Y3C * y * (FOUR * zz - xx - yy),
+        _Y3D * z * (TWO * zz - THREE * xx - THREE * yy),
+        -_Y3C * x * (FOUR * zz - xx - yy),
+        _Y3E * z * (xx - yy),
+        -_Y3A * x * (xx - THREE * yy),
+    )
 
 
 @inlined
-def _basis_gradient(degree: int, x: Any, y: Any, z: Any, d: Any) -> tuple[Any, Any, Any]:
+def basis_gradient(degree: int, x: Any, y: Any, z: Any, d: Any) -> tuple[Any, Any, Any]:
     """Sum over the basis functions of d[k] x their gradient in (x, y, z)."""
     gx, gy, gz = -_Y1 * d[2], -_Y1 * d[0], _Y1 * d[1]
     if degree > 1:
@@ -93,7 +119,7 @@ def to_camera(camera: Any, mean: Any) -> tuple[Any, Any, Any]:
 
 
 @inlined
-def _direction(camera: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
+def direction(camera: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
     """Unit direction camera -> mean, and 1 / distance."""
     x, y, z = mean[0] - camera[12], mean[1] - camera[13], mean[2] - camera[14]
     inverse = ONE / math.sqrt(x * x + y * y + z * z)
@@ -153,6 +179,31 @@ def times_rotation(t: Any, r: Any) -> tuple[Any, ...]:
     )
 
 
+@inlined
+def exp(x: Any) -> Any:
+    """Of a vector; 2^126 where that is exceeded or x is not a number."""
+    return exp2(minimum(x * _LOG2E, splat(_LARGEST)))
+
+
+@inlined
+def _sh_color(degree: int, way: Any, base: int, count: int, shN: Any, sh: Any) -> Any:
+    """What the bands above 0 add to red, green, blue; sh [256] is scratch."""
+    b = basis(way[0], way[1], way[2])
+    store16(sh, 0, (*b, zeros()))
+    for lane in range(count):
+        red, green, blue = ZERO, ZERO, ZERO
+        for k in range((degree + 1) * (degree + 1) - 1):
+            value = sh[lane * LANES + k]
+            red += value * shN[base + lane, k, 0]
+            green += value * shN[base + lane, k, 1]
+            blue += value * shN[base + lane, k, 2]
+        sh[lane * LANES] = red
+        sh[lane * LANES + 1] = green
+        sh[lane * LANES + 2] = blue
+    sums = load16(sh, 0)
+    return sums[0], sums[1], sums[2]
+
+
 @kernel
 def project(
     block: int,
@@ -174,37 +225,38 @@ def project(
     bound: Any,
     radii: Any,
 ) -> None:
-    """Fill `rows` [N, 16]; clipped [N] uint8: bit c set where colour c was clamped at 0; bound [N]
-    int32: the number of tiles the box covers (0 = culled), an upper bound on those touched;
-    radii [N]: the larger half-side of the box, 0 if culled."""
-    n = len(means)
-    basis = np.empty(15, np.float32)
+    """Fill `rows` (flat [N 16]); clipped [N] uint8: bit c set where colour c was clamped at 0;
+    bound [N] int32: the number of tiles the box covers (0 = culled), an upper bound on those
+    touched; radii [N]: the larger half-side of the box, 0 if culled. All but shN [N, K, 3] flat."""
+    n = len(logits)
+    scratch, sh = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)
     w, h = f4(width), f4(height)
-    for i in range(n * block // blocks, n * (block + 1) // blocks):
-        row = rows[i]
-        x, y, z = to_camera(camera, means[i])
-        opacity = factors[i] / (ONE + math.exp(-logits[i]))
-        row[9] = z
-        row[10] = -ONE
-        row[11] = -ONE
-        bound[i] = 0
-        radii[i] = ZERO
-        if not (z >= camera[19] and opacity >= _CUT):
+    whole, flags = np.empty(LANES, np.int32), np.empty(LANES, np.uint8)
+    for base in range(n * block // blocks, n * (block + 1) // blocks, LANES):
+        count = min(LANES, n * (block + 1) // blocks - base)
+        mean = take3(means, base, count, scratch)
+        x, y, z = to_camera(camera, mean)
+        logit = take1(logits, base, count, scratch)
+        opacity = take1(factors, base, count, scratch) / (ONE + exp(-logit))
+        visible = both(greater_equal(z, splat(camera[19])), greater_equal(opacity, splat(_CUT)))
+        inverse_z = ONE / z
+        u = camera[15] * x * inverse_z + camera[17]
+        v = camera[16] * y * inverse_z + camera[18]
+        visible = both(visible, greater_equal(splat(_REACH * w), absolute(u - HALF * w)))
+        visible = both(visible, greater_equal(splat(_REACH * h), absolute(v - HALF * h)))
+        if not any_lane(visible):
+            for i in range(base, base + count):
+                bound[i] = 0
+                radii[i] = ZERO
             continue
-        u = camera[15] * x / z + camera[17]
-        v = camera[16] * y / z + camera[18]
-        if not (abs(u - HALF * w) <= _REACH * w and abs(v - HALF * h) <= _REACH * h):
-            continue
-        u += offset[i, 0]
-        v += offset[i, 1]
+        shift = take2(offset, base, count, scratch)
+        u, v = u + shift[0], v + shift[1]
         t = screen_axes(camera, x, y, z)
-        qw, qx, qy, qz, _ = unit_quat(quats[i])
+        quat = take4(quats, base, count, scratch)
+        qw, qx, qy, qz, _ = unit_quat(quat)
         m = times_rotation(t, rotation(qw, qx, qy, qz))
-        s0, s1, s2 = (
-            math.exp(log_scales[i, 0]),
-            math.exp(log_scales[i, 1]),
-            math.exp(log_scales[i, 2]),
-        )
+        log_scale = take3(log_scales, base, count, scratch)
+        s0, s1, s2 = exp(log_scale[0]), exp(log_scale[1]), exp(log_scale[2])
         a0, a1, a2 = m[0] * s0, m[1] * s1, m[2] * s2
         b0, b1, b2 = m[3] * s0, m[4] * s1, m[5] * s2
         xx = a0 * a0 + a1 * a1 + a2 * a2
@@ -213,50 +265,64 @@ def project(
         # xx yy - xy^2 would cancel for long, thin Gaussians and leave an indefinite conic
         c01, c02, c12 = a0 * b1 - a1 * b0, a0 * b2 - a2 * b0, a1 * b2 - a2 * b1
         determinant = c01 * c01 + c02 * c02 + c12 * c12 + _DILATION * (xx + yy + _DILATION)
-        if not (determinant > ZERO and determinant < _HUGE):  # also where parameters are not finite
-            continue
-        xx += _DILATION
-        yy += _DILATION
+        # false also where parameters are not finite
+        visible = both(visible, greater(determinant, zeros()))
+        visible = both(visible, greater(splat(_HUGE), determinant))
+        xx, yy = xx + _DILATION, yy + _DILATION
         inverse = ONE / determinant
+        base_color = take3(sh0, base, count, scratch)
         red, green, blue = (
-            HALF + Y0 * sh0[i, 0, 0],
-            HALF + Y0 * sh0[i, 0, 1],
-            HALF + Y0 * sh0[i, 0, 2],
+            HALF + Y0 * base_color[0],
+            HALF + Y0 * base_color[1],
+            HALF + Y0 * base_color[2],
         )
         if degree > 0:
-            dx, dy, dz, _ = _direction(camera, means[i])
-            _basis(degree, dx, dy, dz, basis)
-            for k in range((degree + 1) * (degree + 1) - 1):
-                red += basis[k] * shN[i, k, 0]
-                green += basis[k] * shN[i, k, 1]
-                blue += basis[k] * shN[i, k, 2]
-        clipped[i] = (
-            (1 if red < ZERO else 0) | (2 if green < ZERO else 0) | (4 if blue < ZERO else 0)
-        )
-        row[0] = u
-        row[1] = v
-        row[2] = -HALF * _LOG2E * yy * inverse
-        row[3] = _LOG2E * xy * inverse
-        row[4] = -HALF * _LOG2E * xx * inverse
-        row[5] = math.log(opacity) * _LOG2E
-        row[6] = max(red, ZERO)
-        row[7] = max(green, ZERO)
-        row[8] = max(blue, ZERO)
-        reach = TWO * math.log(f4(255) * opacity)
+            way = direction(camera, mean)
+            more = _sh_color(degree, way, base, count, shN, sh)
+            red, green, blue = red + more[0], green + more[1], blue + more[2]
+        flag = select(greater(zeros(), red), splat(ONE), zeros())
+        flag = flag + select(greater(zeros(), green), splat(TWO), zeros())
+        flag = flag + select(greater(zeros(), blue), splat(FOUR), zeros())
+        level = log2(opacity)
+        reach = _TWO_LN2 * (level + _LOG2_255)
         rx, ry = math.sqrt(reach * xx), math.sqrt(reach * yy)
-        row[12] = opacity
-        row[13] = yy * inverse
-        row[14] = -xy * inverse
-        row[15] = xx * inverse
-        left = max(0, int(math.ceil(u - rx - HALF)))
-        right = min(width - 1, int(math.floor(u + rx - HALF)))
-        top = max(0, int(math.ceil(v - ry - HALF)))
-        bottom = min(height - 1, int(math.floor(v + ry - HALF)))
-        if left <= right and top <= bottom:
-            row[10] = rx
-            row[11] = ry
-            radii[i] = max(rx, ry)
-            bound[i] = (right // 16 - left // 16 + 1) * (bottom // 16 - top // 16 + 1)
+        left = maximum(ceil(u - rx - HALF), zeros())
+        right = minimum(floor(u + rx - HALF), splat(w - ONE))
+        top = maximum(ceil(v - ry - HALF), zeros())
+        bottom = minimum(floor(v + ry - HALF), splat(h - ONE))
+        visible = both(visible, both(greater_equal(right, left), greater_equal(bottom, top)))
+        columns = floor(right * _TILE) - floor(left * _TILE) + ONE
+        bands = floor(bottom * _TILE) - floor(top * _TILE) + ONE
+        put1(radii, base, count, scratch, select(visible, maximum(rx, ry), zeros()))
+        row = (
+            u,
+            v,
+            -HALF * _LOG2E * yy * inverse,
+            _LOG2E * xy * inverse,
+            -HALF * _LOG2E * xx * inverse,
+            level,
+            maximum(red, zeros()),
+            maximum(green, zeros()),
+            maximum(blue, zeros()),
+            z,
+            rx,
+            ry,
+            opacity,
+            yy * inverse,
+            -xy * inverse,
+            xx * inverse,
+        )
+        if count == LANES:
+            store16(rows, base * LANES, row)
+        else:
+            store16(sh, 0, row)
+            for i in range(count * LANES):
+                rows[base * LANES + i] = sh[i]
+        store_whole(whole, 0, select(visible, columns * bands, zeros()))
+        store_whole(flags, 0, flag)
+        for lane in range(count):
+            bound[base + lane] = whole[lane]
+            clipped[base + lane] = flags[lane]
 
 
 @inlined
@@ -336,6 +402,64 @@ def pull_back(
     )
 
 
+@inlined
+def _sum_slots(first: Any, slots: Any, base: int, count: int, total: Any) -> int:
+    """The sums of every Gaussian's slots, in their order, into total (flat [16 16]), row 15 of
+    which counts them; returns the number of slots."""
+    for lane in range(count):
+        begin, end = first[base + lane], first[base + lane + 1]
+        sums = zeros()
+        for j in range(begin, end):
+            sums = sums + load(slots, j * LANES)
+        store(total, lane * LANES, sums)
+        total[lane * LANES + 15] = f4(end - begin)
+    return first[base + count] - first[base]
+
+
+@inlined
+def _sh_backward(
+    degree: int, base: int, count: int, color: Any, way: Any, shN: Any, g_shN: Any, sh: Any
+) -> Any:
+    """Fill g_shN; returns the gradient in the unit direction. sh [2, 256] is scratch."""
+    terms = (degree + 1) * (degree + 1) - 1
+    values, pulls = sh[0], sh[1]
+    b = basis(way[0], way[1], way[2])
+    store16(values, 0, (*b, zeros()))
+    store16(
+        pulls,
+        0,
+        (
+            color[0],
+            color[1],
+            color[2],
+            zeros(),
+            zeros(),
+            zeros(),
+            zeros(),
+            zeros(),
+            zeros(),
+            zeros(),
+            zeros(),
+            zeros(),
+            zeros(),
+            zeros(),
+            zeros(),
+            zeros(),
+        ),
+    )
+    for lane in range(count):
+        at = lane * LANES
+        red, green, blue = pulls[at], pulls[at + 1], pulls[at + 2]
+        own, out = shN[base + lane], g_shN[base + lane]
+        for k in range(terms):
+            value = values[at + k]
+            out[k, 0] = value * red
+            out[k, 1] = value * green
+            out[k, 2] = value * blue
+            pulls[at + k] = red * own[k, 0] + green * own[k, 1] + blue * own[k, 2]
+    return basis_gradient(degree, way[0], way[1], way[2], load16(pulls, 0))
+
+
 @kernel
 def project_backward(
     block: int,
@@ -364,77 +488,94 @@ def project_backward(
     """Sum every Gaussian's slots in their order, then pull the sums back to the parameters.
 
     Slot lanes: sums over pixels of a = (d loss / d alpha) alpha times 1, dx, dx^2, dy, dx dy, dy^2,
-    then of weight times d loss / d (r, g, b, depth); see `tiles.blend_backward`.
+    then of weight times d loss / d (r, g, b, depth); see `tiles.blend_backward`. All but shN and
+    g_shN [N, K, 3] are flat.
     """
-    n = len(means)
-    basis = np.empty(15, np.float32)
-    project_sh = np.empty(15, np.float32)
-    total = np.empty(16, np.float32)
+    n = len(logits)
+    scratch, total = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)
+    sh, flags = np.zeros((2, 256), np.float32), np.zeros((3, LANES), np.float32)
     terms = (degree + 1) * (degree + 1) - 1
-    for i in range(n * block // blocks, n * (block + 1) // blocks):
-        row = rows[i]
-        if first[i] == first[i + 1]:
-            g_means[i, :] = ZERO
-            g_quats[i, :] = ZERO
-            g_log_scales[i, :] = ZERO
-            g_logits[i] = ZERO
-            g_sh0[i, 0, :] = ZERO
-            g_shN[i, :, :] = ZERO
-            g_factors[i] = ZERO
-            g_offset[i, :] = ZERO
+    for base in range(n * block // blocks, n * (block + 1) // blocks, LANES):
+        count = min(LANES, n * (block + 1) // blocks - base)
+        if _sum_slots(first, slots, base, count, total) == 0:
+            g_means[3 * base : 3 * (base + count)] = ZERO
+            g_quats[4 * base : 4 * (base + count)] = ZERO
+            g_log_scales[3 * base : 3 * (base + count)] = ZERO
+            g_logits[base : base + count] = ZERO
+            g_sh0[3 * base : 3 * (base + count)] = ZERO
+            g_shN[base : base + count] = ZERO
+            g_factors[base : base + count] = ZERO
+            g_offset[2 * base : 2 * (base + count)] = ZERO
             continue
-        sums = zeros()
-        for j in range(first[i], first[i + 1]):
-            sums = sums + load(slots, j * 16)
-        store(total, 0, sums)
+        s = load16(total, 0)
+        if count == LANES:
+            row = load16(rows, base * LANES)
+        else:
+            for i in range(count * LANES):
+                total[i] = rows[base * LANES + i]
+            row = load16(total, 0)
+        seen = greater(s[15], zeros())
         ca, cb, cc = row[13], row[14], row[15]
-        gu = ca * total[1] + cb * total[3]
-        gv = cb * total[1] + cc * total[3]
-        ga, gb, gc = -HALF * total[2], -total[4], -HALF * total[5]
-        x, y, z = to_camera(camera, means[i])
+        gu = select(seen, ca * s[1] + cb * s[3], zeros())
+        gv = select(seen, cb * s[1] + cc * s[3], zeros())
+        ga, gb, gc = -HALF * s[2], -s[4], -HALF * s[5]
+        mean = take3(means, base, count, scratch)
+        x, y, z = to_camera(camera, mean)
         t = screen_axes(camera, x, y, z)
-        quat = unit_quat(quats[i])
+        quat = unit_quat(take4(quats, base, count, scratch))
         r = rotation(quat[0], quat[1], quat[2], quat[3])
         m = times_rotation(t, r)
-        scales = (
-            math.exp(log_scales[i, 0]),
-            math.exp(log_scales[i, 1]),
-            math.exp(log_scales[i, 2]),
-        )
+        log_scale = take3(log_scales, base, count, scratch)
+        scales = (exp(log_scale[0]), exp(log_scale[1]), exp(log_scale[2]))
         g = pull_back(
-            camera, x, y, z, t, r, m, scales, quat, (ca, cb, cc), gu, gv, ga, gb, gc, total[9]
+            camera, x, y, z, t, r, m, scales, quat, (ca, cb, cc), gu, gv, ga, gb, gc, s[9]
         )
-        gr = ZERO if clipped[i] & 1 else total[6]
-        gg = ZERO if clipped[i] & 2 else total[7]
-        gl = ZERO if clipped[i] & 4 else total[8]
+        for lane in range(count):
+            for c in range(3):
+                flags[c, lane] = f4((clipped[base + lane] >> c) & 1)
+        gr = select(both(seen, greater(splat(HALF), load(flags[0], 0))), s[6], zeros())
+        gg = select(both(seen, greater(splat(HALF), load(flags[1], 0))), s[7], zeros())
+        gl = select(both(seen, greater(splat(HALF), load(flags[2], 0))), s[8], zeros())
         mx, my, mz = g[0], g[1], g[2]
-        g_sh0[i, 0, 0] = Y0 * gr
-        g_sh0[i, 0, 1] = Y0 * gg
-        g_sh0[i, 0, 2] = Y0 * gl
+        put3(g_sh0, base, count, scratch, (Y0 * gr, Y0 * gg, Y0 * gl))
         if degree > 0:
-            dx, dy, dz, inverse = _direction(camera, means[i])
-            _basis(degree, dx, dy, dz, basis)
-            for k in range(terms):
-                g_shN[i, k, 0] = basis[k] * gr
-                g_shN[i, k, 1] = basis[k] * gg
-                g_shN[i, k, 2] = basis[k] * gl
-                project_sh[k] = gr * shN[i, k, 0] + gg * shN[i, k, 1] + gl * shN[i, k, 2]
-            vx, vy, vz = _basis_gradient(degree, dx, dy, dz, project_sh)
-            radial = vx * dx + vy * dy + vz * dz
-            mx += (vx - radial * dx) * inverse
-            my += (vy - radial * dy) * inverse
-            mz += (vz - radial * dz) * inverse
-        g_shN[i, terms:, :] = ZERO
-        g_means[i, 0] = mx
-        g_means[i, 1] = my
-        g_means[i, 2] = mz
-        for k in range(3):
-            g_log_scales[i, k] = g[3 + k]
-        for k in range(4):
-            g_quats[i, k] = g[6 + k]
-        opacity = ONE / (ONE + math.exp(-logits[i]))
-        g_opacity = total[0] / row[12]
-        g_factors[i] = g_opacity * opacity
-        g_logits[i] = g_opacity * factors[i] * opacity * (ONE - opacity)
-        g_offset[i, 0] = gu
-        g_offset[i, 1] = gv
+            way = direction(camera, mean)
+            vx, vy, vz = _sh_backward(degree, base, count, (gr, gg, gl), way, shN, g_shN, sh)
+            radial = vx * way[0] + vy * way[1] + vz * way[2]
+            mx = mx + (vx - radial * way[0]) * way[3]
+            my = my + (vy - radial * way[1]) * way[3]
+            mz = mz + (vz - radial * way[2]) * way[3]
+        g_shN[base : base + count, terms:, :] = ZERO
+        o = zeros()
+        put3(
+            g_means,
+            base,
+            count,
+            scratch,
+            (select(seen, mx, o), select(seen, my, o), select(seen, mz, o)),
+        )
+        put3(
+            g_log_scales,
+            base,
+            count,
+            scratch,
+            (select(seen, g[3], o), select(seen, g[4], o), select(seen, g[5], o)),
+        )
+        put4(
+            g_quats,
+            base,
+            count,
+            scratch,
+            (
+                select(seen, g[6], o),
+                select(seen, g[7], o),
+                select(seen, g[8], o),
+                select(seen, g[9], o),
+            ),
+        )
+        opacity = ONE / (ONE + exp(-take1(logits, base, count, scratch)))
+        g_opacity = select(seen, s[0] / row[12], o)
+        factor = take1(factors, base, count, scratch)
+        put1(g_factors, base, count, scratch, g_opacity * opacity)
+        put1(g_logits, base, count, scratch, g_opacity * factor * opacity * (ONE - opacity))
+        put2(g_offset, base, count, scratch, (gu, gv))

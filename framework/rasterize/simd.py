@@ -8,6 +8,7 @@ the same bits on each of them.
 
 from __future__ import annotations
 
+import math
 import operator
 from typing import Any
 
@@ -100,8 +101,11 @@ def _smaller(builder: Any, x: Any, y: Any) -> Any:
 
 fma = _elementwise(3, V, _fma)  # x * y + z, rounded once
 fnma = _elementwise(3, V, lambda b, x, y, z: _fma(b, b.fneg(x), y, z))  # z - x * y
-minimum = _elementwise(2, V, _smaller)
+minimum = _elementwise(2, V, _smaller)  # y where x is not a number
+maximum = _elementwise(2, V, lambda b, x, y: b.select(b.fcmp_ordered(">", x, y), x, y))
 neg = _elementwise(1, V, lambda b, x: b.fneg(x))
+floor = _elementwise(1, V, lambda b, x: _call(b, "llvm.floor.v16f32", _vector, [x]))
+ceil = _elementwise(1, V, lambda b, x: _call(b, "llvm.ceil.v16f32", _vector, [x]))
 absolute = _elementwise(1, V, lambda b, x: _call(b, "llvm.fabs.v16f32", _vector, [x]))
 greater_equal = _elementwise(2, M, lambda b, x, y: b.fcmp_ordered(">=", x, y))
 greater = _elementwise(2, M, lambda b, x, y: b.fcmp_ordered(">", x, y))
@@ -114,6 +118,8 @@ for _operator, _instruction in (
     (operator.sub, "fsub"),
     (operator.mul, "fmul"),
     (operator.truediv, "fdiv"),
+    (operator.iadd, "fadd"),
+    (operator.isub, "fsub"),
 ):
     _binary = _elementwise(2, V, lambda b, x, y, name=_instruction: getattr(b, name)(x, y))
 
@@ -122,11 +128,28 @@ for _operator, _instruction in (
         def typed(x, y):  # type: ignore[no-untyped-def]
             if isinstance(x, _VectorType) and isinstance(y, _VectorType):
                 return lambda x, y: binary(x, y)
+            if isinstance(x, _VectorType) and y == types.float32:
+                return lambda x, y: binary(x, splat(y))
+            if isinstance(y, _VectorType) and x == types.float32:
+                return lambda x, y: binary(splat(x), y)
             return None
 
         return typed
 
     overload(_operator)(_bind(_binary))
+
+
+@overload(operator.neg)
+def _negative(x):  # type: ignore[no-untyped-def]
+    return (lambda x: neg(x)) if isinstance(x, _VectorType) else None
+
+
+_root = _elementwise(1, V, lambda b, x: _call(b, "llvm.sqrt.v16f32", _vector, [x]))
+
+
+@overload(math.sqrt)
+def _square_root(x):  # type: ignore[no-untyped-def]
+    return (lambda x: _root(x)) if isinstance(x, _VectorType) else None
 
 
 @intrinsic
@@ -180,6 +203,128 @@ def store(typing_context, array, index, value):  # type: ignore[no-untyped-def]
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         address = _address(context, builder, signature.args[0], values[0], values[1])
         builder.store(values[2], address).align = 4
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, V), generate
+
+
+def _interleaved(width: int) -> Any:
+    """Sixteen items of `width` floats from a flat float32 array, as a tuple of `width` vectors."""
+
+    @intrinsic
+    def load_items(typing_context, array, index):  # type: ignore[no-untyped-def]
+        signature = types.UniTuple(V, width)(array, types.intp)
+
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            parts = []
+            for k in range(width):
+                at = builder.add(values[1], values[1].type(16 * k))
+                part = builder.load(_address(context, builder, signature.args[0], values[0], at))
+                part.align = 4
+                parts.append(part)
+            columns = [
+                _pick(builder, parts, [i * width + k for i in range(LANES)]) for k in range(width)
+            ]
+            return context.make_tuple(builder, signature.return_type, columns)
+
+        return signature, generate
+
+    return load_items
+
+
+def _spread(width: int) -> Any:
+    """The inverse of `_interleaved`: store a tuple of `width` vectors as sixteen items."""
+
+    @intrinsic
+    def store_items(typing_context, array, index, columns):  # type: ignore[no-untyped-def]
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            columns = cgutils.unpack_tuple(builder, values[2])
+            for k in range(width):
+                order = [16 * k + i for i in range(LANES)]
+                part = _pick(builder, columns, [n % width * LANES + n // width for n in order])
+                at = builder.add(values[1], values[1].type(16 * k))
+                address = _address(context, builder, signature.args[0], values[0], at)
+                builder.store(part, address).align = 4
+            return context.get_dummy_value()
+
+        return types.void(array, types.intp, types.UniTuple(V, width)), generate
+
+    return store_items
+
+
+def _pick(builder: Any, parts: list[Any], order: list[int]) -> Any:
+    """The vector whose lane i is element order[i] of the concatenated parts."""
+    result = ir.Constant(_vector, ir.Undefined)
+    for k, part in enumerate(parts):
+        # lanes that lie in this part come from it (16 + lane of the part), the others stay
+        lanes = [LANES + n % LANES if n // LANES == k else i for i, n in enumerate(order)]
+        mask = ir.Constant(_ints, [ir.Constant(_i32, lane) for lane in lanes])
+        result = builder.shuffle_vector(result, part, mask)
+    return result
+
+
+load2, load3, load4 = _interleaved(2), _interleaved(3), _interleaved(4)
+store2, store3, store4 = _spread(2), _spread(3), _spread(4)
+
+
+def _transposed(builder: Any, rows: list[Any]) -> list[Any]:
+    """The 16x16 transpose of sixteen vectors: four rounds that exchange halves."""
+    step = 1
+    while step < LANES:
+        low = [i if i & step == 0 else LANES + (i ^ step) for i in range(LANES)]
+        high = [i ^ step if i & step == 0 else LANES + i for i in range(LANES)]
+        masks = [ir.Constant(_ints, [ir.Constant(_i32, i) for i in m]) for m in (low, high)]
+        done = list(rows)
+        for i in range(LANES):
+            if i & step == 0:
+                pair = rows[i], rows[i + step]
+                done[i] = builder.shuffle_vector(*pair, masks[0])
+                done[i + step] = builder.shuffle_vector(*pair, masks[1])
+        rows, step = done, 2 * step
+    return rows
+
+
+@intrinsic
+def load16(typing_context, array, index):  # type: ignore[no-untyped-def]
+    """Sixteen rows of 16 floats from a flat float32 array, as the tuple of their 16 columns."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        rows = []
+        for k in range(LANES):
+            at = builder.add(values[1], values[1].type(LANES * k))
+            row = builder.load(_address(context, builder, signature.args[0], values[0], at))
+            row.align = 4
+            rows.append(row)
+        columns = _transposed(builder, rows)
+        return context.make_tuple(builder, signature.return_type, columns)
+
+    return types.UniTuple(V, LANES)(array, types.intp), generate
+
+
+@intrinsic
+def store16(typing_context, array, index, columns):  # type: ignore[no-untyped-def]
+    """The inverse of `load16`."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        rows = _transposed(builder, cgutils.unpack_tuple(builder, values[2]))
+        for k, row in enumerate(rows):
+            at = builder.add(values[1], values[1].type(LANES * k))
+            address = _address(context, builder, signature.args[0], values[0], at)
+            builder.store(row, address).align = 4
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.UniTuple(V, LANES)), generate
+
+
+@intrinsic
+def store_whole(typing_context, array, index, value):  # type: ignore[no-untyped-def]
+    """Write the lanes, whole numbers, into sixteen elements of a flat integer array."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        kind = ir.VectorType(ir.IntType(signature.args[0].dtype.bitwidth), LANES)
+        data = make_array(signature.args[0])(context, builder, values[0]).data
+        address = builder.bitcast(builder.gep(data, [values[1]]), kind.as_pointer())
+        builder.store(builder.fptosi(values[2], kind), address).align = 1
         return context.get_dummy_value()
 
     return types.void(array, types.intp, V), generate
@@ -242,6 +387,27 @@ def _exp2(builder: Any, x: Any) -> Any:
 
 
 exp2 = _elementwise(1, V, _exp2)  # for x < 127; x below -100 gives 2^-100
+
+# log2(m) = s (c0 + c1 s^2 + ...), s = (m - 1) / (m + 1): the series of 2 artanh(s) / ln 2
+_LOG2 = tuple(2 / math.log(2) / (2 * k + 1) for k in range(5))
+
+
+def _log2(builder: Any, x: Any) -> Any:
+    bits = builder.bitcast(x, _ints)
+    # the exponent that leaves a mantissa in [sqrt(1/2), sqrt(2))
+    half = ir.Constant(_ints, [ir.Constant(_i32, 0x3F3504F3)] * LANES)
+    shift = ir.Constant(_ints, [ir.Constant(_i32, 23)] * LANES)
+    exponent = builder.ashr(builder.sub(bits, half), shift)
+    mantissa = builder.bitcast(builder.sub(bits, builder.shl(exponent, shift)), _vector)
+    s = builder.fdiv(builder.fsub(mantissa, _constant(1)), builder.fadd(mantissa, _constant(1)))
+    square = builder.fmul(s, s)
+    series = _constant(_LOG2[-1])
+    for coefficient in _LOG2[-2::-1]:
+        series = _fma(builder, series, square, _constant(coefficient))
+    return _fma(builder, s, series, builder.sitofp(exponent, _vector))
+
+
+log2 = _elementwise(1, V, _log2)  # for normal x > 0
 
 
 def _fold(builder: Any, x: Any, y: Any, group: int) -> Any:
