@@ -1,7 +1,8 @@
-"""The views of an epoch, ready for a training step at the resolution of the moment."""
+"""The views of an epoch: their order, and each ready for a step at the resolution of the moment."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,9 +10,23 @@ import torch
 from torch import Tensor
 
 from framework.losses import Target
+from framework.rng import stream
 from framework.types import View
 
 PSEUDO = "pseudo"  # the tag the trainer gives to what an augmenter returns
+
+
+def shuffled(real: Sequence[View], pseudo: Sequence[View], seed: int, epoch: int) -> list[View]:
+    """All views of an epoch in random order.
+
+    The order of the real ones depends on (seed, epoch) alone: pseudo views are put between them by
+    draws of their own. So all methods of a seed train on the real views in the same order.
+    """
+    order = [real[i] for i in stream(seed, "epoch", epoch).permutation(len(real))]
+    rng = stream(seed, "epoch/pseudo", epoch)
+    for view in pseudo:
+        order.insert(int(rng.integers(len(order) + 1)), view)
+    return order
 
 
 @dataclass(frozen=True)

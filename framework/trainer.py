@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from framework import schedule
-from framework.epoch import PSEUDO, Item, Items
+from framework.epoch import PSEUDO, Item, Items, shuffled
 from framework.errors import UserError
 from framework.fisher import FisherInformation, fisher_information
 from framework.guard import check_loss, diverged
@@ -190,9 +190,7 @@ class Trainer:
 
     def _shuffled(self) -> list[View]:
         """The epoch's views in its order; the last one is trained on first."""
-        views = [*self.training.views, *self.pseudo]
-        order = stream(self.seed, "epoch", self.epoch).permutation(len(views))
-        return [views[i] for i in order]
+        return shuffled(self.training.views, self.pseudo, self.seed, self.epoch)
 
     def _pseudo_views(self) -> list[View]:
         context = self._context_if_active(self.augment)

@@ -40,10 +40,12 @@ class WarpingAugmenter(Augmenter):
     """One pseudo view at a perturbed training camera, warped from the views `select` chooses.
 
     every: epochs that a pseudo view lives (a new one costs about as much as two training steps).
-    sigma_center: jitter of the camera centre per axis, in mean nearest-neighbour distances of the
-    training cameras (extents for a single camera). sigma_rotation: jitter of the orientation in
-    degrees, about a random axis. temperature: softness of the z-buffer as a share of depth.
-    min_coverage: share of the frame that must be warped; below it there is no pseudo view.
+    sigma_center: the paper's sigma_C, jitter of the camera centre per axis, in mean
+    nearest-neighbour distances of the training cameras (extents for a single camera).
+    sigma_rotation: the paper's sigma_theta, jitter of the orientation in degrees, about a random
+    axis. temperature: softness of the z-buffer as a share of depth. min_coverage: share of the
+    frame that must be warped; below it there is no pseudo view. The warm-up is the framework key
+    `start`.
     """
 
     every: int = 2
@@ -108,9 +110,37 @@ class WarpingAugmenter(Augmenter):
         return perturbed(start, rng, self.sigma_center * spacing, self.sigma_rotation)
 
 
+@dataclass(frozen=True)
+class ThresholdAugmenter(WarpingAugmenter):
+    """A warping method that scores the training views and warps all that come near the best.
+
+    eta: a view supports if its score is at most eta (the paper's symbol) x the smallest.
+    """
+
+    eta: float = 1.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check("eta", 1 <= self.eta <= 1e6, "a number in [1, 1e6]")
+
+    def scores(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[float], Any]:
+        """One score >= 0 per training view, smaller = closer to `camera`; the next `selection`."""
+        raise NotImplementedError
+
+    def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
+        scores, selection = self.scores(ctx, selection, camera)
+        return within(scores, self.eta), selection
+
+
 def within(scores: Sequence[float], eta: float) -> list[int]:
     """Indices of the scores of at most eta x the smallest, in order; scores are >= 0."""
     return [i for i, score in enumerate(scores) if score <= eta * min(scores)]
+
+
+def center_distances(views: Sequence[View], camera: Camera) -> list[float]:
+    """Distance of each view's camera centre (not of its translation column, which also depends on
+    the orientation) to that of `camera`, in scene units."""
+    return [float((view.camera.center - camera.center).norm()) for view in views]
 
 
 def mean_neighbour_distance(cameras: Sequence[Camera]) -> float:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from framework.plugin import StepContext, register
-from framework.warping import WarpingAugmenter, within
+from framework.warping import ThresholdAugmenter
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -36,16 +36,15 @@ class Snapshot:
 
 @register("augment", "safi")
 @dataclass(frozen=True)
-class Safi(WarpingAugmenter):
-    """eta: a view supports if its score is at most eta x the smallest. form: "trace", the paper's
-    bound, or "log", the information gain itself (its ratios are near 1: lower eta to 1.05 or so).
+class Safi(ThresholdAugmenter):
+    """eta: a view supports if I_k is at most eta x the smallest. form: "trace", the paper's bound,
+    or "log", the information gain itself (its ratios are near 1: lower eta to 1.05 or so).
     regulariser: prior precision as a share of the median diagonal of the training views; with much
     less than 1 the trace only counts what a view does not see, and the scores' ratios explode.
     downscale: the Fisher passes run on images smaller by this integer factor. refresh_epochs:
     epochs after which theta_0 is taken anew; 0 = never.
     """
 
-    eta: float = 1.5
     form: str = "trace"
     regulariser: float = 1.0
     downscale: int = 2
@@ -53,23 +52,22 @@ class Safi(WarpingAugmenter):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check("eta", 1 <= self.eta <= 1e6, "a number in [1, 1e6]")
         self.check("form", self.form in FORMS, f"one of {', '.join(FORMS)}")
         self.check("regulariser", 0 < self.regulariser <= 1e3, "a number in (0, 1000]")
         self.check("downscale", 1 <= self.downscale <= 16, "an integer in [1, 16]")
         self.check("refresh_epochs", self.refresh_epochs >= 0, "an integer >= 0")
 
-    def select(
+    def scores(
         self, ctx: StepContext, selection: Snapshot | None, camera: Camera
-    ) -> tuple[list[int], Snapshot]:
+    ) -> tuple[list[float], Snapshot]:
         from framework.information import information_gains
 
         snapshot = selection
         if snapshot is None or self._outdated(snapshot, ctx.epoch):
             snapshot = self._snapshot(ctx)
         candidate = self._diagonal(ctx, snapshot.gaussians, snapshot.sh_degree, camera)
-        scores = information_gains(candidate, snapshot.diagonals, snapshot.prior, self.form)
-        return within(scores, self.eta), snapshot
+        gains = information_gains(candidate, snapshot.diagonals, snapshot.prior, self.form)
+        return gains, snapshot
 
     def _outdated(self, snapshot: Snapshot, epoch: int) -> bool:
         return 0 < self.refresh_epochs <= epoch - snapshot.epoch

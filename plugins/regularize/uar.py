@@ -9,16 +9,17 @@ the Gaussians that few views determine, which are never dropped themselves.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
+from framework.dropout import DropoutRegularizer
 from framework.errors import require
-from framework.plugin import Regularizer, StepContext, register
+from framework.plugin import StepContext, register
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 MODES = ("soft", "hard")
-SCHEDULES = ("linear", "constant")
+FORMS = ("block", "diagonal")
 
 
 @dataclass(frozen=True)
@@ -33,46 +34,38 @@ class Ranking:
 
 @register("reg", "uar")
 @dataclass(frozen=True)
-class Uar(Regularizer):
-    """Options.
+class Uar(DropoutRegularizer):
+    """Options, with the paper's symbols.
 
-    mode: a dropped opacity is multiplied by 0 ("hard") or by `soft_scale` ("soft"). p: drop rate.
-    schedule: "linear" gives p(t) = p x progress of the whole training (as DropGaussian's),
+    mode: a dropped opacity is multiplied by 0 ("hard") or by `soft_scale`, lambda ("soft"). p: drop
+    rate. schedule: "linear" gives p(t) = p x progress of the whole training (as DropGaussian's),
     "constant" keeps p. C = candidate_factor: the candidates are C times the dropped. refresh: steps
-    between rankings. regulariser: prior precision as a share of the median diagonal of F.
-    compensate: scale the kept candidates by (1 - s/C) / (1 - 1/C), s the factor of the dropped, so
-    that every opacity keeps its expectation.
+    between rankings. form: "block" is log det of the 6x6 block, "diagonal" the sum of the logs of
+    its diagonal, blind to what only a combination of parameters tells. regulariser: prior precision
+    as a share of the median diagonal of F. compensate: scale the kept candidates by
+    (1 - s/C) / (1 - 1/C), s the factor of the dropped, so that every opacity keeps its expectation.
     """
 
     mode: str = "soft"
-    p: float = 0.1
-    schedule: str = "linear"
     candidate_factor: float = 2.0
     soft_scale: float = 0.2
     refresh: int = 100
+    form: str = "block"
     regulariser: float = 1e-4
-    compensate: bool = False
-
-    # chosen on the embedded scene and on held-out training views of two real ones: a last fifth
-    # without dropout lets the opacities settle
-    defaults: ClassVar[dict[str, float]] = {"start": 0.1, "stop": 0.8}
 
     def __post_init__(self) -> None:
-        def check(option: str, ok: bool, expected: str) -> None:
-            require(ok, f"uar: {option} must be {expected}, got {getattr(self, option)}")
-
-        check("mode", self.mode in MODES, f"one of {', '.join(MODES)}")
-        check("schedule", self.schedule in SCHEDULES, f"one of {', '.join(SCHEDULES)}")
-        check("p", 0 < self.p < 1, "in (0, 1)")
+        super().__post_init__()
+        self.check("mode", self.mode in MODES, f"one of {', '.join(MODES)}")
         most = 1 / self.p
         require(
             1 < self.candidate_factor < most,
             f"uar: candidate_factor must be in (1, 1/p) = (1, {round(most, 3)}), got"
             f" {self.candidate_factor:g}; lower it or lower p",
         )
-        check("soft_scale", 0 <= self.soft_scale <= 1, "in [0, 1]")
-        check("refresh", self.refresh >= 1, "an integer >= 1")
-        check("regulariser", 0 < self.regulariser <= 1e3, "in (0, 1000]")
+        self.check("soft_scale", 0 <= self.soft_scale <= 1, "in [0, 1]")
+        self.check("refresh", self.refresh >= 1, "an integer >= 1")
+        self.check("form", self.form in FORMS, f"one of {', '.join(FORMS)}")
+        self.check("regulariser", 0 < self.regulariser <= 1e3, "in (0, 1000]")
 
     @property
     def dropped_factor(self) -> float:
@@ -85,10 +78,6 @@ class Uar(Regularizer):
         if not self.compensate:
             return 1.0
         return (1 - self.dropped_factor / self.candidate_factor) / (1 - 1 / self.candidate_factor)
-
-    def drop_rate(self, progress: float) -> float:
-        """p(t), the expected share of Gaussians dropped at `progress` in [0, 1)."""
-        return self.p * progress if self.schedule == "linear" else self.p
 
     def opacity_factors(
         self, ctx: StepContext, state: Ranking | None
@@ -122,6 +111,8 @@ class Uar(Regularizer):
         blocks, visible = first.block.double(), first.visible
         for information in others:
             blocks, visible = blocks + information.block, visible | information.visible
+        if self.form == "diagonal":
+            blocks = blocks * torch.eye(blocks.shape[-1])
         scores = uncertainty(blocks, visible, ctx.extent, self.regulariser)
         order = torch.argsort(scores, stable=True)
         order = order[: int(torch.isfinite(scores).sum())]

@@ -18,7 +18,7 @@ PLUGIN_MAY_IMPORT = {
     f"framework.{name}"
     for name in (
         *("plugin", "types", "geometry", "warp", "warping", "fisher", "information"),
-        *("losses", "errors", "registry"),
+        *("dropout", "losses", "errors", "registry"),
     )
 }
 REPORT_MUST_NOT_IMPORT = {

@@ -1,0 +1,21 @@
+"""`augment=full_set`: a pseudo view warped from all training views, however far they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from framework.plugin import StepContext, register
+from framework.warping import WarpingAugmenter
+
+if TYPE_CHECKING:
+    from framework.types import Camera
+
+
+@register("augment", "full_set")
+@dataclass(frozen=True)
+class FullSet(WarpingAugmenter):
+    """Every training view supports."""
+
+    def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
+        return list(range(len(ctx.views))), selection

@@ -1,0 +1,57 @@
+"""`reg=uniform`: dropout of Gaussians at random, every one with the same probability.
+
+A step's render leaves out a share p(t) of the Gaussians, so that none can rely on others to hide
+its errors. With `compensate` this is DropGaussian (Park et al., CVPR 2025): the opacities of the
+kept are multiplied by 1 / (1 - p(t)), of which no opacity changes in expectation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from framework.dropout import DropoutRegularizer
+from framework.plugin import StepContext, register
+
+if TYPE_CHECKING:
+    import numpy as np
+    from torch import Tensor
+
+COUNTS = ("bernoulli", "exact")
+
+
+@register("reg", "uniform")
+@dataclass(frozen=True)
+class Uniform(DropoutRegularizer):
+    """p: drop rate. schedule: "linear" gives p(t) = p x progress of the whole training, "constant"
+    keeps p. count: "bernoulli" drops each Gaussian with probability p(t), "exact" drops p(t) N of
+    them, rounded. compensate: multiply the kept opacities by 1 / (1 - share dropped in expectation)
+    (DropGaussian); a factor may take an opacity above 1, where the renderer's clamp of alpha holds.
+    """
+
+    count: str = "bernoulli"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check("count", self.count in COUNTS, f"one of {', '.join(COUNTS)}")
+
+    def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
+        import torch
+
+        total, rate = len(ctx.gaussians), self.drop_rate(ctx.progress)
+        if self.count == "exact":
+            rate = min(round(rate * total), total - 1) / total  # what is really dropped
+        if rate == 0:
+            return None, state
+        dropped = torch.from_numpy(self._dropped(ctx.rng("uniform"), total, rate))
+        kept = 1 / (1 - rate) if self.compensate else 1.0
+        return torch.where(dropped, 0.0, kept).float(), state
+
+    def _dropped(self, rng: np.random.Generator, total: int, rate: float) -> np.ndarray:
+        """[total] bool, which Gaussians are left out."""
+        draws = rng.random(total)
+        if self.count == "bernoulli":
+            return draws < rate
+        dropped = draws < 0  # none yet
+        dropped[draws.argsort(kind="stable")[: round(rate * total)]] = True
+        return dropped
