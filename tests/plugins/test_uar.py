@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from framework.errors import UserError
+from framework.fisher import FisherInformation
 from framework.plugin import StepContext
 from framework.rng import stream
 from framework.types import Camera
@@ -143,6 +144,7 @@ def test_input_is_left_alone() -> None:
         ({"schedule": "cosine"}, "schedule must be one of linear, constant"),
         ({"soft_scale": 1.2}, "soft_scale"),
         ({"refresh": 0}, "refresh"),
+        ({"form": "full"}, "uar: form must be one of block, diagonal, got full"),
         ({"regulariser": 0.0}, "regulariser"),
     ],
 )
@@ -160,3 +162,44 @@ def test_draws_come_from_the_context_alone() -> None:
     draws = stream(0, "plugin/uar", 50).random(160) < 0.5
     dropped = ranking.order[:160][torch.from_numpy(draws)]
     assert set(dropped.tolist()) == set(torch.nonzero(result == 0).flatten().tolist())
+
+
+@pytest.mark.parametrize(("mode", "factor"), [("hard", 2.0), ("soft", 2.0), ("soft", 3.5)])
+@pytest.mark.parametrize("compensate", [False, True])
+def test_expectation_of_every_candidate(mode: str, factor: float, compensate: bool) -> None:
+    """Over many steps a candidate's mean factor is 1 - (1 - s) / C, with compensation 1; a Gaussian
+    that is no candidate always has 1."""
+    uar = Uar(
+        mode=mode, p=0.15, schedule="constant", candidate_factor=factor, compensate=compensate
+    )
+    state, rows = None, []
+    for draw in range(300):
+        result, state = uar.opacity_factors(ctx(step=50, seed=draw), state)
+        assert result is not None
+        rows.append(result.double())
+    assert state is not None
+    mean = torch.stack(rows).mean(0)
+    candidates = state.order[: round(factor * 0.15 * N)]
+    others = torch.ones(N, dtype=torch.bool)
+    others[candidates] = False
+    assert bool((mean[others] == 1).all())
+    s, kept = uar.dropped_factor, uar.kept_factor
+    expected = 1.0 if compensate else 1 - (1 - s) / factor
+    assert s / factor + kept * (1 - 1 / factor) == pytest.approx(expected)
+    sigma = (kept - s) * ((1 - 1 / factor) / factor / len(rows)) ** 0.5
+    assert float((mean[candidates] - expected).abs().max()) < 5 * sigma
+    assert abs(float(mean[candidates].mean()) - expected) < 4 * sigma / len(candidates) ** 0.5
+
+
+def test_the_diagonal_form_ignores_what_parameters_tell_together() -> None:
+    """Equal diagonals, one Gaussian with strong correlations: the block form finds it less certain,
+    the diagonal form cannot tell it apart."""
+    block = torch.eye(6).repeat(N, 1, 1)
+    block[7, 0, 1] = block[7, 1, 0] = 0.9
+    seen = torch.ones(N, dtype=torch.bool)
+    correlated = FisherInformation(block, torch.ones(N, 14), seen)
+    now = context(fisher=lambda _: correlated)
+    _, by_block = Uar().opacity_factors(now, None)
+    _, by_diagonal = Uar(form="diagonal").opacity_factors(now, None)
+    assert int(by_block.order[-1]) == 7
+    assert by_diagonal.order.tolist() == list(range(N))

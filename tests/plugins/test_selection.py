@@ -1,0 +1,98 @@
+"""How the warping methods choose their supports; all else is shared (see `test_safi.py`)."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import pytest
+
+from framework import registry
+from framework.errors import UserError
+from framework.types import Camera
+from framework.warping import ThresholdAugmenter, WarpingAugmenter, center_distances
+from plugins.augment.dba import Dba
+from plugins.augment.euclidean import Euclidean
+from plugins.augment.full_set import FullSet
+from plugins.augment.safi import Safi
+from tests.plugins.fakes import Log, context, stage
+from tests.warp.stage import camera
+
+METHODS: list[type[WarpingAugmenter]] = [Dba, Euclidean, FullSet, Safi]
+# the stage's training cameras stand at (-0.5, 0), (0.5, 0.1) and (0, -0.4)
+
+
+def chosen(plugin: WarpingAugmenter, x: float, y: float, **pose: float) -> list[int]:
+    target = camera(x, y, size=(80, 60), **pose)  # type: ignore[arg-type]
+    return plugin.select(context(), None, target)[0]
+
+
+def test_dba_takes_the_closest_view_alone() -> None:
+    assert chosen(Dba(), -0.4, 0.0) == [0]
+    assert chosen(Dba(), 0.3, 0.1) == [1]
+    assert chosen(Dba(), 0.0, -0.2) == [2]
+
+
+def test_full_set_takes_every_view() -> None:
+    assert chosen(FullSet(), -0.5, 0.0) == [0, 1, 2]
+
+
+def test_euclidean_keeps_safi_s_threshold_rule() -> None:
+    """Distances from (0.1, 0): 0.6, 0.412 and 0.412."""
+    distances = center_distances(stage()[0], camera(0.1, 0.0))
+    assert distances == pytest.approx([0.6, 0.1700**0.5, 0.1700**0.5])
+    assert chosen(Euclidean(eta=1.4), 0.1, 0.0) == [1, 2]
+    assert chosen(Euclidean(eta=1.5), 0.1, 0.0) == [0, 1, 2]
+    assert chosen(Euclidean(eta=1e6), -0.5, 0.0) == [0]  # a distance of 0 tolerates no other
+
+
+@pytest.mark.parametrize("plugin", [Dba(), Euclidean()], ids=["dba", "euclidean"])
+def test_distance_is_between_centres_and_not_translations(plugin: WarpingAugmenter) -> None:
+    """A turned camera has another translation column, but stands where it stood."""
+    for yaw in (0.0, 0.5, 3.0):
+        assert chosen(plugin, -0.45, 0.0, yaw=yaw) == [0]
+        assert chosen(plugin, 0.48, 0.1, yaw=yaw) == [1]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_choice_depends_on_no_draw_and_leaves_the_camera_alone(
+    method: type[WarpingAugmenter],
+) -> None:
+    """All methods of a seed get their pseudo view at the same place."""
+    views, _ = method().pseudo_views(context(), None)
+    reference, _ = FullSet().pseudo_views(context(), None)
+    assert bool((views[0].camera.viewmat == reference[0].camera.viewmat).all())
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_number_of_supports_is_logged(method: type[WarpingAugmenter]) -> None:
+    log = Log({})
+    method().pseudo_views(context(log=log), None)
+    (count,) = log.values[f"{method.name}_supports"]
+    assert count == {"dba": 1, "full_set": 3}.get(method.name, count)
+
+
+def test_shared_options_have_the_same_defaults() -> None:
+    """Otherwise a comparison would be one of options."""
+    rows = [{n: f.default for n, _, f in registry.option_fields(method)} for method in METHODS]
+    for key in set().union(*rows):
+        assert len({row[key] for row in rows if key in row}) == 1, key
+    common = {field.name for field in dataclasses.fields(WarpingAugmenter)}
+    assert all(common <= set(row) for row in rows)
+
+
+@pytest.mark.parametrize("method", [Euclidean, Safi])
+def test_a_bad_threshold_is_told_in_one_line(method: type[ThresholdAugmenter]) -> None:
+    with pytest.raises(UserError, match=rf"{method.name}: eta must be a number in \[1, 1e6\]"):
+        method(eta=0.5)
+
+
+def test_scores_are_all_a_threshold_method_has_to_give() -> None:
+    @dataclasses.dataclass(frozen=True)
+    class Last(ThresholdAugmenter):
+        def scores(self, ctx: Any, selection: Any, camera: Camera) -> tuple[list[float], Any]:
+            return [3.0, 2.9, 2.0], "state"
+
+    Last.name = "last"
+    assert Last().select(context(), None, camera()) == ([0, 1, 2], "state")
+    assert Last(eta=1.45).select(context(), None, camera()) == ([1, 2], "state")
