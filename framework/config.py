@@ -29,9 +29,10 @@ ROOT = Path(__file__).resolve().parent.parent
 CONF_DIR = ROOT / "conf"
 SWEEPS_DIR = ROOT / "sweeps"
 
-# Groups that choose an object; `experiment` and `sweep` only bundle choices of these.
+# Groups that choose an object; `preset` (training conditions), `method` (an augmenter and a
+# regularizer), `experiment` and `sweep` only bundle choices of these.
 OBJECT_GROUPS = ("scene", "depth", "init", "augment", "reg", "capacity")
-GROUPS = (*OBJECT_GROUPS, "experiment", "sweep")
+GROUPS = (*OBJECT_GROUPS, "preset", "method", "experiment", "sweep")
 
 Row = tuple[str, Any, Any]  # (option name, type, dataclasses.field)
 

@@ -50,7 +50,7 @@ def help_text(overrides: Sequence[str]) -> str:
 def _group_lines(group: str, names: Sequence[str]) -> Iterator[str]:
     yield f"\n  {group}"
     for name in names:
-        yield f"    {name:<14}{_summary(group, name)}".rstrip()
+        yield f"    {name:<20}{_summary(group, name)}".rstrip()
 
 
 def _summary(group: str, name: str) -> str:

@@ -42,9 +42,7 @@ def truth(camera: Camera) -> torch.Tensor:
     image = np.zeros((height, width, 3), np.uint8)
     depth = np.zeros((height, width), np.float32)
     world, tiles = _world(), camera_tiles(pose, focal, width, height)
-    run_blocks(
-        trace_rows, *world, tiles.members, tiles.size, pose, focal, SAMPLES, image, depth
-    )
+    run_blocks(trace_rows, *world, tiles.members, tiles.size, pose, focal, SAMPLES, image, depth)
     return torch.from_numpy(image).permute(2, 0, 1).float() / 255
 
 

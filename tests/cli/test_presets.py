@@ -1,0 +1,109 @@
+"""Presets and methods: bundles of choices and options that compose with everything else."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from framework import schedule
+from framework.cli import main
+from framework.config import check
+from framework.options import TrainerOptions
+from tests.cli.conftest import FakeRuns
+from tests.cli.test_config import composed
+
+PAIRS = {
+    "baseline": ("none", "none"),
+    "dba": ("dba", "none"),
+    "safi": ("safi", "none"),
+    "uar": ("none", "uar"),
+    "safi_uar": ("safi", "uar"),
+}
+
+
+def test_the_paper_s_conditions() -> None:
+    config = composed("preset=paper")
+    check(config)
+    options = TrainerOptions(**config["trainer"])
+    assert (options.steps, options.background, options.sh_degree) == (10_000, "black", 3)
+    degrees = [schedule.sh_degree(options, step, 3) for step in (0, 999, 1000, 2000, 3000, 9999)]
+    assert degrees == [0, 0, 1, 2, 3, 3]
+    first, last = (schedule.learning_rates(options, step, 2.0) for step in (0, 10_000))
+    assert first == pytest.approx(
+        {
+            **{"means": 3.2e-4, "quats": 1e-3, "log_scales": 5e-3},
+            **{"opacity_logits": 0.05, "sh0": 2.5e-3, "shN": 2.5e-3 / 20},
+        }
+    )
+    assert last == pytest.approx({**first, "means": 3.2e-6})
+    assert (options.opacity_decay, options.coarse_factor) == (1.0, 1)
+    assert [config[group]["name"] for group in ("init", "augment", "reg", "capacity")] == [
+        *("stereo", "none", "none", "adc")
+    ]
+
+
+def test_the_paper_s_loss_and_its_threshold_are_in_the_same_units() -> None:
+    """DropGaussian minimises L1 + 0.2 (1 - SSIM) and densifies from a gradient of 5e-4; we minimise
+    that loss divided by 1.2."""
+    config = composed("preset=paper")
+    w = config["trainer"]["ssim_weight"]
+    assert w / (1 - w) == pytest.approx(0.2, rel=1e-6)
+    adc = config["capacity"]
+    assert adc["grad_threshold"] / (1 - w) == pytest.approx(5e-4, rel=1e-6)
+    others = ("every", "from_step", "min_opacity", "reset_every", "reset_opacity", "percent_dense")
+    assert [adc[key] for key in others] == [100, 500, 0.005, 3000, 0.01, 0.01]
+
+
+def test_a_preset_can_be_changed_like_anything_else(runs: FakeRuns) -> None:
+    line = "+preset=paper trainer.steps=50 init=sparse capacity=fixed method=safi_uar"
+    assert main(line.split()) == 0
+    (config,) = runs.seen
+    assert config["trainer"]["steps"] == 50 and config["trainer"]["background"] == "black"
+    assert (config["init"]["name"], config["capacity"]["name"]) == ("sparse", "fixed")
+    assert runs.methods == [("safi", "uar", 0)]
+
+
+@pytest.mark.parametrize(("name", "pair"), PAIRS.items())
+def test_a_method_is_a_pair(name: str, pair: tuple[str, str]) -> None:
+    config = composed(f"method={name}")
+    assert (config["augment"]["name"], config["reg"]["name"]) == pair
+    check(config)
+
+
+def test_a_choice_on_the_line_beats_the_method(runs: FakeRuns) -> None:
+    assert main(["method=safi_uar", "reg=none"]) == 0
+    assert runs.methods == [("safi", "none", 0)]
+
+
+def test_the_main_ablation_is_the_paper_s_table(runs: FakeRuns) -> None:
+    assert main(["sweep=ablation_main", "seed=4"]) == 0
+    assert [method[:2] for method in runs.methods] == list(PAIRS.values())
+    assert [f.name.rpartition("-")[0] for f in runs.folders] == [
+        f"{augment}-{reg}-s4" for augment, reg in PAIRS.values()
+    ]
+
+
+def test_tables_take_other_numbers_of_views(runs: FakeRuns) -> None:
+    Path("DIR").mkdir()
+    line = "sweep=tables scene=colmap scene.path=DIR scene.n_views=12,24 seed=0"
+    assert main(line.split()) == 0
+    views = [(c["augment"]["name"], c["scene"]["n_views"]) for c in runs.seen]
+    assert views == [("none", 12), ("none", 24), ("safi", 12), ("safi", 24)]
+
+
+def test_the_help_names_presets_and_methods(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    told = capsys.readouterr().out
+    assert "\n  preset\n    paper  " in told and "literature's conditions" in told
+    assert all(f"\n    {name} " in told for name in PAIRS)
+
+
+def test_a_short_run_under_the_paper_s_conditions(tmp_path: Path) -> None:
+    line = "preset=paper trainer.steps=20 trainer.evaluations=1 depth=ground_truth"
+    line += f" scene.width=96 scene.height=72 init.budget=500 hydra.run.dir={tmp_path / 'out'}"
+    assert main(line.split()) == 0
+    record = json.loads((tmp_path / "out" / "record.json").read_text(encoding="utf-8"))
+    assert record["status"] == "complete"
+    assert record["config"]["capacity"]["name"] == "adc"

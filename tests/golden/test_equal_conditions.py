@@ -1,0 +1,132 @@
+"""All methods of a seed start from the same Gaussians and meet the real views in the same order.
+
+That one more plugin moves no other draw is in `tests/contract/test_training.py`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import pytest
+from hydra import compose, initialize_config_dir
+
+from framework import experiment, parallel, registry
+from framework.config import CONF_DIR, choices, register_config
+from framework.epoch import PSEUDO, Item, shuffled
+from framework.naming import plain
+from framework.progress import Silent
+from framework.record import parameters_sha256
+from framework.trainer import Trainer
+from framework.types import View
+from framework.warmup import _plane
+
+STEPS = 16
+METHODS = [
+    *[(name, "none") for name in choices("augment")],
+    *[("none", name) for name in [*choices("reg"), "uar_hard", "dropgaussian"] if name != "none"],
+    ("safi", "uar"),
+]
+AUGMENTING = [name for name in choices("augment") if name != "none"]
+
+
+class Noting(Trainer):
+    """Notes the Gaussians it starts from and the views it trains on."""
+
+    seen: list[tuple[str, list[str]]]
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.names: list[str] = []
+        self.seen.append((parameters_sha256(self.params), self.names))
+
+    def _next_item(self) -> Item:
+        item = super()._next_item()
+        self.names.append("pseudo" if PSEUDO in item.view.tags else item.view.name)
+        return item
+
+
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[str]]]:
+    """(hash of the first Gaussians, names of the views in order) of every training to come."""
+    monkeypatch.setattr(experiment, "Trainer", Noting)
+    monkeypatch.setattr(Noting, "seen", [], raising=False)
+    return Noting.seen
+
+
+def start(augment: str, reg: str, seed: int) -> None:
+    """Initialise and train a little, as `run_experiment` does, with methods that act at once."""
+    register_config()
+    always = [f"{group}.{key}" for group in ("augment", "reg") for key in ("start=0", "stop=1")]
+    line = [f"augment={augment}", f"reg={reg}", f"seed={seed}", *always]
+    line += ["depth=ground_truth", "init.budget=500", "scene.width=96", "scene.height=72"]
+    line += [f"trainer.steps={STEPS}", "trainer.evaluations=1"]
+    with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
+        config = plain(compose("config", line))
+    parallel.set_threads(1)
+    key = experiment._key(config["scene"])
+    scene, _ = experiment._scene(key)
+    depth, _ = experiment._depth(key, experiment._key(config["depth"]), "")
+    options = experiment.TrainerOptions(**config["trainer"])
+    gaussians = experiment._initial(config, scene, depth, options)
+    experiment._train(config, scene, depth, gaussians, options, Silent())
+
+
+def real(names: list[str]) -> list[str]:
+    return [name for name in names if name != "pseudo"]
+
+
+def test_all_methods_of_a_seed_start_alike_and_see_the_real_views_alike(
+    seen: list[tuple[str, list[str]]],
+) -> None:
+    for augment, reg in METHODS:
+        start(augment, reg, seed=3)
+    hashes, orders = zip(*seen, strict=True)
+    assert len(set(hashes)) == 1
+    plain_order = orders[METHODS.index(("none", "none"))]
+    assert len(plain_order) == STEPS and "pseudo" not in plain_order
+    for method, order in zip(METHODS, orders, strict=True):
+        ours = real(order)
+        assert ours == plain_order[: len(ours)], method
+        assert ("pseudo" in order) == (method[0] in AUGMENTING), method
+    start("none", "none", seed=4)
+    assert seen[-1][0] != hashes[0] and seen[-1][1] != plain_order
+
+
+def test_only_whole_epochs_of_real_views() -> None:
+    """Between two passes over the real views lies no third visit of one."""
+    views = _plane(0)[0].views
+    for epoch in range(20):
+        assert Counter(v.name for v in shuffled(views, [], 0, epoch)) == Counter(
+            v.name for v in views
+        )
+
+
+def test_pseudo_views_fall_anywhere_and_move_no_real_view() -> None:
+    views = _plane(0)[0].views
+    real_names = {view.name for view in views}
+    pseudo = [View(f"pseudo-{i}", v.camera, v.image) for i, v in enumerate(views[:2])]
+    places: Counter[int] = Counter()
+    for epoch in range(400):
+        alone = [view.name for view in shuffled(views, [], 0, epoch)]
+        mixed = [view.name for view in shuffled(views, pseudo, 0, epoch)]
+        assert [name for name in mixed if name in real_names] == alone
+        places.update(i for i, name in enumerate(mixed) if name not in real_names)
+    assert sum(places.values()) == 800 and set(places) == set(range(5))
+    sigma = (800 * 0.2 * 0.8) ** 0.5
+    assert all(abs(count - 160) < 4 * sigma for count in places.values())
+
+
+def test_the_order_differs_between_epochs_and_seeds() -> None:
+    views = _plane(0)[0].views
+    orders = {
+        tuple(v.name for v in shuffled(views, [], seed, epoch))
+        for seed in range(3)
+        for epoch in range(10)
+    }
+    assert len(orders) == 6
+
+
+def test_every_registered_method_is_compared() -> None:
+    for group, position in (("augment", 0), ("reg", 1)):
+        assert set(registry.names(group)) <= {method[position] for method in METHODS}
