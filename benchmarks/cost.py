@@ -59,6 +59,7 @@ def measure(augment: str, reg: str, overrides: Sequence[str]) -> Cost:
     from framework.options import TrainerOptions
     from framework.progress import Silent
     from framework.trainer import Plugins, Trainer
+    from framework.training import initial
     from framework.warmup import Warmup
 
     register_config()
@@ -74,7 +75,7 @@ def measure(augment: str, reg: str, overrides: Sequence[str]) -> Cost:
     files = experiment._files(config, scene)
     depth, _ = experiment._depth(key, experiment._key(config["depth"]), files["depth"])
     options = TrainerOptions(**config["trainer"])
-    gaussians = experiment._initial(config, scene, depth, options)
+    gaussians = initial(config, scene, depth, options)
     plugins = Plugins(*(registry.build(group, config[group]) for group in registry.GROUPS))
     seed = int(config["seed"])
     trainer = Trainer(scene.training, depth, gaussians, options, plugins, seed, Silent())

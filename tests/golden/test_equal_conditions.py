@@ -6,18 +6,21 @@ That one more plugin moves no other draw is in `tests/contract/test_training.py`
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hydra import compose, initialize_config_dir
 
-from framework import experiment, parallel, registry
+from framework import experiment, parallel, registry, training
 from framework.config import CONF_DIR, choices, register_config
 from framework.epoch import PSEUDO, Item, shuffled
 from framework.naming import plain
+from framework.options import TrainerOptions
 from framework.progress import Silent
 from framework.record import parameters_sha256
 from framework.trainer import Trainer
+from framework.training import initial, train
 from framework.types import View
 from framework.warmup import _plane
 
@@ -49,12 +52,12 @@ class Noting(Trainer):
 @pytest.fixture
 def seen(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[str]]]:
     """(hash of the first Gaussians, names of the views in order) of every training to come."""
-    monkeypatch.setattr(experiment, "Trainer", Noting)
+    monkeypatch.setattr(training, "Trainer", Noting)
     monkeypatch.setattr(Noting, "seen", [], raising=False)
     return Noting.seen
 
 
-def start(augment: str, reg: str, seed: int) -> None:
+def start(folder: Path, augment: str, reg: str, seed: int) -> None:
     """Initialise and train a little, as `run_experiment` does, with methods that act at once."""
     register_config()
     always = [f"{group}.{key}" for group in ("augment", "reg") for key in ("start=0", "stop=1")]
@@ -67,9 +70,10 @@ def start(augment: str, reg: str, seed: int) -> None:
     key = experiment._key(config["scene"])
     scene, _ = experiment._scene(key)
     depth, _ = experiment._depth(key, experiment._key(config["depth"]), "")
-    options = experiment.TrainerOptions(**config["trainer"])
-    gaussians = experiment._initial(config, scene, depth, options)
-    experiment._train(config, scene, depth, gaussians, options, Silent())
+    options = TrainerOptions(**config["trainer"])
+    gaussians = initial(config, scene, depth, options)
+    run_dir = folder / f"{augment}-{reg}-{seed}"
+    train(config, scene, depth, gaussians, options, run_dir, "identity", Silent())
 
 
 def real(names: list[str]) -> list[str]:
@@ -77,10 +81,10 @@ def real(names: list[str]) -> list[str]:
 
 
 def test_all_methods_of_a_seed_start_alike_and_see_the_real_views_alike(
-    seen: list[tuple[str, list[str]]],
+    seen: list[tuple[str, list[str]]], tmp_path: Path
 ) -> None:
     for augment, reg in METHODS:
-        start(augment, reg, seed=3)
+        start(tmp_path, augment, reg, seed=3)
     hashes, orders = zip(*seen, strict=True)
     assert len(set(hashes)) == 1
     plain_order = orders[METHODS.index(("none", "none"))]
@@ -89,7 +93,7 @@ def test_all_methods_of_a_seed_start_alike_and_see_the_real_views_alike(
         ours = real(order)
         assert ours == plain_order[: len(ours)], method
         assert ("pseudo" in order) == (method[0] in AUGMENTING), method
-    start("none", "none", seed=4)
+    start(tmp_path, "none", "none", seed=4)
     assert seen[-1][0] != hashes[0] and seen[-1][1] != plain_order
 
 
