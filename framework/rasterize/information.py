@@ -1,10 +1,19 @@
 """Screen-space second moments -> Fisher information of the stored parameters.
 
-With d = (u, v, A, B, C, logit) the numbers through which a Gaussian's alpha depends on a pixel,
-d(alpha)/d(d) = alpha L m, m = (1, dx, dy, dx^2, dx dy, dy^2). Hence, summed over pixels and
-channels, sum (dC/dd)(dC/dd)^T = L Q L^T with Q = sum q m m^T (`tiles.blend_moments`), and one
-pull-back by K = dd/d(parameters) gives F = K^T L Q L^T K exactly: every pixel's outer product is in
-Q. Exact for view-independent colour; the mean's effect through the SH direction is left out.
+A pixel's colour C_c depends on a Gaussian through its alpha and, for the mean, through its colour:
+the SH direction. With d = (u, v, A, B, C, logit) the numbers that alpha depends on, d(alpha)/d(d) =
+alpha L m for m = (1, dx, dy, dx^2, dx dy, dy^2), K = d(d)/d(parameters) and J_c = alpha dC_c/d(alpha)
+
+    dC_c / d(parameters) = J_c K^T L m + weight v_c,   v_c = d(colour_c) / d(mean)
+
+Summed over pixels and channels its outer products are
+
+    F = K^T L Q L^T K + sum_c (K^T L h_c v_c^T + v_c h_c^T L^T K) + W sum_c v_c v_c^T
+
+with Q = sum q m m^T, h_c = sum weight J_c m, W = sum weight^2 (`tiles.blend_moments`): exact, as
+every pixel's outer product is in these sums. The direction is a unit vector, so v_c = sum_k
+s_ck e_k with two tangents e_k, and two sums over the channels, h_k = sum_c s_ck h_c, hold all.
+Clamped colours have s_ck = 0; at SH degree 0 only the first term is left.
 """
 
 from __future__ import annotations
@@ -14,9 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from framework.jit import kernel
+from framework.jit import inlined, kernel
 from framework.rasterize.projection import (
     Y0,
+    basis_gradient,
+    direction,
     pull_back,
     rotation,
     screen_axes,
@@ -24,10 +35,10 @@ from framework.rasterize.projection import (
     to_camera,
     unit_quat,
 )
-from framework.rasterize.simd import load, store, zeros
+from framework.rasterize.simd import fma, load, splat, store, zeros
 
 f4 = np.float32
-ZERO, ONE, HALF = f4(0), f4(1), f4(0.5)
+ZERO, ONE, TWO, HALF = f4(0), f4(1), f4(2), f4(0.5)
 # which of the 15 sums holds m_i m_j
 _PLACE = np.array(
     [
@@ -42,12 +53,53 @@ _PLACE = np.array(
 )
 
 
+@inlined
+def _tangents(x: Any, y: Any, z: Any) -> tuple[Any, ...]:
+    """Two unit vectors at right angles to the unit (x, y, z) and to each other, six numbers.
+
+    Duff et al. 2017, "Building an orthonormal basis, revisited"."""
+    sign = ONE if z >= ZERO else -ONE
+    a = -ONE / (sign + z)
+    b = x * y * a
+    return (ONE + sign * x * x * a, sign * b, -sign * x, b, sign + y * y * a, -y)
+
+
 @kernel
-def _screen_jacobian(
-    mean: Any, quat: Any, log_scale: Any, camera: Any, row: Any, unit: Any, jacobian: Any
+def colour_slopes(
+    block: int,
+    blocks: int,
+    means: Any,
+    shN: Any,
+    degree: int,
+    camera: Any,
+    clipped: Any,
+    touched: Any,
+    slopes: Any,
 ) -> None:
-    """jacobian[:10] [10, 6] = (L^T K)^T: d(alpha)/d(mean 3, log-scale 3, quat 4) / alpha in m.
-    unit [10] is scratch."""
+    """slopes [N, 16] of the Gaussians that touch a tile: 0-5 the derivative of colour c along
+    tangent k per scene unit at 2 c + k, 0 where the colour is clamped; 6-11 the two tangents."""
+    n = len(means)
+    for i in range(n * block // blocks, n * (block + 1) // blocks):
+        if touched[i] == 0:
+            continue
+        x, y, z, inverse = direction(camera, means[i])
+        ax, ay, az, bx, by, bz = _tangents(x, y, z)
+        row = slopes[i]
+        for c in range(3):
+            gx, gy, gz = basis_gradient(degree, x, y, z, shN[i, :, c])
+            scale = ZERO if (clipped[i] >> c) & 1 else inverse
+            row[2 * c] = scale * (gx * ax + gy * ay + gz * az)
+            row[2 * c + 1] = scale * (gx * bx + gy * by + gz * bz)
+        row[6], row[7], row[8] = ax, ay, az
+        row[9], row[10], row[11] = bx, by, bz
+
+
+@inlined
+def _screen_jacobian(
+    mean: Any, quat: Any, log_scale: Any, logit: Any, camera: Any, row: Any, jacobian: Any
+) -> None:
+    """jacobian (flat [6, 16]) = L^T K: lanes d(alpha)/d(mean 3, log-scale 3, quat 4, logit) / alpha
+    of the coefficients of m; the other lanes stay as they are."""
     x, y, z = to_camera(camera, mean)
     t = screen_axes(camera, x, y, z)
     q = unit_quat(quat)
@@ -55,18 +107,59 @@ def _screen_jacobian(
     m = times_rotation(t, r)
     s = (math.exp(log_scale[0]), math.exp(log_scale[1]), math.exp(log_scale[2]))
     ca, cb, cc = row[13], row[14], row[15]
-    jacobian[:10, :] = ZERO
+    jacobian[10] = ONE / (ONE + math.exp(logit))
     for p in range(3):  # u and v move with the mean alone, by T
-        jacobian[p, 1] = ca * t[p] + cb * t[3 + p]
-        jacobian[p, 2] = cb * t[p] + cc * t[3 + p]
+        jacobian[16 + p] = ca * t[p] + cb * t[3 + p]
+        jacobian[32 + p] = cb * t[p] + cc * t[3 + p]
     for k in range(3):
-        ga, gb, gc = ONE if k == 0 else ZERO, ONE if k == 1 else ZERO, ONE if k == 2 else ZERO
+        ga, gb, gc = ZERO, ZERO, ZERO
+        if k == 0:
+            ga = -HALF
+        elif k == 1:
+            gb = -ONE
+        else:
+            gc = -HALF
         g = pull_back(camera, x, y, z, t, r, m, s, q, (ca, cb, cc), ZERO, ZERO, ga, gb, gc, ZERO)
-        unit[0], unit[1], unit[2], unit[3], unit[4] = g[0], g[1], g[2], g[3], g[4]
-        unit[5], unit[6], unit[7], unit[8], unit[9] = g[5], g[6], g[7], g[8], g[9]
-        scale = -ONE if k == 1 else -HALF
-        for p in range(10):
-            jacobian[p, 3 + k] = scale * unit[p]
+        at = 48 + 16 * k
+        jacobian[at], jacobian[at + 1], jacobian[at + 2] = g[0], g[1], g[2]
+        jacobian[at + 3], jacobian[at + 4], jacobian[at + 5] = g[3], g[4], g[5]
+        jacobian[at + 6], jacobian[at + 7], jacobian[at + 8] = g[6], g[7], g[8]
+        jacobian[at + 9] = g[9]
+
+
+@inlined
+def _slot_sums(slots: Any, begin: int, end: int, out: Any, at: int) -> None:
+    """out[at : at + 16] = the sum of slots begin ... end - 1, in their order."""
+    sums = zeros()
+    for j in range(begin, end):
+        sums = sums + load(slots, j * 16)
+    store(out, at, sums)
+
+
+@inlined
+def _direction_terms(slope: Any, weight: Any, jacobian: Any, cross: Any, terms: Any) -> Any:
+    """The part of F that the colour's direction adds: F += sum_k e_k g_k^T + h_k e_k^T.
+
+    terms (flat [6, 16]) = e_1, e_2, h_1, h_2, g_1, g_2 over the parameters' lanes, where
+    g_k = h_k + W sum_l (sum_c s_ck s_cl) e_l. Returns its diagonal."""
+    total = zeros()
+    for k in range(2):
+        terms[16 * k], terms[16 * k + 1] = slope[6 + 3 * k], slope[7 + 3 * k]
+        terms[16 * k + 2] = slope[8 + 3 * k]
+        h = zeros()
+        for b in range(5):
+            h = fma(splat(cross[5 * k + b]), load(jacobian, 16 * (b + 1)), h)
+        store(terms, 32 + 16 * k, h)
+    for k in range(2):
+        g = load(terms, 32 + 16 * k)
+        e = load(terms, 16 * k)
+        total = fma(e, g, total)
+        for o in range(2):
+            both = slope[k] * slope[o] + slope[2 + k] * slope[2 + o] + slope[4 + k] * slope[4 + o]
+            g = fma(splat(weight * both), load(terms, 16 * o), g)
+        store(terms, 64 + 16 * k, g)
+        total = fma(e, g, total)
+    return total
 
 
 @kernel
@@ -82,50 +175,55 @@ def pull_back_moments(
     clipped: Any,
     first: Any,
     slots: Any,
+    slopes: Any,
+    cross: Any,
     fisher: Any,
     diagonal: Any,
 ) -> None:
     """Fisher block [N, 6, 6] in (mean, log-scale); diagonal [N, 14] in (mean 3, log-scale 3,
-    quat 4, opacity logit, sh0 3). Zeros where the camera sees nothing of the Gaussian."""
+    quat 4, opacity logit, sh0 3). Zeros where the camera sees nothing of the Gaussian.
+
+    slopes, cross: empty where no colour depends on the direction. Lanes are the parameters."""
     n = len(means)
-    moments = np.empty(16, np.float32)
-    jacobian = np.empty((11, 6), np.float32)
-    image = np.empty((11, 6), np.float32)
-    q = np.empty((6, 6), np.float32)
-    unit = np.empty(10, np.float32)
+    directional = len(cross) > 0
+    moments = np.empty(32, np.float32)
+    jacobian, image = np.zeros(96, np.float32), np.empty(96, np.float32)
+    terms = np.zeros(96, np.float32)
+    line = np.empty(16, np.float32)
     for i in range(n * block // blocks, n * (block + 1) // blocks):
         if first[i] == first[i + 1]:
             fisher[i, :, :] = ZERO
             diagonal[i, :] = ZERO
             continue
-        sums = zeros()
-        for j in range(first[i], first[i + 1]):
-            sums = sums + load(slots, j * 16)
-        store(moments, 0, sums)
-        _screen_jacobian(means[i], quats[i], log_scales[i], camera, rows[i], unit, jacobian)
-        jacobian[10, :] = ZERO
-        jacobian[10, 0] = ONE / (ONE + math.exp(logits[i]))
+        _slot_sums(slots, first[i], first[i + 1], moments, 0)
+        _screen_jacobian(means[i], quats[i], log_scales[i], logits[i], camera, rows[i], jacobian)
+        squares = zeros()
         for a in range(6):
+            value = zeros()
             for b in range(6):
-                q[a, b] = moments[_PLACE[a, b]]
+                value = fma(splat(moments[_PLACE[a, b]]), load(jacobian, 16 * b), value)
+            store(image, 16 * a, value)
+            squares = fma(load(jacobian, 16 * a), value, squares)
+        if directional:
+            _slot_sums(cross, first[i], first[i + 1], moments, 16)
+            squares = squares + _direction_terms(
+                slopes[i], moments[15], jacobian, moments[16:], terms
+            )
+        store(line, 0, squares)
         for p in range(11):
-            for a in range(6):
-                value = ZERO
-                for b in range(6):
-                    value += q[a, b] * jacobian[p, b]
-                image[p, a] = value
-        for p in range(11):
-            value = ZERO
-            for a in range(6):
-                value += jacobian[p, a] * image[p, a]
-            diagonal[i, p] = value
-        for p in range(6):
-            for o in range(p, 6):
-                value = ZERO
-                for a in range(6):
-                    value += jacobian[p, a] * image[o, a]
-                fisher[i, p, o] = value
-                fisher[i, o, p] = value
+            diagonal[i, p] = line[p]
         for channel in range(3):
             seen = ZERO if (clipped[i] >> channel) & 1 else Y0 * Y0 * moments[15]
             diagonal[i, 11 + channel] = seen
+        for p in range(6):
+            value = zeros()
+            for a in range(6):
+                value = fma(splat(jacobian[16 * a + p]), load(image, 16 * a), value)
+            if directional:
+                for k in range(2):
+                    value = fma(splat(terms[16 * k + p]), load(terms, 64 + 16 * k), value)
+                    value = fma(splat(terms[32 + 16 * k + p]), load(terms, 16 * k), value)
+            store(line, 0, value)
+            for o in range(p, 6):
+                fisher[i, p, o] = line[o]
+                fisher[i, o, p] = line[o]

@@ -59,6 +59,8 @@ class Workspace:
         self.items = np.empty(0, np.int32)
         self.lists = np.empty((0, 2), np.int32)
         self.slots = np.empty((0, 16), np.float32)
+        self.cross = np.empty((0, 16), np.float32)
+        self.slopes = np.empty((0, 16), np.float32)
         self.histogram = np.empty((BLOCKS, 0), np.int32)
         self.offsets = np.empty(1, np.int32)
 
@@ -193,8 +195,32 @@ class Workspace:
             blocks=TILE_BLOCKS,
         )
 
+    def _direction_buffers(self) -> tuple[np.ndarray, np.ndarray]:
+        """slopes and cross of `tiles.blend_moments`; empty at SH degree 0."""
+        if self.degree == 0:
+            return self.slopes[:0], self.cross[:0]
+        if len(self.slopes) < len(self.rows):
+            self.slopes = np.empty((len(self._rows), 16), np.float32)
+        if len(self.cross) < self.n_items:
+            self.cross = np.empty((self.n_items + self.n_items // 4, 16), np.float32)
+        return self.slopes, self.cross
+
     def blend_moments(self, image: Image) -> None:
-        """Second moments of the image's derivatives -> `slots`; see `tiles.blend_moments`."""
+        """Second moments of the image's derivatives -> `slots`, and with view-dependent colour
+        `slopes` and `cross`; see `tiles.blend_moments` and `information`."""
+        slopes, cross = self._direction_buffers()
+        if self.degree > 0:
+            arrays = self.arrays
+            run_blocks(
+                information.colour_slopes,
+                arrays.means,
+                arrays.shN,
+                self.degree,
+                self.camera,
+                self.clipped,
+                self.touched,
+                slopes,
+            )
         run_blocks(
             tiles.blend_moments,
             self.width,
@@ -204,6 +230,8 @@ class Workspace:
             self.lists,
             image.rgb.reshape(-1),
             self._fit_slots().reshape(-1),
+            slopes,
+            cross.reshape(-1),
             blocks=TILE_BLOCKS,
         )
 
@@ -237,6 +265,7 @@ class Workspace:
     def information(self, block: np.ndarray, diagonal: np.ndarray) -> None:
         """Moments in `slots` -> Fisher block [N, 6, 6] and diagonal [N, 14]; see `information`."""
         arrays = self.arrays
+        slopes, cross = self._direction_buffers()
         run_blocks(
             information.pull_back_moments,
             arrays.means,
@@ -248,6 +277,8 @@ class Workspace:
             self.clipped,
             self.first,
             self.slots.reshape(-1),
+            slopes,
+            cross.reshape(-1),
             block,
             diagonal,
         )

@@ -306,13 +306,20 @@ def blend_moments(
     lists: Any,
     rgb: Any,
     slots: Any,
+    slopes: Any,
+    cross: Any,
 ) -> None:
     """Second moments of the image's derivatives: the Fisher information in screen coordinates.
 
     With q = sum over channels of (alpha d C / d alpha)^2, slot lanes 0-14 are the sums over pixels
     of q times dx^i dy^j, ordered 1; dx, dy; dx^2, dx dy, dy^2; dx^3 ... dy^3; dx^4 ... dy^4, and
     lane 15 is the sum of weight^2 (the information on each colour channel).
+
+    With view-dependent colour (`slopes` [N, 16] and `cross` like slots, both else empty) lanes 0-4
+    of `cross` are the sums of r times dx, dy, dx^2, dx dy, dy^2, where r is the sum over channels
+    of weight x slope x alpha d C / d alpha, slopes 0, 2, 4; lanes 5-9 the same with slopes 1, 3, 5.
     """
+    directional = len(cross) > 0
     columns = (width + 15) // 16
     plane = width * height
     state = _aligned(4 * 256)
@@ -339,6 +346,8 @@ def blend_moments(
             slot = lists[k, 1] * 16
             if alive == 0:
                 store(slots, slot, zeros())
+                if directional:
+                    store(cross, slot, zeros())
                 continue
             item = lists[k, 0]
             prefetch(flat, (lists[min(k + _AHEAD, last), 0] >> 8) * 16)
@@ -349,6 +358,12 @@ def blend_moments(
             slant = splat(rows[g, 2]) * dx
             dy0 = splat(f4(y) + HALF - rows[g, 1])
             m0, m1, m2, m3, m4, ww = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
+            r0, r1, r2, p0, p1, p2 = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
+            if directional:
+                vr, vg, vb = splat(slopes[g, 0]), splat(slopes[g, 2]), splat(slopes[g, 4])
+                wr, wg, wb = splat(slopes[g, 1]), splat(slopes[g, 3]), splat(slopes[g, 5])
+            else:
+                vr, vg, vb, wr, wg, wb = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             todo = _listed_rows(item) & alive
             while todo != 0:
                 at = lowest_bit(todo) * 16
@@ -372,13 +387,21 @@ def blend_moments(
                 jg = fnma(lg, odds, weight * cg)
                 jb = fnma(lb, odds, weight * cb)
                 square = fma(jr, jr, fma(jg, jg, jb * jb))
-                q = select(but_not(goes_on, greater(raw, most)), square, zeros())
+                free = but_not(goes_on, greater(raw, most))
+                q = select(free, square, zeros())
                 qy = q * dy
                 qyy = qy * dy
                 qyyy = qyy * dy
                 m0, m1, m2, m3 = m0 + q, m1 + qy, m2 + qyy, m3 + qyyy
                 m4 = fma(qyyy, dy, m4)
                 ww = fma(weight, weight, ww)
+                if directional:
+                    pull = select(free, weight, zeros())
+                    r = pull * fma(jr, vr, fma(jg, vg, jb * vb))
+                    p = pull * fma(jr, wr, fma(jg, wg, jb * wb))
+                    ry, py = r * dy, p * dy
+                    r0, r1, r2 = r0 + r, r1 + ry, fma(ry, dy, r2)
+                    p0, p1, p2 = p0 + p, p1 + py, fma(py, dy, p2)
                 kept = t - weight
                 store(transmittance, at, select(but_not(active, goes_on), neg(kept), kept))
             m0x, m1x, m2x = m0 * dx, m1 * dx, m2 * dx
@@ -405,3 +428,8 @@ def blend_moments(
                 )
             )
             store(slots, slot, sums)
+            if directional:
+                r0x, p0x = r0 * dx, p0 * dx
+                rs = (r0x, r1, r0x * dx, r1 * dx, r2)
+                ps = (p0x, p1, p0x * dx, p1 * dx, p2)
+                store(cross, slot, lane_sums(rs + ps))
