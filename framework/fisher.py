@@ -36,8 +36,8 @@ def fisher_information(
     sh_degree: int | None = None,
     near: float = 0.01,
 ) -> FisherInformation:
-    """Information of `camera`'s image on each Gaussian: one render, one second-moment pass, one
-    pull-back (see `rasterize.information` for the equation and for what is left out)."""
+    """Information of `camera`'s image on each Gaussian, exactly: one render, one second-moment
+    pass, one pull-back (see `rasterize.information` for the equation). Arguments as `rasterize`."""
     n = len(gaussians)
     degree = gaussians.sh_degree if sh_degree is None else min(sh_degree, gaussians.sh_degree)
     colour = np.zeros(3, np.float32) if background is None else background.numpy()

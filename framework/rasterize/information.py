@@ -1,8 +1,9 @@
 """Screen-space second moments -> Fisher information of the stored parameters.
 
 A pixel's colour C_c depends on a Gaussian through its alpha and, for the mean, through its colour:
-the SH direction. With d = (u, v, A, B, C, logit) the numbers that alpha depends on, d(alpha)/d(d) =
-alpha L m for m = (1, dx, dy, dx^2, dx dy, dy^2), K = d(d)/d(parameters) and J_c = alpha dC_c/d(alpha)
+the SH direction. With d = (u, v, A, B, C, logit) the numbers that alpha depends on,
+d(alpha)/d(d) = alpha L m for m = (1, dx, dy, dx^2, dx dy, dy^2), with K = d(d)/d(parameters) and
+J_c = alpha dC_c/d(alpha),
 
     dC_c / d(parameters) = J_c K^T L m + weight v_c,   v_c = d(colour_c) / d(mean)
 
@@ -28,17 +29,14 @@ from framework.rasterize.projection import (
     Y0,
     basis_gradient,
     direction,
-    pull_back,
     rotation,
-    screen_axes,
-    times_rotation,
     to_camera,
     unit_quat,
 )
 from framework.rasterize.simd import fma, load, splat, store, zeros
 
 f4 = np.float32
-ZERO, ONE, TWO, HALF = f4(0), f4(1), f4(2), f4(0.5)
+ZERO, ONE, TWO = f4(0), f4(1), f4(2)
 # which of the 15 sums holds m_i m_j
 _PLACE = np.array(
     [
@@ -95,36 +93,89 @@ def colour_slopes(
 
 
 @inlined
+def _axis(
+    k: int,
+    camera: Any,
+    r: Any,
+    log_scale: Any,
+    fx: Any,
+    gx: Any,
+    fy: Any,
+    gy: Any,
+    ca: Any,
+    cb: Any,
+    cc: Any,
+) -> tuple[Any, ...]:
+    """s_k^2, the two numbers of C m_k, and the three of W r_k."""
+    p0 = camera[0] * r[k] + camera[1] * r[3 + k] + camera[2] * r[6 + k]
+    p1 = camera[3] * r[k] + camera[4] * r[3 + k] + camera[5] * r[6 + k]
+    p2 = camera[6] * r[k] + camera[7] * r[3 + k] + camera[8] * r[6 + k]
+    mx, my = fx * p0 + gx * p2, fy * p1 + gy * p2
+    return math.exp(TWO * log_scale[k]), ca * mx + cb * my, cb * mx + cc * my, p0, p1, p2
+
+
+@inlined
+def _put(jacobian: Any, lane: int, ax: Any, ay: Any, bx: Any, by: Any) -> None:
+    """Lane = the product of the linear forms a . (dx, dy) and b . (dx, dy) in m."""
+    jacobian[48 + lane] = ax * bx
+    jacobian[64 + lane] = ax * by + ay * bx
+    jacobian[80 + lane] = ay * by
+
+
+@inlined
 def _screen_jacobian(
-    mean: Any, quat: Any, log_scale: Any, logit: Any, camera: Any, row: Any, jacobian: Any
+    mean: Any, quat: Any, log_scale: Any, camera: Any, row: Any, jacobian: Any
 ) -> None:
-    """jacobian (flat [6, 16]) = L^T K: lanes d(alpha)/d(mean 3, log-scale 3, quat 4, logit) / alpha
-    of the coefficients of m; the other lanes stay as they are."""
+    """jacobian (flat [6, 16]) = L^T K: lanes d(alpha)/d(mean 3, log-scale 3, quat 4) / alpha of
+    the coefficients of m; row 0 and the other lanes stay as they are.
+
+    alpha depends on the 2D covariance S' by y^T dS' y / 2, y = C (dx, dy) with the conic C, and
+    S' = sum_k s_k^2 m_k m_k^T (+ dilation), m_k = J (W r_k) with the columns r_k of the rotation.
+    """
     x, y, z = to_camera(camera, mean)
-    t = screen_axes(camera, x, y, z)
-    q = unit_quat(quat)
-    r = rotation(q[0], q[1], q[2], q[3])
-    m = times_rotation(t, r)
-    s = (math.exp(log_scale[0]), math.exp(log_scale[1]), math.exp(log_scale[2]))
+    qw, qx, qy, qz, inverse_norm = unit_quat(quat)
+    r = rotation(qw, qx, qy, qz)
     ca, cb, cc = row[13], row[14], row[15]
-    jacobian[10] = ONE / (ONE + math.exp(logit))
-    for p in range(3):  # u and v move with the mean alone, by T
-        jacobian[16 + p] = ca * t[p] + cb * t[3 + p]
-        jacobian[32 + p] = cb * t[p] + cc * t[3 + p]
-    for k in range(3):
-        ga, gb, gc = ZERO, ZERO, ZERO
-        if k == 0:
-            ga = -HALF
-        elif k == 1:
-            gb = -ONE
-        else:
-            gc = -HALF
-        g = pull_back(camera, x, y, z, t, r, m, s, q, (ca, cb, cc), ZERO, ZERO, ga, gb, gc, ZERO)
-        at = 48 + 16 * k
-        jacobian[at], jacobian[at + 1], jacobian[at + 2] = g[0], g[1], g[2]
-        jacobian[at + 3], jacobian[at + 4], jacobian[at + 5] = g[3], g[4], g[5]
-        jacobian[at + 6], jacobian[at + 7], jacobian[at + 8] = g[6], g[7], g[8]
-        jacobian[at + 9] = g[9]
+    inverse = ONE / z
+    fx, fy = camera[15] * inverse, camera[16] * inverse
+    gx, gy = -fx * x * inverse, -fy * y * inverse
+    # per axis k of the Gaussian: s_k^2, C m_k; b = sum_k (W r_k) s_k^2 (C m_k)^T
+    s0, n0x, n0y, p0, p1, p2 = _axis(0, camera, r, log_scale, fx, gx, fy, gy, ca, cb, cc)
+    s1, n1x, n1y, p3, p4, p5 = _axis(1, camera, r, log_scale, fx, gx, fy, gy, ca, cb, cc)
+    s2, n2x, n2y, p6, p7, p8 = _axis(2, camera, r, log_scale, fx, gx, fy, gy, ca, cb, cc)
+    k0x, k0y, k1x, k1y, k2x, k2y = s0 * n0x, s0 * n0y, s1 * n1x, s1 * n1y, s2 * n2x, s2 * n2y
+    b0x, b0y = p0 * k0x + p3 * k1x + p6 * k2x, p0 * k0y + p3 * k1y + p6 * k2y
+    b1x, b1y = p1 * k0x + p4 * k1x + p7 * k2x, p1 * k0y + p4 * k1y + p7 * k2y
+    b2x, b2y = p2 * k0x + p5 * k1x + p8 * k2x, p2 * k0y + p5 * k1y + p8 * k2y
+    _put(jacobian, 3, k0x, k0y, n0x, n0y)
+    _put(jacobian, 4, k1x, k1y, n1x, n1y)
+    _put(jacobian, 5, k2x, k2y, n2x, n2y)
+    # a turn by w about the Gaussian's own axis 0 mixes axes 1 and 2, and so on; w = 2 q* dq
+    _put(jacobian, 6, (s1 - s2) * n1x, (s1 - s2) * n1y, n2x, n2y)
+    _put(jacobian, 7, (s2 - s0) * n2x, (s2 - s0) * n2y, n0x, n0y)
+    _put(jacobian, 8, (s0 - s1) * n0x, (s0 - s1) * n0y, n1x, n1y)
+    # camera-space mean: through u, v, and through the entries of J
+    _put(jacobian, 0, -fx * inverse * ca, -fx * inverse * cb, b2x, b2y)
+    _put(jacobian, 1, -fy * inverse * cb, -fy * inverse * cc, b2x, b2y)
+    ux, uy = -fx * b0x - TWO * gx * b2x, -fx * b0y - TWO * gx * b2y
+    vx, vy = -fy * b1x - TWO * gy * b2x, -fy * b1y - TWO * gy * b2y
+    jacobian[50] = inverse * (ca * ux + cb * vx)
+    jacobian[66] = inverse * (ca * uy + cb * ux + cb * vy + cc * vx)
+    jacobian[82] = inverse * (cb * uy + cc * vy)
+    jacobian[16], jacobian[17], jacobian[18] = ca * fx, cb * fy, ca * gx + cb * gy
+    jacobian[32], jacobian[33], jacobian[34] = cb * fx, cc * fy, cb * gx + cc * gy
+    for a in range(16, 96, 16):
+        dx, dy, dz = jacobian[a], jacobian[a + 1], jacobian[a + 2]
+        jacobian[a] = camera[0] * dx + camera[3] * dy + camera[6] * dz
+        jacobian[a + 1] = camera[1] * dx + camera[4] * dy + camera[7] * dz
+        jacobian[a + 2] = camera[2] * dx + camera[5] * dy + camera[8] * dz
+    scale = TWO * inverse_norm
+    for a in range(48, 96, 16):
+        wx, wy, wz = scale * jacobian[a + 6], scale * jacobian[a + 7], scale * jacobian[a + 8]
+        jacobian[a + 6] = -qx * wx - qy * wy - qz * wz
+        jacobian[a + 7] = qw * wx - qz * wy + qy * wz
+        jacobian[a + 8] = qz * wx + qw * wy - qx * wz
+        jacobian[a + 9] = -qy * wx + qx * wy + qw * wz
 
 
 @inlined
@@ -196,11 +247,11 @@ def pull_back_moments(
             diagonal[i, :] = ZERO
             continue
         _slot_sums(slots, first[i], first[i + 1], moments, 0)
-        _screen_jacobian(means[i], quats[i], log_scales[i], logits[i], camera, rows[i], jacobian)
+        _screen_jacobian(means[i], quats[i], log_scales[i], camera, rows[i], jacobian)
         squares = zeros()
-        for a in range(6):
+        for a in range(1, 6):
             value = zeros()
-            for b in range(6):
+            for b in range(1, 6):
                 value = fma(splat(moments[_PLACE[a, b]]), load(jacobian, 16 * b), value)
             store(image, 16 * a, value)
             squares = fma(load(jacobian, 16 * a), value, squares)
@@ -210,14 +261,16 @@ def pull_back_moments(
                 slopes[i], moments[15], jacobian, moments[16:], terms
             )
         store(line, 0, squares)
-        for p in range(11):
+        for p in range(10):
             diagonal[i, p] = line[p]
+        transparency = ONE / (ONE + math.exp(logits[i]))  # d(alpha)/d(logit) / alpha
+        diagonal[i, 10] = transparency * transparency * moments[0]
         for channel in range(3):
             seen = ZERO if (clipped[i] >> channel) & 1 else Y0 * Y0 * moments[15]
             diagonal[i, 11 + channel] = seen
         for p in range(6):
             value = zeros()
-            for a in range(6):
+            for a in range(1, 6):
                 value = fma(splat(jacobian[16 * a + p]), load(image, 16 * a), value)
             if directional:
                 for k in range(2):

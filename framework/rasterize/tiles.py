@@ -326,7 +326,7 @@ def blend_moments(
     transmittance = state[:256]
     br, bg, bb = state[256:512], state[512:768], state[768:1024]
     cut, stop, most, one = splat(_CUT), splat(_STOP), splat(_MAX), splat(ONE)
-    down = _row_numbers()
+    powers = _aligned(64)
     flat = rows.reshape(-1)
     last = len(lists) - 1
     for tile in range(block, len(offsets) - 1, blocks):
@@ -356,7 +356,12 @@ def blend_moments(
             cr, cg, cb = splat(rows[g, 6]), splat(rows[g, 7]), splat(rows[g, 8])
             dx = iota() + splat(f4(x) + HALF - rows[g, 0])
             slant = splat(rows[g, 2]) * dx
-            dy0 = splat(f4(y) + HALF - rows[g, 1])
+            dys = iota() + splat(f4(y) + HALF - rows[g, 1])
+            dys2 = dys * dys
+            store(powers, 0, dys)
+            store(powers, 16, dys2)
+            store(powers, 32, dys2 * dys)
+            store(powers, 48, dys2 * dys2)
             m0, m1, m2, m3, m4, ww = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             r0, r1, r2, p0, p1, p2 = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             if directional:
@@ -366,9 +371,10 @@ def blend_moments(
                 vr, vg, vb, wr, wg, wb = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             todo = _listed_rows(item) & alive
             while todo != 0:
-                at = lowest_bit(todo) * 16
+                row = lowest_bit(todo)
+                at = row * 16
                 todo &= todo - 1
-                dy = dy0 + splat(down[at])
+                dy, dy2 = splat(powers[row]), splat(powers[16 + row])
                 power = fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
                 t = load(transmittance, at)
                 active = both(greater_equal(power, cut), greater(t, zeros()))
@@ -377,31 +383,22 @@ def blend_moments(
                 rest = fnma(t, a, t)
                 goes_on = both(active, greater_equal(rest, stop))
                 weight = select(goes_on, a * t, zeros())
-                odds = a / (one - a)
-                lr, lg = fnma(weight, cr, load(br, at)), fnma(weight, cg, load(bg, at))
-                lb = fnma(weight, cb, load(bb, at))
-                store(br, at, lr)
-                store(bg, at, lg)
-                store(bb, at, lb)
-                jr = fnma(lr, odds, weight * cr)
-                jg = fnma(lg, odds, weight * cg)
-                jb = fnma(lb, odds, weight * cb)
-                square = fma(jr, jr, fma(jg, jg, jb * jb))
-                free = but_not(goes_on, greater(raw, most))
-                q = select(free, square, zeros())
-                qy = q * dy
-                qyy = qy * dy
-                qyyy = qyy * dy
-                m0, m1, m2, m3 = m0 + q, m1 + qy, m2 + qyy, m3 + qyyy
-                m4 = fma(qyyy, dy, m4)
+                odds = select(but_not(goes_on, greater(raw, most)), a / (one - a), zeros())
+                sr, sg, sb = load(br, at), load(bg, at), load(bb, at)
+                jr, jg, jb = fma(t, cr, neg(sr)), fma(t, cg, neg(sg)), fma(t, cb, neg(sb))
+                store(br, at, fnma(weight, cr, sr))
+                store(bg, at, fnma(weight, cg, sg))
+                store(bb, at, fnma(weight, cb, sb))
+                q = odds * odds * fma(jr, jr, fma(jg, jg, jb * jb))
+                m0, m1, m2 = m0 + q, fma(q, dy, m1), fma(q, dy2, m2)
+                m3, m4 = fma(q, splat(powers[32 + row]), m3), fma(q, splat(powers[48 + row]), m4)
                 ww = fma(weight, weight, ww)
                 if directional:
-                    pull = select(free, weight, zeros())
+                    pull = weight * odds
                     r = pull * fma(jr, vr, fma(jg, vg, jb * vb))
                     p = pull * fma(jr, wr, fma(jg, wg, jb * wb))
-                    ry, py = r * dy, p * dy
-                    r0, r1, r2 = r0 + r, r1 + ry, fma(ry, dy, r2)
-                    p0, p1, p2 = p0 + p, p1 + py, fma(py, dy, p2)
+                    r0, r1, r2 = r0 + r, fma(r, dy, r1), fma(r, dy2, r2)
+                    p0, p1, p2 = p0 + p, fma(p, dy, p1), fma(p, dy2, p2)
                 kept = t - weight
                 store(transmittance, at, select(but_not(active, goes_on), neg(kept), kept))
             m0x, m1x, m2x = m0 * dx, m1 * dx, m2 * dx

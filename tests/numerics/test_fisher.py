@@ -1,0 +1,155 @@
+"""Fisher information of the kernels (float32) against brute force and against laws.
+
+Brute force: the Jacobian of every pixel and channel by forward-mode autograd of the float64
+reference, its outer products summed. The scenes keep away from the blending thresholds, where one
+pixel more or less is lawful.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from framework.fisher import FisherInformation, fisher_information
+from framework.parallel import set_threads
+from framework.rasterize.constants import ALPHA_MAX
+from framework.rasterize.reference import cutoff_margin, project, rasterize_reference
+from framework.types import Camera, Gaussians
+from tests.numerics.scenes import Case, random_case
+
+SEEDS = range(20)
+PARAMETERS = {"means": 3, "log_scales": 3, "quats": 4, "opacity_logits": 1, "sh0": 3}
+TOLERANCE = 1e-4
+
+
+@cache
+def scene(seed: int) -> Case:
+    """Twelve Gaussians, some of them opaque; SH degree seed % 4, with strong view dependence."""
+    case = random_case(seed, n=12)
+    g = case.gaussians
+    opaque = g.opacity_logits + 4.0 * (torch.arange(12) % 4 == 0)
+    full = case.camera
+    camera = Camera(full.viewmat, full.K, min(full.width, 30), min(full.height, 24))
+    return Case(
+        g.replace(opacity_logits=opaque, shN=2 * g.shN),
+        camera,
+        case.background,
+        case.factors,
+        case.offset,
+        case.sh_degree,
+    )
+
+
+def double(gaussians: Gaussians) -> Gaussians:
+    return gaussians.map(lambda t: t.double())
+
+
+def brute_force(case: Case, sh_degree: int | None = None) -> Tensor:
+    """[N, 14, 14] float64: the blocks of J^T J in the order of PARAMETERS."""
+    gaussians = double(case.gaussians)
+
+    def pixels(*values: Tensor) -> Tensor:
+        changed: dict[str, Any] = dict(zip(PARAMETERS, values, strict=True))
+        render = rasterize_reference(
+            gaussians.replace(**changed),
+            case.camera,
+            background=case.background,
+            sh_degree=sh_degree,
+        )
+        return render.rgb.flatten()
+
+    inputs = tuple(getattr(gaussians, name) for name in PARAMETERS)
+    jacobians = torch.autograd.functional.jacobian(
+        pixels, inputs, vectorize=True, strategy="forward-mode"
+    )
+    n = len(gaussians)
+    jacobian = torch.cat([j.reshape(len(j), n, -1) for j in jacobians], dim=2)
+    return torch.einsum("pni,pnj->nij", jacobian, jacobian)
+
+
+def information(case: Case, sh_degree: int | None = None) -> FisherInformation:
+    return fisher_information(
+        case.gaussians, case.camera, background=case.background, sh_degree=sh_degree
+    )
+
+
+def group_scale(diagonal: Tensor) -> Tensor:
+    """[N, 14]: of every parameter the root of its group's largest information, so that errors are
+    judged in units of what is known about the mean, the log-scales, ..."""
+    groups = torch.split(diagonal, list(PARAMETERS.values()), dim=1)
+    return torch.cat([g.amax(1, keepdim=True).expand_as(g) for g in groups], dim=1).sqrt()
+
+
+def assert_equal(ours: FisherInformation, exact: Tensor) -> None:
+    diagonal = exact.diagonal(dim1=1, dim2=2)
+    seen = diagonal[:, 10] > 0
+    assert not ours.block[~seen].any() and not ours.diagonal[~seen].any()
+    scale = group_scale(diagonal)[seen]
+    error = (ours.diagonal.double() - diagonal)[seen].abs() / (scale**2).clamp(min=1e-30)
+    assert error.max() <= TOLERANCE, f"diagonal: {error.amax(0).tolist()}"
+    products = scale[:, :6, None] * scale[:, None, :6]
+    error = (ours.block.double() - exact[:, :6, :6])[seen].abs() / products
+    assert error.max() <= TOLERANCE, f"block: {error.max():.1e}"
+    assert torch.equal(ours.block, ours.block.mT)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_equals_the_sum_of_the_pixels_outer_products(seed: int) -> None:
+    case = scene(seed)
+    margin = cutoff_margin(project(double(case.gaussians), case.camera), case.camera)
+    assert margin.min() > 1e-5, "a pixel at a cut-off: choose another scene"
+    assert_equal(information(case), brute_force(case))
+
+
+def test_active_degree_below_the_stored_one() -> None:
+    for degree in range(3):
+        assert_equal(information(scene(3), degree), brute_force(scene(3), degree))
+
+
+def test_the_scenes_hold_the_special_cases() -> None:
+    """Clamped colours, clamped alphas and Gaussians that are not seen."""
+    clamped_colours = clamped_alphas = unseen = 0
+    for case in map(scene, SEEDS):
+        footprints = project(double(case.gaussians), case.camera)
+        clamped_colours += int((footprints.colors == 0).any(1).sum())
+        clamped_alphas += int((footprints.opacities > ALPHA_MAX).sum())
+        unseen += int((~information(case).visible).sum())
+    assert min(clamped_colours, clamped_alphas, unseen) >= 10
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_one_view_cannot_tell_size_from_distance(seed: int) -> None:
+    """Away from the camera by a share, and larger by the same share: the same picture."""
+    case = scene(seed)
+    away = case.gaussians.means - case.camera.center
+    blind = torch.cat([away, torch.ones_like(away)], dim=1).double()
+    block = information(case).block.double()
+    size = block.diagonal(dim1=1, dim2=2).sqrt() * blind.abs()
+    left = torch.einsum("nij,nj->ni", block, blind)
+    bound = size.sum(1, keepdim=True) * block.diagonal(dim1=1, dim2=2).sqrt()
+    assert (left.abs() <= TOLERANCE * bound).all()
+
+
+def test_same_bits_on_any_threads_and_after_other_degrees() -> None:
+    case = random_case(3, n=400)
+    first = information(case)
+    information(case, 0)
+    for threads in (1, 2):
+        set_threads(threads)
+        again = information(case)
+        assert torch.equal(first.block, again.block)
+        assert torch.equal(first.diagonal, again.diagonal)
+    set_threads(0)
+
+
+def test_nothing_in_view() -> None:
+    case = scene(3)
+    behind = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]).double()) @ case.camera.viewmat
+    kept = case.gaussians[information(case).visible]
+    camera = Camera(behind, case.camera.K, case.camera.width, case.camera.height)
+    away = fisher_information(kept, camera)
+    assert not away.visible.any() and not away.block.any() and not away.diagonal.any()
