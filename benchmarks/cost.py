@@ -1,15 +1,15 @@
 """What each method costs: seconds per training step relative to `augment=none reg=none`.
 
-    python benchmarks/cost.py [--rounds N] [--out FILE] [OVERRIDE ...]
+    python benchmarks/cost.py [--chunk N] [--out FILE] [OVERRIDE ...]
 
 Whole trainings on one thread without evaluations, by default on the embedded scene; overrides are
-those of `run.py`, for instance `scene=llff scene.path=DIR` or `trainer.steps=200`. In every round
-each method trains once in a process of its own, in turn, so that a slow minute of the machine hits
-all; a ratio is the median over the rounds of the method's time by the baseline's of the same round.
-CPU is the processor time of the process, which other programs disturb less than wall time; kernels
-are compiled, scene and depth loaded before the clocks start. What a method costs while it acts is
-more than this mean over the training: `start` and `stop` leave it out of a part. Writes a markdown
-table to results/cost.md.
+those of `run.py`, for instance `scene=llff scene.path=DIR` or `trainer.steps=200`. Every method
+trains in a process of its own, and the processes take turns of `--chunk` steps, all others waiting,
+so that a slow minute of the machine hits all alike. CPU is the processor time of the process, which
+other programs disturb less than wall time, though their use of caches and of a core's second
+hardware thread still shows. Kernels are compiled, scene and depth loaded before. While it acts a
+method costs more than this mean over the training: its `start` and `stop` leave a part out. Writes
+a markdown table to results/cost.md.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import argparse
 import json
 import os
 import platform
-import statistics
 import subprocess
 import sys
 import time
@@ -29,8 +28,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-BASELINE = ("none", "none")
-METHODS = [
+Method = tuple[str, str]  # augmenter, regularizer
+
+BASELINE: Method = ("none", "none")
+METHODS: list[Method] = [
     BASELINE,
     *[(name, "none") for name in ("dba", "euclidean", "full_set", "safi")],
     *[("none", name) for name in ("uniform", "uar_hard", "uar")],
@@ -40,17 +41,48 @@ LIMITS = {("safi", "none"): 1.5, ("none", "uar"): 1.2}  # ratios the project pro
 
 
 @dataclass(frozen=True)
-class Cost:
-    """One training. cpu_ms, wall_ms: per step. gaussians: at its end."""
+class Turn:
+    """Some steps of a training: what they took, which was the last, of how many."""
 
-    cpu_ms: float
-    wall_ms: float
-    steps: int
+    cpu_s: float
+    wall_s: float
+    step: int
+    n_steps: int
     gaussians: int
 
 
-def measure(augment: str, reg: str, overrides: Sequence[str]) -> Cost:
-    """Train once in this process."""
+class Turns:
+    """A `Progress` that lets a training go on for `chunk` steps per line on stdin, and answers with
+    the `Turn` as JSON."""
+
+    def __init__(self, chunk: int) -> None:
+        self.chunk, self.cpu, self.wall = chunk, 0.0, 0.0
+
+    def wait(self) -> None:
+        """Block until it is our turn."""
+        sys.stdin.readline()
+        self.cpu, self.wall = time.process_time(), time.perf_counter()
+
+    def step(
+        self, step: int, n_steps: int, loss: float, gaussians: int, psnr: float | None = None
+    ) -> None:
+        if step % self.chunk == 0 or step == n_steps:
+            cpu, wall = time.process_time() - self.cpu, time.perf_counter() - self.wall
+            print(json.dumps(asdict(Turn(cpu, wall, step, n_steps, gaussians))), flush=True)
+            if step < n_steps:
+                self.wait()
+
+    def stage(self, what: str) -> None: ...
+
+    def compiling(self, what: str) -> None: ...
+
+    def note(self, text: str) -> None: ...
+
+    def done(self, text: str) -> None: ...
+
+
+def train(method: Method, overrides: Sequence[str], chunk: int) -> None:
+    """Train once in this process, in turns; prints `ready` before the first."""
     from hydra import compose, initialize_config_dir
 
     from framework import experiment, parallel, registry
@@ -63,7 +95,7 @@ def measure(augment: str, reg: str, overrides: Sequence[str]) -> Cost:
     from framework.warmup import Warmup
 
     register_config()
-    line = [*overrides, f"augment={augment}", f"reg={reg}"]
+    line = [*overrides, f"augment={method[0]}", f"reg={method[1]}"]
     with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
         config = plain(compose("config", line))
     check(config)
@@ -72,79 +104,107 @@ def measure(augment: str, reg: str, overrides: Sequence[str]) -> Cost:
         warmup.finish()
     key = experiment._key(config["scene"])
     scene, _ = experiment._scene(key)
-    files = experiment._files(config, scene)
-    depth, _ = experiment._depth(key, experiment._key(config["depth"]), files["depth"])
-    options = TrainerOptions(**config["trainer"])
+    fingerprint = experiment._files(config, scene)["depth"]
+    depth, _ = experiment._depth(key, experiment._key(config["depth"]), fingerprint)
+    options, turns = TrainerOptions(**config["trainer"]), Turns(chunk)
     gaussians = initial(config, scene, depth, options)
     plugins = Plugins(*(registry.build(group, config[group]) for group in registry.GROUPS))
     seed = int(config["seed"])
-    trainer = Trainer(scene.training, depth, gaussians, options, plugins, seed, Silent())
-    cpu, wall = time.process_time(), time.perf_counter()
-    trained = trainer.run()
-    cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-    n = options.steps
-    return Cost(1e3 * cpu / n, 1e3 * wall / n, n, len(trained.gaussians))
+    trainer = Trainer(scene.training, depth, gaussians, options, plugins, seed, turns)
+    print("ready", flush=True)
+    turns.wait()
+    trainer.run()
 
 
-def in_a_process(method: tuple[str, str], overrides: Sequence[str]) -> Cost:
-    """`measure` in a fresh process."""
-    command = [sys.executable, __file__, "--method", ",".join(method), *overrides]
-    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
-    return Cost(**json.loads(done.stdout.splitlines()[-1]))
+def ready(method: Method, overrides: Sequence[str], chunk: int) -> subprocess.Popen[str]:
+    """A process that waits for its first turn with `method`."""
+    own = ["--method", ",".join(method), "--chunk", str(chunk)]
+    process = subprocess.Popen(
+        [sys.executable, __file__, *own, *overrides],
+        cwd=ROOT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    if process.stdout.readline() != "ready\n":
+        raise SystemExit(f"error: {'+'.join(method)} did not start; see above")
+    return process
 
 
-def report(rounds: list[dict[tuple[str, str], Cost]], command: str) -> str:
+def turn_of(process: subprocess.Popen[str]) -> Turn:
+    """Let a process go on for one turn."""
+    assert process.stdin is not None and process.stdout is not None
+    process.stdin.write("\n")
+    process.stdin.flush()
+    return Turn(**json.loads(process.stdout.readline()))
+
+
+def compared(overrides: Sequence[str], chunk: int) -> dict[Method, list[Turn]]:
+    """All turns of all methods."""
+    processes: dict[Method, subprocess.Popen[str]] = {}
+    turns: dict[Method, list[Turn]] = {method: [] for method in METHODS}
+    try:
+        for method in METHODS:
+            processes[method] = ready(method, overrides, chunk)
+        while not turns[BASELINE] or turns[BASELINE][-1].step < turns[BASELINE][-1].n_steps:
+            for method in METHODS:
+                turns[method].append(turn_of(processes[method]))
+            print(f"step {turns[BASELINE][-1].step}", file=sys.stderr)
+    finally:
+        for process in processes.values():
+            process.kill()
+            process.wait()
+    return turns
+
+
+def report(turns: dict[Method, list[Turn]], command: str) -> str:
     """The markdown that is printed and written."""
     from framework.provenance import cpu_model
 
-    first = rounds[0][BASELINE]
+    last = turns[BASELINE][-1]
     lines = [
         "# What each method costs",
         "",
         f"`{command}` on {cpu_model()} ({os.cpu_count()} cores, one used), Python"
-        f" {platform.python_version()}: {first.steps} steps, {first.gaussians} Gaussians,"
-        f" {len(rounds)} rounds. Time per step over the whole training.",
+        f" {platform.python_version()}: milliseconds per step over a training of {last.n_steps}"
+        f" steps with {last.gaussians} Gaussians, and the ratio to the plain trainer's.",
         "",
         "| augment | reg | CPU ms | wall ms | CPU ratio | wall ratio | limit |",
         "|---|---|---:|---:|---:|---:|---:|",
-        *(_row(method, rounds) for method in METHODS),
+        *(_row(method, turns) for method in METHODS),
         "",
     ]
     return "\n".join(lines)
 
 
-def _row(method: tuple[str, str], rounds: list[dict[tuple[str, str], Cost]]) -> str:
-    own, base = ([costs[name] for costs in rounds] for name in (method, BASELINE))
-    pairs = list(zip(own, base, strict=True))
-    cells = [
-        f"{statistics.median(cost.cpu_ms for cost in own):.1f}",
-        f"{statistics.median(cost.wall_ms for cost in own):.1f}",
-        f"{statistics.median(a.cpu_ms / b.cpu_ms for a, b in pairs):.2f}",
-        f"{statistics.median(a.wall_ms / b.wall_ms for a, b in pairs):.2f}",
-        f"{LIMITS[method]:.1f}" if method in LIMITS else "",
-    ]
-    return f"| {' | '.join([*method, *cells])} |"
+def _row(method: Method, turns: dict[Method, list[Turn]]) -> str:
+    cpu, wall = _per_step(turns[method])
+    base_cpu, base_wall = _per_step(turns[BASELINE])
+    limit = f"{LIMITS[method]:.1f}" if method in LIMITS else ""
+    numbers = [f"{cpu:.1f}", f"{wall:.1f}", f"{cpu / base_cpu:.2f}", f"{wall / base_wall:.2f}"]
+    return f"| {' | '.join([*method, *numbers, limit])} |"
+
+
+def _per_step(turns: list[Turn]) -> tuple[float, float]:
+    """CPU and wall milliseconds per step."""
+    n = turns[-1].n_steps
+    return 1e3 * sum(t.cpu_s for t in turns) / n, 1e3 * sum(t.wall_s for t in turns) / n
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("overrides", nargs="*", metavar="OVERRIDE")
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", default=[])
+    parser.add_argument("--chunk", type=int, default=10, help="steps per turn")
     parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "results" / "cost.md")
-    parser.add_argument("--method", help=argparse.SUPPRESS)  # AUGMENT,REG: measure and print
+    parser.add_argument("--method", help=argparse.SUPPRESS)  # AUGMENT,REG: be one of the processes
     args = parser.parse_intermixed_args()
     if args.method is not None:
-        print(json.dumps(asdict(measure(*args.method.split(","), args.overrides))))
+        augment, reg = args.method.split(",")
+        train((augment, reg), args.overrides, args.chunk)
         return
-    rounds = []
-    for number in range(args.rounds):
-        costs = {}
-        for method in METHODS:
-            costs[method] = in_a_process(method, args.overrides)
-            print(f"round {number + 1}, {'+'.join(method)}: {costs[method]}", file=sys.stderr)
-        rounds.append(costs)
-    command = " ".join(["python benchmarks/cost.py", f"--rounds {args.rounds}", *args.overrides])
-    text = report(rounds, command)
+    words = ["python benchmarks/cost.py", *args.overrides]
+    text = report(compared(args.overrides, args.chunk), " ".join(words))
     args.out.write_text(text, encoding="utf-8")
     print(text)
 
