@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from framework.files import write_whole
-from framework.report import markdown
+from framework.report import markdown, page
 from framework.report.collect import collect
+from framework.report.gallery import gallery
 from framework.report.sections import document
 
-REPORT = "report.md"
+REPORT, PAGE = "report.md", "report.html"
 
 
 def build_report(
@@ -24,5 +25,6 @@ def build_report(
     study = collect(study_dirs, out_dir)
     study.out_dir.mkdir(parents=True, exist_ok=True)
     made = document(study, title or study.out_dir.resolve().name)
+    write_whole(study.out_dir / PAGE, page.render(made, gallery(study), study.out_dir))
     write_whole(study.out_dir / REPORT, markdown.render(made))
     return study.out_dir / REPORT

@@ -53,7 +53,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """files: names beside the report, the PNG first. charts: what it draws, if it is a chart.
+    """files: names beside the report, the one to show first. charts: what it draws, of a chart.
     grid: whether the page shows these images in its viewer instead."""
 
     files: tuple[str, ...]

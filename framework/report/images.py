@@ -46,7 +46,7 @@ def draw_images(study: Study, scene: str) -> Picture | None:
         scale = Scale("mean absolute error", "magma", ERROR_SCALE)
         groups = ((truth, *renders), tuple(errors))
         bands.append(Band(f"{outside(view)} ({why})", groups, scale))
-    files = save(draw_bands(bands), study.out_dir, f"images_{slug(scene)}", ("png",))
+    files = save(draw_bands(bands), study.out_dir, f"images_{slug(scene)}", ("jpg",))
     return Picture(files, f"Images of {scene}", _images_caption(shown), grid=True)
 
 
@@ -66,7 +66,7 @@ def draw_sigma_maps(study: Study, scene: str) -> Picture | None:
         scale = Scale("standard deviation over seeds", SIGMA_COLORS, SIGMA_SCALE)
         maps = [_sigma_cell(method, runs, view) for method, runs in groups]
         bands.append(Band(f"{outside(view)} ({why})", ((truth, *maps),), scale))
-    files = save(draw_bands(bands), study.out_dir, f"sigma_{slug(scene)}", ("png",))
+    files = save(draw_bands(bands), study.out_dir, f"sigma_{slug(scene)}", ("jpg",))
     caption = (
         "Where the runs of one method disagree: standard deviation of each pixel over the seeds,"
         f" root mean square over the channels; dark = 0, yellow = {SIGMA_SCALE:g} of the full range"

@@ -105,7 +105,7 @@ def test_report_has_all_parts(study_dir: Path, report: str) -> None:
 
 def test_links_lead_to_files(study_dir: Path, report: str) -> None:
     targets = re.findall(r"\]\(([^)]+)\)", report)
-    assert {"images_embedded.png", "curves_embedded.png", "curves_embedded.svg"} <= set(targets)
+    assert {"images_embedded.jpg", "curves_embedded.png", "curves_embedded.svg"} <= set(targets)
     assert all((study_dir / target).exists() for target in targets)
 
 
@@ -120,7 +120,7 @@ def test_rebuilding_gives_the_same_bytes(study_dir: Path, report: str) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"report: {study_dir / 'report.md'}\n"
     assert set(before) == {
-        *("report.md", "images_embedded.png", "sigma_embedded.png"),
+        *("report.md", "report.html", "images_embedded.jpg", "sigma_embedded.jpg"),
         *("curves_embedded.png", "curves_embedded.svg"),
         *("tradeoff_embedded.png", "tradeoff_embedded.svg"),
     }
@@ -134,7 +134,7 @@ def test_images_are_of_the_same_views_and_seed(study_dir: Path) -> None:
         "test 01": "interpolating, median",
         "test 03": "extrapolating, median; worst",
     }
-    with Image.open(study_dir / "images_embedded.png") as image:
+    with Image.open(study_dir / "images_embedded.jpg") as image:
         assert image.width == 792 and len(np.unique(np.asarray(image.convert("L")))) > 100
 
 
@@ -199,7 +199,7 @@ def test_several_scenes(tmp_path: Path) -> None:
     assert "n = 4 pairs of scene and seed" in text
     assert text.count("| mean of all") == 2 and "| door" in text
     assert "mean of the scenes' σ (dB)" in text
-    assert (tmp_path / "images_fern.png").is_file() and (tmp_path / "curves_door.svg").is_file()
+    assert (tmp_path / "images_fern.jpg").is_file() and (tmp_path / "curves_door.svg").is_file()
 
 
 def test_a_run_of_its_own_folder(tmp_path: Path) -> None:

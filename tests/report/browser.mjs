@@ -1,0 +1,60 @@
+// What a reader does with the page, in a real browser: node browser.mjs PUPPETEER BROWSER PAGE.
+// Prints one JSON object; `problems` holds console errors, page errors and requests to elsewhere.
+const [, , library, executablePath, page] = process.argv;
+const { default: puppeteer } = await import(library);
+const args = ["--no-sandbox", "--disable-gpu", "--single-process", "--no-zygote"];
+const browser = await puppeteer.launch({ args, executablePath, headless: "shell" });
+
+async function visit(width, scheme) {
+  const tab = await browser.newPage();
+  const problems = [];
+  tab.on("console", (m) => ["error", "warn"].includes(m.type()) && problems.push(m.text()));
+  tab.on("pageerror", (error) => problems.push(String(error)));
+  tab.on("request", (r) => /^(file|data):/.test(r.url()) || problems.push(r.url()));
+  tab.on("dialog", async (d) => { problems.push(`dialog ${d.message()}`); await d.dismiss(); });
+  await tab.setViewport({ width, height: 800 });
+  await tab.emulateMediaFeatures([{ name: "prefers-color-scheme", value: scheme }]);
+  await tab.goto(page);
+  await tab.waitForSelector(".chart svg g path");
+  const spot = await tab.evaluate(() => {
+    const mark = document.querySelector(".chart svg g path[stroke=none]");
+    mark.scrollIntoView({ block: "center" });
+    const box = mark.getBoundingClientRect();
+    return [box.x + box.width / 2, box.y + box.height / 2];
+  });
+  await tab.mouse.move(...spot);
+  const found = await tab.evaluate(() => {
+    const table = [...document.querySelectorAll("table")].find((t) => t.tBodies[0].rows.length > 1);
+    const cells = () => [...table.tBodies[0].rows].map((row) => parseFloat(row.cells[1].textContent));
+    const button = table.tHead.rows[0].cells[1].querySelector("button");
+    button.click();
+    const rising = cells();
+    button.click();
+    const falling = cells();
+    const viewer = document.querySelector(".viewer");
+    const [, render, error] = viewer.querySelectorAll(".stage img");
+    const slide = (value) => {
+      const slider = viewer.querySelector("input");
+      slider.value = value;
+      slider.dispatchEvent(new Event("input"));
+      return [render.style.clipPath, error.style.clipPath];
+    };
+    const method = viewer.querySelectorAll("select")[1], before = render.src;
+    method.selectedIndex = method.options.length - 1;
+    method.dispatchEvent(new Event("change"));
+    const tip = document.querySelector(".tip");
+    return {
+      rising, falling, start: slide(0), middle: slide(1.25), end: slide(2),
+      changed: render.src !== before, loaded: render.naturalWidth > 0,
+      tip: tip.style.visibility === "visible" && tip.textContent,
+      overflow: document.documentElement.scrollWidth - document.documentElement.clientWidth,
+      background: getComputedStyle(document.body).backgroundColor,
+    };
+  });
+  await tab.close();
+  return { ...found, problems };
+}
+
+const result = { wide: await visit(1100, "light"), phone: await visit(390, "dark") };
+await browser.close();
+console.log(JSON.stringify(result));

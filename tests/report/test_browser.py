@@ -1,0 +1,46 @@
+"""The page in a real headless browser. It needs node, a Chromium and puppeteer-core (npm), told by
+`FISHERSPLAT_BROWSER` (the executable) and `FISHERSPLAT_PUPPETEER` (the package's main module)."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from framework.report import build_report
+from tests.record.fakes import fake_run
+
+SCRIPT = Path(__file__).with_name("browser.mjs")
+HOSTILE = '<img src=x onerror=alert(1)>"</script><script>alert(2)</script>'
+
+
+def test_the_page_works_in_a_browser(tmp_path: Path) -> None:
+    browser = os.environ.get("FISHERSPLAT_BROWSER")
+    library = os.environ.get("FISHERSPLAT_PUPPETEER")
+    node = shutil.which("node")
+    if not (browser and library and node):
+        pytest.skip("needs node, FISHERSPLAT_BROWSER and FISHERSPLAT_PUPPETEER")
+    for augment, gain in (("none", 0.0), ("safi", 1.0)):
+        for seed in range(3):
+            fake_run(
+                tmp_path, augment, seed=seed, gain=gain, scene=HOSTILE, run_name=f"{augment}{seed}"
+            )
+    page = build_report(tmp_path).with_name("report.html")
+    command = [node, str(SCRIPT), library, browser, page.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    for found in told.values():
+        assert found["problems"] == [] and found["overflow"] == 0
+        assert found["rising"] == sorted(found["rising"])
+        assert found["falling"] == sorted(found["falling"], reverse=True)
+        assert found["start"] == ["inset(0px 100% 0px 0px)", "inset(0px 100% 0px 0px)"]
+        assert found["middle"] == ["inset(0px 0% 0px 0px)", "inset(0px 75% 0px 0px)"]
+        assert found["end"] == ["inset(0px 0% 0px 0px)"] * 2
+        assert found["changed"] and found["loaded"]
+        assert "none + none" in found["tip"]
+    assert told["wide"]["background"] != told["phone"]["background"]  # light and dark

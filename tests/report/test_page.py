@@ -1,0 +1,99 @@
+"""The page stands alone, and nothing from outside becomes markup in it or in the Markdown."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from framework.record import write_failed
+from framework.report import build_report, gallery
+from framework.report.collect import collect
+from tests.record.fakes import fake_run, make_config
+
+HOSTILE = (
+    "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>`[a](javascript:b) | {{body}}"
+)
+
+
+class Elements(HTMLParser):
+    """Every element with its attributes, and the content of scripts."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.scripts: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        if self.found and self.found[-1][0] == "script" and data.strip():
+            self.scripts.append(data)
+
+
+@pytest.fixture(scope="module")
+def study_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Scene, option, error and overrides with markup in them."""
+    folder = tmp_path_factory.mktemp("hostile") / "study"
+    init = {"name": "sparse", "path": HOSTILE}
+    for seed in range(3):
+        fake_run(folder, seed=seed, scene=HOSTILE, run_name=f"a{seed}")
+        fake_run(folder, seed=seed, scene=HOSTILE, run_name=f"<b>&{seed}", init=init)
+    write_failed(folder / "runs" / "x", make_config(seed=9), [HOSTILE], HOSTILE)
+    build_report(folder, HOSTILE)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(study_dir: Path) -> str:
+    return (study_dir / "report.html").read_text(encoding="utf-8")
+
+
+def test_no_markup_from_outside(page: str) -> None:
+    elements = Elements(page)
+    assert not [
+        tag for tag, attributes in elements.found if any(k.startswith("on") for k in attributes)
+    ]
+    assert [tag for tag, _ in elements.found].count("script") == 2
+    assert not [a for _, a in elements.found if "javascript:" in str(a.get("href"))]
+    assert "alert(2)" not in elements.scripts[1]
+    assert HOSTILE.replace("`", "'") in json.loads(elements.scripts[0])["shots"][0][0]
+
+
+def test_no_markup_from_outside_in_markdown(study_dir: Path) -> None:
+    text = re.sub(r"`[^`]*`", "", (study_dir / "report.md").read_text(encoding="utf-8"))
+    assert not re.search(r"(?<!\\)<[a-z/]", text)
+    assert "](javascript" not in text
+
+
+def test_the_page_needs_nothing_else(page: str) -> None:
+    for tag, attributes in Elements(page).found:
+        source = attributes.get("src") or (attributes.get("href") if tag == "link" else None)
+        assert source is None or source.startswith("data:")
+    assert (
+        "default-src 'none'" in page
+        and "@import" not in page
+        and "http://" not in re.sub(r'"http://www\.w3\.org/2000/svg"', "", page)
+    )
+
+
+def test_the_viewer_has_every_method_view_and_seed(page: str) -> None:
+    data = json.loads(Elements(page).scripts[0])
+    assert len({tuple(shot[1:4]) for shot in data["shots"]}) == len(data["shots"]) == 2 * 3 * 4
+    assert max(max(shot[5:]) for shot in data["shots"]) == len(data["images"]) - 1
+    assert all(image.startswith("data:image/webp;base64,") for image in data["images"])
+    assert data["charts"] and all(chart["series"] for chart in data["charts"])
+
+
+def test_what_does_not_fit_is_told(study_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gallery, "CAP_BYTES", 1)
+    found = gallery.gallery(collect(study_dir))
+    assert {(shot[1], shot[2]) for shot in found.shots} == {
+        (method, 0) for method in collect(study_dir).methods
+    }
+    assert len(found.shots) == 2 and found.left_out == 22
