@@ -77,6 +77,8 @@ def draw(charts: Sequence[Chart]) -> Figure:
         for axes, chart in zip(column, charts, strict=True):
             _draw_chart(axes, chart)
         _draw_legend(figure)
+        figure.draw_without_rendering()  # laid out once, for all file formats
+        figure.set_layout_engine("none")
     return figure
 
 

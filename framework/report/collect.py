@@ -7,6 +7,7 @@ import os
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,16 @@ class ReportRun:
         value = self.record.summary.get(metric, Missing("not measured"))
         return None if isinstance(value, Missing) else float(value)
 
+    @cached_property
+    def files(self) -> dict[str, str]:
+        """View -> first part of the names of its image files."""
+        return dict(zip(self.run.metrics["view"], self.run.metrics["file"], strict=True))
+
+    @cached_property
+    def psnr(self) -> dict[str, float]:
+        """View -> PSNR in dB, NaN where it is infinite."""
+        return dict(zip(self.run.metrics["view"], self.run.metrics["psnr"], strict=True))
+
     def level(self, axis: Axis) -> float | None:
         """The strength of a stress; None where the run's options do not have it as a number."""
         value = self.scene_label.data.get(axis.key)
@@ -84,12 +95,12 @@ class Study:
     notes: tuple[str, ...]
     missing: tuple[tuple[str, str, int], ...] = ()
 
-    @property
+    @cached_property
     def scenes(self) -> list[str]:
         """Scene labels, sorted."""
         return sorted({run.scene for run in self.runs}, key=natural)
 
-    @property
+    @cached_property
     def methods(self) -> list[str]:
         """Method labels: the baseline first, then by name."""
         return sorted({run.method for run in self.runs}, key=method_order)
@@ -100,7 +111,7 @@ class Study:
         names = {run.method for run in self.runs} | {run.method for run in self.failed}
         return sorted(names - {""}, key=method_order)
 
-    @property
+    @cached_property
     def families(self) -> list[str]:
         """Method labels without budgets, in the order of `methods`."""
         return sorted({run.method_label.family for run in self.runs}, key=method_order)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-
-import pandas as pd
 
 from framework.report.chart import Chart, Point, Series
 from framework.report.collect import ReportRun, Study
 from framework.report.labels import slug
 from framework.report.statistics import spread
 
+THIN_SEEDS = 12
+Evaluations = dict[int, tuple[float, float]]  # step -> seconds, test PSNR (dB)
 CAPTION = (
     "Test PSNR at the evaluation steps against training seconds. Bold: mean over seeds of both at"
-    " equal steps, with the 95 % interval of the mean PSNR; thin: single seeds."
+    " equal steps, with the 95 % interval of the mean PSNR; thin: single seeds,"
+    f" the first {THIN_SEEDS} of many."
 )
 
 
@@ -30,28 +32,28 @@ def chart(study: Study, scene: str) -> Chart | None:
     return Chart(f"curves_{slug(scene)}", scene, label, "test PSNR (dB)", tuple(series))
 
 
-def _series(method: str, index: int, runs: Sequence[pd.DataFrame]) -> list[Series]:
+def _series(method: str, index: int, runs: Sequence[Evaluations]) -> list[Series]:
     thin = []
     if len(runs) > 1:
-        for run in runs:
-            seconds, psnr = run["seconds"].tolist(), run["test_psnr"].tolist()
-            points = tuple(Point(x, y, y, y) for x, y in zip(seconds, psnr, strict=True))
+        for run in runs[:THIN_SEEDS]:
+            points = tuple(Point(x, y, y, y) for x, y in run.values())
             thin.append(Series(method, index, points, faint=True))
-    grouped = pd.concat(runs).groupby("step")
     # a mean over fewer seeds at some steps would bend the curve
-    whole = [(step, group) for step, group in grouped if len(group) == len(runs)]
-    mean = tuple(_mean_point(int(str(step)), group) for step, group in whole)
+    steps = sorted(set(runs[0]).intersection(*runs))
+    mean = tuple(_mean_point(step, [run[step] for run in runs]) for step in steps)
     return [*thin, Series(f"{method} (n = {len(runs)})", index, mean)] if mean else thin
 
 
-def _mean_point(step: int, group: pd.DataFrame) -> Point:
-    found = spread(group["test_psnr"].tolist())
+def _mean_point(step: int, pairs: Sequence[tuple[float, float]]) -> Point:
+    found = spread([psnr for _, psnr in pairs])
     low = high = found.mean
     if found.mean_interval is not None:
         low, high = found.mean_interval.low, found.mean_interval.high
-    return Point(float(group["seconds"].mean()), found.mean, low, high, f"step {step}")
+    seconds = sum(second for second, _ in pairs) / len(pairs)
+    return Point(seconds, found.mean, low, high, f"step {step}")
 
 
-def _evaluations(run: ReportRun) -> pd.DataFrame:
+def _evaluations(run: ReportRun) -> Evaluations:
     history = run.run.history
-    return history.loc[history["test_psnr"].notna(), ["step", "seconds", "test_psnr"]]
+    rows = zip(history["step"], history["seconds"], history["test_psnr"], strict=True)
+    return {int(step): (float(s), float(psnr)) for step, s, psnr in rows if not math.isnan(psnr)}

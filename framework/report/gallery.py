@@ -65,7 +65,7 @@ def _layers(study: Study) -> Iterator[list[tuple[ReportRun, str]]]:
         first = [view for view, _ in choose_views(study, scene).views]
         for method in study.methods:
             for seed_rank, run in enumerate(study.of(scene, method)):
-                views = list(run.run.metrics["view"])
+                views = list(run.files)
                 order = [v for v in first if v in views] + [v for v in views if v not in first]
                 for view_rank, view in enumerate(order):
                     ranked.setdefault((seed_rank, view_rank), []).append((run, view))

@@ -88,7 +88,7 @@ def sigma_map(runs: Sequence[ReportRun], view: str) -> np.ndarray:
 
 
 def _sigma_cell(method: str, runs: Sequence[ReportRun], view: str) -> Cell:
-    having = [run for run in runs if (run.run.metrics["view"] == view).any()]
+    having = [run for run in runs if view in run.files]
     sigma = sigma_map(having, view)
     rms = float(np.sqrt((sigma**2).mean()))
     colours = matplotlib.colormaps[SIGMA_COLORS](np.clip(sigma / SIGMA_SCALE, 0, 1), bytes=True)

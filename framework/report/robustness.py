@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from scipy import stats
 
 from framework.report.collect import FailedRun, ReportRun, Study
@@ -48,21 +47,18 @@ class FailureRate:
 
 def worst_case(runs: Sequence[ReportRun]) -> WorstCase | None:
     """None where no view of these runs has a finite PSNR."""
-    tables = [r.run.metrics[["view", "psnr"]].assign(seed=r.seed) for r in runs]
-    views = pd.concat(tables, ignore_index=True).dropna(subset="psnr") if tables else None
-    means = {run.seed: psnr for run in runs if (psnr := run.mean("psnr")) is not None}
-    if views is None or views.empty or not means:
+    views = [
+        (psnr, run.seed, view)
+        for run in runs
+        for view, psnr in run.psnr.items()
+        if not math.isnan(psnr)
+    ]
+    means = [(psnr, run.seed) for run in runs if (psnr := run.mean("psnr")) is not None]
+    if not views or not means:
         return None
-    lowest = views.loc[views["psnr"].idxmin()]
-    seed = min(means, key=lambda s: (means[s], s))
-    return WorstCase(
-        means[seed],
-        seed,
-        float(lowest["psnr"]),
-        str(lowest["view"]),
-        int(lowest["seed"]),
-        float(np.percentile(views["psnr"], PERCENTILE)),
-    )
+    lowest, view_seed, view = min(views)
+    percentile = float(np.percentile([psnr for psnr, _, _ in views], PERCENTILE))
+    return WorstCase(*min(means), lowest, view, view_seed, percentile)
 
 
 def failure_rate(study: Study, method: str, scene: str | None = None) -> FailureRate | None:

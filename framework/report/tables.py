@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from urllib.parse import quote
 
-import pandas as pd
+import numpy as np
 
 from framework.report.collect import ReportRun, Study
 from framework.report.document import Link
@@ -147,7 +147,8 @@ def tag_rows(study: Study, scenes: Sequence[str]) -> Rows:
 
 def seed_rows(study: Study) -> list[dict[str, str | Link]]:
     """One row per run."""
-    return [_seed_row(study, run) for run in study.runs]
+    metrics = measured(study)
+    return [_seed_row(study, run, metrics) for run in study.runs]
 
 
 def measured(study: Study) -> list[str]:
@@ -187,19 +188,16 @@ def _places(interval: Interval | None) -> int:
 
 
 def _tag_mean(run: ReportRun, tag: str, metric: str) -> float | None:
-    values = run.run.metrics.loc[_tagged(run, tag), metric]
-    return None if values.empty or values.isna().any() else float(values.mean())
+    pairs = zip(run.run.metrics["tags"], run.run.metrics[metric], strict=True)
+    values = [value for tags, value in pairs if tag in tags.split()]
+    return float(np.mean(values)) if values and not np.isnan(values).any() else None
 
 
-def _tagged(run: ReportRun, tag: str) -> pd.Series:
-    return run.run.metrics["tags"].map(lambda text: tag in text.split())
-
-
-def _seed_row(study: Study, run: ReportRun) -> dict[str, str | Link]:
+def _seed_row(study: Study, run: ReportRun, metrics: Sequence[str]) -> dict[str, str | Link]:
     record = run.record
     row: dict[str, str | Link] = {"Scene": run.scene} if len(study.scenes) > 1 else {}
     row |= {"Method": run.method, "Seed": str(run.seed)}
-    for metric in measured(study):
+    for metric in metrics:
         row[HEADINGS[metric]] = mean_text([run.mean(metric)], DIGITS[metric])
     row["Train (s)"] = mean_text([record.train_s], 1)
     row["All stages (s)"] = f"{sum(stage.wall_s for stage in record.timings.values()):.1f}"

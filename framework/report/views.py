@@ -38,22 +38,13 @@ def choose_views(study: Study, scene: str) -> ShownViews:
 
 def image_file(run: ReportRun, view: str, kind: str) -> Path:
     """kind: `render`, `truth` or `error`."""
-    stem = stem_of(run, view)
     suffix = "" if kind == "render" else f"_{kind}"
-    return run.run.run_dir / RENDERS / f"{stem}{suffix}.png"
-
-
-def stem_of(run: ReportRun, view: str) -> str:
-    """The first part of the names of a view's files."""
-    metrics = run.run.metrics
-    return str(metrics.loc[metrics["view"] == view, "file"].iloc[0])
+    return run.run.run_dir / RENDERS / f"{run.files[view]}{suffix}.png"
 
 
 def psnr_of(run: ReportRun, view: str) -> float | None:
     """A view's PSNR in dB; None where it is infinite."""
-    metrics = run.run.metrics
-    value = float(metrics.loc[metrics["view"] == view, "psnr"].iloc[0])
-    return None if np.isnan(value) else value
+    return None if np.isnan(run.psnr[view]) else run.psnr[view]
 
 
 def _pick(runs: Sequence[ReportRun]) -> dict[str, str]:
