@@ -213,13 +213,12 @@ class Workspace:
             arrays = self.arrays
             run_blocks(
                 information.colour_slopes,
-                arrays.means,
+                arrays.means.reshape(-1),
                 arrays.shN,
                 self.degree,
                 self.camera,
                 self.clipped,
-                self.touched,
-                slopes,
+                slopes.reshape(-1),
             )
         run_blocks(
             tiles.blend_moments,
@@ -230,7 +229,7 @@ class Workspace:
             self.lists,
             image.rgb.reshape(-1),
             self._fit_slots().reshape(-1),
-            slopes,
+            slopes.reshape(-1),
             cross.reshape(-1),
             blocks=TILE_BLOCKS,
         )
@@ -268,16 +267,16 @@ class Workspace:
         slopes, cross = self._direction_buffers()
         run_blocks(
             information.pull_back_moments,
-            arrays.means,
-            arrays.quats,
-            arrays.log_scales,
+            arrays.means.reshape(-1),
+            arrays.quats.reshape(-1),
+            arrays.log_scales.reshape(-1),
             arrays.logits,
             self.camera,
-            self.rows,
+            self.rows.reshape(-1),
             self.clipped,
             self.first,
             self.slots.reshape(-1),
-            slopes,
+            slopes.reshape(-1),
             cross.reshape(-1),
             block,
             diagonal,

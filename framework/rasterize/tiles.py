@@ -315,18 +315,19 @@ def blend_moments(
     of q times dx^i dy^j, ordered 1; dx, dy; dx^2, dx dy, dy^2; dx^3 ... dy^3; dx^4 ... dy^4, and
     lane 15 is the sum of weight^2 (the information on each colour channel).
 
-    With view-dependent colour (`slopes` [N, 16] and `cross` like slots, both else empty) lanes 0-4
-    of `cross` are the sums of r times dx, dy, dx^2, dx dy, dy^2, where r is the sum over channels
-    of weight x slope x alpha d C / d alpha, slopes 0, 2, 4; lanes 5-9 the same with slopes 1, 3, 5.
+    With view-dependent colour (`slopes` flat [N, 16], `cross` like slots; both else empty) lanes
+    0-4 of `cross` are the sums of r times dx, dy, dx^2, dx dy, dy^2, where r is the sum over the
+    channels of weight x slope x alpha d C / d alpha, slopes 0, 2, 4; lanes 5-9 with 1, 3, 5.
     """
     directional = len(cross) > 0
     columns = (width + 15) // 16
     plane = width * height
-    state = _aligned(4 * 256)
+    state = _aligned(6 * 256)
     transmittance = state[:256]
     br, bg, bb = state[256:512], state[512:768], state[768:1024]
     cut, stop, most, one = splat(_CUT), splat(_STOP), splat(_MAX), splat(ONE)
-    powers = _aligned(64)
+    first, second = state[1024:1280], state[1280:]  # of the two sums r
+    powers = _aligned(64)  # of every row's dy, as broadcasts from memory cost nothing
     flat = rows.reshape(-1)
     last = len(lists) - 1
     for tile in range(block, len(offsets) - 1, blocks):
@@ -350,7 +351,10 @@ def blend_moments(
                     store(cross, slot, zeros())
                 continue
             item = lists[k, 0]
-            prefetch(flat, (lists[min(k + _AHEAD, last), 0] >> 8) * 16)
+            ahead = (lists[min(k + _AHEAD, last), 0] >> 8) * 16
+            prefetch(flat, ahead)
+            if directional:
+                prefetch(slopes, ahead)
             g = item >> 8
             shear, fall, peak = splat(rows[g, 3]), splat(rows[g, 4]), splat(rows[g, 5])
             cr, cg, cb = splat(rows[g, 6]), splat(rows[g, 7]), splat(rows[g, 8])
@@ -365,8 +369,9 @@ def blend_moments(
             m0, m1, m2, m3, m4, ww = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             r0, r1, r2, p0, p1, p2 = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             if directional:
-                vr, vg, vb = splat(slopes[g, 0]), splat(slopes[g, 2]), splat(slopes[g, 4])
-                wr, wg, wb = splat(slopes[g, 1]), splat(slopes[g, 3]), splat(slopes[g, 5])
+                own = g * 16
+                vr, vg, vb = splat(slopes[own]), splat(slopes[own + 2]), splat(slopes[own + 4])
+                wr, wg, wb = splat(slopes[own + 1]), splat(slopes[own + 3]), splat(slopes[own + 5])
             else:
                 vr, vg, vb, wr, wg, wb = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             todo = _listed_rows(item) & alive
@@ -395,12 +400,19 @@ def blend_moments(
                 ww = fma(weight, weight, ww)
                 if directional:
                     pull = weight * odds
-                    r = pull * fma(jr, vr, fma(jg, vg, jb * vb))
-                    p = pull * fma(jr, wr, fma(jg, wg, jb * wb))
-                    r0, r1, r2 = r0 + r, fma(r, dy, r1), fma(r, dy2, r2)
-                    p0, p1, p2 = p0 + p, fma(p, dy, p1), fma(p, dy2, p2)
+                    store(first, at, pull * fma(jr, vr, fma(jg, vg, jb * vb)))
+                    store(second, at, pull * fma(jr, wr, fma(jg, wg, jb * wb)))
                 kept = t - weight
                 store(transmittance, at, select(but_not(active, goes_on), neg(kept), kept))
+            if directional:  # another loop: all accumulators together would leave the registers
+                todo = _listed_rows(item) & alive
+                while todo != 0:
+                    row = lowest_bit(todo)
+                    todo &= todo - 1
+                    dy, dy2 = splat(powers[row]), splat(powers[16 + row])
+                    r, p = load(first, row * 16), load(second, row * 16)
+                    r0, r1, r2 = r0 + r, fma(r, dy, r1), fma(r, dy2, r2)
+                    p0, p1, p2 = p0 + p, fma(p, dy, p1), fma(p, dy2, p2)
             m0x, m1x, m2x = m0 * dx, m1 * dx, m2 * dx
             m0xx, m1xx = m0x * dx, m1x * dx
             m0xxx = m0xx * dx
