@@ -28,6 +28,7 @@ from framework.complaints import USER_ERRORS
 from framework.config import check
 from framework.errors import UserError
 from framework.files import write_whole
+from framework.locks import locked
 from framework.naming import plain, study_dir
 from framework.trust import check_composed
 
@@ -157,7 +158,11 @@ def build_reports() -> None:
         try:
             from framework.report import build_report
 
-            print(f"report: {short_path(build_report(folder))}", flush=True)
+            with locked(folder, wait=True):
+                for path in folder.glob(".*.tmp"):  # of a process killed while it built the report
+                    path.unlink()
+                report = build_report(folder)
+            print(f"report: {short_path(report)}", flush=True)
         except Exception as error:
             number = len(outcomes())
             message = f"report of {short_path(folder)}: {type(error).__name__}: {error}"

@@ -1,0 +1,206 @@
+"""Is anything lost or changed when the runs of a study are killed? Exits with 1 if so.
+
+One small study runs undisturbed. Then the same study is begun again and again and its process is
+killed by SIGKILL, half of the times at a random moment, else while it writes a certain file: a
+checkpoint, a table, a record, the report. After each kill the same command is given again. When a
+study is complete it must equal the undisturbed one (`benchmarks/studies.py` tells in what), hold no
+leftovers, and no run may have been done twice; then a new one is begun, until all kills are spent.
+
+Every attempt is a process forked from one that has imported everything and compiled the kernels.
+
+    python benchmarks/kill.py [--kills 52] [--steps 80] [--output benchmarks/results/kill.md]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.studies import digests, leftovers, parameters  # noqa: E402
+from framework.rng import stream  # noqa: E402
+
+STUDY = [
+    *("-m", "augment=safi", "reg=none,uar", "seed=0,1", "threads=1", "study=kill"),
+    *("scene.width=96", "scene.height=72", "init.budget=1500", "trainer.evaluations=2"),
+]
+CLOCK = "any moment"
+WRITES = {  # what is being written -> its temporary file, relative to the study
+    "a checkpoint": "runs/*/checkpoints/.step-*.tmp",
+    "a render": "runs/*/renders/.*.tmp",
+    "the Gaussians": "runs/*/.point_cloud.ply.*.tmp",
+    "a table": "runs/*/.*.csv.*.tmp",
+    "a record": "runs/*/.record.json.*.tmp",
+    "the report or a figure": ".*.tmp",
+}
+
+
+@dataclass
+class Tally:
+    """killed: kills by target; caught: of those, how many left a half-written file. studies:
+    completed, of them unequal to the undisturbed one. doubled, lost: runs. resumed: trainings that
+    went on from a checkpoint."""
+
+    killed: Counter[str] = field(default_factory=Counter)
+    caught: Counter[str] = field(default_factory=Counter)
+    studies: int = 0
+    unequal: int = 0
+    doubled: int = 0
+    lost: int = 0
+    resumed: int = 0
+
+
+def begin(folder: Path, steps: int) -> int:
+    """Give the command in `folder`, in a process of its own; returns its id."""
+    child = os.fork()
+    if child:
+        return child
+    os.chdir(folder)
+    quiet = os.open(folder / "log.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    os.dup2(quiet, 1)
+    os.dup2(quiet, 2)
+    from framework import cli
+
+    os._exit(cli.main([*STUDY, f"trainer.steps={steps}"]))
+
+
+def ended(child: int, wait: bool = False) -> int | None:
+    """The exit code of `child`, negative for a signal; None while it runs."""
+    pid, status = os.waitpid(child, 0 if wait else os.WNOHANG)
+    return None if pid == 0 else os.waitstatus_to_exitcode(status)
+
+
+def attempt(folder: Path, steps: int, target: str, delay_s: float) -> int:
+    """Begin, kill at the target or after `delay_s`; returns the exit code (-9: killed)."""
+    study, child = folder / "reports" / "kill", begin(folder, steps)
+    until = time.monotonic() + delay_s
+    while (code := ended(child)) is None:
+        due = (
+            time.monotonic() >= until
+            if target == CLOCK
+            else time.monotonic() >= until and any(study.glob(WRITES[target]))
+        )
+        if due:
+            os.kill(child, signal.SIGKILL)
+            code = ended(child, wait=True)
+            assert code is not None
+            return code
+        time.sleep(0.0005)
+    return code
+
+
+def records(study: Path) -> dict[str, tuple[int, int]]:
+    """Which record files there are; one that was written again differs."""
+    found = study.glob("runs/*/record.json")
+    return {p.parent.name: (p.stat().st_ino, p.stat().st_mtime_ns) for p in found}
+
+
+def one_study(
+    folder: Path, steps: int, targets: list[str], whole_s: float, tally: Tally, name: str
+) -> Path:
+    """Kill and begin again until the study is complete; spends `targets` from the end."""
+    folder.mkdir()
+    study, known, number = folder / "reports" / "kill", dict[str, tuple[int, int]](), 0
+    while True:
+        target = targets[-1] if targets else CLOCK
+        draw = stream(0, f"kill/{name}", number).random()
+        number += 1
+        wait_s = draw * whole_s * (0.6 if target == CLOCK else 0.2) if targets else 1e9
+        code = attempt(folder, steps, target, wait_s)
+        now = records(study)
+        tally.doubled += sum(now[run] != record for run, record in known.items() if run in now)
+        tally.lost += len(known.keys() - now.keys())
+        known = now
+        if code != -signal.SIGKILL:
+            if code != 0:
+                log = (folder / "log.txt").read_text()
+                raise SystemExit(f"the study ended with {code}: {log}")
+            return study
+        targets.pop()
+        tally.killed[target] += 1
+        pattern = "**/.*.tmp" if target == CLOCK else WRITES[target]
+        tally.caught[target] += any(study.glob(pattern))
+
+
+def measure(kills: int, steps: int, work: Path) -> Tally:
+    """All kills; prints a line per completed study."""
+    (work / "whole").mkdir()
+    started = time.monotonic()
+    code = ended(begin(work / "whole", steps), wait=True)
+    if code != 0:
+        log = (work / "whole" / "log.txt").read_text()
+        raise SystemExit(f"the undisturbed study ended with {code}: {log}")
+    whole_s, study = time.monotonic() - started, work / "whole" / "reports" / "kill"
+    expected, hashes = digests(study), parameters(study)
+    names = list(WRITES)
+    targets = [CLOCK if i % 2 == 0 else names[i // 2 % len(names)] for i in range(kills)]
+    targets.reverse()
+    tally = Tally()
+    while targets:
+        name = f"{tally.studies}"
+        study = one_study(work / name, steps, targets, whole_s, tally, name)
+        equal = digests(study) == expected and parameters(study) == hashes
+        tally.studies += 1
+        tally.unequal += not equal or bool(leftovers(study))
+        tally.resumed += (work / name / "log.txt").read_text().count("going on at step")
+        print(f"study {name}: {sum(tally.killed.values())} of {kills} kills, equal: {equal}")
+    return tally
+
+
+def table(tally: Tally, kills: int, steps: int) -> str:
+    lines = [f"`python benchmarks/kill.py --kills {kills} --steps {steps}`", ""]
+    lines += ["| killed by SIGKILL at | times | file found half-written |", "|---|---|---|"]
+    for target in (CLOCK, *WRITES):
+        lines.append(f"| {target} | {tally.killed[target]} | {tally.caught[target]} |")
+    lines += [
+        "",
+        f"{sum(tally.killed.values())} kills over {tally.studies} studies of 4 runs;"
+        f" {tally.resumed} trainings went on from a checkpoint."
+        f" Studies that differ from the undisturbed one (parameters, metrics, renders, report):"
+        f" {tally.unequal}. Runs lost: {tally.lost}. Runs done twice: {tally.doubled}.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def warm_up(work: Path) -> None:
+    """Import and compile in this process what its forks will need."""
+    from framework import cli
+
+    here = Path.cwd()
+    work.mkdir()
+    os.chdir(work)
+    words = [word.replace("none,", "").replace("0,1", "0") for word in STUDY[1:]]
+    code = cli.main([*words, "trainer.steps=4"])
+    os.chdir(here)
+    if code != 0:
+        raise SystemExit(code)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kills", type=int, default=52)
+    parser.add_argument("--steps", type=int, default=80)
+    parser.add_argument("--output", type=Path)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        warm_up(Path(folder) / "warm")
+        tally = measure(arguments.kills, arguments.steps, Path(folder))
+    text = table(tally, arguments.kills, arguments.steps)
+    print(text)
+    if arguments.output is not None:
+        arguments.output.parent.mkdir(parents=True, exist_ok=True)
+        arguments.output.write_text(text, encoding="utf-8")
+    return int(bool(tally.unequal or tally.lost or tally.doubled))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
