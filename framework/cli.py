@@ -239,8 +239,8 @@ def _record_failure(
 
     try:
         write_failed(run_dir, config, overrides, message)
-    except USER_ERRORS as error:
-        return message if one_line(error) in message else f"{message}; {one_line(error)}"
+    except UserError as error:
+        return message if str(error) in message else f"{message}; {error}"
     return message
 
 

@@ -34,6 +34,17 @@ def check_loss(loss: float, where: str, gaussians: Gaussians) -> float:
     return loss
 
 
+def check_appended(appended: Gaussians, where: str) -> None:
+    """Raises Diverged unless what the capacity plugin adds is finite."""
+    for name, tensor in appended.items():
+        if _broken(tensor):
+            raise Diverged(
+                f"{where}: expected the capacity plugin to add finite Gaussians, got NaN or"
+                f" infinity in '{name}' of {_broken(tensor)}; choose another capacity",
+                {"where": where, "gaussians": appended},
+            )
+
+
 def diverged(
     names: tuple[str, ...],
     where: str,

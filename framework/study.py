@@ -26,6 +26,7 @@ from omegaconf import DictConfig, OmegaConf
 from framework.cache import cache_dir
 from framework.complaints import USER_ERRORS
 from framework.config import check
+from framework.disk import check_room
 from framework.errors import UserError
 from framework.files import write_whole
 from framework.locks import locked
@@ -94,7 +95,8 @@ class StudyCallback(Callback):
             return
         try:
             jobs = sweep_jobs(config)
-            check_jobs(config, jobs)
+            for folder, configs in check_jobs(config, jobs).items():
+                check_room(folder, configs)
         except USER_ERRORS as error:
             raise Refused from error
         os.environ[JOBS_VARIABLE] = str(len(jobs))
@@ -117,8 +119,9 @@ def sweep_jobs(config: DictConfig) -> list[list[str]]:
     return [list(job) for batch in batches for job in batch]
 
 
-def check_jobs(config: DictConfig, jobs: list[list[str]]) -> None:
-    """Raise the error of the first bad run, before hours went into the good ones.
+def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dict[str, Any]]]:
+    """Raise the error of the first bad run, before hours went into the good ones; otherwise the
+    configurations of each study's runs, the seed aside.
 
     Runs that differ in the seed alone are composed once, which takes a tenth of a second; their
     seeds are checked one by one.
@@ -127,6 +130,7 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> None:
     parser = OverridesParser.create(config_loader=loader)
     checked: dict[tuple[str, ...], DictConfig] = {}
     taken: dict[str, list[str]] = {}
+    studies: dict[Path, list[dict[str, Any]]] = {}
     for job in jobs:
         seeds = [word for word in job if word.startswith("seed=")]
         method = tuple(word for word in job if word not in seeds)
@@ -134,11 +138,13 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> None:
             for seed in parser.parse_overrides(seeds):
                 checked[method].seed = seed.value()
             check(plain(checked[method]))
+            studies[_study_dir(checked[method])].append(plain(checked[method]))
             continue
         composed = loader.load_sweep_config(config, job)
         check_composed(composed)
         checked[method] = composed
         check(plain(composed))
+        studies.setdefault(_study_dir(composed), []).append(plain(composed))
         folder = f"{composed.hydra.sweep.dir}/{composed.hydra.sweep.subdir}"
         if folder in taken:
             raise UserError(
@@ -146,6 +152,11 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> None:
                 f" '{' '.join(taken[folder])}' and '{' '.join(job)}'; give each its own study=NAME"
             )
         taken[folder] = job
+    return studies
+
+
+def _study_dir(composed: DictConfig) -> Path:
+    return study_dir(Path(composed.hydra.sweep.dir) / composed.hydra.sweep.subdir)
 
 
 def build_reports() -> None:

@@ -19,9 +19,9 @@ from torch import Tensor
 
 from framework import schedule
 from framework.epoch import PSEUDO, Item, Items, shuffled
-from framework.errors import UserError
+from framework.errors import require
 from framework.fisher import FisherInformation, fisher_information
-from framework.guard import check_loss, diverged
+from framework.guard import check_appended, check_loss, diverged
 from framework.initialize import background_color, random_background
 from framework.losses import photometric_loss
 from framework.optim import Adam, decay_opacities
@@ -97,6 +97,11 @@ class Trainer:
         keeper: Keeper | None = None,
         start: TrainerState | None = None,
     ) -> None:
+        require(
+            len(gaussians) > 0,
+            f"{training.scene}: expected Gaussians to start from, got none; choose another init,"
+            " another depth or more views",
+        )
         self.training, self.depth, self.options = training, depth, options
         self.seed, self.progress, self.evaluate, self.keeper = seed, progress, evaluate, keeper
         self.augment = _Running("augment", plugins.augment)
@@ -272,11 +277,13 @@ class Trainer:
             ceiling = math.log(edits.opacity_ceiling / (1 - edits.opacity_ceiling))
             params = params.replace(opacity_logits=params.opacity_logits.clamp(max=ceiling))
             self.optimizer.zero("opacity_logits")
-        if len(params) == 0:
-            raise UserError(
-                f"training step {self.step}: the capacity plugin removed every Gaussian; raise"
-                " init.budget or lower its pruning threshold"
-            )
+        require(
+            len(params) > 0,
+            f"training step {self.step}: the capacity plugin removed every Gaussian; raise"
+            " init.budget or lower its pruning threshold",
+        )
+        if edits.append is not None:
+            check_appended(edits.append, f"training step {self.step}")
         self.params = params.map(_parameter)
 
     def _sh_degree(self) -> int:

@@ -1,0 +1,58 @@
+"""How much room the results of a study take, estimated before its first run; bytes throughout.
+
+A run keeps its Gaussians (17 + 3 (K - 1) floats each), three 8-bit images per test view, which PNG
+at worst does not compress, and tables. While it trains there are up to three checkpoints of about
+twice the parameters with their two moments each.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from framework.errors import require
+
+MOST_GAUSSIANS = 100_000  # of an automatic budget, see init=stereo
+TABLES = 200_000
+TEST_VIEWS = 8  # of the embedded scene
+PHOTO_RENDERS = 50_000_000  # of a scene of photos, whose sizes are known only once it is read
+
+
+def run_bytes(config: Mapping[str, Any]) -> int:
+    """What the folder of a complete run takes, about and rather too much."""
+    scene = config["scene"]
+    embedded = "width" in scene and "height" in scene
+    renders = 9 * TEST_VIEWS * scene["width"] * scene["height"] if embedded else PHOTO_RENDERS
+    return _parameter_bytes(config, 17) + renders + TABLES
+
+
+def checkpoint_bytes(config: Mapping[str, Any]) -> int:
+    """What the checkpoints of one run take while it trains."""
+    return 3 * 2 * 3 * _parameter_bytes(config, 14)
+
+
+def _parameter_bytes(config: Mapping[str, Any], floats: int) -> int:
+    gaussians = config["init"].get("budget") or MOST_GAUSSIANS
+    harmonics = 3 * ((config["trainer"]["sh_degree"] + 1) ** 2 - 1)
+    return 4 * gaussians * (floats + harmonics)
+
+
+def check_room(folder: Path, configs: Sequence[Mapping[str, Any]]) -> None:
+    """Raise UserError unless the disk of `folder` has room for runs of these configurations; what
+    is there already, of an earlier attempt, counts as theirs."""
+    there = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    wanted = sum(run_bytes(config) for config in configs) - there
+    needed = max(0, wanted) + max(checkpoint_bytes(config) for config in configs)
+    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    free = shutil.disk_usage(existing).free
+    require(
+        free >= needed,
+        f"{folder}: expected about {_text(needed)} free for {len(configs)} runs, got {_text(free)};"
+        " free some space or set hydra.sweep.dir to a folder on another disk",
+    )
+
+
+def _text(n_bytes: int) -> str:
+    return f"{n_bytes / 1e9:.1f} GB" if n_bytes >= 1e9 else f"{n_bytes / 1e6:.0f} MB"

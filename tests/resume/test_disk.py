@@ -1,0 +1,135 @@
+"""A full or read-only disk and vanished input: one line, nothing half-written, and the run can be
+done when there is room again."""
+
+from __future__ import annotations
+
+import resource
+import shutil
+import signal
+from collections import namedtuple
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from framework import disk
+from framework.cli import main
+from framework.disk import check_room, run_bytes
+from framework.errors import UserError
+from framework.files import write_whole
+from framework.progress import Silent
+from framework.record import read_record
+from framework.scenes import load_scene
+from tests.cli.conftest import FakeRuns, runs
+from tests.record.fakes import make_config
+from tests.record.test_reuse import SCENE, group, run_experiment, small_config
+
+__all__ = ["runs"]
+
+Usage = namedtuple("Usage", "total used free")
+
+
+@contextmanager
+def largest_file(n_bytes: int) -> Iterator[None]:
+    """No file can grow beyond `n_bytes`: writes fail as they do on a full disk."""
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, handler)
+
+
+def test_a_file_that_does_not_fit_leaves_the_old_one(tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    write_whole(path, b"old")
+    with largest_file(10_000), pytest.raises(UserError, match=r"a\.bin: expected to write 0\.1 MB"):
+        write_whole(path, bytes(100_000))
+    assert [p.name for p in tmp_path.iterdir()] == ["a.bin"] and path.read_bytes() == b"old"
+
+
+def test_a_run_on_a_full_disk_can_be_done_later(tmp_path: Path) -> None:
+    config = small_config(group("depth", "ground_truth"))
+    expected = run_experiment(config, tmp_path / "whole", Silent())
+    with largest_file(10_000), pytest.raises(UserError, match="free some space") as caught:
+        run_experiment(config, tmp_path / "run", Silent())
+    assert "\n" not in str(caught.value)
+    left = [path for path in (tmp_path / "run").rglob("*") if path.is_file()]
+    assert not [path for path in left if path.suffix == ".tmp" or path.name == "record.json"]
+    again = run_experiment(config, tmp_path / "run", Silent())
+    assert again.parameters_sha256 == expected.parameters_sha256
+
+
+def test_a_failure_that_cannot_be_written_does_not_end_the_study(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from framework import record
+
+    def full(path: Path, content: bytes | str) -> None:
+        raise UserError(f"{path}: expected to write it, got 'No space left on device'")
+
+    monkeypatch.setattr(record, "write_whole", full)
+    runs.failures[0] = UserError("depth: too little")
+    assert main(["seed=0,1", "-m"]) == 2
+    assert len(runs.seen) == 2
+    told = capsys.readouterr().err
+    assert "depth: too little; " in told and "No space left" in told and told.count("\n") == 1
+
+
+def test_an_output_folder_that_cannot_be_written(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("file").write_text("in the way")
+    for line in (["hydra.run.dir=file/x"], ["hydra.sweep.dir=file", "seed=0,1", "-m"]):
+        assert main(line) == 2
+        told = capsys.readouterr().err
+        assert told.startswith("error: ") and told.count("\n") == 1 and "file" in told
+    assert not runs.seen
+
+
+def test_a_study_without_room_is_refused_before_its_first_run(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: Usage(0, 0, 50_000_000))
+    assert main(["seed=range(20)", "-m"]) == 2
+    told = capsys.readouterr().err
+    assert not runs.seen and told.count("\n") == 1
+    assert "expected about" in told and "free for 20 runs, got 50 MB" in told
+    assert main(["seed=0", "init.budget=2000", "-m"]) == 0
+
+
+def test_what_is_there_already_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    configs = [make_config(init={"name": "stereo", "budget": 1000})] * 10
+    free = 5 * run_bytes(configs[0])
+    monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: Usage(0, 0, free))
+    with pytest.raises(UserError, match="free for 10 runs"):
+        check_room(tmp_path / "study", configs)
+    (tmp_path / "study").mkdir()
+    (tmp_path / "study" / "done").write_bytes(bytes(6 * run_bytes(configs[0])))
+    check_room(tmp_path / "study", configs)
+
+
+def test_the_estimate_is_an_upper_bound(tmp_path: Path) -> None:
+    config = small_config(group("depth", "ground_truth"))
+    run_experiment(config, tmp_path, Silent())
+    used = sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file())
+    assert used <= run_bytes(config) < 20 * used
+
+
+def test_input_that_vanished_is_one_line_and_keeps_what_was_done(tmp_path: Path) -> None:
+    maps = tmp_path / "depth"
+    maps.mkdir()
+    for view in load_scene("embedded", SCENE).training.views:
+        assert view.depth is not None
+        np.save(maps / f"{view.name}.npy", view.depth.numpy())
+    config = small_config(group("depth", "file", path=str(maps), align="none"))
+    done = run_experiment(config, tmp_path / "0", Silent())
+    shutil.rmtree(maps)
+    with pytest.raises(UserError, match="depth") as caught:
+        run_experiment({**config, "seed": 1}, tmp_path / "1", Silent())
+    assert "\n" not in str(caught.value)
+    assert read_record(tmp_path / "0" / "record.json") == done

@@ -1,0 +1,170 @@
+"""A training that cannot go on ends at that step and says why; odd input trains or is refused."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from framework import registry, training
+from framework.checkpoint import unpack
+from framework.depth import build_provider
+from framework.errors import UserError
+from framework.guard import Diverged
+from framework.initialize import INITIALIZERS
+from framework.optim import Adam
+from framework.options import TrainerOptions
+from framework.plugin import Capacity, Edits, Regularizer, StepContext, StepStats
+from framework.progress import Silent
+from framework.registry import Plugged
+from framework.trainer import Plugins, Trained, Trainer
+from framework.types import Camera, Gaussians, Scene, TrainingSet, View
+from framework.warmup import _plane
+from tests.record.fakes import make_gaussians
+
+OPTIONS = TrainerOptions(steps=6, evaluations=1)
+
+
+@dataclass(frozen=True)
+class SteepLoss(Regularizer):
+    """A finite loss whose gradient is not, from step 2 on: sqrt at zero."""
+
+    def loss(self, ctx: StepContext, state: Any, view: View, render: Any) -> Tensor | None:
+        return (render.alpha.mean() * 0).sqrt() if ctx.step >= 2 else None
+
+
+@dataclass(frozen=True)
+class BrokenChildren(Capacity):
+    def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits, Any]:
+        child = ctx.gaussians[torch.tensor([0])]
+        return Edits(append=child.replace(quats=child.quats * float("nan"))), state
+
+
+def plugins(**changes: Any) -> Plugins:
+    names = {"augment": "none", "reg": "none", "capacity": "fixed"}
+    built = {group: registry.build(group, {"name": name}) for group, name in names.items()}
+    return Plugins(**built | {group: Plugged(p, 1.0, 0.0, 1.0) for group, p in changes.items()})
+
+
+def train(
+    views: TrainingSet | None = None,
+    gaussians: Gaussians | None = None,
+    options: TrainerOptions = OPTIONS,
+    **changes: Any,
+) -> Trained:
+    plane, depth, start = _plane(options.sh_degree)
+    chosen = start if gaussians is None else gaussians
+    trainer = Trainer(views or plane, depth, chosen, options, plugins(**changes), 0, Silent())
+    return trainer.run()
+
+
+def test_a_gradient_that_is_not_finite_is_caught_at_its_step() -> None:
+    with pytest.raises(
+        Diverged, match=r"training step 2 on view 'plane-\d': expected finite gradients"
+    ) as caught:
+        train(reg=SteepLoss())
+    state = caught.value.state
+    assert not all(torch.isfinite(g).all() for g in state["gradients"].values())
+    assert "\n" not in str(caught.value) and "trainer.lr_scale" in str(caught.value)
+
+
+def test_what_a_capacity_adds_is_checked() -> None:
+    with pytest.raises(Diverged, match=r"step 0: expected the capacity plugin.*'quats' of 1"):
+        train(capacity=BrokenChildren())
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf"), 1e20])
+@pytest.mark.parametrize("where", [0, 63])
+def test_the_optimizer_names_what_is_not_finite(bad: float, where: int) -> None:
+    params = make_gaussians(64, 1)
+    grads = params.map(torch.ones_like)
+    rates = dict.fromkeys(dict(params.items()), 0.1)
+    assert Adam(params).step(params, grads, rates) == ()
+    grads.log_scales[where, 1] = bad
+    assert Adam(params).step(params, grads, rates) == ("log_scales",)
+
+
+def test_a_parameter_that_overflows_is_caught() -> None:
+    params = make_gaussians(8, 0)
+    params.means[3] = 3.4e38
+    grads = params.map(lambda t: -torch.ones_like(t))
+    assert Adam(params).step(params, grads, {n: 3e37 for n, _ in params.items()})[0] == "means"
+
+
+def test_the_state_is_left_for_inspection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    views, depth, gaussians = _plane(0)
+    chosen = plugins(reg=SteepLoss())
+    monkeypatch.setattr(registry, "build", lambda group, config: getattr(chosen, group))
+    config = {"augment": {}, "reg": {}, "capacity": {}, "seed": 0, "force": False}
+    scene = Scene("plane", "own", views, (), "f")
+    with pytest.raises(UserError, match=r"the state is in .*diverged\.safetensors$"):
+        training.train(config, scene, depth, gaussians, OPTIONS, tmp_path, "id", Silent())
+    identity, state = unpack(tmp_path / "diverged.safetensors", [Gaussians])
+    assert identity == "id" and state["where"].startswith("training step 2")
+    assert set(state["gradients"]) == set(dict(gaussians.items()))
+
+
+def test_no_gaussians_to_start_from() -> None:
+    nothing = _plane(0)[2][torch.zeros(0, dtype=torch.int64)]
+    with pytest.raises(UserError, match="expected Gaussians to start from, got none"):
+        train(gaussians=nothing)
+
+
+def test_cameras_that_see_nothing_still_train() -> None:
+    """Gaussians behind all cameras: nothing to learn from, nothing breaks, nothing moves but by
+    the decay of opacities."""
+    start = _plane(0)[2]
+    behind = start.replace(means=start.means * torch.tensor([1.0, 1.0, -1.0]))
+    trained = train(gaussians=behind)
+    assert all(torch.isfinite(tensor).all() for _, tensor in trained.gaussians.items())
+    assert torch.equal(trained.gaussians.means, behind.means)
+
+
+def plain_views(value: float) -> TrainingSet:
+    """The plane with images of one colour."""
+    views = _plane(0)[0]
+    flat = (replace(view, image=torch.full_like(view.image, value)) for view in views.views)
+    return replace(views, views=tuple(flat))
+
+
+@pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
+def test_images_without_texture_train(value: float) -> None:
+    trained = train(plain_views(value))
+    assert all(torch.isfinite(tensor).all() for _, tensor in trained.gaussians.items())
+
+
+def test_images_without_texture_have_no_depth_to_start_from() -> None:
+    """The default pipeline tells that nothing could be matched; or it starts from what it found."""
+    views = plain_views(0.5)
+    depth = build_provider("plane_sweep", {}).estimate(views)
+    try:
+        gaussians = INITIALIZERS["stereo"]().build(views, depth, 0, 0)
+    except UserError as error:
+        assert "init=stereo: expected at least" in str(error) and "\n" not in str(error)
+    else:
+        assert all(torch.isfinite(tensor).all() for _, tensor in gaussians.items())
+
+
+def test_a_rate_too_high_never_ends_with_broken_gaussians() -> None:
+    """Either it is told, or the result is finite."""
+    options = TrainerOptions(**{**asdict(OPTIONS), "steps": 40, "lr_scale": 999.0})
+    try:
+        trained = train(options=options)
+    except Diverged as error:
+        assert "trainer.lr_scale" in str(error)
+    else:
+        assert all(torch.isfinite(tensor).all() for _, tensor in trained.gaussians.items())
+
+
+def test_a_camera_far_away_sees_nothing() -> None:
+    views = _plane(0)[0]
+    away = torch.eye(4, dtype=torch.float64)
+    away[2, 3] = -1e6
+    cameras = [Camera(away, v.camera.K, v.camera.width, v.camera.height) for v in views.views]
+    lost = tuple(replace(v, camera=c) for v, c in zip(views.views, cameras, strict=True))
+    trained = train(replace(views, views=lost))
+    assert all(torch.isfinite(tensor).all() for _, tensor in trained.gaussians.items())

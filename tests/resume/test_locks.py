@@ -1,0 +1,84 @@
+"""One process at a time at a run; the lock of a dead one is no lock."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from framework.cli import main
+from framework.config import ROOT
+from framework.locks import LOCK, Busy, locked
+from tests.cli.conftest import FakeRuns, runs
+
+__all__ = ["runs"]
+
+HOLD = (
+    "import sys, time; from pathlib import Path; from framework.locks import locked\n"
+    "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
+)
+
+
+@pytest.fixture
+def holder(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Another process that holds the lock of `tmp_path/run`."""
+    command = [sys.executable, "-c", HOLD, str(tmp_path / "run")]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "held\n"
+    yield process
+    process.kill()
+    process.wait()
+
+
+def test_a_second_process_is_told_who_is_at_it(
+    holder: subprocess.Popen[str], tmp_path: Path
+) -> None:
+    expected = rf"run: expected nobody else.*process {holder.pid} on "
+    with pytest.raises(Busy, match=expected), locked(tmp_path / "run"):
+        raise AssertionError("both hold the lock")
+    assert (tmp_path / "run" / LOCK).exists()
+
+
+def test_the_lock_of_a_killed_process_is_free(
+    holder: subprocess.Popen[str], tmp_path: Path
+) -> None:
+    holder.send_signal(signal.SIGKILL)
+    holder.wait()
+    assert (tmp_path / "run" / LOCK).exists()
+    with locked(tmp_path / "run"):
+        pass
+    assert not (tmp_path / "run" / LOCK).exists()
+
+
+def test_waiting_for_the_lock(holder: subprocess.Popen[str], tmp_path: Path) -> None:
+    subprocess.Popen(
+        [sys.executable, "-c", f"import os, time; time.sleep(.2); os.kill({holder.pid}, 9)"]
+    )
+    with locked(tmp_path / "run", wait=True):
+        assert holder.wait() == -signal.SIGKILL
+
+
+def test_a_lock_is_released_after_an_error(tmp_path: Path) -> None:
+    for _ in range(2):
+        with pytest.raises(KeyError), locked(tmp_path):
+            raise KeyError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_runs_done_elsewhere_are_no_failures(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs.failures[1] = Busy("reports/x: expected nobody else at this run, got process 7")
+    assert main(["seed=0,1,2", "-m"]) == 3
+    told = capsys.readouterr()
+    assert told.err.startswith(
+        "error: 1 of 3 runs are being done elsewhere, for instance reports/x"
+    )
+    assert told.err.count("\n") == 1
+    assert "report: reports/embedded/report.md" in told.out
+    assert not (runs.folders[1] / "failed.json").exists()
+    assert main(["seed=1"]) == 3
