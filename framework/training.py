@@ -14,7 +14,6 @@ from torch import Tensor
 
 from framework import registry
 from framework.checkpoint import Checkpoints, pack, remove_checkpoints, state_classes
-from framework.errors import UserError
 from framework.files import write_whole
 from framework.guard import Diverged
 from framework.initialize import INITIALIZERS
@@ -53,7 +52,7 @@ def train(
 ) -> Trained:
     """Train, or go on with what an interrupted process left in `run_dir` under this identity.
 
-    `force` begins anew. Raises UserError when the training diverges; the state is in the run's
+    `force` begins anew. Raises Diverged when the training diverges; the state is in the run's
     folder then.
     """
     plugins = Plugins(*(registry.build(group, config[group]) for group in registry.GROUPS))
@@ -80,9 +79,10 @@ def train(
     try:
         return trainer.run()
     except Diverged as error:
-        path = run_dir / DIVERGED
-        write_whole(path, pack(error.state, state_classes(chosen), identity, "diverged state"))
-        raise UserError(f"{error}; the state is in {path}") from error
+        state = pack(error.state, state_classes(chosen), identity, "diverged state")
+        write_whole(run_dir / DIVERGED, state)
+        error.args = (f"{error}; the state is in {run_dir.name}/{DIVERGED}",)
+        raise
 
 
 def _evaluation(scene: Scene, options: TrainerOptions) -> Evaluate:
