@@ -33,7 +33,7 @@ from framework.training_state import PluginState, TrainerState
 from framework.tree import decode, encode
 
 LOG = logging.getLogger(__name__)
-FOLDER = "checkpoints"
+FOLDER, KEY = "checkpoints", "fishersplat"
 KEPT = 2
 COST_TIMES = 60  # a checkpoint's cost is at most this share of the time until the next
 SLOW_DISK = 25e6  # bytes per second assumed before the first one was measured
@@ -60,19 +60,21 @@ def state_classes(plugins: Iterable[Any]) -> list[type]:
 def pack(value: Any, classes: Iterable[type], identity: str, owner: str) -> bytes:
     """`value` as the bytes of a safetensors file. Raises UserError for what cannot be held."""
     tree, tensors = encode(value, classes, owner)
-    return save(tensors, {"identity": identity, "tree": json.dumps(tree)})
+    # under one key: several would be written in another order by each process
+    return save(tensors, {KEY: json.dumps({"identity": identity, "tree": tree})})
 
 
 def unpack(path: Path, classes: Iterable[type]) -> tuple[str, Any]:
     """(identity, value) of a file of `pack`. Raises ValueError, also when it is damaged."""
     try:
         with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
+            told = json.loads((file.metadata() or {})[KEY])
             tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118
-        value = decode(json.loads(metadata["tree"]), tensors, classes)
+        value = decode(told["tree"], tensors, classes)
+        identity = str(told["identity"])
     except (SafetensorError, KeyError, TypeError, AttributeError, RuntimeError) as error:
         raise ValueError(f"{path}: not a checkpoint ({type(error).__name__}: {error})") from error
-    return metadata["identity"], value
+    return identity, value
 
 
 def remove_checkpoints(run_dir: Path) -> None:
