@@ -18,6 +18,7 @@ from torch import Tensor, from_numpy
 
 FORMS = ("trace", "log")
 ROUNDING = 1e-12  # a parameter whose information is below this share of the largest has none
+NOISE = 1e-6  # share of its diagonal to which a block from float32 derivatives is known
 
 
 def information_gain(
@@ -50,7 +51,8 @@ def information_gains(
 ) -> list[float]:
     """What a candidate view would add to each of several reference views under one prior.
 
-    candidate: [N, P] diagonal H'. references: the views' diagonals H. prior: [P] lambda > 0.
+    candidate: [N, P] diagonal H'. references: the views' diagonals H. prior: [P] lambda > 0. Or
+    all Gaussians' blocks [N, D, D] with a prior [D] (see `block_prior`): ratios become matrices.
     form "log": 1/2 sum log(1 + H' / (H + lambda)), the entropy difference of the two posteriors
     (Kirsch & Gal, "Unifying approaches in active learning", 2022); form "trace": its upper bound
     1/2 sum H' / (H + lambda) = 1/2 tr(H' (H + lambda)^-1). Raises ValueError on an unknown form,
@@ -66,9 +68,31 @@ def information_gains(
             raise ValueError(
                 f"information_gain: candidate {gained.shape} and reference {known.shape} differ"
             )
-        ratio = gained / (known + prior.numpy())
-        gains.append(0.5 * float(np.sum(ratio if form == "trace" else np.log1p(ratio))))
+        gain = _block_gain if gained.ndim == 3 else _diagonal_gain
+        gains.append(gain(gained, known, prior.numpy(), form))
     return gains
+
+
+def _diagonal_gain(gained: np.ndarray, known: np.ndarray, prior: np.ndarray, form: str) -> float:
+    ratio = gained / (known + prior)
+    return 0.5 * float(np.sum(ratio if form == "trace" else np.log1p(ratio)))
+
+
+def _block_gain(gained: np.ndarray, known: np.ndarray, prior: np.ndarray, form: str) -> float:
+    """1/2 sum tr(H' (H + Lambda)^-1), or the difference of the log determinants."""
+    floor = _floor(known + gained, prior)
+    if form == "log":
+        return 0.5 * float(np.sum(_log_det(known + gained, floor) - _log_det(known, floor)))
+    lambdas = floor[:, :, None] * np.eye(prior.shape[0])
+    return 0.5 * float(np.sum(np.linalg.inv(known + lambdas) * gained))
+
+
+def block_prior(blocks: Sequence[Tensor], regulariser: float) -> Tensor:
+    """[6] float64 prior precision for blocks [N, 6, 6] of several views: `regulariser` x the median
+    positive diagonal, one number for the means and one for the log-scales, so that what follows
+    does not depend on the axes of the world. Raises ValueError as `shared_prior`."""
+    _check_positive("block_prior: regulariser", regulariser)
+    return from_numpy(_block_prior(np.concatenate([_float64(b) for b in blocks]), regulariser))
 
 
 def uncertainty(blocks: Tensor, visible: Tensor, extent: float, regulariser: float) -> Tensor:
@@ -79,7 +103,8 @@ def uncertainty(blocks: Tensor, visible: Tensor, extent: float, regulariser: flo
     the means dimensionless. Lambda is diagonal: `regulariser` x the median positive diagonal of the
     visible Gaussians, one number for the means and one for the log-scales (so that U is invariant
     to rigid motion). It keeps the determinant positive where few views leave F singular: one view
-    alone gives rank 5 at most.
+    alone gives rank 5 at most. NOISE x each diagonal is added, so that the sixth direction counts
+    as unknown and not as what rounding left in it.
 
     Returns [N] float64; +inf for Gaussians that no view sees. Raises ValueError on bad input.
     """
@@ -90,7 +115,8 @@ def uncertainty(blocks: Tensor, visible: Tensor, extent: float, regulariser: flo
     if seen.any():
         scale = np.array([extent, extent, extent, 1.0, 1.0, 1.0])
         normalised = _float64(blocks)[seen] * (scale[:, None] * scale)
-        scores[seen] = -_log_det(normalised, _block_prior(normalised, regulariser))
+        prior = _floor(normalised, _block_prior(normalised, regulariser))
+        scores[seen] = -_log_det(normalised, prior)
     return from_numpy(scores)
 
 
@@ -99,6 +125,11 @@ def _block_prior(blocks: np.ndarray, regulariser: float) -> np.ndarray:
     diagonal = np.einsum("nii->ni", blocks)
     groups = np.column_stack([diagonal[:, :3].ravel(), diagonal[:, 3:].ravel()])
     return np.repeat(_prior(groups, regulariser), 3)
+
+
+def _floor(blocks: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """[N, D] prior of every Gaussian: `prior` [D], and NOISE x the diagonal of its block."""
+    return prior + NOISE * np.einsum("nii->ni", blocks)
 
 
 def _prior(diagonal: np.ndarray, regulariser: float) -> np.ndarray:
@@ -114,16 +145,17 @@ def _prior(diagonal: np.ndarray, regulariser: float) -> np.ndarray:
 
 
 def _log_det(blocks: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    """[N] log det(F + diag(prior)), positive semi-definite F [N, D, D], by the pivots of L D L^T.
+    """[N] log det(F + diag(prior)), positive semi-definite F [N, D, D], prior [N, D], by the
+    pivots of L D L^T.
 
     The Schur complements of F are non-negative, so no pivot of the sum is below its prior; rounding
     that says otherwise is corrected.
     """
-    size = prior.shape[0]
+    size = prior.shape[1]
     a = np.ascontiguousarray(np.moveaxis(blocks, 0, -1))  # [D, D, N]: one Gaussian per lane
     total = np.zeros(blocks.shape[0])
     for i in range(size):
-        pivot = np.maximum(a[i, i] + prior[i], prior[i])
+        pivot = np.maximum(a[i, i] + prior[:, i], prior[:, i])
         total += np.log(pivot)
         for row in range(i + 1, size):
             factor = a[row, i] / pivot

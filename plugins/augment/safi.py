@@ -18,19 +18,20 @@ if TYPE_CHECKING:
 
     from framework.types import Camera, Gaussians
 
-FORMS = ("trace", "log")  # see framework.information.information_gain
+FORMS = ("trace", "log")  # see framework.information.information_gains
+APPROXIMATIONS = ("diagonal", "block")
 
 
 @dataclass(frozen=True)
 class Snapshot:
     """theta_0 with what the training views know about it. gaussians: detached copies. sh_degree:
-    the active degree. diagonals: K times [N, P] float64. prior: [P], their `shared_prior`. epoch:
-    when it was taken."""
+    the active degree. known: for each part of the parameters K times what `Safi._information`
+    gives. priors: one [P] for each part. epoch: when it was taken."""
 
     gaussians: Gaussians
     sh_degree: int
-    diagonals: tuple[Tensor, ...]
-    prior: Tensor
+    known: tuple[tuple[Tensor, ...], ...]
+    priors: tuple[Tensor, ...]
     epoch: int
 
 
@@ -39,6 +40,7 @@ class Snapshot:
 class Safi(ThresholdAugmenter):
     """eta: a view supports if I_k is at most eta x the smallest. form: "trace", the paper's bound,
     or "log", the information gain itself (its ratios are near 1: lower eta to 1.05 or so).
+    approximation: "diagonal" information, or the "block" of every Gaussian's mean and log-scale.
     regulariser: prior precision as a share of the median diagonal of the training views; with much
     less than 1 the trace only counts what a view does not see, and the scores' ratios explode.
     downscale: the Fisher passes run on images smaller by this integer factor. refresh_epochs:
@@ -46,6 +48,7 @@ class Safi(ThresholdAugmenter):
     """
 
     form: str = "trace"
+    approximation: str = "diagonal"
     regulariser: float = 1.0
     downscale: int = 2
     refresh_epochs: int = 0
@@ -53,6 +56,8 @@ class Safi(ThresholdAugmenter):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.check("form", self.form in FORMS, f"one of {', '.join(FORMS)}")
+        known = self.approximation in APPROXIMATIONS
+        self.check("approximation", known, f"one of {', '.join(APPROXIMATIONS)}")
         self.check("regulariser", 0 < self.regulariser <= 1e3, "a number in (0, 1000]")
         self.check("downscale", 1 <= self.downscale <= 16, "an integer in [1, 16]")
         self.check("refresh_epochs", self.refresh_epochs >= 0, "an integer >= 0")
@@ -65,27 +70,37 @@ class Safi(ThresholdAugmenter):
         snapshot = selection
         if snapshot is None or self._outdated(snapshot, ctx.epoch):
             snapshot = self._snapshot(ctx)
-        candidate = self._diagonal(ctx, snapshot.gaussians, snapshot.sh_degree, camera)
-        gains = information_gains(candidate, snapshot.diagonals, snapshot.prior, self.form)
-        return gains, snapshot
+        candidate = self._information(ctx, snapshot.gaussians, snapshot.sh_degree, camera)
+        parts = zip(candidate, snapshot.known, snapshot.priors, strict=True)
+        gains = [information_gains(*part, self.form) for part in parts]
+        return [sum(of_view) for of_view in zip(*gains, strict=True)], snapshot
 
     def _outdated(self, snapshot: Snapshot, epoch: int) -> bool:
         return 0 < self.refresh_epochs <= epoch - snapshot.epoch
 
     def _snapshot(self, ctx: StepContext) -> Snapshot:
-        from framework.information import shared_prior
+        from framework.information import block_prior, shared_prior
 
         gaussians, degree = ctx.gaussians.clone(), ctx.sh_degree
-        diagonals = tuple(self._diagonal(ctx, gaussians, degree, v.camera) for v in ctx.views)
-        prior = shared_prior(diagonals, self.regulariser)
-        return Snapshot(gaussians, degree, diagonals, prior, ctx.epoch)
+        views = [self._information(ctx, gaussians, degree, v.camera) for v in ctx.views]
+        known = tuple(zip(*views, strict=True))
+        priors: tuple[Tensor, ...] = (shared_prior(known[-1], self.regulariser),)
+        if self.approximation == "block":
+            priors = (block_prior(known[0], self.regulariser), *priors)
+        return Snapshot(gaussians, degree, known, priors, ctx.epoch)
 
-    def _diagonal(
+    def _information(
         self, ctx: StepContext, gaussians: Gaussians, sh_degree: int, camera: Camera
-    ) -> Tensor:
-        """[N, P] diagonal Fisher information of theta_0 in `camera`, means in scene extents."""
+    ) -> tuple[Tensor, ...]:
+        """Fisher information of theta_0 in `camera`, float64, lengths in scene extents: the [N, P]
+        diagonal; or the blocks [N, 6, 6] and the diagonal of the other parameters."""
+        import torch
+
         factor = min(self.downscale, camera.width, camera.height)
         information = ctx.fisher(camera.scaled(factor), gaussians, sh_degree)
-        diagonal = information.diagonal.double()
-        diagonal[:, :3] *= ctx.extent**2
-        return diagonal
+        unit = torch.ones(information.diagonal.shape[1], dtype=torch.float64)
+        unit[:3] = ctx.extent
+        diagonal = information.diagonal * unit**2
+        if self.approximation == "diagonal":
+            return (diagonal,)
+        return information.block * (unit[:6, None] * unit[:6]), diagonal[:, 6:]

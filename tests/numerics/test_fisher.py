@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from framework.fisher import FisherInformation, fisher_information
+from framework.information import block_prior, information_gains, uncertainty
 from framework.parallel import set_threads
 from framework.rasterize.constants import ALPHA_MAX
 from framework.rasterize.reference import cutoff_margin, project, rasterize_reference
@@ -153,3 +154,58 @@ def test_nothing_in_view() -> None:
     camera = Camera(behind, case.camera.K, case.camera.width, case.camera.height)
     away = fisher_information(kept, camera)
     assert not away.visible.any() and not away.block.any() and not away.diagonal.any()
+
+
+def test_float32_blocks_give_the_exact_uncertainty() -> None:
+    """Even after one view, where rounding fills the direction that nothing is known about."""
+    for case in map(scene, SEEDS):
+        ours, exact = information(case), brute_force(case)[:, :6, :6]
+        if not ours.visible.any():
+            continue
+        scores = uncertainty(ours.block, ours.visible, 2.0, 1e-4)
+        expected = uncertainty(exact, ours.visible, 2.0, 1e-4)
+        assert torch.equal(scores.isinf(), ~ours.visible)
+        torch.testing.assert_close(scores, expected, rtol=0, atol=0.1)
+
+
+def scaled_scene(factor: float) -> tuple[Gaussians, list[Camera]]:
+    """400 Gaussians before three cameras, all lengths times `factor`."""
+    case = random_case(3, n=400)
+    cameras = []
+    for shift in (-0.3, 0.0, 0.3):
+        viewmat = case.camera.viewmat.clone()
+        viewmat[0, 3] += shift
+        viewmat[:3, 3] *= factor
+        cameras.append(Camera(viewmat, case.camera.K, case.camera.width, case.camera.height))
+    g = case.gaussians
+    log_scales = g.log_scales + torch.tensor(factor).log()
+    return g.replace(means=g.means * factor, log_scales=log_scales), cameras
+
+
+def scores(factor: float) -> tuple[Tensor, list[float]]:
+    """Uncertainty after three views; gains of the middle one, trace and log, diagonal and block."""
+    gaussians, cameras = scaled_scene(factor)
+    views = [fisher_information(gaussians, c, near=0.01 * factor) for c in cameras]
+    unit = torch.tensor([2.0 * factor] * 3 + [1.0] * 11).double()
+    diagonals = [view.diagonal * unit**2 for view in views]
+    blocks = [view.block * unit[:6, None] * unit[:6] for view in views]
+    seen = torch.stack([view.visible for view in views]).any(0)
+    total = torch.stack([view.block.double() for view in views]).sum(0)
+    gains = []
+    for form in ("trace", "log"):
+        prior = block_prior(blocks, 1.0)
+        gains += information_gains(blocks[1], [blocks[0], blocks[2]], prior, form)
+        prior = diagonals[0].median(0).values.clamp(min=1e-3)
+        gains += information_gains(diagonals[1], [diagonals[0], diagonals[2]], prior, form)
+    return uncertainty(total, seen, 2.0 * factor, 1e-4), gains
+
+
+def test_the_unit_of_length_changes_no_score() -> None:
+    plain, gains = scores(1.0)
+    large, large_gains = scores(1000.0)
+    assert large_gains == pytest.approx(gains, rel=5e-3)
+    assert torch.equal(plain.isinf(), large.isinf())
+    change = (plain - large)[~plain.isinf()].abs()
+    assert change.quantile(0.99) < 0.05 and change.max() < 0.3  # a pixel at a cut-off may change
+    ordered = plain[large.argsort(stable=True)][: len(change)]
+    assert (ordered.diff() > -0.3).all(), "only scores that are equal to rounding may change places"

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from framework.information import information_gain, information_gains, shared_prior, uncertainty
+from framework.information import (
+    NOISE,
+    block_prior,
+    information_gain,
+    information_gains,
+    shared_prior,
+    uncertainty,
+)
 from framework.rng import stream
 
 
@@ -82,8 +89,43 @@ def test_uncertainty_is_minus_the_log_determinant() -> None:
     diagonal = normalised.diagonal(dim1=1, dim2=2).numpy()
     prior = [1e-3 * float(np.median(diagonal[:, g])) for g in (slice(0, 3), slice(3, 6))]
     total = normalised + torch.diag(torch.tensor(prior).double().repeat_interleave(3))
+    total += NOISE * torch.diag_embed(normalised.diagonal(dim1=1, dim2=2))
     expected = -torch.linalg.slogdet(total).logabsdet
     torch.testing.assert_close(uncertainty(f, seen, 2.0, 1e-3), expected, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("form", ["trace", "log"])
+def test_gain_of_diagonal_blocks_is_that_of_their_diagonals(form: str) -> None:
+    ours, known = (torch.diag_embed(diagonals(seed, p=6) ** 0.3) for seed in (0, 1))
+    prior = block_prior([ours, known], 0.1)
+    (gain,) = information_gains(ours, [known], prior, form)
+    diagonal = [x.diagonal(dim1=1, dim2=2) for x in (ours, known)]
+    (expected,) = information_gains(diagonal[0], [diagonal[1]], prior, form)
+    assert gain == pytest.approx(expected, rel=1e-3)
+
+
+def test_block_gains_by_linear_algebra() -> None:
+    ours, known = blocks(0, rank=5), blocks(1)
+    prior = block_prior([ours, known], 0.1)
+    precision = known + torch.diag(prior)
+    ratio = torch.linalg.solve(precision, ours)
+    (trace,) = information_gains(ours, [known], prior, "trace")
+    assert trace == pytest.approx(0.5 * float(ratio.diagonal(dim1=1, dim2=2).sum()), rel=1e-3)
+    (log,) = information_gains(ours, [known], prior, "log")
+    expected = torch.linalg.slogdet(torch.eye(6).double() + ratio).logabsdet.sum()
+    assert log == pytest.approx(0.5 * float(expected), rel=1e-3)
+    assert 0 < log < trace
+
+
+def test_block_gain_does_not_depend_on_the_axes_of_the_world() -> None:
+    q, _ = torch.linalg.qr(torch.from_numpy(stream(4, "turn").standard_normal((3, 3))))
+    turn = torch.block_diag(q, torch.eye(3).double())
+    ours, known = blocks(0, rank=5), blocks(1, rank=5)
+    prior = block_prior([ours, known], 0.1)
+    for form in ("trace", "log"):
+        (gain,) = information_gains(ours, [known], prior, form)
+        (turned,) = information_gains(turn @ ours @ turn.T, [turn @ known @ turn.T], prior, form)
+        assert turned == pytest.approx(gain, rel=1e-4)
 
 
 def test_unseen_is_infinite_and_rank_deficient_is_finite_but_worse() -> None:

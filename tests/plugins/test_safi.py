@@ -47,10 +47,11 @@ def test_same_seed_same_view_other_epoch_other_view() -> None:
     assert not torch.equal(first.camera.viewmat, later.camera.viewmat)
 
 
-def test_unperturbed_camera_is_supported_by_its_own_view_alone() -> None:
+@pytest.mark.parametrize("approximation", ["diagonal", "block"])
+def test_unperturbed_camera_is_supported_by_its_own_view_alone(approximation: str) -> None:
     """F(x') = F(x_k) at the picked view: nothing is new to it, much is to the others."""
     log = Log({})
-    safi = Safi(sigma_center=0.0, sigma_rotation=0.0, eta=1.0)
+    safi = Safi(sigma_center=0.0, sigma_rotation=0.0, eta=1.0, approximation=approximation)
     view = only_view(safi, context(log=log))
     assert log.values["safi_supports"] == [1]
     source = [v for v in stage()[0] if torch.equal(v.camera.viewmat, view.camera.viewmat)]
@@ -65,9 +66,10 @@ def test_a_large_eta_lets_every_view_support() -> None:
     assert log.values["safi_supports"] == [3]
 
 
+@pytest.mark.parametrize("approximation", ["diagonal", "block"])
 @pytest.mark.parametrize("form", ["trace", "log"])
-def test_selection_does_not_depend_on_the_unit_of_length(form: str) -> None:
-    safi = Safi(form=form)
+def test_selection_does_not_depend_on_the_unit_of_length(form: str, approximation: str) -> None:
+    safi = Safi(form=form, approximation=approximation)
     now, target = context(), camera(0.1, 0.05, size=(80, 60))
     chosen, _ = safi.select(now, None, target)
     scaled = [_scaled(c, 1000.0) for c in [*(v.camera for v in now.views), target]]
@@ -155,6 +157,7 @@ def test_neighbour_distance() -> None:
     [
         ({"eta": 0.7}, r"safi: eta must be a number in \[1, 1e6\], got 0.7"),
         ({"form": "sum"}, "safi: form must be one of trace, log, got sum"),
+        ({"approximation": "full"}, "approximation must be one of diagonal, block, got full"),
         ({"every": 0}, "every"),
         ({"sigma_center": -1.0}, "sigma_center"),
         ({"sigma_rotation": float("nan")}, "sigma_rotation"),
