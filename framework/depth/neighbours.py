@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 MIN_SHARED = 10  # sparse points a view must share with some other for them to decide
 RELATIVE_FLOOR = 0.1  # a partner scores at least this share of the best partner's score
+WEAK_FLOOR = 0.02  # that share for the second partner
 GRID, LEVELS = 16, 3  # pixels per side and inverse depths of the grid used without sparse points
 
 
@@ -79,6 +80,8 @@ def choose_neighbours(
 ) -> list[int]:
     """The up to `limit` best partners of view `index`, best first; empty if nothing overlaps.
 
+    The second one may be weak: a single partner leaves what it does not see without a match.
+
     Judged by the sparse points both views see, or, where those are too few, by how much of the
     frustum between the depth `bounds` the other view covers.
     """
@@ -86,5 +89,9 @@ def choose_neighbours(
     if scores.max() <= 0:
         scores = _frustum_scores(training, index, bounds)
     order = np.argsort(-scores, kind="stable")[:limit]
-    floor = max(RELATIVE_FLOOR * scores.max(), 1e-3)
-    return [int(other) for other in order if scores[other] >= floor]
+    floors = [WEAK_FLOOR if rank < 2 else RELATIVE_FLOOR for rank in range(len(order))]
+    return [
+        int(other)
+        for other, floor in zip(order, floors, strict=True)
+        if scores[other] >= max(floor * scores.max(), 1e-3)
+    ]

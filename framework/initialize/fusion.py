@@ -11,6 +11,7 @@ Views are taken from the most central to the outermost one. A pixel enters when
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,8 @@ from torch import Tensor
 from framework.geometry import project, unproject
 from framework.initialize.sampling import detail_density
 from framework.types import Camera, DepthMap, TrainingSet, View
+
+Columns = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class SurfacePixels:
 
 
 @dataclass(frozen=True)
-class _DepthView:
+class DepthView:
     """A view's confident depth: depth [H, W] float64, 0 = none; nearest [H, W], the smallest depth
     of the 3 x 3 neighbours, infinite where none has any."""
 
@@ -59,8 +62,13 @@ def fuse(
         )
     order = by_centrality([view.camera for view in training.views])
     views = [training.views[i] for i in order]
-    maps = [_confident(training.views[i], depth[i]) for i in order]
+    maps = [confident_view(training.views[i], depth[i]) for i in order]
     parts = [_surface_pixels(i, views[i], maps, tolerance, detail) for i in range(len(views))]
+    return joined(parts)
+
+
+def joined(parts: Sequence[Columns]) -> SurfacePixels:
+    """The pixels of several views, in order."""
     return SurfacePixels(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
@@ -73,19 +81,19 @@ def by_centrality(cameras: list[Camera]) -> list[int]:
     return torch.argsort(relative, stable=True).tolist()
 
 
-def _confident(view: View, estimate: DepthMap) -> _DepthView:
+def confident_view(view: View, estimate: DepthMap) -> DepthView:
     """The depth that may be used, as float64."""
     valid = (estimate.confidence > 0) & (estimate.depth > 0) & torch.isfinite(estimate.depth)
     if view.mask is not None:
         valid &= view.mask > 0.5
     depth = torch.where(valid, estimate.depth, 0).to(torch.float64)
     near = np.where(valid.numpy(), depth.numpy(), np.inf)
-    return _DepthView(view.camera, depth, torch.from_numpy(minimum_filter(near, 3, mode="nearest")))
+    return DepthView(view.camera, depth, torch.from_numpy(minimum_filter(near, 3, mode="nearest")))
 
 
 def _surface_pixels(
-    index: int, view: View, maps: list[_DepthView], tolerance: float, detail: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    index: int, view: View, maps: list[DepthView], tolerance: float, detail: float
+) -> Columns:
     """(xyz, rgb, size, density) of the pixels that view `index` of `maps` adds to those before."""
     own = maps[index]
     valid = own.depth > 0
@@ -95,19 +103,26 @@ def _surface_pixels(
     for other, map_ in enumerate(maps):
         if other == index:
             continue
-        agrees, violated = _compare(xyz, map_, tolerance)
+        agrees, violated = compare(xyz, map_, tolerance)
         votes += agrees.int() - violated.int()
         if other < index:
             repeated |= agrees
     new = (votes >= 0) & ~repeated
+    chosen = valid.clone()
+    chosen[valid] = new
+    return surface_columns(view, xyz[new], z[new], chosen, detail)
+
+
+def surface_columns(view: View, xyz: Tensor, z: Tensor, chosen: Tensor, detail: float) -> Columns:
+    """(xyz, rgb, size, density) of the pixels `chosen` [H, W] of a view, at xyz [P, 3] and depth
+    z [P]."""
     focal_px = float((view.camera.K[0, 0] * view.camera.K[1, 1]).sqrt())
-    density = torch.from_numpy(detail_density(view.image.numpy(), detail))[valid]
-    rgb = view.image.permute(1, 2, 0)[valid]
-    columns = (xyz, rgb, z / focal_px, density)
-    return tuple(column[new].numpy() for column in columns)  # type: ignore[return-value]
+    density = detail_density(view.image.numpy(), detail)[chosen.numpy()]
+    rgb = view.image.permute(1, 2, 0)[chosen]
+    return xyz.numpy(), rgb.numpy(), (z / focal_px).numpy(), density
 
 
-def _compare(xyz: Tensor, seen: _DepthView, tolerance: float) -> tuple[Tensor, Tensor]:
+def compare(xyz: Tensor, seen: DepthView, tolerance: float) -> tuple[Tensor, Tensor]:
     """[P] bool twice: `seen` measures the same surface at xyz [P, 3]; it looks through it."""
     camera = seen.camera
     uv, z = project(xyz, camera)

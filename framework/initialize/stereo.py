@@ -1,7 +1,8 @@
 """`init=stereo`: Gaussians sampled from the fused, consistent depth of the training views.
 
-Only depth that passed its consistency check (confidence > 0) takes part; more Gaussians go where
-the photographs have detail, and each is as large as the patch of pixels it stands for.
+Of the depth maps only what passed its consistency check (confidence > 0) takes part; where nothing
+did, a few Gaussians stand on a guess (see `completion`). More Gaussians go where the photographs
+have detail, and each is as large as the patch of pixels it stands for.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 from framework.errors import require
 
 if TYPE_CHECKING:
+    from framework.initialize.fusion import SurfacePixels
     from framework.types import DepthMap, Gaussians, TrainingSet
 
 FEWEST_PIXELS = 100
@@ -28,7 +30,8 @@ class Stereo:
     much of it. detail: exponent
     of the local image gradient in the sampling density; 0 = uniform. tolerance: relative depth
     difference up to which two views show the same surface. scale_factor: standard deviation in
-    units of the mean spacing of the samples. opacity: of every Gaussian.
+    units of the mean spacing of the samples. opacity: of every Gaussian. completion: sampling
+    density of pixels whose depth is a guess, in units of that of consistent ones; 0 = none.
     """
 
     budget: int = 0
@@ -37,6 +40,7 @@ class Stereo:
     tolerance: float = 0.03
     scale_factor: float = 1.1
     opacity: float = 0.1
+    completion: float = 0.1
 
     def __post_init__(self) -> None:
         def check(name: str, ok: bool, expected: str) -> None:
@@ -48,6 +52,7 @@ class Stereo:
         check("tolerance", 0 < self.tolerance < 1, "a relative difference in (0, 1)")
         check("scale_factor", 0 < self.scale_factor < 100, "a number in (0, 100)")
         check("opacity", 0 < self.opacity < 1, "a number in (0, 1)")
+        check("completion", 0 <= self.completion <= 1, "a number in [0, 1]")
 
     def build(
         self, training: TrainingSet, depth: tuple[DepthMap, ...], sh_degree: int, seed: int
@@ -70,12 +75,26 @@ class Stereo:
             f"init=stereo: expected at least {FEWEST_PIXELS} pixels with consistent depth in scene"
             f" {training.scene}, got {len(pixels.xyz)}; use init=sparse or another depth",
         )
+        pixels = self._completed(pixels, training, depth)
         probability = inclusion_probabilities(pixels.density, self._budget(training))
         chosen = draw(probability, stream(seed, "init/stereo"))
         scales = self.scale_factor * pixels.size[chosen] / np.sqrt(probability[chosen])
         return isotropic_gaussians(
             pixels.xyz[chosen], pixels.rgb[chosen], scales, self.opacity, sh_degree
         )
+
+    def _completed(
+        self, pixels: SurfacePixels, training: TrainingSet, depth: tuple[DepthMap, ...]
+    ) -> SurfacePixels:
+        """`pixels` and, thinner, those that are guesses."""
+        from framework.initialize.completion import complete
+        from framework.initialize.fusion import joined
+
+        if self.completion == 0:
+            return pixels
+        guessed = complete(training, depth, self.tolerance, self.detail)
+        thinner = (guessed.xyz, guessed.rgb, guessed.size, self.completion * guessed.density)
+        return joined([(pixels.xyz, pixels.rgb, pixels.size, pixels.density), thinner])
 
     def _budget(self, training: TrainingSet) -> int:
         if self.budget > 0:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import torch
 
 from framework.depth.bounds import FARTHER, NEARER, depth_bounds
 from framework.depth.neighbours import angle_weight, choose_neighbours
@@ -25,8 +28,18 @@ def test_neighbours_have_parallax_and_overlap() -> None:
 
 def test_shared_points_decide_where_there_are_enough() -> None:
     scene = plane_scene(60)
-    scene.points.visible[5:, 1] = False
+    scene.points.visible[1:, 1] = False
     assert choose_neighbours(scene, 0, 4, (NEAR, FAR)) == [2]
+
+
+def test_a_second_partner_may_be_weak_a_third_one_may_not() -> None:
+    scene = plane_scene(60)
+    scene.points.visible[5:, 1] = False
+    assert choose_neighbours(scene, 0, 4, (NEAR, FAR)) == [2, 1]
+    more = replace(scene, views=(*scene.views, scene.views[2]))
+    visible = torch.cat([scene.points.visible, scene.points.visible[:, 2:]], 1)
+    more = replace(more, points=replace(scene.points, visible=visible))
+    assert choose_neighbours(more, 0, 4, (NEAR, FAR)) == [2, 3]
 
 
 def test_angle_weight_prefers_ten_degrees() -> None:

@@ -180,6 +180,7 @@ def test_every_view_needs_its_depth_map() -> None:
         ("tolerance", 0),
         ("scale_factor", 0),
         ("opacity", 1),
+        ("completion", 2),
     ],
 )
 def test_options_out_of_range(option: str, value: float) -> None:
