@@ -152,6 +152,8 @@ def measure(kills: int, steps: int, work: Path) -> Tally:
         tally.studies += 1
         tally.unequal += not equal or bool(leftovers(study))
         tally.resumed += (work / name / "log.txt").read_text().count("going on at step")
+        if tally.studies > 2 * kills + 4:
+            raise SystemExit(f"{targets[-1]} never happened; give more --steps")
         print(f"study {name}: {sum(tally.killed.values())} of {kills} kills, equal: {equal}")
     return tally
 

@@ -5,8 +5,8 @@ together. safetensors holds tensors and texts and nothing that could be executed
 is JSON in its metadata, see `framework.tree`. Two are kept: a damaged one is noticed by its name
 and the one before it is used. A checkpoint is of one run identity and is of no use to another.
 
-The next one is due when 60 times the cost of the last has passed, so they take at most 2 % of the
-time. When they happen changes no result.
+The next one is due when 75 times the cost of the last has passed, so they take less than 2 % of the
+time; the cost of the first is guessed. When they happen changes no result.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from framework.tree import decode, encode
 LOG = logging.getLogger(__name__)
 FOLDER, KEY = "checkpoints", "fishersplat"
 KEPT = 2
-COST_TIMES = 60  # a checkpoint's cost is at most this share of the time until the next
+COST_TIMES = 75  # a checkpoint's cost is at most this share of the time until the next
 SLOW_DISK = 25e6  # bytes per second assumed before the first one was measured
 FRAMEWORK_CLASSES = (
     *(types.Camera, types.View, types.DepthMap, types.SparsePoints, types.Gaussians, types.Render),

@@ -117,7 +117,7 @@ def _adam_range(p, g, m, v, rate, correction):  # type: ignore[no-untyped-def]
     # not 1 - float32(beta), whose rounding is 1e-5 of a share this small
     share1, share2 = np.float32(1 - BETA1), np.float32(1 - BETA2)
     eps, tiny, infinity = np.float32(EPS), np.float32(1e-30), np.float32(np.inf)
-    broken = np.int32(0)
+    finite = np.int32(0)
     for i in range(len(p)):
         first = beta1 * m[i] + share1 * g[i]
         first = first if abs(first) >= tiny else np.float32(0)
@@ -127,8 +127,8 @@ def _adam_range(p, g, m, v, rate, correction):  # type: ignore[no-untyped-def]
         value = p[i] - rate * first / (np.sqrt(second) * correction + eps)
         p[i] = value
         # an integer sum, which the compiler may reorder and so vectorise; NaN compares false
-        broken += np.int32(1) - np.int32((abs(value) < infinity) & (second < infinity))
-    return broken
+        finite += np.int32(abs(value) + second < infinity)
+    return len(p) - finite
 
 
 @kernel

@@ -14,7 +14,7 @@ def test_a_study_killed_again_and_again_equals_an_undisturbed_one(tmp_path: Path
     page = tmp_path / "kill.md"
     script = str(ROOT / "benchmarks" / "kill.py")
     done = subprocess.run(
-        [sys.executable, script, "--kills", "2", "--steps", "20", "--output", str(page)],
+        [sys.executable, script, "--kills", "2", "--steps", "60", "--output", str(page)],
         cwd=tmp_path,
         capture_output=True,
         text=True,
