@@ -7,7 +7,6 @@ user gets: where, what was expected, what came, how to fix it.
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,7 +18,7 @@ from omegaconf.errors import (
     ValidationError,
 )
 
-from framework.errors import UserError, nearest_hint
+from framework.errors import UserError, nearest_hint, printable_line
 
 USER_ERRORS = (UserError, HydraException, OmegaConfBaseException)
 KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "a text"}
@@ -30,12 +29,12 @@ def one_line(error: BaseException) -> str:
     chain = list(_causes(error))
     for cause in chain:
         if isinstance(cause, UserError):
-            return _flat(str(cause))
+            return printable_line(str(cause))
     for cause in chain:
         told = _told(cause)
         if told is not None:
-            return _flat(told)
-    return _flat(str(error)) or type(error).__name__
+            return printable_line(told)
+    return printable_line(str(error)) or type(error).__name__
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
@@ -91,7 +90,3 @@ def _unknown_key(error: OmegaConfBaseException) -> str | None:
     parent, _, key = str(error.full_key).rpartition(".")
     place = f" of {error.object_type.__name__}" if parent else ""
     return f"{error.full_key}: unknown option{place}; {nearest_hint(key, known)}"
-
-
-def _flat(text: str) -> str:
-    return re.sub(r"\s*\n\s*", "; ", text.strip())

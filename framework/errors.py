@@ -8,11 +8,26 @@ It derives from `ValueError`, so library callers may catch either.
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
+
+LONGEST = 1000  # characters of a message
 
 
 class UserError(ValueError):
     """Bad input, told in one line: `where: expected ..., got ...; how to fix`."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable_line(message))
+
+
+def printable_line(text: str) -> str:
+    """`text` as one line of at most `LONGEST` characters, without control characters: what a bad
+    file brings along is quoted on terminals and in records."""
+    line = re.sub(r"\s*\n\s*", "; ", text.strip())
+    line = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in line)
+    half = LONGEST // 2
+    return line if len(line) <= LONGEST else f"{line[: half - 5]} ... {line[-half:]}"
 
 
 def nearest_hint(name: str, options: Iterable[str]) -> str:

@@ -14,6 +14,7 @@ from framework.errors import require
 MIB = 1 << 20
 
 IMAGE_PIXELS = 50_000_000  # of one image or depth map; a 45 megapixel photo fits
+IMAGE_BYTES = 4 * IMAGE_PIXELS  # of one image file
 SCENE_BYTES = 4096 * MIB  # of all images of a scene together, as float32
 SIDE_PIXELS = 65_500  # of an image's or camera's longer side
 ARRAY_BYTES = 8 * IMAGE_PIXELS  # of one array in a .npy or .npz

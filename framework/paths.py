@@ -10,20 +10,28 @@ from pathlib import Path
 
 from framework.errors import UserError, require
 
+NAME_BYTES = 255  # of one part of a path, on the usual file systems
+
 
 def inside(folder: Path, name: str | Path) -> Path:
     """`folder` / `name`, which need not exist. Raises UserError when the name is absolute or it (or
     a link on the way) leads out of the folder; the folder itself may be a link."""
     text = str(name)
     where = f"{folder}: expected names inside this folder, got {text[:100]!r}"
+    parts = Path(text).parts
     require(
-        "\0" not in text and text != "" and not Path(text).is_absolute(),
+        "\0" not in text and len(parts) > 0 and not Path(text).is_absolute(),
         f"{where}; correct the name",
+    )
+    longest = max(len(part.encode("utf-8", "surrogatepass")) for part in parts)
+    require(
+        longest <= NAME_BYTES,
+        f"{where}, of {longest} bytes where a file name has at most {NAME_BYTES}; correct it",
     )
     path = folder / name
     try:
         real, root = path.resolve(), folder.resolve()
-    except (OSError, RuntimeError) as error:  # links in a circle; a name too long for the system
+    except (OSError, RuntimeError, UnicodeError) as error:  # links in a circle; half a character
         raise UserError(f"{where}, which cannot be followed; correct the name") from error
     require(
         real.is_relative_to(root),

@@ -3,8 +3,8 @@ elsewhere, and a report formats, sorts and opens files by what they hold."""
 
 from __future__ import annotations
 
-import math
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -89,7 +89,8 @@ def _is_count(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and math.isfinite(value)
+    # an integer may be beyond all floats
+    return type(value) in (int, float) and abs(value) <= sys.float_info.max
 
 
 def _is_line(value: Any) -> bool:

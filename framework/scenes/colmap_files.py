@@ -48,7 +48,13 @@ class _Reader:
         end = self.data.find(b"\0", self.at)
         name = self.data[self.at : max(end, self.at)]
         self.skip(max(end + 1 - self.at, 0) or len(self.data) + 1)
-        return name.decode("utf-8", "replace")
+        try:
+            return name.decode("utf-8")
+        except UnicodeDecodeError:
+            raise UserError(
+                f"{self.path}: expected image names in UTF-8, got {name[:60]!r}; rename the image"
+                " or rebuild the model"
+            ) from None
 
     def finish(self) -> None:
         """Nothing may follow the last record."""

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import io
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
-from framework.limits import check_pixels
+from framework.limits import IMAGE_BYTES, check_pixels, check_size
 from framework.paths import inside
 
 if TYPE_CHECKING:
@@ -61,21 +63,28 @@ def photo_folder(folder: Path, images: str) -> Path:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
-    """The image, of which only the header was read: its size is within `limits`, also that of a
-    small file that would unpack to a huge image. Whatever is wrong raises UserError."""
+    """The image, of which only the header was decoded: its size is within `limits`, also that of a
+    small file that would unpack to a huge image. Whatever is wrong raises UserError.
+
+    Pillow gets the bytes and not the file: of a file it allocates what a damaged length asks for.
+    """
     from PIL import Image
 
     try:
+        check_size(path, IMAGE_BYTES)
+        stored = io.BytesIO(path.read_bytes())
         with warnings.catch_warnings():  # Pillow warns of large images, which are refused here
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            image = Image.open(path, formats=FORMATS)
+            image = Image.open(stored, formats=FORMATS)
         with image:
             check_pixels(path, *image.size)
             yield image
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         if isinstance(error, UserError):
             raise
-        reason = " ".join(str(error).split()).replace(str(path), "").strip(" '")
+        reason = re.sub(r"<_io\.BytesIO.*?>|\s+", " ", str(error).replace(str(path), "")).strip(
+            " '"
+        )
         raise UserError(
             f"{path}: expected a readable image, got a damaged file ({reason}); replace it"
         ) from None
@@ -105,14 +114,14 @@ def read_image(path: Path, paper: int | None = None) -> NDArray[np.uint8]:
         pixels = np.asarray(image.convert("RGBA" if clear else "RGB"), dtype=np.uint8)
     if not clear:
         return pixels
-    alpha = pixels[..., 3:].astype(np.float64) / 255.0
-    if alpha.min() < 1:
-        require(
-            paper is not None, f"{path}: expected an opaque image, got transparency; flatten it"
-        )
-        blended = pixels[..., :3] * alpha + float(paper or 0) * (1.0 - alpha)
-        return np.rint(blended).astype(np.uint8)
-    return np.ascontiguousarray(pixels[..., :3])
+    rgb = pixels[..., :3].copy()
+    if pixels[..., 3].min() == 255:
+        return rgb
+    require(paper is not None, f"{path}: expected an opaque image, got transparency; flatten it")
+    for row, stored in zip(rgb, pixels, strict=True):  # by rows: float64 takes eight times as much
+        alpha = stored[:, 3:].astype(np.float64) / 255.0
+        row[:] = np.rint(stored[:, :3] * alpha + float(paper or 0) * (1.0 - alpha))
+    return rgb
 
 
 def read_mask(path: Path, height: int, width: int) -> NDArray[np.float32]:

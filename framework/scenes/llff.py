@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import require
+from framework.limits import SIDE_PIXELS
 from framework.scenes.options import check_folder_options, check_images
 from framework.scenes.splits import protocol
 
@@ -92,11 +93,13 @@ def _read_poses(path: Path, files: list[Path]) -> NDArray[np.float64]:
     rows = rows.astype(np.float64)
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
     require(not len(bad), f"{path}: expected finite numbers, got NaN or infinity in rows {bad}")
-    good = (rows[:, 15] > 0) & (rows[:, 16] > rows[:, 15]) & (rows[:, [4, 9, 14]] > 0).all(axis=1)
+    sides = rows[:, [4, 9]]
+    good = (rows[:, 15] > 0) & (rows[:, 16] > rows[:, 15]) & (rows[:, 14] > 0)
+    good &= ((sides >= 1) & (sides <= SIDE_PIXELS)).all(axis=1)
     require(
         bool(good.all()),
-        f"{path}: expected 0 < near < far and positive height, width, focal; got otherwise in rows"
-        f" {np.flatnonzero(~good)}",
+        f"{path}: expected 0 < near < far, positive focal and sides of 1 to {SIDE_PIXELS} pixels;"
+        f" got otherwise in rows {np.flatnonzero(~good)}; replace it",
     )
     axes = rows[:, :15].reshape(-1, 3, 5)[:, :, :3]
     off = np.abs(axes.transpose(0, 2, 1) @ axes - np.eye(3)).max(axis=(1, 2)) > NOT_ROTATION

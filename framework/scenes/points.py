@@ -86,7 +86,7 @@ def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         vertex = PlyData.read(str(path))["vertex"]
         xyz = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=1)
         rgb = np.stack([np.asarray(vertex[c]) for c in ("red", "green", "blue")], axis=1)
-    except (OSError, PlyParseError, KeyError, ValueError) as error:
+    except (OSError, PlyParseError, KeyError, ValueError, OverflowError) as error:
         reason = " ".join(str(error).split())[:120]
         raise UserError(
             f"{path}: expected a PLY file of coloured points (x y z red green blue), got none"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from framework.errors import UserError, require
-from framework.limits import TEXT_BYTES, check_size
+from framework.limits import SIDE_PIXELS, TEXT_BYTES, check_size
 from framework.paths import inside
 from framework.scenes.images import SUFFIXES
 from framework.scenes.lens import Distortion, Lens
@@ -56,8 +57,12 @@ class Frame:
         fy = self._focal("fl_y", "camera_angle_y", h)
         distortion = Distortion(*(v.get(k, 0.0) for k in ("k1", "k2", "p1", "p2", "k3")))
         cx, cy = v.get("cx", w / 2), v.get("cy", h / 2)
-        good = w >= 1 and h >= 1 and fx > 0 and (fy is None or fy > 0)
-        require(good, f"{self.where}: expected positive sizes and focal lengths, got {dict(v)}")
+        good = min(w, h) >= 1 and max(w, h) <= SIDE_PIXELS and fx > 0 and (fy is None or fy > 0)
+        require(
+            good,
+            f"{self.where}: expected sides of 1 to {SIDE_PIXELS} pixels and positive focal lengths,"
+            f" got {dict(v)}; correct them",
+        )
         return Lens(round(w), round(h), fx, fx if fy is None else fy, cx, cy, distortion)
 
     def _focal(self, key: str, angle: str, size: float) -> float | None:
@@ -99,7 +104,7 @@ def _read_json(path: Path) -> dict[str, Any]:
     check_size(path, TEXT_BYTES)
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise UserError(f"{path}: expected JSON, got a damaged file ({reason}); fix it") from None
     require(isinstance(data, dict), f"{path}: expected a JSON object, got something else; fix it")
@@ -122,7 +127,7 @@ def _values(entry: Mapping[str, Any], where: str) -> dict[str, float]:
         value = entry[key]
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
         require(
-            number and math.isfinite(value),
+            number and abs(value) <= sys.float_info.max,  # an integer may be beyond all floats
             f"{where}: expected {key} to be a finite number, got {value}; correct it",
         )
         values[key] = float(value)
@@ -159,7 +164,7 @@ def _viewmat(matrix: Any, where: str) -> NDArray[np.float64]:
     """[4, 4] OpenCV world-to-camera of an OpenGL camera-to-world, 3 x 4 or 4 x 4."""
     try:
         pose = np.array(matrix, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         pose = np.zeros(0)
     require(
         pose.shape in ((3, 4), (4, 4)),

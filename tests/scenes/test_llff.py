@@ -168,7 +168,7 @@ def _cut_image(folder: Path) -> None:
         (_save(lambda r: r[:, :16]), "expected an array of n x 17 numbers, got 10x16"),
         (_save(lambda r: r[:9]), "got 9 rows and 10 images"),
         (_with(3, 2, np.nan), r"expected finite numbers, got NaN or infinity in rows \[3\]"),
-        (_with(4, 15, 20.0), r"expected 0 < near < far .* rows \[4\]"),
+        (_with(4, 15, 20.0), r"expected 0 < near < far.* rows \[4\]"),
         (_with(4, 0, 0.5), "orthonormal camera axes"),
         (lambda f: write_model(f / "sparse/0", 9, []), "expected the 10 images .*, got 9"),
         (lambda f: write_model(f / "sparse/0", 10, [], center_step=0.2), "camera centres up to"),

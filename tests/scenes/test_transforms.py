@@ -191,7 +191,7 @@ def _matrix(row: int, column: int, value: float) -> Callable[[Data], None]:
         (_matrix(0, 0, 2.0), r"orthonormal axes .* got others \(off by 3"),
         (_matrix(0, 0, -1.0), "right-handed, orthonormal axes"),
         (lambda d: d.pop("fl_x"), "expected fl_x or camera_angle_x, got neither"),
-        (lambda d: d.update(fl_x=-1.0), "expected positive sizes and focal lengths"),
+        (lambda d: d.update(fl_x=-1.0), "expected sides of 1 to 65500 pixels and positive"),
         (lambda d: d.update(fl_x="wide"), "expected fl_x to be a finite number, got wide"),
         (lambda d: (d.pop("fl_x"), d.update(camera_angle_x=4.0)), "camera_angle_x in .0, pi."),
         (lambda d: d.update(camera_model="OPENCV_FISHEYE"), "got OPENCV_FISHEYE; undistort"),

@@ -1,0 +1,77 @@
+"""Starts the worker, again after each case it died of, and counts the outcomes."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from framework.config import ROOT
+
+WALL_S = 600
+
+
+@dataclass
+class Tally:
+    """counts: reader -> outcome (`read`, `refused`, `bug`) -> number. bugs: what was not right."""
+
+    counts: dict[str, Counter[str]] = field(default_factory=dict)
+    bugs: list[str] = field(default_factory=list)
+
+    @property
+    def cases(self) -> int:
+        return sum(sum(counter.values()) for counter in self.counts.values())
+
+    def add(self, reader: str, index: int, outcome: str) -> None:
+        kind = outcome if outcome in ("read", "refused") else "bug"
+        self.counts.setdefault(reader, Counter())[kind] += 1
+        if kind == "bug":
+            self.bugs.append(f"{reader} {index}: {outcome}")
+
+
+def fuzz(results: Path, readers: Sequence[str], cases: int, seed: int) -> Tally:
+    """`cases` mutated inputs of each reader; `results` is a file for the worker's notes."""
+    tally = Tally()
+    waiting = [(list(readers), 0)]
+    while waiting:
+        names, first = waiting.pop(0)
+        results.write_text("", encoding="utf-8")
+        command = [sys.executable, "-m", "tests.fuzz.worker", str(results), str(seed)]
+        done = subprocess.run(
+            [*command, str(first), str(cases), *names], cwd=ROOT, check=False, timeout=WALL_S
+        )
+        died = _note(results, tally)
+        if done.returncode != 0 and died is None:
+            raise RuntimeError(f"the worker ended with {done.returncode} before its first case")
+        if died is not None:
+            name, index = died
+            tally.add(name, index, _how(done.returncode))
+            rest = names[names.index(name) + 1 :]
+            waiting += [([name], index + 1)] if index + 1 < cases else []
+            waiting += [(rest, 0)] if rest else []
+    return tally
+
+
+def _note(results: Path, tally: Tally) -> tuple[str, int] | None:
+    """Add the outcomes to `tally`; the case that was begun and has none."""
+    begun: tuple[str, int] | None = None
+    for line in results.read_text(encoding="utf-8").splitlines():
+        entry = json.loads(line)
+        if "outcome" in entry:
+            assert begun is not None, "an outcome follows its case"
+            tally.add(*begun, entry["outcome"])
+            begun = None
+        else:
+            begun = entry["reader"], entry["index"]
+    return begun
+
+
+def _how(code: int) -> str:
+    if code == -signal.SIGPROF:
+        return "hang: more than 5 s of CPU time"
+    return f"crash: {signal.Signals(-code).name if code < 0 else f'exit code {code}'}"

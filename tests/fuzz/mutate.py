@@ -1,0 +1,133 @@
+"""Mutations of a file's bytes: cut, flipped, spliced, huge counts, other types, other files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from tests.fuzz.structured import structured
+
+HUGE = [
+    *(2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**63, 2**64 - 1, 0, 1),
+    *(10**6, 10**9, 10**12),
+]
+WORDS = [
+    *(b"nan", b"-inf", b"1e999", b"-1", b"0", b"4294967296", b"99999999999999999999", b"9" * 5000),
+    *(b"", b"null", b"[]", b"{}", b'"x"', b"true", b"../../x", b"/etc/passwd", b"\0", b"\xff\xfe"),
+    *(b"*a", b"[" * 3000, b"1" * 400 + b".5", b"0x10", b"1_000", "٣".encode()),
+]
+Mutation = Callable[[bytes, np.random.Generator], bytes]
+
+
+def mutate(name: str, data: bytes, others: Sequence[bytes], draw: np.random.Generator) -> bytes:
+    """One to three mutations of the file `name` with `data`; now and then another file."""
+    if draw.random() < 0.03:
+        return others[int(draw.integers(len(others)))]
+    if draw.random() < 0.5:
+        changed = structured(name, data, draw)
+        if changed is not None:
+            return changed
+    usual = WRITTEN if name.endswith(TEXTS) and draw.random() < 0.8 else MUTATIONS
+    for _ in range(1 if draw.random() < 0.6 else int(draw.integers(2, 4))):
+        data = usual[int(draw.integers(len(usual)))](data, draw)
+    return data
+
+
+def _at(data: bytes, draw: np.random.Generator) -> int:
+    """A place in the data; every fourth time near its start, where headers are."""
+    size = max(len(data), 1)
+    return int(draw.integers(min(size, 96) if draw.random() < 0.25 else size))
+
+
+def _cut(data: bytes, draw: np.random.Generator) -> bytes:
+    return data[: _at(data, draw)]
+
+
+def _flip(data: bytes, draw: np.random.Generator) -> bytes:
+    out = bytearray(data)
+    for _ in range(int(draw.integers(1, 9))):
+        if out:
+            out[_at(data, draw)] ^= 1 << int(draw.integers(8))
+    return bytes(out)
+
+
+def _insert(data: bytes, draw: np.random.Generator) -> bytes:
+    at = _at(data, draw)
+    return data[:at] + draw.bytes(int(draw.integers(1, 40))) + data[at:]
+
+
+def _delete(data: bytes, draw: np.random.Generator) -> bytes:
+    at = _at(data, draw)
+    return data[:at] + data[at + int(draw.integers(1, 40)) :]
+
+
+def _repeat(data: bytes, draw: np.random.Generator) -> bytes:
+    start = _at(data, draw)
+    piece = data[start : start + int(draw.integers(1, 400))]
+    return data[:start] + piece * int(draw.integers(2, 6)) + data[start + len(piece) :]
+
+
+def _count(data: bytes, draw: np.random.Generator) -> bytes:
+    """A huge or odd integer over 4 or 8 bytes."""
+    width = int(draw.choice([4, 8]))
+    value = HUGE[int(draw.integers(len(HUGE)))] % (1 << 8 * width)
+    order = "little" if draw.random() < 0.7 else "big"
+    at = _at(data, draw)
+    return data[:at] + value.to_bytes(width, order) + data[at + width :]
+
+
+def _number(data: bytes, draw: np.random.Generator) -> bytes:
+    """Another word in place of a number that is written out."""
+    return _replace(rb"-?\d+\.?\d*(?:e[+-]?\d+)?", data, draw)
+
+
+def _word(data: bytes, draw: np.random.Generator) -> bytes:
+    return _replace(rb"[A-Za-z_][\w./]*", data, draw)
+
+
+def _replace(pattern: bytes, data: bytes, draw: np.random.Generator) -> bytes:
+    found = list(re.finditer(pattern, data[:200_000]))
+    if not found:
+        return data
+    match = found[int(draw.integers(len(found)))]
+    word = WORDS[int(draw.integers(len(WORDS)))]
+    return data[: match.start()] + word + data[match.end() :]
+
+
+def _lines(data: bytes, draw: np.random.Generator) -> bytes:
+    """Two lines change places, or one goes."""
+    lines = data.split(b"\n")
+    i, j = (int(draw.integers(len(lines))) for _ in range(2))
+    if draw.random() < 0.5:
+        del lines[i]
+    else:
+        lines[i], lines[j] = lines[j], lines[i]
+    return b"\n".join(lines)
+
+
+def _floats(data: bytes, draw: np.random.Generator) -> bytes:
+    """NaN, infinity or a huge number over 4 or 8 bytes."""
+    value = [np.nan, np.inf, -np.inf, 1e300, -0.0][int(draw.integers(5))]
+    with np.errstate(over="ignore"):
+        word = np.array(value, "<f4" if draw.random() < 0.5 else "<f8").tobytes()
+    at = _at(data, draw)
+    return data[:at] + word + data[at + len(word) :]
+
+
+def _twice(data: bytes, draw: np.random.Generator) -> bytes:
+    """One number in place of another."""
+    found = list(re.finditer(rb"-?\d+\.?\d*(?:e[+-]?\d+)?", data[:200_000]))
+    if not found:
+        return data
+    old, new = (found[int(draw.integers(len(found)))] for _ in range(2))
+    return data[: old.start()] + new.group() + data[old.end() :]
+
+
+WRITTEN: tuple[Mutation, ...] = (_cut, _repeat, _delete, _number, _number, _word, _lines, _twice)
+MUTATIONS: tuple[Mutation, ...] = (
+    *(_cut, _flip, _flip, _insert, _delete, _repeat, _count, _count, _number, _word, _lines),
+    *(_floats, _floats, _twice),
+)
+TEXTS = (".txt", ".csv", ".json", ".yaml", ".ply")

@@ -1,0 +1,164 @@
+"""Every reader of a file from elsewhere, with a valid example of what it reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+
+from framework.checkpoint import pack, unpack
+from framework.depth.from_file import DepthFile
+from framework.depth.read import load_map
+from framework.errors import UserError
+from framework.lpips import load as load_lpips
+from framework.ply import read_ply, write_ply
+from framework.record import read_run
+from framework.scenes import load_scene
+from framework.scenes.images import read_image
+from framework.trust import check_config_files
+from tests.metrics.test_lpips import features, state_dict
+from tests.record.fakes import fake_run, make_gaussians
+from tests.resume.test_checkpoint import state
+from tests.scenes.synthetic import write_llff, write_model, write_scene
+from tests.scenes.test_dtu import write_dtu
+from tests.scenes.test_transforms import BOUNDS
+from tests.scenes.test_transforms import write as write_transforms
+
+N_DTU = 49
+Step = Callable[[Path], object]
+
+
+@dataclass(frozen=True)
+class Reader:
+    """make(folder): a valid example; files: those of it that are mutated; read(folder): raises
+    `refusals` for a bad one."""
+
+    make: Step
+    files: tuple[str, ...]
+    read: Step
+    refusals: tuple[type[Exception], ...] = (UserError,)
+
+
+def write_binary_model(folder: Path) -> None:
+    """The text model of `write_model` with 10 images, as COLMAP's binaries."""
+    write_model(folder, 10, [((0.3, 0.1, 4.0), range(10)), ((-0.2, 0.0, 6.0), range(10))])
+    import pycolmap
+
+    model = pycolmap.Reconstruction(str(folder))
+    model.write_binary(str(folder))
+    for file in folder.glob("*.txt"):
+        file.unlink()
+
+
+def _colmap(folder: Path) -> None:
+    write_scene(folder)
+    for file in (folder / "sparse" / "0").iterdir():
+        file.unlink()
+    write_binary_model(folder / "sparse" / "0")
+
+
+def _scene(name: str, **options: Any) -> Step:
+    return lambda folder: load_scene(name, {"path": str(folder), "n_views": 3, **options})
+
+
+def _photo(name: str, mode: str) -> Step:
+    pixels = np.arange(24 * 32 * 4, dtype=np.uint32).reshape(24, 32, 4).astype(np.uint8)
+    channels = {"RGB": pixels[..., :3], "L": pixels[..., 0], "RGBA": pixels}[mode]
+    return lambda folder: Image.fromarray(channels).save(folder / name)
+
+
+def _points(folder: Path, text: bool) -> None:
+    from plyfile import PlyData, PlyElement
+
+    write_transforms(folder)
+    kinds = [(axis, "f4") for axis in "xyz"] + [(c, "u1") for c in ("red", "green", "blue")]
+    rows = np.array([(0, 0, 4, 1, 2, 3), (0.1, 0, 5, 4, 5, 6)], dtype=kinds)
+    PlyData([PlyElement.describe(rows, "vertex")], text=text).write(str(folder / "points.ply"))
+
+
+def _pack(folder: Path) -> None:
+    (folder / "state.safetensors").write_bytes(pack(state(3), CLASSES, "mine", "fuzz"))
+
+
+def _config(folder: Path) -> None:
+    tree = "study: demo\nhydra:\n  sweeper:\n    params:\n      seed: 0,1,2\n      a: [1, {b: 2}]\n"
+    (folder / "a.yaml").write_text(tree, encoding="utf-8")
+
+
+def _depth(file: str) -> Step:
+    options = DepthFile(path=".", invalid="error")
+    return lambda folder: load_map(folder / file, options)
+
+
+def _depth_png(folder: Path) -> None:
+    Image.fromarray(np.arange(768, dtype=np.uint16).reshape(24, 32)).save(folder / "a.png")
+
+
+def _lpips(folder: Path) -> None:
+    torch.save(state_dict("AlexNet", features("AlexNet")), folder / "weights.pth")
+
+
+def _classes() -> list[type]:
+    from framework.checkpoint import state_classes
+
+    return state_classes([])
+
+
+CLASSES = _classes()
+MODEL = "sparse/0"
+BINARY = tuple(f"{MODEL}/{stem}.bin" for stem in ("cameras", "images", "points3D"))
+TEXTS = tuple(f"{MODEL}/{stem}.txt" for stem in ("cameras", "images", "points3D"))
+VALUES = np.linspace(1, 2, 768, dtype=np.float32).reshape(24, 32)
+READERS: dict[str, Reader] = {
+    "splat ply": Reader(
+        lambda f: write_ply(f / "a.ply", make_gaussians(6, 1), torch.rand(3)),
+        ("a.ply",),
+        lambda f: read_ply(f / "a.ply"),
+    ),
+    "colmap binary": Reader(_colmap, BINARY, _scene("colmap")),
+    "colmap text": Reader(write_scene, TEXTS, _scene("colmap")),
+    "llff poses": Reader(write_llff, ("poses_bounds.npy",), _scene("llff")),
+    "dtu cameras": Reader(write_dtu, ("cameras.npz",), _scene("dtu", downscale=1)),
+    "transforms json": Reader(
+        write_transforms, ("transforms.json",), _scene("transforms", **BOUNDS)
+    ),
+    "points ply text": Reader(
+        lambda f: _points(f, True),
+        ("points.ply",),
+        _scene("transforms", points="points.ply", **BOUNDS),
+    ),
+    "points ply binary": Reader(
+        lambda f: _points(f, False),
+        ("points.ply",),
+        _scene("transforms", points="points.ply", **BOUNDS),
+    ),
+    "image png": Reader(_photo("a.png", "RGB"), ("a.png",), lambda f: read_image(f / "a.png")),
+    "image png alpha": Reader(
+        _photo("a.png", "RGBA"), ("a.png",), lambda f: read_image(f / "a.png", 255)
+    ),
+    "image jpeg": Reader(_photo("a.jpg", "RGB"), ("a.jpg",), lambda f: read_image(f / "a.jpg")),
+    "depth npy": Reader(lambda f: np.save(f / "a.npy", VALUES), ("a.npy",), _depth("a.npy")),
+    "depth npz": Reader(
+        lambda f: np.savez_compressed(f / "a.npz", depth=VALUES), ("a.npz",), _depth("a.npz")
+    ),
+    "depth png": Reader(_depth_png, ("a.png",), _depth("a.png")),
+    "run record": Reader(
+        lambda f: fake_run(f, run_name="run"),
+        tuple(f"runs/run/{name}" for name in ("record.json", "metrics.csv", "history.csv")),
+        lambda f: read_run(f / "runs" / "run"),
+    ),
+    "lpips weights": Reader(_lpips, ("weights.pth",), lambda f: load_lpips(f / "weights.pth")),
+    # its errors are caught by `Checkpoints`, which then uses the one before
+    "checkpoint": Reader(
+        _pack,
+        ("state.safetensors",),
+        lambda f: unpack(f / "state.safetensors", CLASSES),
+        (ValueError, RecursionError),
+    ),
+    "yaml": Reader(_config, ("a.yaml",), check_config_files),
+}

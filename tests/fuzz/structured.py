@@ -1,0 +1,127 @@
+"""Mutations that keep a format's outer shell whole, so that what lies behind it is reached: another
+value in a JSON tree, another array behind a right `.npy` header, a PNG chunk with its checksum."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import zipfile
+import zlib
+from typing import Any
+
+import numpy as np
+
+VALUES: list[Any] = [
+    *(None, True, -1, 0, 2**63, 10**400, 1e308, float("nan"), float("inf"), "", "x", "nan"),
+    *([], {}, [[]], [1, 2], {"a": 1}, "../../x.png", "/etc/passwd", "a\0b", "x" * 5000, "a\nb"),
+]
+SHAPES = [(0,), (3, 0), (1,), (24, 32, 1), (1, 24, 32), (2, 3, 4, 5), (), (10, 17), (32, 24)]
+TYPES = ["f2", "f8", "i1", "u8", "?", "c8", "U3", "S4", "M8[s]", "O", "f4,i4", ">f4", "V0"]
+
+
+def structured(name: str, data: bytes, draw: np.random.Generator) -> bytes | None:
+    """A mutation fit for the file called `name`; None where its format has no shell to keep."""
+    if name.endswith(".json"):
+        return _json(data, draw)
+    if name.endswith(".npy"):
+        return _npy(data, draw)
+    if name.endswith((".npz", ".pth")):
+        return _zip(data, draw)
+    if name.endswith(".png"):
+        return _png(data, draw)
+    return None
+
+
+def _json(data: bytes, draw: np.random.Generator) -> bytes:
+    tree = json.loads(data)
+    node, key = tree, None
+    for _ in range(int(draw.integers(1, 7))):
+        keys = list(node) if isinstance(node, dict) else range(len(node))
+        if not len(keys):
+            break
+        parent, key = node, keys[int(draw.integers(len(keys)))]
+        node = parent[key]
+        if not isinstance(node, (dict, list)):
+            break
+    if draw.random() < 0.2:
+        del parent[key]
+    else:
+        parent[key] = VALUES[int(draw.integers(len(VALUES)))]
+    return json.dumps(tree).encode("utf-8", "surrogatepass")
+
+
+def _npy(data: bytes, draw: np.random.Generator) -> bytes:
+    array = np.load(io.BytesIO(data), allow_pickle=False).copy()
+    kind = int(draw.integers(4))
+    if kind == 0 and array.size:
+        flat = array.reshape(-1)
+        odd = [np.nan, np.inf, -1.0, 0.0, 1e30][int(draw.integers(5))]
+        flat[int(draw.integers(flat.size))] = odd
+    elif kind == 1:
+        array = np.ones(SHAPES[int(draw.integers(len(SHAPES)))], array.dtype)
+    elif kind == 2:
+        array = np.zeros(array.shape, TYPES[int(draw.integers(len(TYPES)))])
+    else:
+        return _huge_npy(array, draw)
+    out = io.BytesIO()
+    np.save(out, array, allow_pickle=True)
+    return out.getvalue()
+
+
+def _huge_npy(array: np.ndarray, draw: np.random.Generator) -> bytes:
+    """A header that promises far more than follows."""
+    side = int(draw.choice([10**5, 2**31, 2**40, 2**62]))
+    shape = [(side,), (side, side), (24, 32, side), (-1, 32), (24.5, 32)][int(draw.integers(5))]
+    header = {"descr": array.dtype.str, "fortran_order": False, "shape": shape}
+    text = f"{header}".encode()
+    text += b" " * (-(len(text) + 11) % 64) + b"\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + array.tobytes()
+
+
+def _zip(data: bytes, draw: np.random.Generator) -> bytes:
+    """One member changed, or replaced by 40 MiB of zeros that pack to nothing."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(out, "w") as new:
+        names = old.namelist()
+        chosen = names[int(draw.integers(len(names)))]
+        for name in names:
+            member = old.read(name)
+            if name == chosen:
+                member = _member(name, member, draw)
+            new.writestr(name, member, zipfile.ZIP_DEFLATED if len(member) > 1 << 20 else None)
+    return out.getvalue()
+
+
+def _member(name: str, data: bytes, draw: np.random.Generator) -> bytes:
+    if draw.random() < 0.03:
+        return bytes(40 << 20)
+    if name.endswith(".npy"):
+        return _npy(data, draw)
+    out = bytearray(data or b"\0")
+    for _ in range(int(draw.integers(1, 5))):
+        out[int(draw.integers(len(out)))] ^= 1 << int(draw.integers(8))
+    return bytes(out)
+
+
+def _png(data: bytes, draw: np.random.Generator) -> bytes:
+    """Bytes of one chunk changed, its checksum made right."""
+    chunks, at = [], 8
+    while at + 12 <= len(data):
+        size = struct.unpack_from(">I", data, at)[0]
+        chunks.append((data[at + 4 : at + 8], data[at + 8 : at + 8 + size]))
+        at += 12 + size
+    chosen = 0 if draw.random() < 0.7 else int(draw.integers(len(chunks)))
+    kind, body = chunks[chosen]
+    changed = bytearray(body or b"\0")
+    if chosen == 0 and draw.random() < 0.5:
+        sides = [0, 1, 25, 7000, 9000, 65501, 2**31 - 1, 2**32 - 1]
+        width, height = (int(draw.choice(sides)) for _ in range(2))
+        changed[:8] = struct.pack(">II", width, height)
+    else:
+        changed[int(draw.integers(len(changed)))] ^= 1 << int(draw.integers(8))
+    chunks[chosen] = (kind, bytes(changed))
+    return data[:8] + b"".join(
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        for kind, body in chunks
+    )

@@ -1,0 +1,65 @@
+"""Mutated inputs of every reader: each ends in the documented error or in a correct read; no crash,
+no hang, no memory beyond the limit. `benchmarks/fuzz.py` does the same for longer."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from framework.arrays import read_npy
+from framework.errors import UserError, printable_line
+from framework.paths import inside
+from tests.fuzz.drive import fuzz
+from tests.fuzz.readers import READERS
+
+CASES = 36  # of each reader
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the worker's limits are those of Linux")
+def test_mutated_inputs_end_in_the_documented_error_or_a_read(tmp_path: Path) -> None:
+    tally = fuzz(tmp_path / "results", list(READERS), CASES, seed=0)
+    assert tally.bugs == []
+    assert tally.cases == CASES * len(READERS) >= 500
+    assert all(counts["refused"] and counts["read"] for counts in tally.counts.values())
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(st.text(st.characters(exclude_categories=[]), max_size=80))
+def test_a_name_stays_inside_its_folder_or_is_refused(name: str) -> None:
+    folder = Path(__file__).parent
+    try:
+        path = inside(folder, name)
+    except UserError as error:
+        assert "\n" not in str(error)
+    else:
+        assert path.resolve().is_relative_to(folder)
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(st.text(st.characters(exclude_categories=[]), max_size=3000))
+def test_every_message_is_one_printable_line(text: str) -> None:
+    line = printable_line(text)
+    assert line.isprintable() and len(line) <= 1000
+    assert str(UserError(text)) == line
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(
+    shape=st.lists(st.integers(0, 4), max_size=4).map(tuple),
+    kind=st.sampled_from(["<f4", ">f8", "<i2", "|u1", "|b1"]),
+    fortran=st.booleans(),
+)
+def test_arrays_are_read_back(
+    tmp_path_factory: pytest.TempPathFactory, shape: tuple[int, ...], kind: str, fortran: bool
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "array.npy"
+    values = np.arange(np.prod(shape, dtype=int)).reshape(shape).astype(kind)
+    np.save(path, np.asfortranarray(values) if fortran else values)
+    read = read_npy(path)
+    assert read.dtype == values.dtype
+    np.testing.assert_array_equal(read, values)

@@ -1,0 +1,92 @@
+"""A process that reads mutated files, within limits of memory and time.
+
+    python -m tests.fuzz.worker RESULTS SEED FIRST LAST READER...
+
+For every reader and number from FIRST to LAST - 1 a line goes into RESULTS before the case and one
+with its outcome after it; so whoever started this process sees at which case it died.
+`read`: the reader took it. `refused`: its documented error, one line. All else is a bug.
+A case may take 5 s of CPU time (SIGPROF ends the process) and 1 GiB beyond what the process had
+after reading every valid example.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import traceback
+from pathlib import Path
+
+from framework.errors import LONGEST
+from framework.rng import stream
+from tests.fuzz.mutate import mutate
+from tests.fuzz.readers import READERS, Reader
+
+CPU_S = 5.0
+MEMORY = 1 << 30
+
+
+def main(arguments: list[str]) -> None:
+    results, seed, first, last, *names = arguments
+    with tempfile.TemporaryDirectory() as folder, open(results, "a", encoding="utf-8") as out:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # libpng and its like complain there
+        pristine = {name: _prepare(READERS[name], Path(folder) / name) for name in names}
+        _limit_memory()
+        for name in names:
+            for index in range(int(first), int(last)):
+                print(json.dumps({"reader": name, "index": index}), file=out, flush=True)
+                outcome = _case(name, Path(folder) / name, pristine, int(seed), index)
+                print(json.dumps({"outcome": outcome}), file=out, flush=True)
+
+
+def _prepare(reader: Reader, folder: Path) -> dict[str, bytes]:
+    """Write the valid example and read it; the bytes of its files."""
+    folder.mkdir()
+    reader.make(folder)
+    reader.read(folder)
+    return {name: (folder / name).read_bytes() for name in reader.files}
+
+
+def _limit_memory() -> None:
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    limit = pages * resource.getpagesize() + MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+
+
+def _case(
+    name: str, folder: Path, pristine: dict[str, dict[str, bytes]], seed: int, index: int
+) -> str:
+    draw = stream(seed, f"fuzz/{name}/{index}")
+    files = pristine[name]
+    file = list(files)[int(draw.integers(len(files)))]
+    others = [data for other in pristine.values() for data in other.values()]
+    (folder / file).write_bytes(mutate(file, files[file], others, draw))
+    try:
+        return _outcome(READERS[name], folder)
+    finally:
+        (folder / file).write_bytes(files[file])
+
+
+def _outcome(reader: Reader, folder: Path) -> str:
+    signal.setitimer(signal.ITIMER_PROF, CPU_S)
+    try:
+        with contextlib.redirect_stdout(None):
+            reader.read(folder)
+    except reader.refusals as error:
+        text = str(error)
+        whole = "\n" not in text and 0 < len(text) <= LONGEST
+        return "refused" if whole or reader.refusals[0] is ValueError else f"message: {text[:900]}"
+    except BaseException as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        return f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}: {error}"
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+    return "read"
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

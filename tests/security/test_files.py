@@ -1,0 +1,266 @@
+"""Files from elsewhere: no code, no path out of their folder, no memory beyond the limits."""
+
+from __future__ import annotations
+
+import ast
+import io
+import json
+import pickle
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from framework import limits
+from framework.archives import open_zip
+from framework.arrays import read_npy, read_npz
+from framework.config import ROOT
+from framework.errors import UserError
+from framework.lpips import load as load_lpips
+from framework.ply import read_ply
+from framework.ply_counts import check_counts
+from framework.record import read_record, read_run
+from framework.scenes import load_scene
+from framework.scenes.images import list_images, read_image
+from tests.metrics.test_lpips import features, state_dict
+from tests.record.fakes import fake_run
+from tests.scenes.synthetic import write_llff, write_scene
+from tests.scenes.test_transforms import write as write_transforms
+
+SOURCES = [*(ROOT / "framework").rglob("*.py"), *(ROOT / "plugins").rglob("*.py")]
+CODE = {"eval", "exec", "compile", "__import__"}
+PICKLERS = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "marshal", "joblib"}
+
+
+class Mkdir:
+    """Unpickled, it would make the folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __reduce__(self) -> tuple[Callable[..., object], tuple[Path]]:
+        return Path.mkdir, (self.folder,)
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_source_unpickles_or_evaluates(path: Path) -> None:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            names = [a.name for a in node.names] + [getattr(node, "module", None) or ""]
+            assert not {name.partition(".")[0] for name in names} & PICKLERS
+        if not isinstance(node, ast.Call):
+            continue
+        called = ast.unparse(node.func)
+        keywords = {k.arg: ast.unparse(k.value) for k in node.keywords}
+        assert called not in CODE
+        if called == "np.load":
+            assert keywords.get("allow_pickle") == "False"
+        if called == "torch.load":
+            assert keywords.get("weights_only") == "True"
+
+
+def test_pickles_in_arrays_and_weights_are_refused(tmp_path: Path) -> None:
+    canary = tmp_path / "canary"
+    np.save(tmp_path / "a.npy", np.array([Mkdir(canary)], dtype=object), allow_pickle=True)
+    with pytest.raises(UserError, match="expected numbers, got type object"):
+        read_npy(tmp_path / "a.npy")
+    np.savez(tmp_path / "a.npz", depth=np.array([Mkdir(canary)], dtype=object))
+    with pytest.raises(UserError, match="expected numbers, got type object"):
+        read_npz(tmp_path / "a.npz", ["depth"])
+    (tmp_path / "raw.pth").write_bytes(pickle.dumps(Mkdir(canary)))
+    torch.save({"net": Mkdir(canary)}, tmp_path / "zip.pth")
+    for name in ("raw.pth", "zip.pth"):
+        with pytest.raises(UserError, match="not a readable state dict"):
+            load_lpips(tmp_path / name)
+    assert not canary.exists()
+
+
+def _png(width: int, height: int) -> bytes:
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return (
+            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        )
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    packed = zlib.compress(bytes(min((width + 1) * height, 1 << 20)))
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", packed) + chunk(b"IEND", b"")
+    )
+
+
+@pytest.mark.parametrize(("width", "height"), [(13_000, 13_000), (10_000, 5_001), (1, 70_000)])
+def test_image_bombs_are_refused_by_their_header(tmp_path: Path, width: int, height: int) -> None:
+    (tmp_path / "a.png").write_bytes(_png(width, height))
+    with pytest.raises(UserError, match=f"got {width}x{height}; resize it"):
+        read_image(tmp_path / "a.png")
+
+
+def test_an_image_beyond_what_pillow_opens(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(_png(60_000, 60_000))
+    with pytest.raises(UserError, match=r"Image size \(3600000000 pixels\) exceeds limit"):
+        read_image(tmp_path / "a.png")
+
+
+def test_images_are_png_or_jpeg_whatever_their_suffix(tmp_path: Path) -> None:
+    Image.new("RGB", (8, 8)).save(tmp_path / "a.tiff")
+    (tmp_path / "a.tiff").rename(tmp_path / "a.png")
+    (tmp_path / "b.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n")
+    for name in ("a.png", "b.png"):
+        with pytest.raises(UserError, match="expected a readable image"):
+            read_image(tmp_path / name)
+
+
+def _npy_header(shape: object) -> bytes:
+    text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}}}\n".encode()
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
+
+
+@pytest.mark.parametrize(
+    "shape", [(10**12,), (2**62, 4), (-1,), (1.5,), "(" * 90 + ")" * 90, "-" * 900 + "1"]
+)
+def test_array_headers_that_promise_too_much(tmp_path: Path, shape: object) -> None:
+    (tmp_path / "a.npy").write_bytes(_npy_header(shape) + bytes(64))
+    with pytest.raises(UserError, match=r"a\.npy: expected"):
+        read_npy(tmp_path / "a.npy")
+
+
+def test_zip_bombs_are_refused_before_they_are_unpacked(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        for number in range(5):
+            archive.writestr(f"{number}.npy", bytes(4 * limits.MIB))
+    with pytest.raises(UserError, match=r"at most 9,000,000 bytes when unpacked, got 20,971,520"):
+        read_npz(tmp_path / "a.npz", ["0"], most_bytes=9_000_000)
+    assert (tmp_path / "a.npz").stat().st_size < limits.MIB
+
+
+def test_archives_of_very_many_members_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("framework.archives.CONTENTS_BYTES", 10_000)
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        for number in range(300):
+            archive.writestr(f"{number}", b"")
+    with pytest.raises(UserError, match="table of contents of at most 10,000 bytes, got"):
+        open_zip(tmp_path / "a.zip", limits.ARRAY_BYTES)
+
+
+def test_weights_that_are_views_of_little_data(tmp_path: Path) -> None:
+    torch.save({"a": torch.zeros(1).expand(10**6, 10**6)}, tmp_path / "w.pth")
+    with pytest.raises(UserError, match="tensors of at most 536,870,912 bytes"):
+        load_lpips(tmp_path / "w.pth")
+    state = state_dict("VGG-16", features("VGG-16"))
+    state["net.slice1.0.weight"] = torch.zeros(1, 3, 1, 1).expand(10**6, 3, 3, 3)
+    torch.save(state, tmp_path / "w.pth")
+    with pytest.raises(UserError, match="more than 512 channels"):
+        load_lpips(tmp_path / "w.pth")
+
+
+@pytest.mark.parametrize("count", ["1000000000000", "9" * 5000, "-1"])
+def test_ply_counts_are_compared_with_the_file(tmp_path: Path, count: str) -> None:
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
+    (tmp_path / "a.ply").write_text(f"{head}property float x\nend_header\n")
+    for read in (read_ply, check_counts):
+        with pytest.raises(UserError, match=r"a\.ply: expected"):
+            read(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("name", ["../private.png", "/etc/hostname", "sub/../../private.png"])
+def test_names_that_lead_out_of_the_scene(tmp_path: Path, name: str) -> None:
+    Image.new("RGB", (40, 30)).save(tmp_path / "private.png")
+    scene = write_scene(tmp_path / "scene")
+    images = scene / "sparse" / "0" / "images.txt"
+    images.write_text(images.read_text().replace("im01.png", f"../{name}"))
+    with pytest.raises(UserError, match="expected names inside this folder"):
+        load_scene("colmap", {"path": str(scene), "n_views": 3})
+    other = write_transforms(
+        tmp_path / "other", lambda data: data["frames"][1].update(file_path=name)
+    )
+    with pytest.raises(UserError, match="expected names inside this folder"):
+        load_scene("transforms", {"path": str(other), "n_views": 3, "near": 1.0, "far": 9.0})
+    with pytest.raises(UserError, match="expected names inside this folder"):
+        load_scene("colmap", {"path": str(scene), "images": name})
+
+
+def test_links_out_of_the_scene(tmp_path: Path) -> None:
+    Image.new("RGB", (40, 30)).save(tmp_path / "private.png")
+    scene = write_llff(tmp_path / "scene")
+    photo = scene / "images_8" / "im01.png"
+    photo.unlink()
+    photo.symlink_to(tmp_path / "private.png")
+    with pytest.raises(UserError, match=r"got 'im01\.png', which leads out of it"):
+        load_scene("llff", {"path": str(scene)})
+    photo.unlink()
+    photo.symlink_to(photo)  # in a circle
+    with pytest.raises(UserError, match=r"im01\.png"):
+        load_scene("llff", {"path": str(scene)})
+    photo.unlink()
+    photo.symlink_to(scene / "images_8" / "im02.png")  # inside: the user's own affair
+    (tmp_path / "link").symlink_to(scene)
+    assert len(list_images(tmp_path / "link" / "images_8")) == 10
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda record: record.update(status="perfect"),
+        lambda record: record.update(gaussians="many"),
+        lambda record: record.update(config=[]),
+        lambda record: record["config"].update(seed="0"),
+        lambda record: record["config"].update(augment={"name": []}),
+        lambda record: record["scene"].update(name="a\nb"),
+        lambda record: record["scene"].update(extra=1),
+        lambda record: record["timings"].append({"stage": "x", "wall_s": "1", "cpu_s": 1}),
+        lambda record: record["summary"].update(psnr={"mean": "12", "missing": None}),
+        lambda record: record.update(overrides="seed=0"),
+    ],
+)
+def test_records_of_wrong_types_are_damaged(tmp_path: Path, change: Callable) -> None:  # type: ignore[type-arg]
+    file = fake_run(tmp_path) / "record.json"
+    record = json.loads(file.read_text())
+    change(record)
+    file.write_text(json.dumps(record))
+    with pytest.raises(UserError, match="expected a run's record, got a damaged one"):
+        read_record(file)
+
+
+def test_a_record_of_endless_brackets(tmp_path: Path) -> None:
+    file = fake_run(tmp_path) / "record.json"
+    file.write_text("[" * 100_000)
+    with pytest.raises(UserError, match="got a damaged one"):
+        read_record(file)
+
+
+@pytest.mark.parametrize("stem", ["../../../private", "/etc/x", "a/b", "..", "a\0b", "x" * 300])
+def test_the_report_opens_no_file_outside_its_run(tmp_path: Path, stem: str) -> None:
+    run_dir = fake_run(tmp_path)
+    table = run_dir / "metrics.csv"
+    text = table.read_text().replace("test_00", stem)
+    assert text != table.read_text()
+    table.write_text(text)
+    with pytest.raises(UserError, match=r"expected metrics\.csv .* got damaged ones"):
+        read_run(run_dir)
+
+
+def test_large_text_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run_dir = fake_run(tmp_path)
+    monkeypatch.setattr("framework.run_files.TEXT_BYTES", 100)
+    with pytest.raises(UserError, match="expected a file of at most 100 bytes, got"):
+        read_run(run_dir)
+    monkeypatch.setattr("framework.record.TEXT_BYTES", 100)
+    with pytest.raises(UserError, match="expected a file of at most 100 bytes, got"):
+        read_record(run_dir / "record.json")
+
+
+def test_a_message_brings_no_control_characters_along(tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_bytes(b"ply\nformat \x1b]0;owned\x07\nend_header\n")
+    with pytest.raises(UserError) as caught:
+        read_ply(tmp_path / "a.ply")
+    assert str(caught.value).isprintable()
+    assert io.StringIO(str(caught.value)).readline() == str(caught.value)
