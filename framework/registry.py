@@ -14,11 +14,14 @@ import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
 from framework.errors import UserError, nearest_hint, require
 
 GROUPS = {"augment": "plugins.augment", "reg": "plugins.regularize", "capacity": "plugins.capacity"}
+FOLDER = Path(__file__).resolve().parent.parent / "plugins"
 FRAMEWORK_KEYS = {"weight": 1.0, "start": 0.0, "stop": 1.0}
 
 _classes: dict[str, dict[str, type]] = {group: {} for group in GROUPS}
@@ -50,10 +53,34 @@ def discover() -> None:
     """Import every plugin module, so that all of them are registered."""
     for package_name in GROUPS.values():
         package = importlib.import_module(package_name)
+        _check_place(package)
         for module in pkgutil.iter_modules(package.__path__):
             importlib.import_module(f"{package_name}.{module.name}")
     for point in _installed():
+        _load(point)
+
+
+def _check_place(package: ModuleType) -> None:
+    """Another package called `plugins` may come before ours on the path; it is not used."""
+    place = Path(str(package.__file__)).resolve()
+    require(
+        place.is_relative_to(FOLDER),
+        f"{package.__name__}: expected the plugins in {FOLDER}, got {place}; take the other package"
+        " called 'plugins' off PYTHONPATH",
+    )
+
+
+def _load(point: EntryPoint) -> None:
+    """Import an installed package's plugins. Raises UserError, naming it, when that fails."""
+    try:
         point.load()
+    except UserError:
+        raise
+    except Exception as error:  # whatever somebody else's code raises
+        raise UserError(
+            f"entry point {point.name} = {point.value}: expected a module of plugins that imports,"
+            f" got {type(error).__name__}: {error}; repair or uninstall that package"
+        ) from error
 
 
 @functools.cache

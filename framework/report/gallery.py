@@ -16,9 +16,11 @@ from pathlib import Path
 
 from PIL import Image
 
+from framework.limits import IMAGE_BYTES, check_size
 from framework.report.collect import ReportRun, Study
 from framework.report.labels import outside
 from framework.report.views import choose_views, image_file, psnr_of
+from framework.scenes.images import read_image
 
 CAP_BYTES, CAP_IMAGES = 8_000_000, 1500
 LONGEST = 640
@@ -75,10 +77,11 @@ def _layers(study: Study) -> Iterator[list[tuple[ReportRun, str]]]:
 
 def _add(found: Gallery, path: Path, known: dict[bytes, int] | None = None) -> int:
     """Index of the image's copy; equal files are kept once where `known` is given."""
+    check_size(path, IMAGE_BYTES)
     original = path.read_bytes()
     if known is not None and original in known:
         return known[original]
-    copy = _copy(original)
+    copy = _copy(path)
     found.size += len(copy)
     found.images.append("data:image/webp;base64," + base64.b64encode(copy).decode())
     if known is not None:
@@ -86,10 +89,9 @@ def _add(found: Gallery, path: Path, known: dict[bytes, int] | None = None) -> i
     return len(found.images) - 1
 
 
-def _copy(original: bytes) -> bytes:
+def _copy(path: Path) -> bytes:
     buffer = io.BytesIO()
-    with Image.open(io.BytesIO(original)) as image:
-        pixels = image.convert("RGB")
+    pixels = Image.fromarray(read_image(path))
     pixels.thumbnail((LONGEST, LONGEST), Image.Resampling.LANCZOS)
     pixels.save(buffer, format="WEBP", quality=QUALITY, method=EFFORT)
     return buffer.getvalue()

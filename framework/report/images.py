@@ -8,11 +8,9 @@ mean square over the channels, in units of the full range.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import matplotlib
 import numpy as np
-from PIL import Image
 
 from framework.report.collect import ReportRun, Study
 from framework.report.document import Picture
@@ -22,6 +20,7 @@ from framework.report.labels import outside, slug
 from framework.report.numbers import significant
 from framework.report.views import ShownViews, choose_views, image_file, psnr_of
 from framework.run_files import ERROR_SCALE
+from framework.scenes.images import read_image
 
 SIGMA_SCALE, SIGMA_COLORS = 0.1, "viridis"
 FEWEST_SEEDS = 3  # a deviation of two values says little about a pixel
@@ -34,13 +33,16 @@ def draw_images(study: Study, scene: str) -> Picture | None:
         return None
     bands = []
     for view, why in shown.views:
-        truth = Cell("ground truth", _pixels(image_file(shown.runs[0], view, "truth")))
+        truth = Cell("ground truth", read_image(image_file(shown.runs[0], view, "truth")))
         renders = [
-            Cell(f"{run.method}\n{_psnr_text(run, view)}", _pixels(image_file(run, view, "render")))
+            Cell(
+                f"{run.method}\n{_psnr_text(run, view)}",
+                read_image(image_file(run, view, "render")),
+            )
             for run in shown.runs
         ]
         errors = [
-            Cell(f"error: {run.method}", _pixels(image_file(run, view, "error")))
+            Cell(f"error: {run.method}", read_image(image_file(run, view, "error")))
             for run in shown.runs
         ]
         scale = Scale("mean absolute error", "magma", ERROR_SCALE)
@@ -62,7 +64,7 @@ def draw_sigma_maps(study: Study, scene: str) -> Picture | None:
         return None
     bands = []
     for view, why in shown.views:
-        truth = Cell("ground truth", _pixels(image_file(shown.runs[0], view, "truth")))
+        truth = Cell("ground truth", read_image(image_file(shown.runs[0], view, "truth")))
         scale = Scale("standard deviation over seeds", SIGMA_COLORS, SIGMA_SCALE)
         maps = [_sigma_cell(method, runs, view) for method, runs in groups]
         bands.append(Band(f"{outside(view)} ({why})", ((truth, *maps),), scale))
@@ -80,7 +82,7 @@ def sigma_map(runs: Sequence[ReportRun], view: str) -> np.ndarray:
     the renders in [0, 1]."""
     total = squares = np.zeros(1)
     for run in runs:
-        pixels = _pixels(image_file(run, view, "render")).astype(np.float64)
+        pixels = read_image(image_file(run, view, "render")).astype(np.float64)
         total, squares = total + pixels, squares + pixels**2
     n = len(runs)
     variance = np.maximum(squares - total**2 / n, 0.0) / (n - 1)
@@ -94,11 +96,6 @@ def _sigma_cell(method: str, runs: Sequence[ReportRun], view: str) -> Cell:
     colours = matplotlib.colormaps[SIGMA_COLORS](np.clip(sigma / SIGMA_SCALE, 0, 1), bytes=True)
     title = f"{method}\nrms {significant(rms)} (n = {len(having)})"
     return Cell(title, np.ascontiguousarray(colours[..., :3]))
-
-
-def _pixels(path: Path) -> np.ndarray:
-    with Image.open(path) as image:
-        return np.asarray(image.convert("RGB"))
 
 
 def _psnr_text(run: ReportRun, view: str) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from framework.paths import inside
 from framework.report.collect import ReportRun, Study
 from framework.run_files import RENDERS
 
@@ -37,9 +38,9 @@ def choose_views(study: Study, scene: str) -> ShownViews:
 
 
 def image_file(run: ReportRun, view: str, kind: str) -> Path:
-    """kind: `render`, `truth` or `error`."""
+    """kind: `render`, `truth` or `error`. Raises UserError where that leads out of the run."""
     suffix = "" if kind == "render" else f"_{kind}"
-    return run.run.run_dir / RENDERS / f"{run.files[view]}{suffix}.png"
+    return inside(run.run.run_dir, f"{RENDERS}/{run.files[view]}{suffix}.png")
 
 
 def psnr_of(run: ReportRun, view: str) -> float | None:

@@ -1,0 +1,83 @@
+"""Plugins come from the plugins folder and from installed entry points, from nowhere else."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from framework.config import ROOT
+
+PLUGIN = """
+from dataclasses import dataclass
+from pathlib import Path
+from framework.plugin import Regularizer, register
+Path("imported").touch()
+@register("reg", "foreign")
+@dataclass(frozen=True)
+class Foreign(Regularizer):
+    pass
+"""
+
+
+def run(folder: Path, path: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, str(ROOT / "run.py"), "reg=foreign", "--cfg", "job"],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+def install(site: Path, source: str) -> None:
+    metadata = site / "foreign-1.0.dist-info"
+    metadata.mkdir(parents=True)
+    (site / "foreign.py").write_text(source)
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: foreign\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[fishersplat.plugins]\nforeign = foreign\n")
+
+
+def test_a_module_that_is_merely_there_is_not_imported(tmp_path: Path) -> None:
+    for folder in ("", "plugins", "plugins/regularize", "conf"):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / "foreign.py").write_text(PLUGIN)
+    done = run(tmp_path, str(tmp_path))
+    assert done.returncode == 2 and "reg=foreign: unknown reg" in done.stderr
+    assert not (tmp_path / "imported").exists()
+
+
+def test_an_installed_entry_point_is(tmp_path: Path) -> None:
+    install(tmp_path / "site", PLUGIN)
+    done = run(tmp_path, str(tmp_path / "site"))
+    assert done.returncode == 0, done.stderr
+    assert "name: foreign" in done.stdout
+
+
+@pytest.mark.parametrize("source", ["import no_such_module", "1 / 0", "def"])
+def test_one_that_does_not_import_is_named_in_one_line(tmp_path: Path, source: str) -> None:
+    install(tmp_path / "site", source)
+    done = run(tmp_path, str(tmp_path / "site"))
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: entry point foreign = foreign: expected a module")
+    assert done.stderr.count("\n") == 1
+
+
+def test_another_package_called_plugins_is_not_ours(tmp_path: Path) -> None:
+    code = "import sys; sys.path.insert(0, '.'); from framework.registry import names; names('reg')"
+    (tmp_path / "plugins" / "augment").mkdir(parents=True)
+    for folder in ("plugins", "plugins/augment"):
+        (tmp_path / folder / "__init__.py").touch()
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert "plugins.augment: expected the plugins in" in done.stderr.splitlines()[-1]
