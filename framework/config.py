@@ -37,7 +37,10 @@ GROUPS = (*OBJECT_GROUPS, "preset", "method", "experiment", "sweep")
 Row = tuple[str, Any, Any]  # (option name, type, dataclasses.field)
 
 
-SCALARS = {"seed": int, "study": str | None, "threads": int, "force": bool, "traceback": bool}
+SCALARS = {
+    **{"seed": int, "study": str | None, "threads": int},
+    **{"force": bool, "traceback": bool, "estimate": bool},
+}
 METRICS = {"lpips_weights": str | None}
 
 

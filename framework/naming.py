@@ -20,7 +20,7 @@ from framework.config import check, rows
 from framework.trust import refuse_environment
 
 # A run's name must not depend on these: the seed is written out, the others do not change a run.
-NOT_HASHED = ("seed", "threads", "force", "study", "traceback")
+NOT_HASHED = ("seed", "threads", "force", "study", "traceback", "estimate")
 
 
 def plain(config: DictConfig) -> dict[str, Any]:

@@ -26,7 +26,7 @@ import framework
 from framework.parallel import threads
 
 ROOT = Path(framework.__file__).resolve().parent.parent
-NEUTRAL_KEYS = ("threads", "force", "study", "traceback", "hydra")
+NEUTRAL_KEYS = ("threads", "force", "study", "traceback", "estimate", "hydra")
 PACKAGES = (
     *("torch", "numpy", "numba", "llvmlite", "scipy", "scikit-image", "flip-evaluator"),
     *("kornia", "pycolmap", "opencv-contrib-python-headless", "hydra-core"),

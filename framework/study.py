@@ -28,9 +28,11 @@ from framework.complaints import USER_ERRORS
 from framework.config import check
 from framework.disk import check_room
 from framework.errors import UserError
+from framework.estimate import announce
 from framework.files import write_whole
 from framework.locks import locked
 from framework.naming import plain, study_dir
+from framework.stopwatch import Stopwatch, duration
 from framework.trust import check_composed
 
 LEDGER_VARIABLE = "FISHERSPLAT_LEDGER"
@@ -87,6 +89,10 @@ def job_count() -> int | None:
 class StudyCallback(Callback):
     """Refuses a bad multirun before its first run; builds the reports after the last."""
 
+    def __init__(self) -> None:
+        self._watch = Stopwatch()
+        self._expected_s: float | None = None
+
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
         os.environ[JOBS_VARIABLE] = "1"
 
@@ -95,16 +101,23 @@ class StudyCallback(Callback):
             return
         try:
             jobs = sweep_jobs(config)
-            for folder, configs in check_jobs(config, jobs).items():
+            studies = check_jobs(config, jobs)
+            for folder, configs in studies.items():
                 check_room(folder, configs)
+            if config.estimate:
+                every = [run for configs in studies.values() for run in configs]
+                self._expected_s = announce(every, _at_once(config))
         except USER_ERRORS as error:
             raise Refused from error
         os.environ[JOBS_VARIABLE] = str(len(jobs))
+        self._watch = Stopwatch()
 
     def on_run_end(self, config: DictConfig, **kwargs: Any) -> None:
         build_reports()
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        told = "" if self._expected_s is None else f" (estimated {duration(self._expected_s)})"
+        print(f"{len(outcomes())} runs took {duration(self._watch.wall_s)}{told}", flush=True)
         build_reports()
 
 
@@ -153,6 +166,12 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
             )
         taken[folder] = job
     return studies
+
+
+def _at_once(config: DictConfig) -> int:
+    """How many runs the launcher does at a time."""
+    asked = int(config.hydra.launcher.get("n_jobs") or 1)
+    return asked if asked > 0 else os.cpu_count() or 1
 
 
 def _study_dir(composed: DictConfig) -> Path:

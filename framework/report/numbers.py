@@ -76,16 +76,6 @@ def half_width(values: Sequence[float]) -> float:
     return 0.0 if interval is None else (interval.high - interval.low) / 2
 
 
-def duration(seconds: float) -> str:
-    """`45 s`, `3 min 20 s`, `2 h 5 min`."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s" if seconds >= 1 else "less than 1 s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
-
-
 def average(values: Sequence[float | None]) -> float | None:
     """The mean; None unless there are values and none is missing."""
     known = [value for value in values if value is not None]

@@ -9,7 +9,7 @@ from typing import Any
 from framework.report.collect import Study
 from framework.report.document import Block, Bullets, Heading, Text
 from framework.report.labels import code, outside
-from framework.report.numbers import duration
+from framework.stopwatch import duration
 
 SHOWN_VIEWS = 12
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import framework.report
-from framework import cli
+from framework import cli, estimate
 from framework.errors import UserError
 from framework.progress import Progress
 
@@ -32,6 +32,10 @@ class FakeRuns:
             raise failure
         progress.done("finished")
 
+    def measure(self, config: dict[str, Any]) -> estimate.Cost:
+        """A tenth of a second per step, two seconds per run, three per scene."""
+        return estimate.Cost(0.1, 2.0, 3.0)
+
     @property
     def methods(self) -> list[tuple[str, str, int]]:
         return [(c["augment"]["name"], c["reg"]["name"], c["seed"]) for c in self.seen]
@@ -52,6 +56,7 @@ def runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FakeRuns:
     monkeypatch.setenv("FISHERSPLAT_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(cli, "_run", fake.run)
     monkeypatch.setattr(framework.report, "build_report", fake_report)
+    monkeypatch.setattr(estimate, "measure", fake.measure)
     work = tmp_path / "work"
     work.mkdir()
     monkeypatch.chdir(work)

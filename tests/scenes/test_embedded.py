@@ -210,3 +210,29 @@ def test_poses_are_rotations_that_look_ahead(scene: Scene) -> None:
 def test_options_out_of_range(option: str, value: float) -> None:
     with pytest.raises(UserError, match=rf"scene=embedded: expected {option} .*, got {value}"):
         dataclasses.replace(Embedded(), **{option: value})
+
+
+def test_pose_noise_tells_training_poses_wrong_and_nothing_else(scene: Scene) -> None:
+    wrong = load_scene("embedded", {"pose_noise": 2.0})
+    assert wrong.fingerprint != scene.fingerprint
+    for told, true in zip(wrong.test, scene.test, strict=True):
+        assert torch.equal(told.camera.viewmat, true.camera.viewmat)
+    for told, true in zip(wrong.training.views, scene.training.views, strict=True):
+        assert torch.equal(told.image, true.image)
+        turn = told.camera.viewmat[:3, :3]
+        assert torch.allclose(turn @ turn.T, torch.eye(3, dtype=turn.dtype), atol=1e-12)
+        assert not torch.equal(told.camera.viewmat, true.camera.viewmat)
+
+
+def test_pose_noise_is_as_large_as_it_says() -> None:
+    """Rms shift of a point at the focus: a turn and a move of `angle` each, hence sqrt(2) angle."""
+    angle = 0.01
+    poses = np.stack([rig.pose((0.0, 0.0, 0.0), 0.35)] * 400)
+    point = np.array([*rig.FOCUS])
+
+    def on_screen(pose: np.ndarray) -> np.ndarray:
+        seen = (point - pose[:, 3]) @ pose[:, :3]
+        return seen[:2] / seen[2]
+
+    shifts = np.array([on_screen(p) for p in rig.disturbed(poses, angle)]) - on_screen(poses[0])
+    assert np.sqrt((shifts**2).mean(axis=0)) == pytest.approx(2**0.5 * angle, rel=0.12)

@@ -32,6 +32,7 @@ class Embedded:
     spread: float = 0.35  # metres from the middle of the rig to its outer cameras
     texture: float = 1.0  # factor of all texture contrasts; 0 = textureless
     gloss: float = 1.0  # factor of all highlights and mirrors; 0 = matte
+    pose_noise: float = 0.0  # pixels by which the training cameras' poses are wrong, see `rig`
 
     def __post_init__(self) -> None:
         def check(name: str, ok: bool, expected: str) -> None:
@@ -46,6 +47,7 @@ class Embedded:
         check("spread", 0 < self.spread <= 1, "in (0, 1] metres")
         check("texture", 0 <= self.texture <= 2, "in [0, 2]")
         check("gloss", 0 <= self.gloss <= 1.3, "in [0, 1.3]")
+        check("pose_noise", 0 <= self.pose_noise <= 20, "from 0 to 20 pixels")
 
     def load(self) -> Scene:
         """The scene, from the cache or generated (a few seconds, once)."""

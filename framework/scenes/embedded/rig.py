@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from framework.rng import stream
 from framework.scenes.embedded.vectors import Vector, looking
 
 FOCAL_WIDTHS = 0.9  # focal length in units of the image width: 58 degrees across
@@ -69,3 +70,36 @@ def pose(position: Vector, spread: float) -> NDArray[np.float64]:
     forward = (FOCUS[0] - center[0], FOCUS[1] - center[1], FOCUS[2] - center[2])
     x, y, z = looking(forward)
     return np.array([[x[k], y[k], z[k], center[k]] for k in range(3)])
+
+
+def disturbed(poses: NDArray[np.float64], angle: float) -> list[NDArray[np.float64]]:
+    """[n, 3, 4] camera-to-world poses told wrong: turned about the camera's x and y axes and moved
+    along them, by four independent normal draws each.
+
+    angle: standard deviation of a turn in radians; a move shifts what stands at `FOCUS` as much. A
+    wrong pose of x pixels hence displaces it by about x sqrt(2) pixels along each image axis. The
+    draws depend on neither a run's seed nor the angle. The turn is the Cayley map, which needs no
+    library sine.
+    """
+    draws = stream(0, "embedded/pose_noise").standard_normal((len(poses), 4))
+    return [
+        _moved(pose, *(angle * d for d in own.tolist()))
+        for pose, own in zip(poses, draws, strict=True)
+    ]
+
+
+def _moved(
+    pose: NDArray[np.float64], about_x: float, about_y: float, right: float, down: float
+) -> NDArray[np.float64]:
+    a, b = 0.5 * about_x, 0.5 * about_y
+    norm = 1.0 + a * a + b * b
+    turn = np.array(
+        [
+            [1.0 + a * a - b * b, 2.0 * a * b, 2.0 * b],
+            [2.0 * a * b, 1.0 - a * a + b * b, -2.0 * a],
+            [-2.0 * b, 2.0 * a, 1.0 - a * a - b * b],
+        ]
+    )
+    columns = [sum(pose[:, i] * turn[i, k] for i in range(3)) / norm for k in range(3)]
+    center = pose[:, 3] + FOCUS[2] * (right * pose[:, 0] + down * pose[:, 1])
+    return np.stack([*columns, center], axis=1)

@@ -1,0 +1,72 @@
+"""What a study tells about its time, before and after."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pytest
+
+from framework.cli import main
+from framework.estimate import MOST_TRIALS, Cost, estimate
+from framework.stopwatch import duration
+from tests.cli.conftest import FakeRuns
+
+
+def config(reg: str = "none", views: int = 3, steps: int = 100, seed: int = 0) -> dict[str, Any]:
+    return {
+        "seed": seed,
+        "scene": {"n_views": views},
+        "depth": {},
+        "reg": {"name": reg},
+        "trainer": {"steps": steps},
+    }
+
+
+def test_a_study_tells_its_time(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reg=none,uar", "seed=0,1", "trainer.steps=100", "estimate=true", "-m"]) == 0
+    told = capsys.readouterr().out
+    # 4 runs of 100 x 0.1 s + 2 s; the trials have loaded the scene
+    assert "estimate: about 48 s for 4 runs (from 2 trials of" in told
+    assert re.search(r"^4 runs took .+ \(estimated 48 s\)$", told, re.MULTILINE)
+
+
+def test_nothing_is_tried_unasked(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["seed=0,1", "-m"]) == 0
+    told = capsys.readouterr().out
+    assert "estimate" not in told and re.search(r"^2 runs took [^(]+$", told, re.MULTILINE)
+
+
+def test_runs_at_once_share_the_time(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
+    from framework.estimate import announce
+
+    assert announce([config(seed=s) for s in range(4)], at_once=2) == pytest.approx(48 / 2)
+    assert "2 at a time" in capsys.readouterr().out
+
+
+def test_method_and_scene_multiply() -> None:
+    def try_out(c: Any) -> Cost:
+        step_s = (2.0 if c["reg"]["name"] == "uar" else 1.0) * c["scene"]["n_views"]
+        return Cost(step_s, 10.0, 5.0)
+
+    cross = [config(reg, views) for reg in ("none", "uar") for views in (1, 3)]
+    total, trials = estimate(cross, try_out)
+    assert trials == 3
+    assert total == pytest.approx(100 * (1 + 3 + 2 + 6) + 4 * 10 + 1 * 5)
+
+
+def test_steps_and_seeds_need_no_trial_of_their_own() -> None:
+    cross = [config(steps=steps, seed=seed) for steps in (100, 200) for seed in (0, 1)]
+    total, trials = estimate(cross, lambda c: Cost(1.0, 0.0, 0.0))
+    assert (total, trials) == (600, 1)
+
+
+def test_many_methods_and_scenes_are_not_all_tried() -> None:
+    cross = [config(f"r{k}", views) for k in range(20) for views in range(20)]
+    total, trials = estimate(cross, lambda c: Cost(1.0, 0.0, 1.0))
+    assert trials == MOST_TRIALS and total == pytest.approx(400 * 100 + 399)
+
+
+def test_durations() -> None:
+    known = {0.2: "less than 1 s", 59.4: "59 s", 200: "3 min 20 s", 7500: "2 h 5 min"}
+    assert {seconds: duration(seconds) for seconds in known} == known
