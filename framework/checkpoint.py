@@ -18,7 +18,7 @@ import logging
 import shutil
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,8 @@ from framework.limits import CHECKPOINT_BYTES, check_size
 from framework.run_files import HistoryRow
 from framework.training_state import PluginState, TrainerState
 from framework.tree import decode, encode
+
+Check = Callable[[TrainerState], None]
 
 LOG = logging.getLogger(__name__)
 FOLDER, KEY = "checkpoints", "fishersplat"
@@ -94,10 +96,11 @@ class Checkpoints:
         self.classes = state_classes(plugins)
         self._next = time.perf_counter() + COST_TIMES * n_bytes / SLOW_DISK
 
-    def newest(self) -> TrainerState | None:
-        """The last whole state of this run, or None; files of no use to it are removed."""
+    def newest(self, check: Check) -> TrainerState | None:
+        """The last whole state of this run that passes `check`, which raises ValueError for one
+        that its parts do not make; or None. Files of no use are removed."""
         for path in reversed(self._paths()):
-            state = self._read(path)
+            state = self._read(path, check)
             if state is not None:
                 return state
             path.unlink()
@@ -120,7 +123,7 @@ class Checkpoints:
         """Oldest first."""
         return sorted(self.folder.glob("step-*.safetensors"))
 
-    def _read(self, path: Path) -> TrainerState | None:
+    def _read(self, path: Path, check: Check) -> TrainerState | None:
         """The state in `path`; None if it is damaged, which is told, or another run's."""
         try:
             check_size(path, CHECKPOINT_BYTES)
@@ -132,6 +135,7 @@ class Checkpoints:
                 return None
             if not isinstance(state, TrainerState):
                 raise ValueError("it holds no training")
+            check(state)
         except (ValueError, RecursionError) as error:
             LOG.warning("checkpoint %s is damaged and not used: %s", path.name, error)
             return None

@@ -86,6 +86,14 @@ class Plugin:
         """The state before the first use; None for a plugin without one."""
         return None
 
+    def check_state(
+        self, state: Any, gaussians: Gaussians, version: int, views: tuple[View, ...]
+    ) -> None:
+        """Raise ValueError unless a training of these Gaussians, with this `StepContext.version`
+        and these real views, can go on with `state`. It comes from a file, which may be forged: a
+        plugin that indexes by its state, or hands it to a kernel, checks it here; see
+        `framework.shapes`."""
+
 
 class Augmenter(Plugin):
     """Makes pseudo views that join the real ones for one epoch. `weight` multiplies their loss;

@@ -6,6 +6,7 @@ that diverged leaves its state in `diverged.safetensors`.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,9 +20,11 @@ from framework.guard import Diverged
 from framework.initialize import INITIALIZERS
 from framework.metrics import Missing, psnr
 from framework.options import TrainerOptions
+from framework.plugin import Plugin
 from framework.progress import Progress
 from framework.rasterize import rasterize
 from framework.record import DIVERGED
+from framework.state_check import check_state
 from framework.trainer import Evaluate, Plugins, Trained, Trainer
 from framework.types import Camera, DepthMap, Gaussians, Scene
 
@@ -56,12 +59,16 @@ def train(
     folder then.
     """
     plugins = Plugins(*(registry.build(group, config[group]) for group in registry.GROUPS))
-    chosen = [plugged.plugin for plugged in (plugins.augment, plugins.reg, plugins.capacity)]
+    chosen: list[Plugin] = [p.plugin for p in (plugins.augment, plugins.reg, plugins.capacity)]
     size = COPIES * BYTES_PER_FLOAT * sum(tensor.numel() for _, tensor in gaussians.items())
     checkpoints = Checkpoints(run_dir, identity, chosen, size)
     if config["force"]:
         remove_checkpoints(run_dir)
-    start = checkpoints.newest()
+    by_group = dict(zip(registry.GROUPS, chosen, strict=True))
+    check = functools.partial(
+        check_state, training=scene.training, options=options, plugins=by_group
+    )
+    start = checkpoints.newest(check)
     if start is not None:
         progress.note(f"going on at step {start.step} of {options.steps}")
     trainer = Trainer(

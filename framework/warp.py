@@ -28,6 +28,7 @@ from torch.nn.functional import interpolate
 from framework import warp_kernels
 from framework.errors import require
 from framework.parallel import BLOCKS, run_blocks
+from framework.shapes import check_camera, check_tensor
 from framework.types import Camera, DepthMap, View
 
 EDGE = 0.03  # a depth edge: second difference of 1/z, zero on any plane, above this share of 1/z
@@ -79,6 +80,19 @@ class Warped:
     def coverage(self) -> float:
         """The share of the frame inside the mask."""
         return float(np.mean(self.mask.numpy(), dtype=np.float64))
+
+
+def check_support(where: str, value: object, camera: Camera) -> None:
+    """Raise ValueError unless `value` is a `Support` of the size of `camera`."""
+    if not isinstance(value, Support):
+        raise ValueError(f"{where}: expected a Support, got {type(value).__name__}")
+    size = camera.height, camera.width
+    check_camera(where, value.camera)
+    if (value.camera.height, value.camera.width) != size:
+        raise ValueError(f"{where}: expected {size} pixels, got another size")
+    check_tensor(f"{where}.inverse_depth", value.inverse_depth, *size)
+    check_tensor(f"{where}.paints", value.paints, *size, dtype=torch.bool)
+    check_tensor(f"{where}.color", value.color, *size, 3)
 
 
 def prepare(views: Sequence[View], depth_maps: Sequence[DepthMap]) -> tuple[Support, ...]:

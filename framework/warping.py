@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from framework.types import Camera, View
+    from framework.types import Camera, Gaussians, View
     from framework.warp import Support
 
 
@@ -71,6 +71,28 @@ class WarpingAugmenter(Augmenter):
     def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
         """Indices of the training views to warp into `camera`, and the next `selection`."""
         raise NotImplementedError
+
+    def check_state(
+        self, state: Any, gaussians: Gaussians, version: int, views: tuple[View, ...]
+    ) -> None:
+        from framework.shapes import check_kind, check_view
+        from framework.warp import check_support
+
+        check_kind(self.name, state, WarpingState, type(None))
+        if state is None:
+            return
+        check_kind(f"{self.name}.supports", state.supports, tuple)
+        for support, view in zip(state.supports, views, strict=True):
+            check_support(f"{self.name}.supports", support, view.camera)
+        if state.view is not None:
+            check_view(f"{self.name}.view", state.view)
+        check_kind(f"{self.name}.made", state.made, int)
+        self.check_selection(state.selection, gaussians, views)
+
+    def check_selection(
+        self, selection: Any, gaussians: Gaussians, views: tuple[View, ...]
+    ) -> None:
+        """Raise ValueError unless `select` can go on with `selection`, see `check_state`."""
 
     def pseudo_views(
         self, ctx: StepContext, state: WarpingState | None

@@ -16,7 +16,7 @@ from framework.warping import ThresholdAugmenter
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from framework.types import Camera, Gaussians
+    from framework.types import Camera, Gaussians, View
 
 FORMS = ("trace", "log")  # see framework.information.information_gains
 APPROXIMATIONS = ("diagonal", "block")
@@ -61,6 +61,35 @@ class Safi(ThresholdAugmenter):
         self.check("regulariser", 0 < self.regulariser <= 1e3, "a number in (0, 1000]")
         self.check("downscale", 1 <= self.downscale <= 16, "an integer in [1, 16]")
         self.check("refresh_epochs", self.refresh_epochs >= 0, "an integer >= 0")
+
+    def check_selection(
+        self, selection: Snapshot | None, gaussians: Gaussians, views: tuple[View, ...]
+    ) -> None:
+        from framework.shapes import check_count, check_gaussians, check_kind
+
+        check_kind("safi.selection", selection, Snapshot, type(None))
+        if selection is None:
+            return
+        terms = gaussians.shN.shape[1]
+        check_gaussians("safi.gaussians", selection.gaussians, None, terms)
+        check_count("safi.sh_degree", selection.sh_degree, gaussians.sh_degree)
+        check_count("safi.epoch", selection.epoch)
+        self._check_information(selection, len(views))
+
+    def _check_information(self, snapshot: Snapshot, n_views: int) -> None:
+        import torch
+
+        from framework.shapes import check_kind, check_tensor
+
+        n, block = len(snapshot.gaussians), self.approximation == "block"
+        shapes = [(n, 6, 6), (n, 8)] if block else [(n, 14)]  # see `FisherInformation`
+        for part, shape, prior in zip(snapshot.known, shapes, snapshot.priors, strict=True):
+            check_kind("safi.known", part, tuple)
+            if len(part) != n_views:
+                raise ValueError(f"safi.known: expected {n_views} views, got {len(part)}")
+            for tensor in part:
+                check_tensor("safi.known", tensor, *shape, dtype=torch.float64)
+            check_tensor("safi.priors", prior, shape[-1], dtype=torch.float64)
 
     def scores(
         self, ctx: StepContext, selection: Snapshot | None, camera: Camera

@@ -21,7 +21,7 @@ from framework.plugin import Capacity, Edits, StepContext, StepStats, register
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from framework.types import Gaussians
+    from framework.types import Gaussians, View
 
 CHILDREN = 2  # a split Gaussian becomes two ...
 SHRINK = 1.6  # ... smaller by this factor (the 3DGS code's 0.8 * CHILDREN)
@@ -85,6 +85,15 @@ class AdaptiveDensityControl(Capacity):
 
     def init_state(self, ctx: StepContext) -> Pull:
         return _nothing_measured(len(ctx.gaussians), ctx.gaussians)
+
+    def check_state(
+        self, state: Pull, gaussians: Gaussians, version: int, views: tuple[View, ...]
+    ) -> None:
+        from framework.shapes import check_kind, check_tensor
+
+        check_kind("adc", state, Pull)
+        check_tensor("adc.total", state.total, len(gaussians))
+        check_tensor("adc.seen", state.seen, len(gaussians))
 
     def update(self, ctx: StepContext, state: Pull, stats: StepStats) -> tuple[Edits | None, Pull]:
         """Measure; at every `every`-th step also clone, split and prune; then perhaps reset.

@@ -18,6 +18,8 @@ from framework.plugin import StepContext, register
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from framework.types import Gaussians, View
+
 MODES = ("soft", "hard")
 FORMS = ("block", "diagonal")
 
@@ -66,6 +68,23 @@ class Uar(DropoutRegularizer):
         self.check("refresh", self.refresh >= 1, "an integer >= 1")
         self.check("form", self.form in FORMS, f"one of {', '.join(FORMS)}")
         self.check("regulariser", 0 < self.regulariser <= 1e3, "in (0, 1000]")
+
+    def check_state(
+        self, state: Ranking | None, gaussians: Gaussians, version: int, views: tuple[View, ...]
+    ) -> None:
+        import torch
+
+        from framework.shapes import check_count, check_kind, check_tensor
+
+        check_kind("uar", state, Ranking, type(None))
+        if state is None:
+            return
+        check_count("uar.step", state.step)
+        check_count("uar.version", state.version)
+        check_tensor("uar.order", state.order, None, dtype=torch.int64)
+        n = len(gaussians)
+        if state.version == version and not bool(((state.order >= 0) & (state.order < n)).all()):
+            raise ValueError(f"uar.order: expected indices of {n} Gaussians, got others")
 
     @property
     def dropped_factor(self) -> float:

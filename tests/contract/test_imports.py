@@ -17,7 +17,7 @@ REPORT = sorted((ROOT / "framework" / "report").rglob("*.py"))
 PLUGIN_MAY_IMPORT = {
     f"framework.{name}"
     for name in (
-        *("plugin", "types", "geometry", "warp", "warping", "fisher", "information"),
+        *("plugin", "types", "shapes", "geometry", "warp", "warping", "fisher", "information"),
         *("dropout", "losses", "errors", "registry"),
     )
 }

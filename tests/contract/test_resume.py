@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,13 @@ from framework.checkpoint import Checkpoints
 from framework.options import TrainerOptions
 from framework.progress import Silent
 from framework.record import parameters_sha256
+from framework.state_check import check_state
 from framework.trainer import Plugins, Trained, Trainer
 from framework.training_state import TrainerState
 from framework.warmup import _plane
 from tests.contract.test_training import ACTING, ALL, EAGER, NEUTRAL, content_sha256
 
-STEPS = 20
+OPTIONS = TrainerOptions(steps=20, sh_degree=1, sh_every=4, evaluations=2)
 TAKEN_UP_AT = (1, 7, 19)  # inside an epoch, at several of the plugins' moments, before the last
 
 
@@ -25,15 +27,20 @@ class Files:
     """Writes chosen states with a run's `Checkpoints` and gives them back as another process
     would read them."""
 
-    def __init__(self, folder: Path, plugins: Plugins) -> None:
+    def __init__(self, folder: Path, plugins: Plugins, sh_degree: int = 1) -> None:
         chosen = [p.plugin for p in (plugins.augment, plugins.reg, plugins.capacity)]
         self.folder, self.chosen, self.seen = folder, chosen, dict[int, str]()
+        self.options = dataclasses.replace(OPTIONS, sh_degree=sh_degree)
 
     def due(self) -> bool:
         return True
 
     def checkpoints(self, step: int) -> Checkpoints:
         return Checkpoints(self.folder / str(step), "identity", self.chosen, 0)
+
+    def check(self, state: TrainerState) -> None:
+        plugins = dict(zip(NEUTRAL, self.chosen, strict=True))
+        check_state(state, _plane(1)[0], self.options, plugins)
 
     def keep(self, state: TrainerState) -> None:
         if state.step in TAKEN_UP_AT:
@@ -51,9 +58,12 @@ def plugins(**names: str) -> Plugins:
     )
 
 
-def train(chosen: Plugins, keeper: Any = None, start: TrainerState | None = None) -> Trained:
-    options = TrainerOptions(steps=STEPS, sh_degree=1, sh_every=8, evaluations=2)
-    return Trainer(*_plane(1), options, chosen, 0, Silent(), lambda *_: 1.5, keeper, start).run()
+def train(
+    chosen: Plugins, keeper: Any = None, start: TrainerState | None = None, sh_degree: int = 1
+) -> Trained:
+    options = dataclasses.replace(OPTIONS, sh_degree=sh_degree)
+    scene = _plane(sh_degree)
+    return Trainer(*scene, options, chosen, 0, Silent(), lambda *_: 1.5, keeper, start).run()
 
 
 def outcome(trained: Trained) -> tuple[Any, ...]:
@@ -62,19 +72,24 @@ def outcome(trained: Trained) -> tuple[Any, ...]:
     return parameters_sha256(trained.gaussians), rows, trained.sh_degree
 
 
-@pytest.mark.parametrize(("group", "name"), ALL)
+@pytest.mark.parametrize(
+    ("names", "sh_degree"),
+    [*(({group: name}, 1) for group, name in ALL), (ACTING, 3)],
+    ids=lambda value: "+".join(value.values()) if isinstance(value, dict) else f"sh{value}",
+)
 def test_a_training_taken_up_again_ends_with_the_same_bits(
-    group: str, name: str, tmp_path: Path
+    names: dict[str, str], sh_degree: int, tmp_path: Path
 ) -> None:
     """And every tensor of the plugin's state comes back with its type, shape and bits."""
-    chosen = plugins(**{group: name})
-    files = Files(tmp_path, chosen)
-    whole = train(chosen, files)
+    chosen = plugins(**names)
+    files = Files(tmp_path, chosen, sh_degree)
+    whole = train(chosen, files, sh_degree=sh_degree)
+    assert whole.sh_degree == sh_degree
     for step in TAKEN_UP_AT:
-        state = files.checkpoints(step).newest()
+        state = files.checkpoints(step).newest(files.check)
         assert state is not None and state.step == step
         assert content_sha256(tuple(state.plugins.values())) == files.seen[step]
-        again = train(chosen, start=state)
+        again = train(chosen, start=state, sh_degree=sh_degree)
         assert outcome(again) == outcome(whole)
         assert again.resumed == 1 and again.wall_s > state.wall_s
 

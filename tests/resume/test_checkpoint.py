@@ -38,6 +38,10 @@ def state(step: int) -> TrainerState:
     )
 
 
+def anything(state: TrainerState) -> None:
+    """A check that all states pass."""
+
+
 @pytest.fixture
 def kept(tmp_path: Path) -> Checkpoints:
     checkpoints = Checkpoints(tmp_path, "mine", [], 0)
@@ -48,7 +52,7 @@ def kept(tmp_path: Path) -> Checkpoints:
 
 def test_the_last_one_is_read_and_two_are_kept(kept: Checkpoints) -> None:
     assert [path.name[:14] for path in kept._paths()] == ["step-000000020", "step-000000100"]
-    read = kept.newest()
+    read = kept.newest(anything)
     assert read is not None and read.step == 100
     expected = state(100)
     assert parameters_sha256(read.gaussians) == parameters_sha256(expected.gaussians)
@@ -66,7 +70,7 @@ def test_a_damaged_one_is_told_and_the_one_before_is_used(
     flipped = data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
     path.write_bytes({"cut": data[:-1], "flipped": flipped, "empty": b"", "foreign": b"x"}[damage])
     with caplog.at_level(logging.WARNING, "framework"):
-        read = kept.newest()
+        read = kept.newest(anything)
     assert read is not None and read.step == 20
     assert "step-000000100" in caplog.text and "damaged" in caplog.text
     assert not path.exists()
@@ -79,12 +83,25 @@ def test_a_file_with_the_right_checksum_but_no_state_is_damaged(kept: Checkpoint
         digest = hashlib.sha256(data).hexdigest()[:32]
         path = kept.folder / f"step-999999999-{digest}.safetensors"
         path.write_bytes(data)
-        read = kept.newest()
+        read = kept.newest(anything)
         assert read is not None and read.step == 100 and not path.exists()
 
 
+def test_one_whose_parts_do_not_fit_is_told_and_the_one_before_is_used(
+    kept: Checkpoints, caplog: pytest.LogCaptureFixture
+) -> None:
+    def check(state: TrainerState) -> None:
+        if state.step == 100:
+            raise ValueError("gaussians.quats: expected float32 [5, 4], got float32 [5, 3]")
+
+    with caplog.at_level(logging.WARNING, "framework"):
+        read = kept.newest(check)
+    assert read is not None and read.step == 20
+    assert caplog.text.count("\n") == 1 and "damaged and not used: gaussians.quats" in caplog.text
+
+
 def test_another_runs_checkpoints_are_of_no_use(kept: Checkpoints, tmp_path: Path) -> None:
-    assert Checkpoints(tmp_path, "other", [], 0).newest() is None
+    assert Checkpoints(tmp_path, "other", [], 0).newest(anything) is None
     assert kept._paths() == []
 
 
