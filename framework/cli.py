@@ -95,8 +95,7 @@ def task(cfg: DictConfig) -> None:
     overrides = [str(override) for override in job.overrides.task]
     config = plain(cfg)
     try:
-        register_config()
-        check(config)
+        check(config)  # finds the plugins too, which a launcher's fresh process knows nothing of
         config["study"] = study_name(config)
         _run(config, run_dir, _progress(job, config["seed"], number), overrides)
     except Exception as error:
