@@ -9,6 +9,8 @@ leftovers, and no run may have been done twice; then a new one is begun, until a
 Every attempt is a process forked from one that has imported everything and compiled the kernels.
 
     python benchmarks/kill.py [--kills 52] [--steps 80] [--output benchmarks/results/kill.md]
+
+`--small` kills once at each kind of moment, in a study of two shorter runs.
 """
 
 from __future__ import annotations
@@ -32,6 +34,11 @@ from framework.rng import stream  # noqa: E402
 STUDY = [
     *("-m", "augment=safi", "reg=none,uar", "seed=0,1", "threads=1", "study=kill"),
     *("scene.width=96", "scene.height=72", "init.budget=1500", "trainer.evaluations=2"),
+]
+SMALL = [  # for the tests: two runs, each with a checkpoint after a fifth of a second
+    *("-m", "augment=safi", "reg=none,uar", "threads=1", "study=kill", "depth=ground_truth"),
+    *("scene.width=64", "scene.height=48", "scene.supersampling=1", "init.budget=300"),
+    *("trainer.evaluations=1",),
 ]
 CLOCK = "any moment"
 WRITES = {  # what is being written -> its temporary file, relative to the study
@@ -59,8 +66,8 @@ class Tally:
     resumed: int = 0
 
 
-def begin(folder: Path, steps: int) -> int:
-    """Give the command in `folder`, in a process of its own; returns its id."""
+def begin(folder: Path, words: list[str]) -> int:
+    """Give the command `words` in `folder`, in a process of its own; returns its id."""
     child = os.fork()
     if child:
         return child
@@ -70,7 +77,7 @@ def begin(folder: Path, steps: int) -> int:
     os.dup2(quiet, 2)
     from framework import cli
 
-    os._exit(cli.main([*STUDY, f"trainer.steps={steps}"]))
+    os._exit(cli.main(words))
 
 
 def ended(child: int, wait: bool = False) -> int | None:
@@ -79,9 +86,9 @@ def ended(child: int, wait: bool = False) -> int | None:
     return None if pid == 0 else os.waitstatus_to_exitcode(status)
 
 
-def attempt(folder: Path, steps: int, target: str, delay_s: float) -> int:
+def attempt(folder: Path, words: list[str], target: str, delay_s: float) -> int:
     """Begin, kill at the target or after `delay_s`; returns the exit code (-9: killed)."""
-    study, child = folder / "reports" / "kill", begin(folder, steps)
+    study, child = folder / "reports" / "kill", begin(folder, words)
     until = time.monotonic() + delay_s
     while (code := ended(child)) is None:
         due = (
@@ -105,17 +112,24 @@ def records(study: Path) -> dict[str, tuple[int, int]]:
 
 
 def one_study(
-    folder: Path, steps: int, targets: list[str], whole_s: float, tally: Tally, name: str
+    folder: Path,
+    words: list[str],
+    targets: list[str],
+    whole_s: float,
+    late: float,
+    tally: Tally,
+    name: str,
 ) -> Path:
-    """Kill and begin again until the study is complete; spends `targets` from the end."""
+    """Kill and begin again until the study is complete; spends `targets` from the end. late: up to
+    this share of the study's time a file may be written before its kind is waited for."""
     folder.mkdir()
     study, known, number = folder / "reports" / "kill", dict[str, tuple[int, int]](), 0
     while True:
         target = targets[-1] if targets else CLOCK
         draw = stream(0, f"kill/{name}", number).random()
         number += 1
-        wait_s = draw * whole_s * (0.6 if target == CLOCK else 0.2) if targets else 1e9
-        code = attempt(folder, steps, target, wait_s)
+        wait_s = draw * whole_s * (0.6 if target == CLOCK else late) if targets else 1e9
+        code = attempt(folder, words, target, wait_s)
         now = records(study)
         tally.doubled += sum(now[run] != record for run, record in known.items() if run in now)
         tally.lost += len(known.keys() - now.keys())
@@ -131,23 +145,20 @@ def one_study(
         tally.caught[target] += any(study.glob(pattern))
 
 
-def measure(kills: int, steps: int, work: Path) -> Tally:
-    """All kills; prints a line per completed study."""
+def measure(words: list[str], targets: list[str], late: float, work: Path) -> Tally:
+    """All kills, the last of `targets` first; prints a line per completed study."""
     (work / "whole").mkdir()
     started = time.monotonic()
-    code = ended(begin(work / "whole", steps), wait=True)
+    code = ended(begin(work / "whole", words), wait=True)
     if code != 0:
         log = (work / "whole" / "log.txt").read_text()
         raise SystemExit(f"the undisturbed study ended with {code}: {log}")
     whole_s, study = time.monotonic() - started, work / "whole" / "reports" / "kill"
     expected, hashes = digests(study), parameters(study)
-    names = list(WRITES)
-    targets = [CLOCK if i % 2 == 0 else names[i // 2 % len(names)] for i in range(kills)]
-    targets.reverse()
-    tally = Tally()
+    tally, kills = Tally(), len(targets)
     while targets:
         name = f"{tally.studies}"
-        study = one_study(work / name, steps, targets, whole_s, tally, name)
+        study = one_study(work / name, words, targets, whole_s, late, tally, name)
         equal = digests(study) == expected and parameters(study) == hashes
         tally.studies += 1
         tally.unequal += not equal or bool(leftovers(study))
@@ -158,14 +169,20 @@ def measure(kills: int, steps: int, work: Path) -> Tally:
     return tally
 
 
-def table(tally: Tally, kills: int, steps: int) -> str:
-    lines = [f"`python benchmarks/kill.py --kills {kills} --steps {steps}`", ""]
+def moments(kills: int) -> list[str]:
+    """What to kill at: half of the times at random, else at each kind of file in turn."""
+    names = list(WRITES)
+    return [CLOCK if i % 2 == 0 else names[i // 2 % len(names)] for i in range(kills)][::-1]
+
+
+def table(tally: Tally, command: str, runs: int) -> str:
+    lines = [f"`{command}`", ""]
     lines += ["| killed by SIGKILL at | times | file found half-written |", "|---|---|---|"]
     for target in (CLOCK, *WRITES):
         lines.append(f"| {target} | {tally.killed[target]} | {tally.caught[target]} |")
     lines += [
         "",
-        f"{sum(tally.killed.values())} kills over {tally.studies} studies of 4 runs;"
+        f"{sum(tally.killed.values())} kills over {tally.studies} studies of {runs} runs;"
         f" {tally.resumed} trainings went on from a checkpoint."
         f" Studies that differ from the undisturbed one (parameters, metrics, renders, report):"
         f" {tally.unequal}. Runs lost: {tally.lost}. Runs done twice: {tally.doubled}.",
@@ -173,14 +190,14 @@ def table(tally: Tally, kills: int, steps: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-def warm_up(work: Path) -> None:
+def warm_up(work: Path, study: list[str]) -> None:
     """Import and compile in this process what its forks will need."""
     from framework import cli
 
     here = Path.cwd()
     work.mkdir()
     os.chdir(work)
-    words = [word.replace("none,", "").replace("0,1", "0") for word in STUDY[1:]]
+    words = [word.replace("none,", "").replace("0,1", "0") for word in study[1:]]
     code = cli.main([*words, "trainer.steps=4"])
     os.chdir(here)
     if code != 0:
@@ -192,15 +209,22 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=52)
     parser.add_argument("--steps", type=int, default=80)
     parser.add_argument("--output", type=Path)
-    arguments = parser.parse_args()
+    parser.add_argument("--small", action="store_true")
+    given = parser.parse_args()
+    if given.small:
+        study, targets, late = SMALL, [CLOCK, *WRITES][::-1], 0.0
+    else:
+        study, targets, late = STUDY, moments(given.kills), 0.2
     with tempfile.TemporaryDirectory() as folder:
-        warm_up(Path(folder) / "warm")
-        tally = measure(arguments.kills, arguments.steps, Path(folder))
-    text = table(tally, arguments.kills, arguments.steps)
+        warm_up(Path(folder) / "warm", study)
+        tally = measure([*study, f"trainer.steps={given.steps}"], targets, late, Path(folder))
+    shown = "--small" if given.small else f"--kills {given.kills}"
+    command = f"python benchmarks/kill.py {shown} --steps {given.steps}"
+    text = table(tally, command, 2 if given.small else 4)
     print(text)
-    if arguments.output is not None:
-        arguments.output.parent.mkdir(parents=True, exist_ok=True)
-        arguments.output.write_text(text, encoding="utf-8")
+    if given.output is not None:
+        given.output.parent.mkdir(parents=True, exist_ok=True)
+        given.output.write_text(text, encoding="utf-8")
     return int(bool(tally.unequal or tally.lost or tally.doubled))
 
 

@@ -10,11 +10,11 @@ from framework.config import ROOT
 
 
 def test_a_study_killed_again_and_again_equals_an_undisturbed_one(tmp_path: Path) -> None:
-    """SIGKILL at a random moment, and while a checkpoint is written."""
+    """SIGKILL at a random moment and while each kind of file is written."""
     page = tmp_path / "kill.md"
     script = str(ROOT / "benchmarks" / "kill.py")
     done = subprocess.run(
-        [sys.executable, script, "--kills", "2", "--steps", "60", "--output", str(page)],
+        [sys.executable, script, "--small", "--steps", "24", "--output", str(page)],
         cwd=tmp_path,
         capture_output=True,
         text=True,
@@ -22,5 +22,5 @@ def test_a_study_killed_again_and_again_equals_an_undisturbed_one(tmp_path: Path
     )
     assert done.returncode == 0, done.stdout + done.stderr
     text = page.read_text(encoding="utf-8")
-    assert text.splitlines()[-1].startswith("2 kills over")
+    assert text.splitlines()[-1].startswith("7 kills over")
     assert "report): 0. Runs lost: 0. Runs done twice: 0." in text
