@@ -30,12 +30,13 @@ from omegaconf import DictConfig, OmegaConf
 from framework.complaints import USER_ERRORS, one_line
 from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, check, choices, register_config
 from framework.errors import UserError
+from framework.failures import again, conclude, kind_of
 from framework.files import MENDABLE, unwritable
 from framework.help import help_text
 from framework.locks import Busy
 from framework.naming import plain, register_resolvers, study_name
 from framework.progress import Progress, Terminal
-from framework.study import Outcome, Refused, add_outcome, job_count, ledger, outcomes, short_path
+from framework.study import Outcome, Refused, add_outcome, job_count, ledger
 from framework.trust import check_command
 
 register_resolvers()
@@ -62,7 +63,7 @@ def main(argv: Sequence[str]) -> int:
                 return 0
             with ledger():
                 application()
-                return _conclude()
+                return conclude()
     except KeyboardInterrupt:
         line = shlex.join(["python", "run.py", *argv])
         print(f"error: interrupted; what is done is kept, go on with: {line}", file=sys.stderr)
@@ -99,16 +100,16 @@ def task(cfg: DictConfig) -> None:
         config["study"] = study_name(config)
         _run(config, run_dir, _progress(job, config["seed"], number), overrides)
     except Exception as error:
-        message = _failed(error, config["traceback"])
+        message, kind = _failed(error, config["traceback"]), kind_of(error)
         bad_input = isinstance(error, USER_ERRORS)
         busy = isinstance(error, Busy)
         if busy:
             pass  # it is the other process's to tell
         elif job.mode.name == "MULTIRUN" or not bad_input:
-            message = _record_failure(run_dir, config, overrides, message)
+            message = _record_failure(run_dir, config, overrides, message, kind)
         else:  # a lone mistyped run is not worth a record, nor a folder
             _discard(run_dir)
-        add_outcome(Outcome(number, str(run_dir), message, bad_input, busy))
+        add_outcome(Outcome(number, str(run_dir), message, kind, again(job), bad_input, busy))
     else:
         add_outcome(Outcome(number, str(run_dir)))
 
@@ -231,13 +232,13 @@ def _failed(error: Exception, show: bool) -> str:
 
 
 def _record_failure(
-    run_dir: Path, config: dict[str, Any], overrides: list[str], message: str
+    run_dir: Path, config: dict[str, Any], overrides: list[str], message: str, kind: str
 ) -> str:
     """Leave the error in the run's folder; returns it, with what kept it from being written."""
     from framework.record import write_failed
 
     try:
-        write_failed(run_dir, config, overrides, message)
+        write_failed(run_dir, config, overrides, message, kind=kind)
     except UserError as error:
         return message if str(error) in message else f"{message}; {error}"
     return message
@@ -252,32 +253,3 @@ def _discard(run_dir: Path) -> None:
     with contextlib.suppress(OSError):  # not empty: other runs are there
         for folder in (run_dir, *ours):
             folder.rmdir()
-
-
-def _conclude() -> int:
-    """Tell what the command did not complete, a line for each reason; returns the exit code."""
-    ended = outcomes()
-    failed = [outcome for outcome in ended if outcome.error is not None and not outcome.busy]
-    busy = [outcome for outcome in ended if outcome.busy]
-    total = job_count() or len(ended)
-    lost = total - len(ended)
-    for message in dict.fromkeys(outcome.error for outcome in failed):
-        same = [outcome for outcome in failed if outcome.error == message]
-        print(f"error: {_which(same, total)}{message}", file=sys.stderr)
-    if lost > 0:
-        print(f"error: {lost} runs ended without telling how", file=sys.stderr)
-    if busy:
-        first = f"{busy[0].error}" if total == 1 else f"for instance {busy[0].error}"
-        count = "" if total == 1 else f"{len(busy)} of {total} runs are being done elsewhere, "
-        print(f"error: {count}{first}; then the same command again", file=sys.stderr)
-    if failed or lost > 0:
-        return 2 if lost <= 0 and all(outcome.bad_input for outcome in failed) else 1
-    return 3 if busy else 0
-
-
-def _which(same: Sequence[Outcome], total: int) -> str:
-    """Which runs of a multirun failed this way; nothing for a single run."""
-    if total == 1:
-        return ""
-    folders = ", ".join(str(short_path(Path(outcome.run_dir))) for outcome in same)
-    return f"{len(same)} of {total} runs failed ({folders}): "

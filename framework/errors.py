@@ -15,7 +15,10 @@ LONGEST = 1000  # characters of a message
 
 
 class UserError(ValueError):
-    """Bad input, told in one line: `where: expected ..., got ...; how to fix`."""
+    """Bad input, told in one line: `where: expected ..., got ...; how to fix`. kind: a word or two
+    for tables of failures."""
+
+    kind = "bad input"
 
     def __init__(self, message: str) -> None:
         super().__init__(printable_line(message))

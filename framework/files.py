@@ -30,10 +30,17 @@ MENDABLE = frozenset(
 )
 
 
+class Unwritable(UserError):
+    """A full or read-only disk, or no right to write."""
+
+    kind = "disk"
+
+
 def write_whole(path: Path, content: bytes | str) -> None:
     """Replace `path` by `content` in one step; text is UTF-8. A reader never sees half of it.
 
-    Raises UserError when the disk is full or the folder cannot be written; nothing is changed then.
+    Raises Unwritable when the disk is full or the folder cannot be written; nothing is changed
+    then.
     """
     data = content.encode("utf-8") if isinstance(content, str) else content
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -48,7 +55,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         if isinstance(error, OSError) and error.errno in MENDABLE:
-            raise UserError(unwritable(error, path, len(data))) from error
+            raise Unwritable(unwritable(error, path, len(data))) from error
         raise
 
 

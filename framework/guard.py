@@ -19,6 +19,8 @@ ADVICE = "lower trainer.lr_scale"
 class Diverged(UserError):
     """A training that cannot go on. state: what to look at, values that `framework.tree` holds."""
 
+    kind = "diverged"
+
     def __init__(self, message: str, state: Mapping[str, Any]) -> None:
         super().__init__(message)
         self.state = dict(state)

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO
 
 from framework.errors import UserError
-from framework.files import MENDABLE, unwritable
+from framework.files import MENDABLE, Unwritable, unwritable
 
 LOCK = ".lock"
 
@@ -30,7 +30,7 @@ class Busy(UserError):
 @contextmanager
 def locked(folder: Path, wait: bool = False) -> Iterator[None]:
     """Hold the lock of `folder`, which is made if missing. Raises Busy at once when another
-    process has it, unless `wait`; UserError where the folder cannot be written."""
+    process has it, unless `wait`; Unwritable where the folder cannot be written."""
     file = _taken(folder / LOCK, wait)
     try:
         _sign(file)
@@ -58,7 +58,7 @@ def _taken(path: Path, wait: bool) -> IO[str]:
         except OSError as error:
             if error.errno not in MENDABLE:
                 raise
-            raise UserError(unwritable(error, path)) from error
+            raise Unwritable(unwritable(error, path)) from error
         try:
             fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError as error:

@@ -199,14 +199,16 @@ def write_failed(
     overrides: Sequence[str],
     error: str,
     scene: SceneInfo | None = None,
+    kind: str = "bug",
 ) -> RunRecord:
-    """Record a run that ended with `error` (one line), so that a study's report can tell it.
+    """Record a run that ended with `error` (one line) of this kind, so that a study's report can
+    tell it.
 
     `failed.json` tells it of the last attempt; the record too, unless it is of a complete run,
     which is kept.
     """
     error = " ".join(error.split())
-    told = {"error": error, "overrides": list(overrides)}
+    told = {"error": error, "kind": kind, "overrides": list(overrides)}
     write_whole(run_dir / FAILED, strict_json(told, indent=2) + "\n")
     record = RunRecord(
         identity="",

@@ -37,6 +37,7 @@ from framework.trust import check_composed
 
 LEDGER_VARIABLE = "FISHERSPLAT_LEDGER"
 JOBS_VARIABLE = "FISHERSPLAT_JOBS"
+REPORT = "report"  # the kind of failure of a report, which is no run
 
 
 class Refused(BaseException):
@@ -46,12 +47,15 @@ class Refused(BaseException):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one run ended. error: one line, None if it went well. bad_input: the user's to fix.
-    busy: not done, since another process is at it."""
+    """How one run ended. error: one line, None if it went well. kind: of the error, a word or two.
+    again: the command that does this run alone. bad_input: the user's to fix. busy: not done, since
+    another process is at it."""
 
     number: int
     run_dir: str
     error: str | None = None
+    kind: str = ""
+    again: str = ""
     bad_input: bool = False
     busy: bool = False
 
@@ -195,8 +199,9 @@ def build_reports() -> None:
             print(f"report: {short_path(report)}", flush=True)
         except Exception as error:
             number = len(outcomes())
+            bad_input, again = isinstance(error, UserError), f"python -m framework.report {folder}"
             message = f"report of {short_path(folder)}: {type(error).__name__}: {error}"
-            add_outcome(Outcome(number, str(folder), message, isinstance(error, UserError)))
+            add_outcome(Outcome(number, str(folder), message, REPORT, again, bad_input=bad_input))
 
 
 def short_path(path: Path) -> Path:

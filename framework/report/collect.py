@@ -6,7 +6,7 @@ import json
 import os
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -69,10 +69,12 @@ class ReportRun:
 
 @dataclass(frozen=True)
 class FailedRun:
-    """A run that ended with an error. method, scene: "" where it left no configuration."""
+    """A run that ended with an error. kind: of it, a word or two, "" where that was not kept.
+    method, scene: "" where it left no configuration."""
 
     run_dir: Path
     error: str
+    kind: str
     overrides: tuple[str, ...]
     config: Mapping[str, Any]
     provenance: Mapping[str, Any]
@@ -200,8 +202,9 @@ def _read(folder: Path) -> tuple[list[Run], list[FailedRun]]:
         elif run is not None:
             record = run.record
             error = record.error or "not told"
+            kind = _read_failed(path).kind if (path / FAILED).is_file() else ""
             failed.append(
-                FailedRun(path, error, record.overrides, record.config, record.provenance)
+                FailedRun(path, error, kind, record.overrides, record.config, record.provenance)
             )
         else:
             failed.append(_read_failed(path))
@@ -213,14 +216,15 @@ def _read_failed(run_dir: Path) -> FailedRun:
     path, composed = run_dir / FAILED, run_dir / ".hydra" / "config.yaml"
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        error, overrides = str(content["error"]), tuple(str(o) for o in content["overrides"])
+        error, kind = str(content["error"]), str(content.get("kind", ""))
+        overrides = tuple(str(override) for override in content["overrides"])
         config = yaml.safe_load(composed.read_text(encoding="utf-8")) if composed.is_file() else {}
-    except (ValueError, KeyError, TypeError, OSError, yaml.YAMLError) as problem:
+    except (ValueError, KeyError, TypeError, AttributeError, OSError, yaml.YAMLError) as problem:
         raise UserError(
             f"{path}: expected the error of a failed run, got a damaged file ({problem}); delete"
             " that folder and run again"
         ) from problem
-    return FailedRun(run_dir, error, overrides, config or {}, {})
+    return FailedRun(run_dir, error, kind, overrides, config or {}, {})
 
 
 def _label(
@@ -241,9 +245,7 @@ def _label(
 
 
 def _named(run: FailedRun, method: str, scene: str) -> FailedRun:
-    return FailedRun(
-        run.run_dir, run.error, run.overrides, run.config, run.provenance, method, scene
-    )
+    return replace(run, method=method, scene=scene)
 
 
 def _missing(

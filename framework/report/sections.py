@@ -7,6 +7,7 @@ over budgets, which choice to take for a given time; else the table and its find
 
 from __future__ import annotations
 
+import shlex
 from collections import defaultdict
 from collections.abc import Sequence
 
@@ -22,7 +23,17 @@ from framework.report.outcomes import Outcomes, outcomes
 from framework.report.provenance import provenance_blocks
 from framework.report.published import PUBLISHED, SOURCE
 
-WORDS = ("Scene", "Method", "Compared with", "Run", "Overrides", "Error", "Parameters", "Folder")
+WORDS = (
+    "Scene",
+    "Method",
+    "Compared with",
+    "Run",
+    "Kind",
+    "Reason",
+    "Again",
+    "Parameters",
+    "Folder",
+)
 DEFINITIONS = (
     "PSNR, SSIM and FLIP: mean over the test views, then over seeds, from the saved 8-bit renders;"
     " ± is half the width of the 95 % interval of the mean over seeds (t). σ_PSNR: standard"
@@ -123,12 +134,14 @@ def _failures(study: Study) -> list[Block]:
     rows = [
         {
             "Run": code(study.folder_of(run.run_dir)),
-            "Overrides": code(" ".join(run.overrides)),
-            "Error": outside(run.error),
+            "Kind": outside(run.kind),
+            "Reason": outside(run.error),
+            "Again": code(shlex.join(["python", "run.py", *run.overrides, "-m"])),
         }
         for run in study.failed
     ]
-    return [Heading(2, "Failed runs"), table(rows, WORDS)]
+    text = "The study's command does them again; the command in the last column does one alone."
+    return [Heading(2, "Failed runs"), Text(text), table(rows, WORDS)]
 
 
 def _missing_runs(study: Study) -> list[Block]:

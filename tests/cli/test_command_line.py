@@ -148,11 +148,17 @@ def test_a_failing_run_is_recorded_and_the_others_go_on(
     assert [method[2] for method in runs.methods] == [0, 1, 2]
     told = capsys.readouterr()
     folder = runs.folders[1]
-    expected = f"1 of 3 runs failed ({folder}): depth: expected two views, got one; add a view"
-    assert told.err.splitlines() == [f"error: {expected}"]
+    reason = "depth: expected two views, got one; add a view"
+    first, head, row, again = told.err.splitlines()
+    assert first.startswith("error: 1 of 3 runs failed; the same command does them again")
+    assert head.split() == ["run", "kind", "reason"]
+    assert row == f"  {folder}  bad input  {reason}"
+    assert again == "    python run.py seed=1 -m"
     assert "report: reports/embedded/report.md" in told.out
     record = json.loads((folder / "record.json").read_text(encoding="utf-8"))
-    assert (record["status"], record["error"]) == ("failed", expected.partition("): ")[2])
+    assert (record["status"], record["error"]) == ("failed", reason)
+    runs.failures.clear()
+    assert main(again.split()[2:]) == 0 and runs.folders[-1] == folder
 
 
 def test_a_bug_shows_its_traceback_and_exits_with_1(

@@ -77,7 +77,7 @@ def test_a_failure_that_cannot_be_written_does_not_end_the_study(
     assert main(["seed=0,1", "-m"]) == 2
     assert len(runs.seen) == 2
     told = capsys.readouterr().err
-    assert "depth: too little; " in told and "No space left" in told and told.count("\n") == 1
+    assert "depth: too little; " in told and "No space left" in told and told.count("\n") == 4
 
 
 def test_an_output_folder_that_cannot_be_written(

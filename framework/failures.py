@@ -1,0 +1,85 @@
+"""What a command did not complete: a short table on stderr, and the exit code.
+
+One line per failed run: where it is, what kind of failure, the reason; below it the command that
+does this run alone. A command of a single run ends with the reason alone.
+"""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from framework.complaints import USER_ERRORS
+from framework.errors import UserError
+from framework.study import REPORT, Outcome, job_count, outcomes, short_path
+
+MOST_ROWS = 20
+LAUNCHING = ("hydra.mode=", "hydra/launcher=", "hydra.launcher.")
+
+
+def kind_of(error: BaseException) -> str:
+    """A word or two for what went wrong."""
+    if isinstance(error, UserError):
+        return error.kind
+    if isinstance(error, USER_ERRORS):
+        return UserError.kind
+    return "machine" if isinstance(error, OSError | MemoryError) else "bug"
+
+
+def again(job: Any) -> str:
+    """The command that does this run alone, in the same folder. job: Hydra's part of its
+    configuration."""
+    own = [str(o) for o in job.overrides.hydra if not str(o).startswith(LAUNCHING)]
+    words = [*own, *(str(override) for override in job.overrides.task)]
+    multirun = ["-m"] if job.mode.name == "MULTIRUN" else []
+    return shlex.join(["python", "run.py", *words, *multirun])
+
+
+def conclude() -> int:
+    """Tell what the command did not complete; returns the exit code."""
+    ended = outcomes()
+    failed = [outcome for outcome in ended if outcome.error is not None and not outcome.busy]
+    busy = [outcome for outcome in ended if outcome.busy]
+    total = job_count() or len(ended)
+    lost = total - sum(outcome.kind != REPORT for outcome in ended)
+    if failed:
+        print("\n".join(_told(failed, total)), file=sys.stderr)
+    if lost > 0:
+        print(f"error: {lost} runs ended without telling how", file=sys.stderr)
+    if busy:
+        first = f"{busy[0].error}" if total == 1 else f"for instance {busy[0].error}"
+        count = "" if total == 1 else f"{len(busy)} of {total} runs are being done elsewhere, "
+        print(f"error: {count}{first}; then the same command again", file=sys.stderr)
+    if failed or lost > 0:
+        return 2 if lost <= 0 and all(outcome.bad_input for outcome in failed) else 1
+    return 3 if busy else 0
+
+
+def _told(failed: Sequence[Outcome], total: int) -> list[str]:
+    """The lines about failed runs."""
+    runs = [outcome for outcome in failed if outcome.kind != REPORT]
+    if total == 1 or not runs:
+        return [f"error: {outcome.error}" for outcome in failed]
+    lines = [
+        f"error: {len(runs)} of {total} runs failed; the same command does them again, the one"
+        " below each does it alone",
+        *_table(runs[:MOST_ROWS]),
+        *_rest(len(runs) - MOST_ROWS),
+    ]
+    return [*lines, *(f"error: {o.error}" for o in failed if o.kind == REPORT)]
+
+
+def _table(failed: Sequence[Outcome]) -> list[str]:
+    rows = [("run", "kind", "reason")]
+    rows += [(str(short_path(Path(o.run_dir))), o.kind, str(o.error)) for o in failed]
+    wide, kind_wide = (max(len(row[column]) for row in rows) for column in (0, 1))
+    lines = [f"  {run:{wide}}  {kind:{kind_wide}}  {reason}" for run, kind, reason in rows]
+    commands = [f"    {outcome.again}" for outcome in failed]
+    return [lines[0], *(line for pair in zip(lines[1:], commands, strict=True) for line in pair)]
+
+
+def _rest(count: int) -> list[str]:
+    return [f"  ... and {count} more, see the report"] if count > 0 else []
