@@ -42,6 +42,7 @@ from framework.run_files import (
     METRICS_CSV,
     RENDERS,
     HistoryRow,
+    Table,
     file_stems,
     history_csv,
     metrics_csv,
@@ -50,7 +51,6 @@ from framework.run_files import (
 )
 
 if TYPE_CHECKING:
-    import pandas as pd
     from torch import Tensor
 
     from framework.types import Gaussians, View
@@ -149,8 +149,8 @@ class Run:
 
     run_dir: Path
     record: RunRecord
-    metrics: pd.DataFrame
-    history: pd.DataFrame
+    metrics: Table
+    history: Table
 
 
 def write_run(
@@ -249,11 +249,9 @@ def read_record(path: Path) -> RunRecord:
 
 def read_run(run_dir: Path) -> Run:
     """A run with its tables, without torch. Raises UserError when files are missing or damaged."""
-    import pandas as pd
-
     record = read_record(run_dir / RECORD)
     if record.status != "complete":
-        return Run(run_dir, record, pd.DataFrame(), pd.DataFrame())
+        return Run(run_dir, record, Table({}, {}), Table({}, {}))
     for name in (METRICS_CSV, HISTORY_CSV):
         require(
             (run_dir / name).is_file(),
@@ -264,7 +262,7 @@ def read_run(run_dir: Path) -> Run:
         metrics, history = (read_table(run_dir / name) for name in (METRICS_CSV, HISTORY_CSV))
     except UserError:
         raise
-    except (ValueError, IndexError, csv.Error) as error:
+    except (ValueError, IndexError, OverflowError, csv.Error) as error:
         raise UserError(
             f"{run_dir}: expected {METRICS_CSV} and {HISTORY_CSV} as a run writes them, got damaged"
             f" ones ({error}); delete that folder and run again"

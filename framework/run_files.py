@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,7 +23,6 @@ from framework.metrics import METRICS, Missing, ViewMetrics, quantise
 from framework.record_check import check_columns, check_stems
 
 if TYPE_CHECKING:
-    import pandas as pd
     from torch import Tensor
 
     from framework.types import View
@@ -33,6 +33,15 @@ METRIC_COLUMNS = ("view", "tags", *METRICS, "render_s", "file", "missing")
 TEXT_COLUMNS = ("view", "tags", "file", "missing")
 COUNT_COLUMNS = ("step", "gaussians", "sh_degree")
 HISTORY_COLUMNS = ("step", "seconds", "loss", "train_psnr", "test_psnr", "gaussians", "sh_degree")
+
+
+@dataclass(frozen=True)
+class Table:
+    """The columns of a table by name. texts: a cell without text is "". numbers: float64, a cell
+    without a value is NaN."""
+
+    texts: Mapping[str, list[str]]
+    numbers: Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -85,21 +94,21 @@ def history_csv(history: Sequence[HistoryRow]) -> str:
     return _csv([*HISTORY_COLUMNS, *(f"log/{name}" for name in names)], rows)
 
 
-def read_table(path: Path) -> pd.DataFrame:
-    """A table written here; empty text cells come back as ''.
+def read_table(path: Path) -> Table:
+    """A table written here.
 
-    Raises ValueError, IndexError or csv.Error for anything else, UserError for a too large file.
+    Raises ValueError, IndexError, OverflowError or csv.Error for anything else, UserError for a too
+    large file.
     """
-    import pandas as pd
-
     check_size(path, TEXT_BYTES)
-    # pandas' own number parser is not exact in every supported version
     with path.open(newline="", encoding="utf-8") as file:
         columns, *rows = list(csv.reader(file))
     check_columns(columns, METRIC_COLUMNS if path.name == METRICS_CSV else HISTORY_COLUMNS)
     cells = {name: [row[index] for row in rows] for index, name in enumerate(columns)}
     check_stems(cells.get("file", []))
-    return pd.DataFrame({name: _parse(name, texts) for name, texts in cells.items()})
+    texts = {name: column for name, column in cells.items() if name in TEXT_COLUMNS}
+    numbers = {name: _numbers(name, cells[name]) for name in columns if name not in texts}
+    return Table(texts, numbers)
 
 
 def write_renders(
@@ -134,12 +143,10 @@ def error_map(render: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(colours[..., :3])
 
 
-def _parse(name: str, cells: list[str]) -> list[str] | list[int] | list[float]:
-    if name in TEXT_COLUMNS:
-        return cells
+def _numbers(name: str, cells: Sequence[str]) -> np.ndarray:
     if name in COUNT_COLUMNS:
-        return [int(cell) for cell in cells]
-    return [float(cell) if cell else float("nan") for cell in cells]
+        return np.array([int(cell) for cell in cells], dtype=np.float64)
+    return np.array([float(cell) if cell else math.nan for cell in cells], dtype=np.float64)
 
 
 def _png(pixels: np.ndarray) -> bytes:

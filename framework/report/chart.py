@@ -77,8 +77,11 @@ def draw(charts: Sequence[Chart]) -> Figure:
         for axes, chart in zip(column, charts, strict=True):
             _draw_chart(axes, chart)
         _draw_legend(figure)
-        figure.draw_without_rendering()  # laid out once, for all file formats
-        figure.set_layout_engine("none")
+        # laid out once for all file formats; with an engine left, each would be drawn twice
+        engine = figure.get_layout_engine()
+        assert engine is not None, "the figure was made with one"
+        engine.execute(figure)
+        figure.set_layout_engine(None)
     return figure
 
 

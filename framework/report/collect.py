@@ -54,12 +54,14 @@ class ReportRun:
     @cached_property
     def files(self) -> dict[str, str]:
         """View -> first part of the names of its image files."""
-        return dict(zip(self.run.metrics["view"], self.run.metrics["file"], strict=True))
+        texts = self.run.metrics.texts
+        return dict(zip(texts["view"], texts["file"], strict=True))
 
     @cached_property
     def psnr(self) -> dict[str, float]:
         """View -> PSNR in dB, NaN where it is infinite."""
-        return dict(zip(self.run.metrics["view"], self.run.metrics["psnr"], strict=True))
+        table = self.run.metrics
+        return dict(zip(table.texts["view"], table.numbers["psnr"].tolist(), strict=True))
 
     def level(self, axis: Axis) -> float | None:
         """The strength of a stress; None where the run's options do not have it as a number."""

@@ -54,6 +54,6 @@ def _mean_point(step: int, pairs: Sequence[tuple[float, float]]) -> Point:
 
 
 def _evaluations(run: ReportRun) -> Evaluations:
-    history = run.run.history
+    history = run.run.history.numbers
     rows = zip(history["step"], history["seconds"], history["test_psnr"], strict=True)
     return {int(step): (float(s), float(psnr)) for step, s, psnr in rows if not math.isnan(psnr)}

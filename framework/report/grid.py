@@ -1,21 +1,29 @@
-"""Bands of small pictures with a title each, three to a row, that stay readable at 800 pixels."""
+"""Bands of small pictures with a title each, three to a row, that stay readable at 800 pixels.
+
+All lengths are pixels of the finished image. A picture is made as wide as its column: a larger one
+is averaged down (Lanczos), a smaller one keeps its pixels as squares.
+"""
 
 from __future__ import annotations
 
+import functools
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import matplotlib
 import numpy as np
-from matplotlib.figure import Figure, SubFigure
+from PIL import Image, ImageDraw, ImageFont
 
-from framework.report.chart import STYLE, WIDTH
-
-COLUMNS = 3
-TITLE_CHARACTERS = 30
-LINE_INCHES = 0.17
-HEADING_INCHES = 0.62
+WIDTH, COLUMNS = 792, 3
+COLUMN, GAP = WIDTH // COLUMNS, 6
+PICTURE = COLUMN - GAP
+TITLE_CHARACTERS = 32
+TITLE_SIZE, HEADING_SIZE = 13, 15
+LINE, HEADING, ROW_GAP = 17, 62, 8
+SCALE_BOX = (548, 24, 738, 36)  # left, top, right, bottom within a band
+INK, PAPER = (0, 0, 0), (255, 255, 255)
 
 
 @dataclass(frozen=True)
@@ -50,55 +58,74 @@ class Band:
         return [group[k : k + COLUMNS] for group, k in starts]
 
 
-def draw_bands(bands: Sequence[Band]) -> Figure:
+def draw_bands(bands: Sequence[Band]) -> Image.Image:
     """The bands below each other."""
-    heights = [HEADING_INCHES + sum(_row_inches(row) for row in band.rows) for band in bands]
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, sum(heights)))
-        parts = figure.subfigures(len(bands), 1, height_ratios=heights, squeeze=False)[:, 0]
-        for part, band, height in zip(parts, bands, heights, strict=True):
-            _draw_band(part, band, height)
-    return figure
+    heights = [HEADING + sum(_row_height(row) for row in band.rows) for band in bands]
+    page = Image.new("RGB", (WIDTH, sum(heights)), PAPER)
+    top = 0
+    for band, height in zip(bands, heights, strict=True):
+        _draw_band(page, band, top)
+        top += height
+    return page
 
 
-def _draw_band(part: SubFigure, band: Band, height: float) -> None:
-    part.text(0.005, 1 - 0.08 / height, band.heading, va="top", fontsize=10, fontweight="bold")
-    _draw_scale(part, band.scale, height)
-    top, width = HEADING_INCHES, 1 / COLUMNS
+def _draw_band(page: Image.Image, band: Band, top: int) -> None:
+    draw = ImageDraw.Draw(page)
+    heading = "\n".join(textwrap.wrap(band.heading, 60)[:2])
+    draw.multiline_text((4, top + 10), heading, INK, _font(HEADING_SIZE, bold=True), spacing=3)
+    _draw_scale(page, draw, band.scale, top)
+    top += HEADING
     for row in band.rows:
-        text = _text_inches(row)
+        below_titles = top + _titles_height(row)
         for column, cell in enumerate(row):
-            box = _aspect(cell) * WIDTH * width * 0.98
-            place = (column * width + 0.003, 1 - (top + text + box) / height, width * 0.98)
-            axes = part.add_axes((*place, box / height))
-            axes.imshow(cell.pixels, interpolation="nearest", aspect="auto")
-            axes.set_axis_off()
-            axes.set_title("\n".join(_wrapped(cell.title)), fontsize=9, pad=2.5)
-        top += _row_inches(row)
+            left, lines = column * COLUMN + GAP // 2, _wrapped(cell.title)
+            for number, line in enumerate(reversed(lines)):
+                place = (left + PICTURE // 2, below_titles - 4 - LINE * number)
+                draw.text(place, line, INK, _font(TITLE_SIZE), anchor="ms")
+            page.paste(_fitted(cell.pixels), (left, below_titles))
+        top += _row_height(row)
 
 
-def _draw_scale(part: SubFigure, scale: Scale, height: float) -> None:
-    """At the right end of the heading."""
-    axes = part.add_axes((0.70, 1 - 0.34 / height, 0.24, 0.11 / height))
-    ramp = np.linspace(0, 1, 256)[None]
-    axes.imshow(ramp, aspect="auto", cmap=scale.colormap, extent=(0, 1, 0, 1))
-    axes.set_yticks([])
-    axes.set_xticks([0, 0.5, 1], ["0", f"{scale.largest / 2:g}", f"≥ {scale.largest:g}"])
-    axes.tick_params(labelsize=9, length=2, pad=1.5)
-    axes.set_title(scale.title, fontsize=9, pad=2.5)
+def _draw_scale(page: Image.Image, draw: ImageDraw.ImageDraw, scale: Scale, top: int) -> None:
+    """At the right end of the heading: its title, the colours, and what 0, half and all mean."""
+    left, box_top, right, bottom = SCALE_BOX
+    width, height = right - left, bottom - box_top
+    ramp = matplotlib.colormaps[scale.colormap](np.linspace(0, 1, width), bytes=True)[:, :3]
+    page.paste(Image.fromarray(np.repeat(ramp[None], height, axis=0)), (left, top + box_top))
+    font = _font(TITLE_SIZE)
+    draw.text(((left + right) // 2, top + box_top - 5), scale.title, INK, font, anchor="ms")
+    ends = ("0", f"{scale.largest / 2:g}", f"≥ {scale.largest:g}")
+    for share, text in zip((0.0, 0.5, 1.0), ends, strict=True):
+        x = left + round(share * (width - 1))
+        draw.line((x, top + bottom, x, top + bottom + 3), INK)
+        draw.text((x, top + bottom + 5), text, INK, font, anchor="ma")
 
 
-def _row_inches(row: Sequence[Cell]) -> float:
-    return _text_inches(row) + max(_aspect(cell) for cell in row) * WIDTH / COLUMNS + 0.04
+def _fitted(pixels: np.ndarray) -> Image.Image:
+    shrinks = pixels.shape[1] > PICTURE
+    how = Image.Resampling.LANCZOS if shrinks else Image.Resampling.NEAREST
+    return Image.fromarray(pixels).resize((PICTURE, _picture_height(pixels)), how)
 
 
-def _text_inches(row: Sequence[Cell]) -> float:
-    return LINE_INCHES * max(len(_wrapped(cell.title)) for cell in row) + 0.06
+def _row_height(row: Sequence[Cell]) -> int:
+    return _titles_height(row) + max(_picture_height(cell.pixels) for cell in row) + ROW_GAP
 
 
-def _aspect(cell: Cell) -> float:
-    return cell.pixels.shape[0] / cell.pixels.shape[1]
+def _titles_height(row: Sequence[Cell]) -> int:
+    return LINE * max(len(_wrapped(cell.title)) for cell in row) + 2
+
+
+def _picture_height(pixels: np.ndarray) -> int:
+    return max(1, round(PICTURE * pixels.shape[0] / pixels.shape[1]))
 
 
 def _wrapped(title: str) -> list[str]:
     return [line for part in title.split("\n") for line in textwrap.wrap(part, TITLE_CHARACTERS)]
+
+
+@functools.cache
+def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """The charts' font, which matplotlib brings along."""
+    name = f"DejaVuSans{'-Bold' if bold else ''}.ttf"
+    path = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name
+    return ImageFont.truetype(str(path), size, layout_engine=ImageFont.Layout.BASIC)

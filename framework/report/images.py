@@ -14,8 +14,8 @@ import numpy as np
 
 from framework.report.collect import ReportRun, Study
 from framework.report.document import Picture
-from framework.report.figures import save
-from framework.report.grid import Band, Cell, Scale, draw_bands
+from framework.report.figures import grid_picture
+from framework.report.grid import Band, Cell, Scale
 from framework.report.labels import outside, slug
 from framework.report.numbers import significant
 from framework.report.views import ShownViews, choose_views, image_file, psnr_of
@@ -48,8 +48,8 @@ def draw_images(study: Study, scene: str) -> Picture | None:
         scale = Scale("mean absolute error", "magma", ERROR_SCALE)
         groups = ((truth, *renders), tuple(errors))
         bands.append(Band(f"{outside(view)} ({why})", groups, scale))
-    files = save(draw_bands(bands), study.out_dir, f"images_{slug(scene)}", ("jpg",))
-    return Picture(files, f"Images of {scene}", _images_caption(shown), grid=True)
+    name, caption = f"images_{slug(scene)}", _images_caption(shown)
+    return grid_picture(study.out_dir, name, bands, f"Images of {scene}", caption, in_viewer=True)
 
 
 def draw_sigma_maps(study: Study, scene: str) -> Picture | None:
@@ -68,13 +68,13 @@ def draw_sigma_maps(study: Study, scene: str) -> Picture | None:
         scale = Scale("standard deviation over seeds", SIGMA_COLORS, SIGMA_SCALE)
         maps = [_sigma_cell(method, runs, view) for method, runs in groups]
         bands.append(Band(f"{outside(view)} ({why})", ((truth, *maps),), scale))
-    files = save(draw_bands(bands), study.out_dir, f"sigma_{slug(scene)}", ("jpg",))
     caption = (
         "Where the runs of one method disagree: standard deviation of each pixel over the seeds,"
         f" root mean square over the channels; dark = 0, yellow = {SIGMA_SCALE:g} of the full range"
         " or more. Below each name: root mean square over the pixels and the number of seeds."
     )
-    return Picture(files, f"Deviation over seeds of {scene}", caption)
+    name, alt = f"sigma_{slug(scene)}", f"Deviation over seeds of {scene}"
+    return grid_picture(study.out_dir, name, bands, alt, caption, in_viewer=False)
 
 
 def sigma_map(runs: Sequence[ReportRun], view: str) -> np.ndarray:

@@ -95,7 +95,8 @@ def wilson(failed: int, n: int) -> Interval:
 
 
 def _has_converged(run: ReportRun) -> bool:
-    psnr = run.run.history["test_psnr"].dropna().to_numpy()
+    psnr = run.run.history.numbers["test_psnr"]
+    psnr = psnr[~np.isnan(psnr)]
     return len(psnr) == 0 or bool(psnr[-1] > psnr.max() - FAILURE_DB)
 
 

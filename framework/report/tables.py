@@ -123,7 +123,7 @@ def worst_rows(study: Study) -> Rows:
 
 def tags_of(study: Study, scene: str) -> list[str]:
     """The tags that mark some test views of a scene, `interpolating` before `extrapolating`."""
-    texts = {text for run in study.of(scene) for text in run.run.metrics["tags"]}
+    texts = {text for run in study.of(scene) for text in run.run.metrics.texts["tags"]}
     tags = {tag for text in texts for tag in text.split()}
     return sorted(tags, key=lambda tag: (tag != "interpolating", tag))
 
@@ -188,7 +188,8 @@ def _places(interval: Interval | None) -> int:
 
 
 def _tag_mean(run: ReportRun, tag: str, metric: str) -> float | None:
-    pairs = zip(run.run.metrics["tags"], run.run.metrics[metric], strict=True)
+    table = run.run.metrics
+    pairs = zip(table.texts["tags"], table.numbers[metric], strict=True)
     values = [value for tags, value in pairs if tag in tags.split()]
     return float(np.mean(values)) if values and not np.isnan(values).any() else None
 

@@ -126,8 +126,8 @@ def _cpu_s(run: ReportRun) -> float | None:
 
 def _frames_per_s(run: ReportRun) -> float | None:
     """Test views per second of rendering; None where no time was taken."""
-    total = float(run.run.metrics["render_s"].sum())
-    return len(run.run.metrics) / total if total > 0 else None
+    seconds = run.run.metrics.numbers["render_s"]
+    return len(seconds) / float(seconds.sum()) if seconds.sum() > 0 else None
 
 
 def _differs(costs: Sequence[float]) -> bool:

@@ -120,7 +120,7 @@ def _c4_of_freedom(freedom: np.ndarray | float) -> np.ndarray:
 def _freedom(relative_variance: float) -> float:
     """Degrees of freedom whose bias-free chi has this relative variance, 1 / c4^2 - 1."""
     low, high = 0.05, 1e7
-    for _ in range(100):
+    for _ in range(50):
         middle = math.sqrt(low * high)
         above = 1 / float(_c4_of_freedom(middle)) ** 2 - 1 > relative_variance
         low, high = (middle, high) if above else (low, middle)

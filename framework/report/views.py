@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from framework.paths import inside
 from framework.report.collect import ReportRun, Study
@@ -45,28 +45,31 @@ def image_file(run: ReportRun, view: str, kind: str) -> Path:
 
 def psnr_of(run: ReportRun, view: str) -> float | None:
     """A view's PSNR in dB; None where it is infinite."""
-    return None if np.isnan(run.psnr[view]) else run.psnr[view]
+    return None if math.isnan(run.psnr[view]) else run.psnr[view]
 
 
 def _pick(runs: Sequence[ReportRun]) -> dict[str, str]:
     """View -> why, for the views that all runs have."""
-    tables = [run.run.metrics.set_index("view") for run in runs]
-    # an infinite PSNR is stored as missing
-    psnr = pd.concat([table["psnr"].fillna(np.inf) for table in tables], axis=1, join="inner")
-    mean = psnr.mean(axis=1).sort_values(kind="stable", ascending=False)
-    if mean.empty:
+    common = set.intersection(*(set(run.psnr) for run in runs))
+    mean = {view: _mean_psnr(runs, view) for view in runs[0].psnr if view in common}
+    if not mean:
         return {}
-    tags = tables[0]["tags"].reindex(mean.index)
-    wanted: list[tuple[str, pd.Series]] = []
+    ranked = sorted(mean, key=lambda view: -mean[view])
+    texts = runs[0].run.metrics.texts
+    tags = {view: own.split() for view, own in zip(texts["view"], texts["tags"], strict=True)}
+    wanted = []
     for tag in ("interpolating", "extrapolating"):
-        tagged = mean[tags.map(str.split).map(lambda own, tag=tag: tag in own)]
-        if len(tagged):
-            wanted.append((f"{tag}, median", tagged.iloc[[len(tagged) // 2]]))
+        tagged = [view for view in ranked if tag in tags[view]]
+        if tagged:
+            wanted.append((f"{tag}, median", tagged[len(tagged) // 2]))
     if not wanted:
-        wanted = [("best", mean.iloc[[0]]), ("median", mean.iloc[[len(mean) // 2]])]
-    wanted.append(("worst", mean.iloc[[-1]]))
+        wanted = [("best", ranked[0]), ("median", ranked[len(ranked) // 2])]
     picked: dict[str, str] = {}
-    for why, entry in wanted:
-        view = str(entry.index[0])
+    for why, view in (*wanted, ("worst", ranked[-1])):
         picked[view] = f"{picked[view]}; {why}" if view in picked else why
     return picked
+
+
+def _mean_psnr(runs: Sequence[ReportRun], view: str) -> float:
+    values = [run.psnr[view] for run in runs]
+    return float(np.mean([math.inf if math.isnan(psnr) else psnr for psnr in values]))

@@ -35,14 +35,16 @@ def test_a_run_reads_back(run_dir: Path) -> None:
     assert run.record.train_s == 16.25
     assert run.record.parameters_sha256 == record.parameters_sha256(make_gaussians(12, 0))
     assert run.record.ply_bytes == (run_dir / "point_cloud.ply").stat().st_size
-    assert run.record.summary["psnr"] == pytest.approx(run.metrics["psnr"].mean(), abs=1e-12)
+    assert run.record.summary["psnr"] == pytest.approx(
+        run.metrics.numbers["psnr"].mean(), abs=1e-12
+    )
     assert isinstance(run.record.summary["lpips"], Missing)
-    assert "metrics.lpips_weights" in json.loads(run.metrics["missing"][0])["lpips"]
-    assert run.metrics["lpips"].isna().all()
-    assert list(run.metrics["tags"]) == ["interpolating"] * 2 + ["extrapolating"] * 2
-    assert list(run.history["step"]) == list(range(100, 801, 100))
-    assert run.history["test_psnr"].notna().sum() == 4
-    assert (run.history["log/dropped"] == 0.1).all()
+    assert "metrics.lpips_weights" in json.loads(run.metrics.texts["missing"][0])["lpips"]
+    assert np.isnan(run.metrics.numbers["lpips"]).all()
+    assert list(run.metrics.texts["tags"]) == ["interpolating"] * 2 + ["extrapolating"] * 2
+    assert list(run.history.numbers["step"]) == list(range(100, 801, 100))
+    assert np.isfinite(run.history.numbers["test_psnr"]).sum() == 4
+    assert (run.history.numbers["log/dropped"] == 0.1).all()
     assert read_ply(run_dir / "point_cloud.ply")[1] is not None
 
 
@@ -50,8 +52,8 @@ def test_numbers_in_the_tables_are_exact(run_dir: Path) -> None:
     view = make_view(0)
     expected = evaluate_view(view, noisy(view, 30.0, "x", 0))
     stored = read_run(run_dir).metrics
-    recomputed = [saved_psnr(run_dir, name) for name in stored["file"]]
-    assert list(stored["psnr"]) == recomputed
+    recomputed = [saved_psnr(run_dir, name) for name in stored.texts["file"]]
+    assert list(stored.numbers["psnr"]) == recomputed
     assert isinstance(expected.psnr, float)
 
 
@@ -89,7 +91,7 @@ def test_json_is_strict_and_nan_is_explained(tmp_path: Path) -> None:
     assert content["summary"]["psnr"]["mean"] is None
     assert content["summary"]["psnr"]["missing"] == "infinite: render equals truth"
     assert content["config"]["stop"] is None
-    assert read_run(run_dir).metrics["psnr"].isna().all()
+    assert np.isnan(read_run(run_dir).metrics.numbers["psnr"]).all()
     assert sorted(p.name for p in (run_dir / "renders").iterdir()) == [
         "test_00.png",
         "test_00_error.png",
@@ -153,7 +155,7 @@ def test_failed_runs_are_recorded(tmp_path: Path) -> None:
     write_failed(tmp_path, make_config(seed=4), ["seed=4"], "UserError: depth:\n no overlap")
     run = read_run(tmp_path)
     assert run.record.status == "failed" and run.record.error == "UserError: depth: no overlap"
-    assert run.record.seed == 4 and run.metrics.empty
+    assert run.record.seed == 4 and not run.metrics.numbers
     assert find_complete(tmp_path, "") is None
 
 

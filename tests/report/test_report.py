@@ -69,7 +69,7 @@ def test_first_screen_is_one_sentence_and_one_table(report: str) -> None:
 
 def test_table_numbers_are_the_records(study_dir: Path, report: str) -> None:
     runs = collect(study_dir).of(method="safi + uar")
-    values = [float(run.run.metrics["psnr"].mean()) for run in runs]
+    values = [float(run.run.metrics.numbers["psnr"].mean()) for run in runs]
     row = next(line for line in report.splitlines() if line.startswith("| safi + uar"))
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     half = stats.t.ppf(0.975, 2) * np.std(values, ddof=1) / 3**0.5

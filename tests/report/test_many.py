@@ -1,0 +1,19 @@
+"""A report of many records stays quick; `benchmarks/report.py` measures a thousand."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from framework.report import build_report
+from tests.report.studies import write_study
+
+LIMIT_S = 10.0  # of CPU time; about 3 where the machine does nothing else
+
+
+def test_two_hundred_records(tmp_path: Path) -> None:
+    assert write_study(tmp_path, scenes=1, seeds=50) == 200
+    start = time.process_time()
+    report = build_report(tmp_path)
+    assert time.process_time() - start < LIMIT_S
+    assert "(n = 50)" in report.read_text(encoding="utf-8")
