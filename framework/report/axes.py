@@ -12,11 +12,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Axis:
-    """key: of the configuration. label: with its unit. harder: +1 if larger values are harder."""
+    """key: of the configuration. label: with its unit. harder: +1 if larger values are harder.
+    at: a value in a sentence."""
 
     key: str
     label: str
     harder: int
+    at: str
 
     @property
     def short(self) -> str:
@@ -25,12 +27,12 @@ class Axis:
 
 
 STRESSES = (
-    Axis("scene.n_views", "training views", -1),
-    Axis("depth.strength", "strength of the depth error", 1),
-    Axis("scene.spread", "camera spread (m)", 1),
-    Axis("scene.pose_noise", "pose noise (px)", 1),
-    Axis("scene.texture", "texture contrast (factor)", -1),
-    Axis("scene.gloss", "gloss (factor)", 1),
+    Axis("scene.n_views", "training views", -1, "{} training views"),
+    Axis("depth.strength", "strength of the depth error", 1, "strength {}"),
+    Axis("scene.spread", "camera spread (m)", 1, "a spread of {} m"),
+    Axis("scene.pose_noise", "pose noise (px)", 1, "a noise of {} px"),
+    Axis("scene.texture", "texture contrast (factor)", -1, "a contrast of {}"),
+    Axis("scene.gloss", "gloss (factor)", 1, "a gloss of {}"),
 )
 # part of the conditions a method meets, without an order of their own
 CONDITIONS = ("depth.corruption",)

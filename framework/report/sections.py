@@ -7,40 +7,32 @@ over budgets, which choice to take for a given time; else the table and its find
 
 from __future__ import annotations
 
-import shlex
-from collections import defaultdict
 from collections.abc import Sequence
 
-from framework.metrics import METRICS, Missing
-from framework.report import curves, stress, tables, tradeoff
+from framework.report import curves, gaps, stress, tables, tradeoff
 from framework.report.collect import Study
 from framework.report.document import Block, Bullets, Document, Heading, Picture, Text, table
 from framework.report.figures import chart_picture
-from framework.report.finding import sentence, stability_sentence
+from framework.report.finding import sentence, sentences
 from framework.report.images import draw_images, draw_sigma_maps
-from framework.report.labels import code, outside
+from framework.report.labels import outside
 from framework.report.outcomes import Outcomes, outcomes
 from framework.report.provenance import provenance_blocks
 from framework.report.published import PUBLISHED, SOURCE
 
-WORDS = (
-    "Scene",
-    "Method",
-    "Compared with",
-    "Run",
-    "Kind",
-    "Reason",
-    "Again",
-    "Parameters",
-    "Folder",
-)
+WORDS = ("Scene", "Method", "Compared with", "Parameters", "Folder")
 DEFINITIONS = (
     "PSNR, SSIM and FLIP: mean over the test views, then over seeds, from the saved 8-bit renders;"
     " ± is half the width of the 95 % interval of the mean over seeds (t). σ_PSNR: standard"
-    " deviation (n − 1) over seeds of the mean PSNR over the test views{over}, in brackets its 95 %"
-    " interval (χ², normal errors). Train: wall seconds of the training alone, mean over runs."
+    " deviation (n − 1) over seeds of the mean PSNR over the test views{pooled}, in brackets its"
+    " 95 % interval (χ², normal errors). Train: wall seconds of the training alone, mean over runs."
     " Numbers are rounded to what their uncertainty supports."
 )
+POOLED = (
+    f" (in the rows `{tables.ALL_SCENES}`: of its mean over the scenes; the other reading, the mean"
+    " of the scenes' deviations, stands under Stability)"
+)
+LPIPS = " LPIPS was not measured; the reason stands under Missing metrics."
 
 
 def document(study: Study, title: str) -> Document:
@@ -54,8 +46,7 @@ def document(study: Study, title: str) -> Document:
         blocks += _budgets(study, found)
     else:
         blocks += _plain(study, found)
-    blocks += [Text(note, "note") for note in study.notes]
-    blocks += [*_failures(study), *_missing_runs(study)]
+    blocks += [*gaps.failures(study), *gaps.missing_runs(study)]
     if not panels:  # the strengths of a stress share their seeds: no independent pairs
         blocks += [*_comparisons(found), *_stability(study, found)]
     blocks += _worst(study)
@@ -65,24 +56,22 @@ def document(study: Study, title: str) -> Document:
     if study.runs:
         blocks += [Heading(2, "Published figures"), PUBLISHED, Text(SOURCE)]
         blocks += [Heading(2, "Every run"), table(tables.seed_rows(study), WORDS)]
-    blocks += [*_missing_metrics(study), *provenance_blocks(study)]
+    blocks += [*gaps.missing_metrics(study), *provenance_blocks(study)]
     return Document(outside(title), tuple(blocks))
 
 
 def _plain(study: Study, found: Outcomes) -> list[Block]:
-    blocks: list[Block] = [Text(sentence(study, found), "finding")]
-    stability = stability_sentence(study, found)
-    if stability:
-        blocks.append(Text(stability, "finding"))
-    return [*blocks, *_main_table(study)]
+    blocks: list[Block] = [Text(text, "finding") for text in sentences(study, found)]
+    return [*blocks, *gaps.gap_notes(study), *_main_table(study)]
 
 
 def _main_table(study: Study) -> list[Block]:
     if not study.runs:
         return []
-    over = " and scenes" if len(study.scenes) > 1 else ""
+    pooled = POOLED if len(study.scenes) > 1 else ""
+    unmeasured = "" if "lpips" in tables.measured(study) else LPIPS
     rows = tables.main_rows(study, study.scenes)
-    return [table(rows, WORDS), Text(DEFINITIONS.format(over=over))]
+    return [table(rows, WORDS), Text(DEFINITIONS.format(pooled=pooled) + unmeasured)]
 
 
 def _budgets(study: Study, found: Outcomes) -> list[Block]:
@@ -96,7 +85,7 @@ def _budgets(study: Study, found: Outcomes) -> list[Block]:
         for charts in tradeoff.charts(study, scene)[:1]:
             alt = f"PSNR against training time of {scene}"
             blocks.append(chart_picture(study.out_dir, charts, alt, TRADEOFF_CAPTION))
-    return [*blocks, Text(sentence(study, found)), *_main_table(study)]
+    return [*blocks, Text(sentence(study, found)), *gaps.gap_notes(study), *_main_table(study)]
 
 
 TRADEOFF_CAPTION = (
@@ -113,49 +102,25 @@ STRESS_CAPTION = (
 
 
 def _stress(study: Study, panels: Sequence[stress.Panel]) -> list[Block]:
+    """The answer on every panel first, then the charts and tables."""
     limits = stress.limits(study, panels)
-    blocks: list[Block] = []
+    answers: list[Block] = []
+    details: list[Block] = []
     for panel in panels:
         told = tuple(stress.sentence(limit) for limit in limits if limit.panel is panel)
-        blocks.append(Text(f"{panel.title}, along {panel.axis.label}:", "finding"))
         if told:
-            blocks.append(Bullets(told))
+            title = f"{panel.title}, along {panel.axis.label}, against {study.baseline}:"
+            answers += [Text(title, "finding"), Bullets(told)]
         alt = f"PSNR of {panel.title} against {panel.axis.label}"
         charts = stress.charts(study, panel)
-        blocks.append(chart_picture(study.out_dir, charts, alt, STRESS_CAPTION))
-        blocks.append(table(stress.rows(panel), WORDS))
-    text = "Cells: PSNR (dB), mean over seeds ± half the width of its 95 % interval (t)."
-    return [*blocks, Text(text)]
-
-
-def _failures(study: Study) -> list[Block]:
-    if not study.failed:
-        return []
-    rows = [
-        {
-            "Run": code(study.folder_of(run.run_dir)),
-            "Kind": outside(run.kind),
-            "Reason": outside(run.error),
-            "Again": code(shlex.join(["python", "run.py", *run.overrides, "-m"])),
-        }
-        for run in study.failed
-    ]
-    text = "The study's command does them again; the command in the last column does one alone."
-    return [Heading(2, "Failed runs"), Text(text), table(rows, WORDS)]
-
-
-def _missing_runs(study: Study) -> list[Block]:
-    if not study.missing:
-        return []
-    seeds: dict[tuple[str, str], list[str]] = defaultdict(list)
-    for scene, method, seed in study.missing:
-        seeds[scene, method].append(str(seed))
-    items = [f"{method} on {scene}: seed {', '.join(s)}" for (scene, method), s in seeds.items()]
+        details.append(chart_picture(study.out_dir, charts, alt, STRESS_CAPTION))
+        details.append(table(stress.rows(panel), WORDS))
     text = (
-        f"{len(study.missing)} runs are missing to the full cross of the scenes, methods and seeds"
-        " that are there:"
+        "Cells: PSNR (dB), mean over seeds ± half the width of its 95 % interval (t). A method's"
+        " difference is called significant if it is so at some strength, Bonferroni-corrected over"
+        " the strengths, each method for itself."
     )
-    return [Heading(2, "Missing runs"), Text(text), Bullets(tuple(items))]
+    return [*answers, *gaps.gap_notes(study, pooled=False), *details, Text(text)]
 
 
 def _comparisons(found: Outcomes) -> list[Block]:
@@ -183,7 +148,8 @@ def _stability(study: Study, found: Outcomes) -> list[Block]:
         text = (
             "Ratio of the standard deviations over seeds. p: Brown–Forsythe test, which needs no"
             " normal errors and is conservative below about ten seeds. Interval: F distribution,"
-            " normal and independent errors. Seeds needed: per method, for the two-sided F test at"
+            " normal errors, both samples independent; both are too cautious where a seed moves the"
+            " two methods alike. Seeds needed: per method, for the two-sided F test at"
             " 5 % to find the observed ratio with a power of 80 %."
         )
         blocks += [table(tables.sigma_rows(found), WORDS), Text(text)]
@@ -258,18 +224,3 @@ def _curves(study: Study, scene: str) -> Picture | None:
         return None
     alt = f"Quality over training time of {scene}"
     return chart_picture(study.out_dir, (chart,), alt, curves.CAPTION)
-
-
-def _missing_metrics(study: Study) -> list[Block]:
-    """Each missing metric once per reason, with the number of runs it concerns."""
-    counts: dict[tuple[str, str], int] = defaultdict(int)
-    for run in study.runs:
-        for metric in METRICS:
-            value = run.record.summary.get(metric)
-            if isinstance(value, Missing):
-                counts[metric.upper(), outside(value.reason)] += 1
-    lines = [
-        f"{metric}: missing in {n} of {len(study.runs)} runs: {reason}"
-        for (metric, reason), n in sorted(counts.items())
-    ]
-    return [Heading(2, "Missing metrics"), Bullets(tuple(lines))] if lines else []

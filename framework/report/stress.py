@@ -37,11 +37,13 @@ class Panel:
 
 @dataclass(frozen=True)
 class Limit:
-    """Where a method stops helping on a panel."""
+    """Where a method stops helping on a panel. ends: strength and mean gain (dB), of the weakest
+    and of the strongest strength."""
 
     panel: Panel
     method: str
     found: Breakdown
+    ends: tuple[tuple[float, float], tuple[float, float]]
 
 
 def panels(study: Study) -> list[Panel]:
@@ -58,7 +60,8 @@ def limits(study: Study, shown: Sequence[Panel]) -> list[Limit]:
         for method in panel.runs:
             gains = _gains(study, panel, method)
             if gains is not None:
-                found.append(Limit(panel, method, break_down(*gains)))
+                means = [(float(v), float(row.mean())) for v, row in zip(*gains, strict=True)]
+                found.append(Limit(panel, method, break_down(*gains), (means[0], means[-1])))
     return found
 
 
@@ -117,30 +120,47 @@ def rows(panel: Panel) -> list[dict[str, str]]:
 
 
 def sentence(limit: Limit) -> str:
-    """What happens to a method's help along a stress."""
+    """What happens to a method's help along a stress, and how large it is at both ends."""
     found, axis, levels = limit.found, limit.panel.axis, limit.panel.levels
-    unit = axis.label
     if found.n > 1 and not found.significant:
-        return f"{limit.method}: no significant difference at any strength (n = {found.n} seeds)."
+        return (
+            f"{limit.method}: no significant difference at any strength ({_ends(limit)}; n ="
+            f" {found.n} seeds)."
+        )
     if not found.helps:
         said = "helps at no tested strength"
     elif found.stops is not None:
-        start = f", having begun at {significant(found.starts)}," if found.starts else ""
-        said = f"stops helping{start} at {significant(found.stops)} {unit}"
+        start = f", having begun at {_at(axis, found.starts)}," if found.starts is not None else ""
+        said = f"stops helping{start} at {_at(axis, found.stops)}"
     elif found.starts is not None:
-        said = f"begins to help at {significant(found.starts)} {unit} and does not stop"
+        said = f"begins to help at {_at(axis, found.starts)} and does not stop"
     else:
-        said = f"helps from {levels[0]:g} to {levels[-1]:g} {unit}"
-    return f"{limit.method} {said} ({_evidence(found)})."
+        said = f"helps from {_at(axis, levels[0])} to {_at(axis, levels[-1])}"
+    return f"{limit.method} {said} ({_evidence(limit)})."
 
 
-def _evidence(found: Breakdown) -> str:
-    seeds = f"n = {found.n} seeds" if found.n > 1 else "n = 1: nothing can be said about its noise"
+def _evidence(limit: Limit) -> str:
+    found = limit.found
     if found.n < 2:
-        return seeds
+        return f"{_ends(limit)}; n = 1: nothing can be said about its noise"
+    seeds = f"{_ends(limit)}; n = {found.n} seeds"
     if found.interval is None:
         return f"{seeds}; the sign is beyond doubt at every tested strength"
-    return f"{seeds}; 95 % interval of the turning point {interval_text(found.interval)}"
+    hardest = limit.panel.levels[-1]
+    open_end = hardest in (found.interval.low, found.interval.high)
+    beyond = f", open towards {_at(limit.panel.axis, hardest)}" if open_end else ""
+    return f"{seeds}; 95 % interval of the turning point {interval_text(found.interval)}{beyond}"
+
+
+def _ends(limit: Limit) -> str:
+    """The mean gain at the weakest and at the strongest strength that was compared."""
+    (first, low), (last, high) = limit.ends
+    axis = limit.panel.axis
+    return f"gain {low:+.2f} dB at {_at(axis, first)}, {high:+.2f} dB at {_at(axis, last)}"
+
+
+def _at(axis: Axis, value: float) -> str:
+    return axis.at.format(f"{float(significant(value)):g}")
 
 
 def _panels_along(study: Study, axis: Axis) -> list[Panel]:

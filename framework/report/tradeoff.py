@@ -83,9 +83,15 @@ def charts(study: Study, scene: str) -> list[tuple[Chart, ...]]:
 
 
 def advice(study: Study, scene: str) -> list[str]:
-    """Which configuration to take at each of `LIMITS_S`, a sentence each."""
+    """Which configuration to take at each of `LIMITS_S`, a sentence each; limits
+    with the same answer share it."""
     found = entries(study, scene)
-    return [_advice(found, limit) for limit in LIMITS_S] if len(found) > 1 else []
+    if len(found) < 2:
+        return []
+    limits: dict[str, list[str]] = {}
+    for limit in LIMITS_S:
+        limits.setdefault(_advice(found, limit), []).append(f"{limit:g}")
+    return [f"Within {' or '.join(told)} s: {answer}" for answer, told in limits.items()]
 
 
 def rows(study: Study, scene: str) -> list[dict[str, str]]:
@@ -175,13 +181,11 @@ def _advice(found: Sequence[Entry], limit_s: float) -> str:
     if not within:
         quickest = min(found, key=_time)
         return (
-            f"Within {limit_s:g} s: nothing tested fits; the quickest is {quickest.method} with"
-            f" {quickest.train_s:.0f} s."
+            f"nothing tested fits; the quickest is {quickest.method} with {quickest.train_s:.0f} s."
         )
     best = max(within, key=lambda entry: entry.psnr.mean)
     level = mean_text([run.mean("psnr") for run in best.runs], 2, show_half=True)
-    said = f"Within {limit_s:g} s: {best.method}, {level} dB in {best.train_s:.1f} s"
-    return f"{said}; {_rival(best, within)}."
+    return f"{best.method}, {level} dB in {best.train_s:.1f} s; {_rival(best, within)}."
 
 
 def _rival(best: Entry, within: Sequence[Entry]) -> str:
@@ -195,7 +199,8 @@ def _rival(best: Entry, within: Sequence[Entry]) -> str:
     if not alike:
         return "every other choice within that time is significantly worse"
     if not quicker:
-        return f"no significant difference to {len(alike)} others, which are no quicker"
+        others = "1 other, which is" if len(alike) == 1 else f"{len(alike)} others, which are"
+        return f"no significant difference to {others} no quicker"
     quickest = min(quicker, key=_time)
     return (
         f"no significant difference to {quickest.method}"

@@ -50,6 +50,17 @@ def test_ratio_of_deviations() -> None:
     )
 
 
+def test_ratio_of_deviations_is_cautious_where_seeds_tie_the_methods() -> None:
+    """Half of the variance is shared by the runs of a seed: the interval is too wide, not small."""
+    draw = stream(0, "tied")
+    found = []
+    for _ in range(DRAWS):
+        shared, own_a, own_b = draw.standard_normal((3, 10))
+        found.append(compare_sigmas("a", list(shared + own_a), "b", list(shared + own_b)))
+    share = covered([f.interval if f else None for f in found], 1.0)
+    assert 0.95 < share < 0.99
+
+
 @pytest.mark.parametrize(("n", "truths"), [(3, (0.1,) * 8), (10, (0.05, 0.1, 0.3)), (5, (0.2,))])
 def test_mean_of_the_scenes_deviations(n: int, truths: tuple[float, ...]) -> None:
     draws = stream(n, "scenes").standard_normal((DRAWS, len(truths), n))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -17,7 +19,7 @@ from framework.record import write_failed
 from framework.report import build_report
 from framework.report.__main__ import main
 from framework.report.collect import collect
-from framework.report.finding import sentence
+from framework.report.finding import sentence, sentences
 from framework.report.markdown import render
 from framework.report.outcomes import outcomes
 from framework.report.sections import document
@@ -50,15 +52,17 @@ def first_sentence(folder: Path) -> str:
     return sentence(study, outcomes(study))
 
 
-def test_first_screen_is_one_sentence_and_one_table(report: str) -> None:
-    title, _, finding, _, stability, _, header, _, *rows = report.splitlines()
+def test_first_screen_answers_what_how_reliably_and_at_what_cost(report: str) -> None:
+    title, _, finding, _, stability, _, cost, _, note, _, header, _, *rows = report.splitlines()
     assert title == "# embedded"
     assert re.fullmatch(
         r"On embedded, safi \+ uar reaches \d\d\.\d\d dB, \d\.\d\d dB above none \+ none \(95 %"
         r" interval \d\.\d\d to \d\.\d\d, n = 3 seeds, paired, p [=<] 0\.\d+\)\.",
         finding,
     )
-    assert stability.startswith("σ_PSNR: no significant difference between the methods (Brown–")
+    assert stability.startswith("σ_PSNR over seeds: no significant difference from none + none (")
+    assert cost.startswith("Cost: safi + uar 18.1 s and 12 Gaussians, none + none 16.1 s and 12 ")
+    assert note == "**Note.** 1 of 7 runs failed: listed below."
     names = [name.strip() for name in header.strip("|").split("|")]
     assert names == [
         *("Method", "PSNR (dB)", "σ_PSNR (dB)", "SSIM ↑", "FLIP ↓", "Train (s)", "Gaussians")
@@ -181,6 +185,70 @@ def test_a_winning_baseline_is_said(tmp_path: Path) -> None:
     assert 0 < low < difference < high
 
 
+def test_the_lowest_deviation_is_not_claimed_for_a_ratio_above_one(tmp_path: Path) -> None:
+    for augment in ("none", "safi", "dba"):
+        for seed in range(4):
+            fake_run(tmp_path, augment, seed=seed)
+    study = collect(tmp_path)
+    found = outcomes(study)
+    ratios = [c.ratio for c in found.sigmas.values()]
+    (told,) = [text for text in sentences(study, found) if text.startswith("σ_PSNR")]
+    assert "lowest" not in told and "no significant difference from none + none" in told
+    shown = re.search(r"Observed ratios: from (\S+) \(.*\) to (\S+) \(", told)
+    assert shown is not None, told
+    assert [float(n) for n in shown.groups()] == pytest.approx(sorted(ratios), rel=0.05)  # type: ignore[type-var]
+
+
+def test_methods_as_good_as_the_best_are_named(tmp_path: Path) -> None:
+    for augment, gain in (("none", 0.0), ("safi", 2.0), ("dba", 2.0), ("euclidean", 1.0)):
+        for seed in range(4):
+            fake_run(tmp_path, augment, seed=seed, gain=gain)
+    study = collect(tmp_path)
+    (told,) = [t for t in sentences(study, outcomes(study)) if t.startswith("Not significantly")]
+    assert ("dba" in told) and ("safi" in told) and "euclidean" not in told
+    assert "none + none" not in told
+
+
+def test_equal_runs_are_called_equal(tmp_path: Path) -> None:
+    for seed in range(3):
+        first = fake_run(tmp_path, seed=seed)
+        twin = shutil.copytree(first, tmp_path / "runs" / f"twin{seed}") / "record.json"
+        content = json.loads(twin.read_text())
+        content["config"]["augment"]["name"] = "safi"
+        twin.write_text(json.dumps(content))
+    found = first_sentence(tmp_path)
+    assert found.endswith("exactly as much as safi + none (equal in all of 3 pairs).")
+
+
+def test_failed_missing_and_repeated_runs_are_told_first_and_the_report_builds(
+    tmp_path: Path,
+) -> None:
+    for augment in ("none", "safi"):
+        for seed in range(3):
+            fake_run(tmp_path, augment, seed=seed)
+    shutil.copytree(tmp_path / "runs/embedded-safi-none-s2", tmp_path / "runs/z")
+    shutil.rmtree(tmp_path / "runs/embedded-none-none-s1")
+    write_failed(tmp_path / "runs" / "x", make_config("safi", "uar"), ["seed=0"], "no overlap")
+    text = build_report(tmp_path).read_text(encoding="utf-8")
+    first_screen = text.partition("\n## ")[0]
+    assert "1 of 6 runs failed and 1 run is missing: listed below." in first_screen
+    assert "No run finished of safi + uar." in first_screen
+    assert "was found twice" in first_screen
+    assert "- none + none on embedded: seed 1" in text and "no overlap" in text
+
+
+def test_studies_are_merged_on_the_command_line(tmp_path: Path) -> None:
+    for seed in range(2):
+        fake_run(tmp_path / "a", seed=seed)
+        fake_run(tmp_path / "b", "safi", seed=seed, gain=1.0)
+    folders = [str(tmp_path / name) for name in "ab"]
+    assert main([*folders, "--out", str(tmp_path / "both"), "--title", "Both"]) == 0
+    text = (tmp_path / "both" / "report.md").read_text(encoding="utf-8")
+    assert text.startswith("# Both\n") and "dB above none + none" in text
+    assert "](../b/runs/embedded-safi-none-s1/)" in text
+    assert main(folders) == 2
+
+
 def test_methods_without_common_seeds_are_not_compared(tmp_path: Path) -> None:
     fake_run(tmp_path, "none", seed=0)
     fake_run(tmp_path, "safi", seed=1, gain=1.0)
@@ -195,7 +263,7 @@ def test_several_scenes(tmp_path: Path) -> None:
             for augment, gain in (("none", 0.0), ("safi", 2.0)):
                 fake_run(tmp_path, augment, seed=seed, gain=gain, scene=scene)
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert "On 2 scenes, safi + none reaches" in text
+    assert "On the mean of 2 scenes, safi + none reaches" in text
     assert "n = 4 pairs of scene and seed" in text
     assert text.count("| mean of all") == 2 and "| door" in text
     assert "mean of the scenes' σ (dB)" in text
