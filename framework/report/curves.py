@@ -9,6 +9,7 @@ from framework.report.chart import Chart, Point, Series
 from framework.report.collect import ReportRun, Study
 from framework.report.labels import slug
 from framework.report.statistics import spread
+from framework.report.views import shown_methods
 
 THIN_SEEDS = 12
 Evaluations = dict[int, tuple[float, float]]  # step -> seconds, test PSNR (dB)
@@ -22,8 +23,10 @@ CAPTION = (
 def chart(study: Study, scene: str) -> Chart | None:
     """None where no history of the scene has an evaluation."""
     series: list[Series] = []
-    for index, method in enumerate(study.methods):
-        runs = [table for run in study.of(scene, method) if len(table := _evaluations(run))]
+    for method in shown_methods(study, scene):
+        found = study.of(scene, method)
+        index = study.families.index(found[0].method_label.family)
+        runs = [table for run in found if len(table := _evaluations(run))]
         if runs:
             series += _series(method, index, runs)
     if not series:

@@ -18,7 +18,7 @@ from framework.report.figures import grid_picture
 from framework.report.grid import Band, Cell, Scale
 from framework.report.labels import outside, slug
 from framework.report.numbers import significant
-from framework.report.views import ShownViews, choose_views, image_file, psnr_of
+from framework.report.views import ShownViews, choose_views, image_file, psnr_of, shown_methods
 from framework.run_files import ERROR_SCALE
 from framework.scenes.images import read_image
 
@@ -57,7 +57,7 @@ def draw_sigma_maps(study: Study, scene: str) -> Picture | None:
     shown = choose_views(study, scene)
     groups = [
         (method, runs)
-        for method in study.methods
+        for method in shown_methods(study, scene)
         if len(runs := study.of(scene, method)) >= FEWEST_SEEDS
     ]
     if not groups or not shown.views:

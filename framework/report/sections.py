@@ -32,6 +32,7 @@ POOLED = (
     f" (in the rows `{tables.ALL_SCENES}`: of its mean over the scenes; the other reading, the mean"
     " of the scenes' deviations, stands under Stability)"
 )
+BEST_BUDGETS = "Of each method, the budget with the highest mean PSNR on the scene."
 LPIPS = " LPIPS was not measured; the reason stands under Missing metrics."
 
 
@@ -210,10 +211,11 @@ def _pictures(study: Study, scenes: Sequence[str]) -> list[Block]:
         "Quality over training time": [(scene, _curves(study, scene)) for scene in scenes],
     }
     blocks: list[Block] = []
+    of_many = any(run.method_label.budget for run in study.runs)
     for heading, pictures in drawn.items():
         present = [(scene, picture) for scene, picture in pictures if picture is not None]
         if present:
-            blocks.append(Heading(2, heading))
+            blocks += [Heading(2, heading), *([Text(BEST_BUDGETS)] if of_many else [])]
             blocks += [block for s, picture in present for block in (Heading(3, s), picture)]
     return blocks
 

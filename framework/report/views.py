@@ -11,6 +11,7 @@ import numpy as np
 
 from framework.paths import inside
 from framework.report.collect import ReportRun, Study
+from framework.report.numbers import average
 from framework.run_files import RENDERS
 
 
@@ -22,12 +23,25 @@ class ShownViews:
     views: tuple[tuple[str, str], ...]
 
 
+def shown_methods(study: Study, scene: str) -> list[str]:
+    """The methods with runs on a scene; of one with several budgets, the budget with the highest
+    mean PSNR there, as all of them would fill pages."""
+    best: dict[str, tuple[float, str]] = {}
+    for method in study.methods:
+        runs = study.of(scene, method)
+        if runs:
+            psnr = average([run.mean("psnr") for run in runs])
+            entry = (-math.inf if psnr is None else psnr, method)
+            family = runs[0].method_label.family
+            best[family] = max(best.get(family, entry), entry, key=lambda pair: pair[0])
+    return [method for _, method in best.values()]
+
+
 def choose_views(study: Study, scene: str) -> ShownViews:
-    """The lowest seed that every method has, and up to three test views by their mean PSNR over
-    those runs: where views are tagged, the median one of each tag and the worst of all; else best,
-    median and worst."""
-    by_method = [study.of(scene, method) for method in study.methods]
-    present = [runs for runs in by_method if runs]
+    """The lowest seed that every shown method has, and up to three test views by their mean PSNR
+    over those runs: where views are tagged, the median one of each tag and the worst of all; else
+    best, median and worst."""
+    present = [study.of(scene, method) for method in shown_methods(study, scene)]
     common = set.intersection(*({run.seed for run in runs} for runs in present))
     seeds = [min(common) if common else runs[0].seed for runs in present]
     chosen = tuple(

@@ -270,6 +270,21 @@ def test_several_scenes(tmp_path: Path) -> None:
     assert (tmp_path / "images_fern.jpg").is_file() and (tmp_path / "curves_door.svg").is_file()
 
 
+def test_pictures_are_of_the_best_budget_of_each_method(tmp_path: Path) -> None:
+    for augment in ("none", "safi"):
+        for steps, gain in ((100, 0.0), (400, 1.5)):
+            options = {"trainer": {"steps": steps}, "run_name": f"{augment}{steps}"}
+            fake_run(tmp_path, augment, gain=gain, **options)
+    study = collect(tmp_path)
+    assert [run.method for run in choose_views(study, "embedded").runs] == [
+        "none + none, trainer.steps=400",
+        "safi + none, trainer.steps=400",
+    ]
+    text = text_of(tmp_path)
+    assert "On embedded, by seconds of training:" in text
+    assert "Of each method, the budget with the highest mean PSNR" in text
+
+
 def test_a_run_of_its_own_folder(tmp_path: Path) -> None:
     run_dir = fake_run(tmp_path)
     text = build_report(run_dir, "One run").read_text(encoding="utf-8")
