@@ -18,8 +18,7 @@ from framework.metrics import Missing
 from framework.record import FAILED, RECORD, Run, RunRecord, read_run
 from framework.report.axes import Axis
 from framework.report.labels import MethodLabel, SceneLabel, method_labels, outside, scene_labels
-
-BASELINE = "none + none"
+from framework.report.order import BASELINE, method_order, natural
 
 
 @dataclass(frozen=True)
@@ -148,22 +147,6 @@ class Study:
     def folder_of(self, run_dir: Path) -> str:
         """`run_dir` as seen from the report."""
         return Path(os.path.relpath(run_dir.resolve(), self.out_dir.resolve())).as_posix()
-
-
-def method_order(method: str) -> tuple[bool, bool, list[tuple[int, float, str]]]:
-    """Sort key: plain `none + none`, then its variants, then the others by name."""
-    return method != BASELINE, not method.startswith(BASELINE), natural(method)
-
-
-def natural(text: str) -> list[tuple[int, float, str]]:
-    """Sort key by which `n=9` comes before `n=10`."""
-    parts: list[tuple[int, float, str]] = []
-    for word in text.replace("=", " = ").replace(")", " )").replace(",", " ,").split():
-        try:
-            parts.append((0, float(word), ""))
-        except ValueError:
-            parts.append((1, 0.0, word))
-    return parts
 
 
 def collect(study_dirs: Path | Sequence[Path], out_dir: Path | None = None) -> Study:
