@@ -74,4 +74,5 @@ def diverged(
 
 def _broken(tensor: Tensor) -> int:
     """The number of rows with a value that is not finite."""
-    return int((~torch.isfinite(tensor.detach()).reshape(len(tensor), -1).all(dim=1)).sum())
+    rows = torch.isfinite(tensor.detach())[:, None].flatten(1)  # also of no Gaussian at all
+    return int((~rows.all(dim=1)).sum())

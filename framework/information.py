@@ -18,6 +18,8 @@ from torch import Tensor, from_numpy
 
 FORMS = ("trace", "log")
 ROUNDING = 1e-12  # a parameter whose information is below this share of the largest has none
+LARGEST_LOGIT = 40.0  # beyond it 1 - o has no digits left in float32
+OPACITY = 10  # the opacity logit's place in a diagonal
 NOISE = 1e-6  # share of its diagonal to which a block from float32 derivatives is known
 
 
@@ -93,6 +95,19 @@ def block_prior(blocks: Sequence[Tensor], regulariser: float) -> Tensor:
     does not depend on the axes of the world. Raises ValueError as `shared_prior`."""
     _check_positive("block_prior: regulariser", regulariser)
     return from_numpy(_block_prior(np.concatenate([_float64(b) for b in blocks]), regulariser))
+
+
+def removal_energy(diagonal: Tensor, opacity_logits: Tensor) -> Tensor:
+    """Squared change of the images, summed over pixels and channels, if a Gaussian were not there.
+
+    diagonal: [N, 14] information (see `fisher`), summed over the views. opacity_logits: [N].
+    A pixel's colour is linear in each alpha, and alpha in the opacity o, so that the change is o
+    dC/do = dC/d(logit) / (1 - o) and its energy F_logit / (1 - o)^2: no approximation but at the
+    cut-offs (alphas clamped at 0.99 are missing, at most the central 2 % of a Gaussian's square).
+    Others do not fill the gap; what a refit loses is less. Returns [N] float64, intensity^2.
+    """
+    transparency = 1 / (1 + np.exp(np.minimum(_float64(opacity_logits), LARGEST_LOGIT)))
+    return from_numpy(_float64(diagonal)[:, OPACITY] / transparency**2)
 
 
 def uncertainty(blocks: Tensor, visible: Tensor, extent: float, regulariser: float) -> Tensor:

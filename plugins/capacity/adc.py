@@ -3,10 +3,6 @@
 Where the projected mean of a Gaussian keeps being pulled, the scene is not yet represented well:
 a small Gaussian there is cloned, a large one split in two. Transparent Gaussians are removed, and
 now and then all opacities are lowered so that only those the views need come back.
-
-The pull is the gradient of the loss with respect to the mean in normalised device coordinates
-(x_ndc = 2 u / width - 1, so d/dx_ndc = width / 2 d/du), averaged over the steps that saw the
-Gaussian; unlike one in pixels it does not depend on the resolution trained at.
 """
 
 from __future__ import annotations
@@ -16,34 +12,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from framework.errors import require
-from framework.plugin import Capacity, Edits, StepContext, StepStats, register
+from framework.plugin import Edits, StepContext, StepStats, register
+from framework.pull import Pull, PullCapacity
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from framework.types import Gaussians, View
+    from framework.types import Gaussians
 
 CHILDREN = 2  # a split Gaussian becomes two ...
 SHRINK = 1.6  # ... smaller by this factor (the 3DGS code's 0.8 * CHILDREN)
 
 
-@dataclass(frozen=True)
-class Pull:
-    """What was measured since the last densification. total: [N] float32, summed gradient norms in
-    NDC. seen: [N] float32, number of steps in which the Gaussian was visible."""
-
-    total: Tensor
-    seen: Tensor
-
-    @property
-    def mean(self) -> Tensor:
-        """[N] average norm over the steps that saw it; 0 where none did."""
-        return self.total / self.seen.clamp(min=1)
-
-
 @register("capacity", "adc")
 @dataclass(frozen=True)
-class AdaptiveDensityControl(Capacity):
+class AdaptiveDensityControl(PullCapacity):
     """Options, with the defaults of the sparse-view literature (10k-step trainings).
 
     Steps are absolute: a training of 500 steps or fewer is not densified unless `from_step` is
@@ -83,28 +66,16 @@ class AdaptiveDensityControl(Capacity):
             f"a number in (min_opacity, 1) = ({self.min_opacity}, 1), or all would be removed",
         )
 
-    def init_state(self, ctx: StepContext) -> Pull:
-        return _nothing_measured(len(ctx.gaussians), ctx.gaussians)
-
-    def check_state(
-        self, state: Pull, gaussians: Gaussians, version: int, views: tuple[View, ...]
-    ) -> None:
-        from framework.shapes import check_kind, check_tensor
-
-        check_kind("adc", state, Pull)
-        check_tensor("adc.total", state.total, len(gaussians))
-        check_tensor("adc.seen", state.seen, len(gaussians))
-
     def update(self, ctx: StepContext, state: Pull, stats: StepStats) -> tuple[Edits | None, Pull]:
         """Measure; at every `every`-th step also clone, split and prune; then perhaps reset.
 
         `ctx.step` is the index of the step just made, hence one more are finished.
         """
-        state, finished = _measured(state, stats), ctx.step + 1
+        state, finished = self.measured(state, stats), ctx.step + 1
         ceiling = self.reset_opacity if self._due(finished, self.reset_every, 0) else None
         if self._due(finished, self.every, self.from_step):
             edits, n = self._densified(ctx, state, ceiling)
-            return edits, _nothing_measured(n, ctx.gaussians)
+            return edits, self.unmeasured(n)
         return (None if ceiling is None else Edits(opacity_ceiling=ceiling)), state
 
     @staticmethod
@@ -138,24 +109,6 @@ class AdaptiveDensityControl(Capacity):
         served = torch.zeros_like(chosen)
         served[strongest[:room]] = True
         return chosen & served
-
-
-def _nothing_measured(n: int, like: Gaussians) -> Pull:
-    return Pull(like.means.new_zeros(n), like.means.new_zeros(n))
-
-
-def _measured(state: Pull, stats: StepStats) -> Pull:
-    """`state` with the step of `stats` added."""
-    n = len(state.total)
-    if len(stats.radii) != n or len(stats.means2d_grad) != n:
-        raise ValueError(
-            f"capacity=adc: expected step statistics of {n} Gaussians as in the state, got"
-            f" {len(stats.means2d_grad)} gradients and {len(stats.radii)} radii"
-        )
-    visible = stats.radii > 0
-    ndc = stats.means2d_grad * stats.means2d_grad.new_tensor([stats.width / 2, stats.height / 2])
-    norm = ndc.square().sum(1).sqrt()
-    return Pull(state.total + norm * visible, state.seen + visible)
 
 
 def _children(parents: Gaussians, standard_normal) -> Gaussians:  # type: ignore[no-untyped-def]

@@ -44,6 +44,12 @@ class BrokenChildren(Capacity):
         return Edits(append=child.replace(quats=child.quats * float("nan"))), state
 
 
+@dataclass(frozen=True)
+class NoChildren(Capacity):
+    def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits, Any]:
+        return Edits(append=ctx.gaussians[torch.tensor([], dtype=torch.long)]), state
+
+
 def plugins(**changes: Any) -> Plugins:
     names = {"augment": "none", "reg": "none", "capacity": "fixed"}
     built = {group: registry.build(group, {"name": name}) for group, name in names.items()}
@@ -60,6 +66,10 @@ def train(
     chosen = start if gaussians is None else gaussians
     trainer = Trainer(views or plane, depth, chosen, options, plugins(**changes), 0, Silent())
     return trainer.run()
+
+
+def test_a_capacity_may_add_no_gaussian() -> None:
+    assert len(train(capacity=NoChildren()).gaussians) == 200
 
 
 def test_a_gradient_that_is_not_finite_is_caught_at_its_step() -> None:

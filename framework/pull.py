@@ -1,0 +1,68 @@
+"""How hard the loss pulls at the projected mean of every Gaussian: what asks for more of them.
+
+The pull is the gradient of the loss with respect to the mean in normalised device coordinates
+(x_ndc = 2 u / width - 1, so d/dx_ndc = width / 2 d/du), averaged over the steps that saw the
+Gaussian (3DGS, Kerbl et al. 2023, section 5.2); unlike one in pixels it does not depend on the
+resolution trained at. Light to import.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from framework.plugin import Capacity, StepContext, StepStats
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.types import Gaussians, View
+
+
+@dataclass(frozen=True)
+class Pull:
+    """What was measured since the set changed last. total: [N] float32, summed gradient norms in
+    NDC. seen: [N] float32, number of steps in which the Gaussian was visible."""
+
+    total: Tensor
+    seen: Tensor
+
+    @property
+    def mean(self) -> Tensor:
+        """[N] average norm over the steps that saw it; 0 where none did."""
+        return self.total / self.seen.clamp(min=1)
+
+
+class PullCapacity(Capacity):
+    """The common part of capacities whose state is the `Pull`."""
+
+    def init_state(self, ctx: StepContext) -> Pull:
+        return self.unmeasured(len(ctx.gaussians))
+
+    def check_state(
+        self, state: Pull, gaussians: Gaussians, version: int, views: tuple[View, ...]
+    ) -> None:
+        from framework.shapes import check_kind, check_tensor
+
+        check_kind(self.name, state, Pull)
+        check_tensor(f"{self.name}.total", state.total, len(gaussians))
+        check_tensor(f"{self.name}.seen", state.seen, len(gaussians))
+
+    def unmeasured(self, n: int) -> Pull:
+        """The state of a new set of `n` Gaussians."""
+        import torch
+
+        return Pull(torch.zeros(n), torch.zeros(n))
+
+    def measured(self, state: Pull, stats: StepStats) -> Pull:
+        """`state` with the step of `stats` added. Raises ValueError when they are of two sets."""
+        n = len(state.total)
+        if len(stats.radii) != n or len(stats.means2d_grad) != n:
+            raise ValueError(
+                f"capacity={self.name}: expected step statistics of {n} Gaussians as in the state,"
+                f" got {len(stats.means2d_grad)} gradients and {len(stats.radii)} radii"
+            )
+        visible = stats.radii > 0
+        half_size = stats.means2d_grad.new_tensor([stats.width / 2, stats.height / 2])
+        norm = (stats.means2d_grad * half_size).square().sum(1).sqrt()
+        return Pull(state.total + norm * visible, state.seen + visible)

@@ -1,0 +1,58 @@
+"""`capacity=budget`: a hard number of Gaussians, put to its best use.
+
+The initialisation proposes, usually more than the budget; from `start` to `until` rounds bring the
+number to it in equal ratios. Every round drops the Gaussians without which the training images
+would change least (`information.removal_energy`) and splits some of those that the loss pulls at,
+so that Gaussians move from where they are of little use to where they are missing. After `until`
+the number is exact and stays. Starting from fewer, it grows by at most a quarter per round.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from framework.plugin import StepContext, register
+from framework.rounds import RoundsCapacity
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.fisher import FisherInformation
+
+GROWTH = 1.25  # largest ratio of the numbers after and before a round
+
+
+@register("capacity", "budget")
+@dataclass(frozen=True)
+class Budget(RoundsCapacity):
+    """gaussians: the number from `until` on; before, the initialisation's may be larger."""
+
+    gaussians: int = 5000
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check("gaussians", self.gaussians >= 1, "an integer >= 1")
+
+    def selected(self, ctx: StepContext, information: FisherInformation) -> tuple[Tensor, int]:
+        import torch
+
+        from framework.information import removal_energy
+
+        n = len(ctx.gaussians)
+        wanted = self._wanted(n, self.rounds_left(ctx))
+        new = round(self.grow * wanted) if self.growing(ctx) else 0
+        n_kept = min(n, wanted - min(new, wanted // 2))
+        energy = removal_energy(information.diagonal, ctx.gaussians.opacity_logits)
+        keep = torch.zeros(n, dtype=torch.bool)
+        keep[energy.argsort(descending=True, stable=True)[:n_kept]] = True
+        return keep, min(wanted - n_kept, n_kept) if self.rounds_left(ctx) > 0 else 0
+
+    def _wanted(self, n: int, rounds_left: int) -> int:
+        """How many there shall be after this round, of `rounds_left` up to `until`."""
+        if n <= self.gaussians:
+            return min(self.gaussians, math.ceil(GROWTH * n))
+        if rounds_left <= 1:
+            return self.gaussians
+        return round(n * (self.gaussians / n) ** (1 / rounds_left))

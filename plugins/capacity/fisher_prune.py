@@ -1,0 +1,78 @@
+"""`capacity=fisher_prune`: PUP-3DGS (Hanson et al. 2025, "PUP 3D-GS: principled uncertainty pruning
+for 3D Gaussian splatting"): drop the Gaussians the images are least sensitive to, then fine-tune.
+
+Its sensitivity is log det of the 6x6 Fisher block about mean and log-scale, summed over the
+training views. The paper prunes 80 % after 30,000 steps, trains 5,000, prunes half of the rest and
+trains 5,000 more; the defaults are the same shares of a training of any length. Two things differ
+from its code: a block that few views leave singular gets a relative prior (`uncertainty` in
+`framework.information`; without one all such Gaussians tie at minus infinity), and the views are
+taken at full resolution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from framework.errors import require
+from framework.plugin import Capacity, Edits, StepContext, StepStats, register
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+@register("capacity", "fisher_prune")
+@dataclass(frozen=True)
+class FisherPrune(Capacity):
+    """first: share of the Gaussians that the first round drops; again: share of the rest that every
+    later one does. rounds: how many. begin: share of the training before the first; what is left of
+    it is fine-tuning, divided evenly among the rounds. regulariser: prior precision as a share of
+    the median diagonal of the blocks.
+    """
+
+    first: float = 0.8
+    again: float = 0.5
+    rounds: int = 2
+    begin: float = 0.75
+    regulariser: float = 1e-4
+
+    def __post_init__(self) -> None:
+        def check(name: str, ok: bool, expected: str) -> None:
+            require(ok, f"capacity.{name}: expected {expected}, got {getattr(self, name)}")
+
+        check("first", 0 <= self.first < 1, "a share in [0, 1)")
+        check("again", 0 <= self.again < 1, "a share in [0, 1)")
+        check("rounds", self.rounds >= 1, "an integer >= 1")
+        check("begin", 0 <= self.begin < 1, "a share in [0, 1)")
+        check("regulariser", 0 < self.regulariser <= 1e3, "a number in (0, 1000]")
+
+    def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
+        """At a round's step, drop the least sensitive; at least one Gaussian stays."""
+        steps = self._steps(ctx.n_steps)
+        if ctx.step not in steps:
+            return None, state
+        share = self.first if ctx.step == steps[0] else self.again
+        n = len(ctx.gaussians)
+        keep = self._most_sensitive(ctx, max(1, n - round(share * n)))
+        ctx.log("pruned", float((~keep).sum()))
+        return Edits(keep), state
+
+    def _steps(self, n_steps: int) -> list[int]:
+        """After which steps a round is due; never after the last."""
+        lengths = ((1 - self.begin) * k / self.rounds for k in range(self.rounds))
+        return sorted(
+            {min(int((self.begin + length) * n_steps), n_steps - 1) for length in lengths}
+        )
+
+    def _most_sensitive(self, ctx: StepContext, n: int) -> Tensor:
+        """[N] bool: the `n` with the largest log determinant."""
+        import torch
+
+        from framework.information import uncertainty
+        from framework.rounds import training_information
+
+        known = training_information(ctx)
+        scores = uncertainty(known.block, known.visible, ctx.extent, self.regulariser)
+        keep = torch.zeros(len(ctx.gaussians), dtype=torch.bool)
+        keep[scores.argsort(stable=True)[:n]] = True
+        return keep
