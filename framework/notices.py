@@ -1,4 +1,4 @@
-"""What the framework logs while a run goes on becomes notes on the user's screen.
+"""What framework and plugins log while a run goes on becomes notes on the user's screen.
 
 Library code only logs (`logging.getLogger(__name__)`) and knows no `Progress`; without a handler
 Python would drop its INFO records unseen.
@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 from framework.progress import Progress
 
-LOGGER = "framework"  # the parent of every module's logger
+LOGGERS = ("framework", "plugins")  # the parents of every module's logger
 
 
 class _Notes(logging.Handler):
@@ -30,17 +30,19 @@ class _Notes(logging.Handler):
 
 @contextmanager
 def noted(progress: Progress) -> Iterator[None]:
-    """While it lasts, `progress.note` tells what the framework logs at INFO and above.
+    """While it lasts, `progress.note` tells what framework and plugins log at INFO and above.
 
-    Afterwards the logger is as it was, so that runs of one process do not add up.
+    Afterwards the loggers are as they were, so that runs of one process do not add up.
     """
-    logger, handler = logging.getLogger(LOGGER), _Notes(progress)
-    level = logger.level
-    logger.addHandler(handler)
-    if not logger.isEnabledFor(logging.INFO):
-        logger.setLevel(logging.INFO)
+    handler = _Notes(progress)
+    before = [(logger, logger.level) for logger in map(logging.getLogger, LOGGERS)]
+    for logger, _ in before:
+        logger.addHandler(handler)
+        if not logger.isEnabledFor(logging.INFO):
+            logger.setLevel(logging.INFO)
     try:
         yield
     finally:
-        logger.setLevel(level)
-        logger.removeHandler(handler)
+        for logger, level in before:
+            logger.setLevel(level)
+            logger.removeHandler(handler)

@@ -1,0 +1,169 @@
+"""`capacity=evidence`: a Gaussian stays only while it pays for its description.
+
+Derivation. Pixels are image + noise of variance s2. With parameters a priori from N(m, diag(v)),
+the Laplace approximation of the evidence (MacKay 1992) with Gaussian i over that without is
+
+    log Z_i / Z_0 = G_i - C_i,    G_i = log-likelihood with it - without it,
+    C_i = 1/2 log det(I + V^(1/2) F_i V^(1/2) / s2) + log 2,
+
+F_i its Fisher information of all training views for unit noise: half the log-determinant, in units
+of what the population leaves open (v), and one bit to say that there is one more. Pixels are linear
+in one Gaussian's opacity, so at an optimum, where residuals are orthogonal to their change by it,
+G_i = E_i / (2 s2), E_i the squared change of the images without it (`information.removal_energy`).
+The noise s2 is the mean squared residual of the training pixels, at least that of 8-bit images; v
+is the spread of the current Gaussians (empirical Bayes). So nothing is set by hand.
+
+Approximated: blocks of different Gaussians are independent (no refit of the others when one goes:
+G_i is too large, so too many stay; removing in rounds and training between them makes up for it);
+F_i is the 6x6 block of mean and log-scale and a diagonal; the residuals' opinion on prior means and
+their correlation are left out (`correlated` counts channels as what they are worth; neighbouring
+pixels are far from independent too, but scaling G by that as well removes the scene, see
+`benchmarks/results/capacity.md`).
+
+Growth proposes (the strongest pulled are split), evidence decides. A round removes at most `pace`
+of the Gaussians, those with the least gain first, since gains hold one at a time; it removes more
+where k Gaussians would not even pay if all of them changed the same pixels in the same direction:
+then they change the images by at most k times the sum of their energies (Cauchy-Schwarz).
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from framework.plugin import StepContext, register
+from framework.rounds import RoundsCapacity
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from torch import Tensor
+
+    from framework.fisher import FisherInformation
+    from framework.types import Gaussians
+
+    Array = NDArray[np.float64]
+
+log = logging.getLogger(__name__)
+
+CRITERIA = ("laplace", "correlated", "bic")
+FEWEST = 8  # are kept even if none pays
+ROUNDING_VARIANCE = (1 / 255) ** 2 / 12  # of 8-bit images
+NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
+
+
+@register("capacity", "evidence")
+@dataclass(frozen=True)
+class Evidence(RoundsCapacity):
+    """criterion: "laplace", as derived; "correlated": the same with the residuals' correlation
+    between the colour channels; "bic": the cost is k/2 log(number of pixel values) for k parameters
+    (Schwarz 1978). pace: share of the Gaussians that a round removes at most.
+    """
+
+    criterion: str = "laplace"
+    pace: float = 0.2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check("criterion", self.criterion in CRITERIA, f"one of {', '.join(CRITERIA)}")
+        self.check("pace", 0 < self.pace <= 1, "a share in (0, 1]")
+
+    def selected(self, ctx: StepContext, information: FisherInformation) -> tuple[Tensor, int]:
+        import torch
+
+        gain, cost = self._evidence(ctx, information)
+        unpaid = gain <= cost
+        n, gone = len(gain), removable(gain, cost, self.pace)
+        gone = gone[: max(0, n - FEWEST)]
+        ctx.log("unpaid", float(unpaid.sum()))
+        if unpaid.all() and n - len(gone) <= FEWEST < n:
+            log.warning(
+                "capacity=evidence: no Gaussian pays for its description, the training views show"
+                " nothing but the background colour; %d are kept",
+                FEWEST,
+            )
+        keep = torch.ones(n, dtype=torch.bool)
+        keep[torch.from_numpy(gone)] = False
+        n_kept = n - len(gone)
+        n_paid = n - int(unpaid.sum())
+        return keep, min(round(self.grow * n_kept), n_paid) if self.growing(ctx) else 0
+
+    def _evidence(self, ctx: StepContext, information: FisherInformation) -> tuple[Array, Array]:
+        """(G, C), each [N] nats."""
+        import numpy as np
+
+        from framework.information import removal_energy
+
+        gaussians = ctx.gaussians
+        noise, values, channels = residual_noise(ctx)
+        ctx.log("noise", math.sqrt(noise))
+        if self.criterion == "correlated":
+            noise *= channels
+        energy = removal_energy(information.diagonal, gaussians.opacity_logits).numpy()
+        if self.criterion == "bic":
+            size = sum(tensor[0].numel() for _, tensor in gaussians.items())
+            cost = np.full(len(energy), 0.5 * size * math.log(values))
+        else:
+            cost = description_cost(gaussians, information, noise)
+        return energy / (2 * noise), cost
+
+
+def residual_noise(ctx: StepContext) -> tuple[float, float, float]:
+    """(variance of the residuals of all valid training pixels, number of their values, factor by
+    which correlation makes the channels of a pixel worth less than independent ones, 1 to 3)."""
+    import numpy as np
+
+    products, pixels = np.zeros((3, 3)), 0.0
+    for view in ctx.views:
+        residual = (ctx.render(view.camera).rgb - view.image).numpy().astype(np.float64)
+        mask = np.ones(residual.shape[1:]) if view.mask is None else view.mask.numpy()
+        pairs = residual[:, None] * residual[None] * mask
+        products += pairs.sum(axis=(2, 3))
+        pixels += float(mask.sum(dtype=np.float64))
+    total = float(np.trace(products))
+    variance = max(total / (3 * pixels), ROUNDING_VARIANCE)
+    together = float(products.sum()) / total if total > 0 else 1.0
+    return variance, 3 * pixels, min(max(together, 1.0), 3.0)
+
+
+def description_cost(gaussians: Gaussians, information: FisherInformation, noise: float) -> Array:
+    """C [N] in nats, at noise variance `noise`. Higher SH bands count as if seen from everywhere,
+    where the addition theorem makes a coefficient's mean information that of sh0."""
+    import numpy as np
+
+    g = gaussians
+    columns = (g.means, g.log_scales, g.quats, g.opacity_logits[:, None], g.sh0[:, 0])
+    prior = np.concatenate([_spread(column) for column in columns])
+    known = information.diagonal.double().numpy() * prior / noise
+    root = np.sqrt(prior[:6])
+    block = information.block.double().numpy() * np.outer(root, root) / noise
+    logs = np.linalg.slogdet(block + np.eye(6))[1] + np.log1p(known[:, 6:]).sum(1)
+    if g.shN.shape[1] > 0:
+        higher = information.diagonal[:, 11:].double().numpy() / noise
+        logs += g.shN.shape[1] * np.log1p(higher * _spread(g.shN.flatten(1)[:, :3])).sum(1)
+    cost: Array = 0.5 * logs + math.log(2)
+    return cost
+
+
+def _spread(column: Tensor) -> Array:
+    """[P] the variance of a normal distribution with the quartiles of these [N, P] values, the mean
+    over all P, so that it does not depend on the axes of the world."""
+    import numpy as np
+
+    low, high = np.quantile(column.double().numpy(), (0.25, 0.75), axis=0)
+    return np.full(column.shape[1], np.mean(((high - low) / NORMAL_QUARTILES) ** 2))
+
+
+def removable(gain: Array, cost: Array, pace: float) -> NDArray[np.int64]:
+    """Which of N Gaussians to remove now, the least gain first: of those that do not pay, a share
+    `pace` of all, or as many as do not pay together in the worst case."""
+    import numpy as np
+
+    order = np.argsort(gain, kind="stable")
+    order = order[gain[order] <= cost[order]]
+    numbers = np.arange(1, len(order) + 1)
+    together = numbers * np.cumsum(gain[order]) <= np.cumsum(cost[order])
+    worst_case = int(numbers[together].max(initial=0))
+    return order[: max(worst_case, round(pace * len(gain)))]
