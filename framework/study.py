@@ -85,7 +85,8 @@ def outcomes() -> list[Outcome]:
 
 
 def job_count() -> int | None:
-    """The number of runs of this command; None when a sweeper decides as it goes."""
+    """The number of runs of this command; None in a process that was started before it was
+    known."""
     text = os.environ.get(JOBS_VARIABLE)
     return None if text is None else int(text)
 
@@ -101,8 +102,6 @@ class StudyCallback(Callback):
         os.environ[JOBS_VARIABLE] = "1"
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        if config.hydra.sweeper._target_.rpartition(".")[2] != BasicSweeper.__name__:
-            return
         try:
             jobs = sweep_jobs(config)
             studies = check_jobs(config, jobs)
@@ -148,7 +147,14 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
     checked: dict[tuple[str, ...], DictConfig] = {}
     taken: dict[str, list[str]] = {}
     studies: dict[Path, list[dict[str, Any]]] = {}
+    seen: set[tuple[str, ...]] = set()
     for job in jobs:
+        if tuple(job) in seen:
+            raise UserError(
+                f"multirun: expected each run once, got '{' '.join(job)}' twice; sweep each value"
+                " once"
+            )
+        seen.add(tuple(job))
         seeds = [word for word in job if word.startswith("seed=")]
         method = tuple(word for word in job if word not in seeds)
         if method in checked:

@@ -15,6 +15,7 @@ from framework.depth.align import align
 from framework.depth.consistency import agreeing_views
 from framework.errors import UserError, require
 from framework.limits import IMAGE_PIXELS
+from framework.paths import inside
 from framework.provenance import file_sha256
 from framework.scenes.images import image_size
 from framework.types import DepthMap, TrainingSet
@@ -30,14 +31,15 @@ JUMP = 1.1  # neighbours whose depths differ by more lie on two surfaces: nothin
 
 
 def find_file(folder: Path, view: str) -> Path:
-    """The one depth file of a view; UserError if there is none, or more than one.
+    """The one depth file of a view; UserError if there is none, more than one, or a link to
+    elsewhere.
 
     Looked for under the view's relative path first (`cam1/0001.jpg`: `cam1/0001.npy`), then by its
     file name alone.
     """
     name = Path(view)
-    inside = not name.is_absolute() and ".." not in name.parts
-    found = _with_suffixes(folder / name) if inside else []
+    below = not name.is_absolute() and ".." not in name.parts
+    found = _with_suffixes(folder / name) if below else []
     found = found or _with_suffixes(folder / name.name)
     if not found:
         raise UserError(
@@ -49,7 +51,7 @@ def find_file(folder: Path, view: str) -> Path:
             f"depth=file: expected one file for view '{view}' in {folder}, got"
             f" {', '.join(p.name for p in found)}; remove all but one"
         )
-    return found[0]
+    return inside(folder, found[0].relative_to(folder))
 
 
 def _with_suffixes(image: Path) -> list[Path]:

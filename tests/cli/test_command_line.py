@@ -140,6 +140,16 @@ def test_a_sweep_over_scenes_reports_each(
     assert reports == [f"report: reports/llff_{name}_3v/report.md" for name in "ab"]
 
 
+def test_the_same_run_twice_is_refused(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["seed=0,1,0", "-m"]) == 2
+    told = capsys.readouterr().err
+    assert (
+        told
+        == "error: multirun: expected each run once, got 'seed=0' twice; sweep each value once\n"
+    )
+    assert not runs.seen
+
+
 def test_a_failing_run_is_recorded_and_the_others_go_on(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,6 +21,7 @@ from framework import limits
 from framework.archives import open_zip
 from framework.arrays import read_npy, read_npz
 from framework.config import ROOT
+from framework.depth.read import find_file
 from framework.errors import UserError
 from framework.lpips import load as load_lpips
 from framework.ply import read_ply
@@ -204,6 +205,18 @@ def test_links_out_of_the_scene(tmp_path: Path) -> None:
     photo.symlink_to(scene / "images_8" / "im02.png")  # inside: the user's own affair
     (tmp_path / "link").symlink_to(scene)
     assert len(list_images(tmp_path / "link" / "images_8")) == 10
+
+
+def test_links_out_of_the_depth_folder(tmp_path: Path) -> None:
+    maps = tmp_path / "maps"
+    maps.mkdir()
+    np.save(tmp_path / "private.npy", np.ones((4, 4)))
+    (maps / "a.npy").symlink_to(tmp_path / "private.npy")
+    with pytest.raises(UserError, match=r"got 'a\.npy', which leads out of it"):
+        find_file(maps, "a.png")
+    (maps / "b.npy").symlink_to(maps / "c.npy")
+    np.save(maps / "c.npy", np.ones((4, 4)))
+    assert find_file(maps, "b.png") == maps / "b.npy"
 
 
 @pytest.mark.parametrize(
