@@ -38,19 +38,20 @@ class Item:
 
 
 class Items:
-    """Items of real views are kept, those of pseudo views made anew: they live for an epoch."""
+    """Items of real views are kept at their present resolution, those of pseudo views made anew:
+    they live for an epoch."""
 
     def __init__(self) -> None:
-        self._kept: dict[tuple[str, int], Item] = {}
+        self._kept: dict[str, tuple[int, Item]] = {}
 
     def get(self, view: View, factor: int) -> Item:
         """`view` box-downsampled by `factor`."""
         if PSEUDO in view.tags:
             return _item(view, factor)
-        key = (view.name, factor)
-        if key not in self._kept:
-            self._kept[key] = _item(view, factor)
-        return self._kept[key]
+        kept = self._kept.get(view.name)
+        if kept is None or kept[0] != factor:
+            kept = self._kept[view.name] = factor, _item(view, factor)
+        return kept[1]
 
 
 def _item(view: View, factor: int) -> Item:

@@ -95,8 +95,8 @@ class Adam:
         getattr(self._second, name).zero_()
 
     def state(self) -> AdamState:
-        """A copy for a checkpoint."""
-        return AdamState(self._first.clone(), self._second.clone(), tuple(self._steps.values()))
+        """What a checkpoint holds: the optimizer's own tensors, which its next step changes."""
+        return AdamState(self._first, self._second, tuple(self._steps.values()))
 
     def load(self, state: AdamState) -> None:
         """Continue from a copy of `state`; the next steps equal those of the optimizer it is of."""

@@ -23,8 +23,8 @@ PLAIN = (type(None), bool, int, float, str)
 
 
 def encode(value: Any, classes: Iterable[type], owner: str) -> tuple[Any, dict[str, Tensor]]:
-    """(JSON value, name -> contiguous tensor). owner: whose value it is, for the error. Raises
-    UserError for what cannot be held."""
+    """(JSON value, name -> contiguous tensor, often the value's own memory). owner: whose value it
+    is, for the error. Raises UserError for what cannot be held."""
     encoder = _Encoder({_name(cls): cls for cls in classes}, owner)
     return encoder.node(value), encoder.tensors
 
@@ -38,6 +38,7 @@ class _Encoder:
     def __init__(self, classes: Mapping[str, type], owner: str) -> None:
         self.classes, self.owner = classes, owner
         self.tensors: dict[str, Tensor] = {}
+        self.memory: set[int] = set()  # the storages of `tensors`
         self.seen: dict[int, tuple[Any, Any]] = {}  # id -> (the object, kept alive, and its node)
 
     def node(self, value: Any) -> Any:
@@ -77,8 +78,12 @@ class _Encoder:
         strides = tensor.stride()
         order = sorted(range(tensor.dim()), key=lambda axis: -strides[axis])
         name = str(len(self.tensors))
-        # a copy: the format refuses tensors that share memory, as cameras' matrices may
-        self.tensors[name] = tensor.permute(order).clone(memory_format=torch.contiguous_format)
+        stored = tensor.permute(order).contiguous()
+        # the format refuses tensors that share memory, as cameras' matrices may
+        if stored.untyped_storage().data_ptr() in self.memory:
+            stored = stored.clone()
+        self.memory.add(stored.untyped_storage().data_ptr())
+        self.tensors[name] = stored
         return {"name": name, "order": order}
 
 

