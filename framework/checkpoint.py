@@ -5,8 +5,9 @@ together. safetensors holds tensors and texts and nothing that could be executed
 is JSON in its metadata, see `framework.tree`. Two are kept: a damaged one is noticed by its name
 and the one before it is used. A checkpoint is of one run identity and is of no use to another.
 
-The next one is due when 75 times the cost of the last has passed, so they take less than 2 % of the
-time; the cost of the first is guessed. When they happen changes no result.
+The next one is due when 75 times the cost of the last has passed, so they take less than 2 % of a
+long training; the cost of the first is guessed, and one that is dearer than the last is paid.
+When they happen changes no result.
 """
 
 from __future__ import annotations

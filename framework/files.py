@@ -61,7 +61,10 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 def unwritable(error: OSError, path: Path | str, n_bytes: int | None = None) -> str:
     """One line about a file that could not be written, and what to do."""
-    what = "to write it" if n_bytes is None else f"to write {n_bytes / 1e6:.1f} MB"
+    what = "to write it"
+    if n_bytes is not None:
+        size = f"{n_bytes / 1e6:.1f} MB" if n_bytes >= 1e5 else f"{n_bytes:,} bytes"
+        what = f"to write {size}"
     full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
     advice = "free some space" if full else "make the folder writable or choose another"
     return f"{path}: expected {what}, got '{error.strerror}'; {advice} and run the same again"
