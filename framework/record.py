@@ -137,6 +137,11 @@ class RunRecord:
         return {g: str(c["name"]) for g, c in groups.items() if isinstance(c, Mapping)}
 
     @property
+    def parameters(self) -> int:
+        """Stored numbers: of each Gaussian 11 and 3 for every SH coefficient."""
+        return self.gaussians * (11 + 3 * (self.sh_degree + 1) ** 2)
+
+    @property
     def train_s(self) -> float | None:
         """Wall seconds of the training stage."""
         stage = self.timings.get(TRAIN_STAGE)
@@ -296,6 +301,7 @@ def _write_record(run_dir: Path, record: RunRecord) -> None:
     content = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
     content["seed"] = record.config.get("seed")
     content["methods"] = record.methods
+    content["parameters"] = record.parameters
     content["scene"] = None if record.scene is None else dataclasses.asdict(record.scene)
     content["timings"] = [{"stage": k, **dataclasses.asdict(v)} for k, v in record.timings.items()]
     content["summary"] = {

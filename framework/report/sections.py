@@ -186,6 +186,8 @@ def _costs(study: Study, scenes: Sequence[str]) -> list[Block]:
             own.append(chart_picture(study.out_dir, charts, alt, TRADEOFF_CAPTION))
         if not has_budgets:
             own += [Bullets(tuple(tradeoff.advice(study, scene)))] if drawn else []
+        least = tradeoff.smallest(study, scene)
+        own += [Text(least)] if least else []
         blocks += [Heading(3, scene), *own]
     if not blocks:
         return []

@@ -22,6 +22,7 @@ from framework.report.statistics import Spread, compare, spread
 LIMITS_S = (15.0, 60.0, 300.0)
 SAME_COST = 0.02  # costs that differ by less than this share are not worth a chart
 SIGNIFICANCE = 0.05
+AS_GOOD_DB = 0.1  # a model so much worse than the best counts as good
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,29 @@ def advice(study: Study, scene: str) -> list[str]:
     return [f"Within {' or '.join(told)} s: {answer}" for answer, told in limits.items()]
 
 
+def smallest(study: Study, scene: str) -> str | None:
+    """Which configuration has the smallest model within `AS_GOOD_DB` of the best; None where all
+    are of one size."""
+    found = entries(study, scene)
+    if len(found) < 2 or not _differs([_size(entry) for entry in found]):
+        return None
+    best = max(found, key=lambda entry: entry.psnr.mean)
+    close = [entry for entry in found if entry.psnr.mean >= best.psnr.mean - AS_GOOD_DB]
+    least = min(close, key=_size)
+    text = f"The smallest model within {AS_GOOD_DB} dB of the best: {_told(least)}"
+    return f"{text}, the best itself." if least is best else f"{text}; the best: {_told(best)}."
+
+
+def _told(entry: Entry) -> str:
+    """A configuration with its quality and size."""
+    level = mean_text([run.mean("psnr") for run in entry.runs], 2, show_half=True)
+    parameters = np.mean([run.record.parameters for run in entry.runs]) / 1000
+    return (
+        f"{entry.method}, {level} dB with {entry.gaussians:,.0f} Gaussians ({parameters:,.0f} k"
+        f" parameters, {1000 * entry.megabytes:,.0f} kB)"
+    )
+
+
 def rows(study: Study, scene: str) -> list[dict[str, str]]:
     """The cost of every method."""
     pareto = {found[k].method for found in [entries(study, scene)] for k in front(found, _time)}
@@ -105,6 +129,7 @@ def rows(study: Study, scene: str) -> list[dict[str, str]]:
             "Train, CPU (s)": mean_text([_cpu_s(run) for run in runs], 1),
             "Render (frames/s)": mean_text([_frames_per_s(run) for run in runs], 1),
             "Gaussians": mean_text([float(run.record.gaussians) for run in runs], 0),
+            "Parameters (k)": mean_text([run.record.parameters / 1000 for run in runs], 0),
             "PLY (kB)": mean_text([run.record.ply_bytes / 1000 for run in runs], 0),
             "Pareto": "yes" if method in pareto else "",
         }

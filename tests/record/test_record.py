@@ -32,7 +32,7 @@ def test_a_run_reads_back(run_dir: Path) -> None:
     assert run.record.status == "complete"
     assert run.record.seed == 2 and run.record.gaussians == 12 and run.record.sh_degree == 0
     assert run.record.methods["augment"] == "safi" and run.record.methods["init"] == "stereo"
-    assert run.record.train_s == 16.25
+    assert run.record.train_s == 16.25 and run.record.parameters == 12 * 14
     assert run.record.parameters_sha256 == record.parameters_sha256(make_gaussians(12, 0))
     assert run.record.ply_bytes == (run_dir / "point_cloud.ply").stat().st_size
     assert run.record.summary["psnr"] == pytest.approx(

@@ -65,7 +65,16 @@ def test_first_screen_answers_what_how_reliably_and_at_what_cost(report: str) ->
     assert note == "**Note.** 1 of 7 runs failed: listed below."
     names = [name.strip() for name in header.strip("|").split("|")]
     assert names == [
-        *("Method", "PSNR (dB)", "σ_PSNR (dB)", "SSIM ↑", "FLIP ↓", "Train (s)", "Gaussians")
+        *(
+            "Method",
+            "PSNR (dB)",
+            "σ_PSNR (dB)",
+            "SSIM ↑",
+            "FLIP ↓",
+            "Train (s)",
+            "Gaussians",
+            "Parameters (k)",
+        )
     ]
     assert rows[0].startswith("| none + none |") and rows[1].startswith("| safi + uar")
     assert "(n = 3)" in rows[0] and rows[2] == ""
