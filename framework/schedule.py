@@ -1,7 +1,7 @@
 """What changes over a training: learning rates, SH degree, resolution, evaluation steps.
 
-Rates are those of 3DGS (Kerbl et al. 2023) times `lr_scale`: the means' decays exponentially over
-the whole training, the others' over its second half.
+Rates are the options' times `lr_scale`: the means' decays exponentially over the whole training
+(Kerbl et al. 2023), the others' over its second half.
 """
 
 from __future__ import annotations

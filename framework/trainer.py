@@ -220,6 +220,7 @@ class Trainer:
             opacity_factors=self._opacity_factors(reg),
             means2d_offset=pull,
             near=self.near,
+            depth=reg is not None and self.reg.plugged.plugin.weighted(),
         )
         loss = photometric_loss(render.rgb, item.target, self.options.ssim_weight) * view.weight
         loss = loss + self._penalty(reg, view, render)

@@ -112,7 +112,7 @@ def renderer(
 
     def render(camera: Camera) -> Tensor:
         return rasterize(
-            gaussians, camera, background=background, sh_degree=sh_degree, near=near
+            gaussians, camera, background=background, sh_degree=sh_degree, near=near, depth=False
         ).rgb
 
     return render

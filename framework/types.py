@@ -194,7 +194,8 @@ class Render:
     """What a camera sees of the Gaussians.
 
     rgb: [3, H, W], composited on the background. alpha: [H, W] = 1 - transmittance.
-    depth: [H, W] = sum of blend weight x z, not divided by alpha. radii: [N] float32 pixels, the
+    depth: [H, W] = sum of blend weight x z, not divided by alpha; [0, 0] where the caller of
+    `rasterize` did without. radii: [N] float32 pixels, the
     larger half-side of the footprint's box, 0 where culled.
     """
 

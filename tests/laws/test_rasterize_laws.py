@@ -268,3 +268,20 @@ def test_wrong_shapes_are_refused() -> None:
         rasterize(gaussians, camera, background=torch.zeros(1))
     with pytest.raises(UserError, match="sh0"):
         rasterize(gaussians.replace(sh0=torch.zeros(n, 3)), camera)
+
+
+def test_a_render_without_depth_has_the_same_colours_and_gradients() -> None:
+    """Leaving the depth out is a matter of time alone."""
+    case = random_case(6)
+    gaussians, camera = case.gaussians.map(lambda t: t.float()), case.camera
+    leaves = gaussians.map(lambda tensor: tensor.clone().requires_grad_())
+
+    def gradients(depth: bool, alpha: bool) -> tuple[Tensor, ...]:
+        render = rasterize(leaves, camera, depth=depth)
+        assert render.depth.numel() == (camera.width * camera.height if depth else 0)
+        loss = (render.rgb**2).sum() + (render.alpha.sum() if alpha else 0.0)
+        return (render.rgb, *torch.autograd.grad(loss, [tensor for _, tensor in leaves.items()]))
+
+    for alpha in (False, True):
+        for whole, without in zip(gradients(True, alpha), gradients(False, alpha), strict=True):
+            assert torch.equal(whole, without)
