@@ -83,34 +83,13 @@ class Turns:
 
 def train(method: Method, overrides: Sequence[str], chunk: int) -> None:
     """Train once in this process, in turns; prints `ready` before the first."""
-    from hydra import compose, initialize_config_dir
+    from benchmarks.prepare import prepared
+    from framework import parallel
 
-    from framework import experiment, parallel, registry
-    from framework.config import CONF_DIR, check, register_config
-    from framework.naming import plain
-    from framework.options import TrainerOptions
-    from framework.progress import Silent
-    from framework.trainer import Plugins, Trainer
-    from framework.training import initial
-    from framework.warmup import Warmup
-
-    register_config()
-    line = [*overrides, f"augment={method[0]}", f"reg={method[1]}"]
-    with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
-        config = plain(compose("config", line))
-    check(config)
     parallel.set_threads(1)
-    with Warmup(config, Silent()) as warmup:
-        warmup.finish()
-    key = experiment._key(config["scene"])
-    scene, _ = experiment._scene(key)
-    fingerprint = experiment._files(config, scene)["depth"]
-    depth, _ = experiment._depth(key, experiment._key(config["depth"]), fingerprint)
-    options, turns = TrainerOptions(**config["trainer"]), Turns(chunk)
-    gaussians = initial(config, scene, depth, options)
-    plugins = Plugins(*(registry.build(group, config[group]) for group in registry.GROUPS))
-    seed = int(config["seed"])
-    trainer = Trainer(scene.training, depth, gaussians, options, plugins, seed, turns)
+    turns = Turns(chunk)
+    line = [*overrides, f"augment={method[0]}", f"reg={method[1]}"]
+    trainer = prepared(line).trainer(turns)
     print("ready", flush=True)
     turns.wait()
     trainer.run()

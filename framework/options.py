@@ -15,7 +15,7 @@ class TrainerOptions:
 
     A few hundred steps want larger rates than the 30,000 of 3DGS (Kerbl et al. 2023,
     `arguments/__init__.py`; `preset=paper` has its rates): those of the shapes 30 times as large,
-    of the colours 5 times, of the opacities 2.5 times, see benchmarks/results/learning_rates.md.
+    of the colours 5 times, of the opacities 2.5 times, see benchmarks/results/held_out.md.
     `lr_scale` multiplies all of them; `lr_final` is what all but the means' have decayed to at the
     end, as a share. `lr_means` is in units of the scene extent.
     """

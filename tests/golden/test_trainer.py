@@ -13,7 +13,7 @@ from framework import registry, schedule
 from framework.epoch import Items, box_mean
 from framework.errors import UserError
 from framework.options import TrainerOptions
-from framework.plugin import Edits, StepContext, StepStats
+from framework.plugin import Edits, Regularizer, StepContext, StepStats
 from framework.progress import Silent
 from framework.record import parameters_sha256
 from framework.registry import Plugged
@@ -92,15 +92,7 @@ def test_a_capacity_that_removes_all_is_an_error() -> None:
 
 def test_a_loss_that_is_not_finite_is_an_error() -> None:
     @dataclass(frozen=True)
-    class Broken:
-        name = "broken"
-
-        def init_state(self, ctx: StepContext) -> None:
-            return None
-
-        def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[None, Any]:
-            return None, state
-
+    class Broken(Regularizer):
         def loss(self, ctx: StepContext, state: Any, view: View, render: Any) -> Tensor:
             return render.rgb.sum() * float("nan")
 
@@ -155,7 +147,7 @@ def test_harmonics_join_by_half_of_the_training() -> None:
 def test_schedule_of_the_rates() -> None:
     options = TrainerOptions(steps=100, evaluations=4)
     first, half, last = (schedule.learning_rates(options, s, extent=2.0) for s in (0, 50, 100))
-    assert first["means"] == pytest.approx(5 * 1.6e-4 * 2)
+    assert first["means"] == pytest.approx(options.lr_scale * options.lr_means * 2)
     assert last["means"] == pytest.approx(first["means"] * options.lr_means_final)
     assert half["sh0"] == pytest.approx(first["sh0"])
     assert last["sh0"] == pytest.approx(first["sh0"] * options.lr_final)

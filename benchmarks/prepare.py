@@ -1,0 +1,72 @@
+"""A training made ready in this process from overrides as `run.py` takes them; for benchmarks."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from hydra import compose, initialize_config_dir  # noqa: E402
+
+from framework import experiment, registry  # noqa: E402
+from framework.config import CONF_DIR, check, register_config  # noqa: E402
+from framework.naming import plain  # noqa: E402
+from framework.options import TrainerOptions  # noqa: E402
+from framework.progress import Progress, Silent  # noqa: E402
+from framework.trainer import Evaluate, Plugins, Trainer  # noqa: E402
+from framework.training import initial  # noqa: E402
+from framework.types import DepthMap, Scene  # noqa: E402
+from framework.warmup import Warmup  # noqa: E402
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """All that a training needs, with kernels compiled, scene and depth loaded."""
+
+    config: dict[str, Any]
+    scene: Scene
+    depth: tuple[DepthMap, ...]
+
+    def trainer(
+        self, progress: Progress | None = None, evaluate: Evaluate | None = None
+    ) -> Trainer:
+        """A new training from the same start."""
+        options, seed = TrainerOptions(**self.config["trainer"]), int(self.config["seed"])
+        gaussians = initial(self.config, self.scene, self.depth, options)
+        plugins = Plugins(*(registry.build(g, self.config[g]) for g in registry.GROUPS))
+        return Trainer(
+            self.scene.training,
+            self.depth,
+            gaussians,
+            options,
+            plugins,
+            seed,
+            progress or Silent(),
+            evaluate,
+        )
+
+
+def configured(overrides: Sequence[str]) -> dict[str, Any]:
+    """The plain, checked configuration of a single run."""
+    register_config()
+    with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
+        config: dict[str, Any] = plain(compose("config", list(overrides)))
+    check(config)
+    return config
+
+
+def prepared(overrides: Sequence[str]) -> Prepared:
+    """Raises UserError on bad input, as `run.py` does."""
+    config = configured(overrides)
+    with Warmup(config, Silent()) as warmup:
+        warmup.finish()
+    key = experiment._key(config["scene"])
+    scene, _ = experiment._scene(key)
+    fingerprint = experiment._files(config, scene)["depth"]
+    depth, _ = experiment._depth(key, experiment._key(config["depth"]), fingerprint)
+    return Prepared(config, scene, depth)
