@@ -51,7 +51,7 @@ def test_spelling_does_not_change_the_folder(runs: FakeRuns) -> None:
 
 def test_an_option_changes_the_folder(runs: FakeRuns) -> None:
     main([])
-    main(["trainer.steps=300"])
+    main(["trainer.steps=301"])
     assert runs.folders[0] != runs.folders[1]
 
 
