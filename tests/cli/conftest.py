@@ -7,11 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hydra import compose, initialize_config_dir
 
 import framework.report
 from framework import cli, estimate
+from framework.config import CONF_DIR, register_config
 from framework.errors import UserError
+from framework.naming import plain
 from framework.progress import Progress
+
+
+def composed(*overrides: str) -> dict[str, Any]:
+    register_config()
+    with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
+        return plain(compose("config", list(overrides)))
 
 
 @dataclass

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
-from hydra import compose, initialize_config_dir
 
-from framework.config import CONF_DIR, OBJECT_GROUPS, check, choices, register_config
+from framework.config import CONF_DIR, OBJECT_GROUPS, check, choices
 from framework.errors import UserError
-from framework.naming import plain, run_name, study_dir, study_name
-
-
-def composed(*overrides: str) -> dict[str, Any]:
-    register_config()
-    with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
-        return plain(compose("config", list(overrides)))
+from framework.naming import run_name, study_dir, study_name
+from tests.cli.conftest import composed
 
 
 ALL = [(group, name) for group in OBJECT_GROUPS for name in choices(group)]

@@ -8,10 +8,11 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from omegaconf import OmegaConf
 
 from framework.cli import main
 from framework.config import CONF_DIR, OBJECT_GROUPS, ROOT, SWEEPS_DIR, choices
-from tests.cli.conftest import FakeRuns
+from tests.cli.conftest import FakeRuns, composed
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 COMMANDS = sorted(
@@ -33,9 +34,25 @@ def test_every_command_of_the_documents_runs(
     Path("DIR").mkdir()
     # a sweep's seeds all start alike, and the test of the command line has three of them
     words = [re.sub(r"^seed=.*,.*", "seed=0,1", word) for word in command.split()]
-    if any(word.startswith("sweep=") for word in words):
-        words += ["seed=0"]
+    for word in list(words):
+        if word.startswith("sweep="):
+            words += _one_run(word.removeprefix("sweep="))
     assert main(words) == 0, capsys.readouterr().err
+
+
+def _one_run(sweep: str) -> list[str]:
+    """The last value of everything a sweep varies: one start instead of a hundred."""
+    params = OmegaConf.load(SWEEPS_DIR / f"{sweep}.yaml").hydra.sweeper.params
+    return [f"{name}={str(values).split(',')[-1]}" for name, values in params.items()]
+
+
+@pytest.mark.parametrize("sweep", sorted(path.stem for path in SWEEPS_DIR.glob("*.yaml")))
+def test_every_value_of_a_sweep_is_accepted(sweep: str) -> None:
+    params = OmegaConf.load(SWEEPS_DIR / f"{sweep}.yaml").hydra.sweeper.params
+    lists = {name: str(v).split(",") for name, v in params.items() if name != "seed"}
+    scene = [] if sweep != "tables" else ["scene=llff", "scene.path=DIR"]
+    for i in range(max(map(len, lists.values()))):
+        composed(*scene, *(f"{name}={values[i % len(values)]}" for name, values in lists.items()))
 
 
 def test_the_readme_begins_with_what_to_type() -> None:

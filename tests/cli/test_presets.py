@@ -97,7 +97,11 @@ def test_tables_take_other_numbers_of_views(runs: FakeRuns) -> None:
 def test_the_help_names_presets_and_methods(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help"]) == 0
     told = capsys.readouterr().out
-    assert "\n  preset\n    paper  " in told and "literature's conditions" in told
+    assert (
+        "\n  preset\n    balanced  " in told
+        and "\n    paper  " in told
+        and "literature's conditions" in told
+    )
     assert all(f"\n    {name} " in told for name in PAIRS)
 
 
