@@ -141,6 +141,10 @@ class Edits:
     append: Gaussians | None = None
     opacity_ceiling: float | None = None
 
+    @property
+    def changes_the_number(self) -> bool:
+        return self.keep is not None or self.append is not None
+
 
 class Capacity(Plugin):
     """Decides how many Gaussians there are; the only code that changes N."""

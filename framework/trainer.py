@@ -8,7 +8,6 @@ view can be reached from here; `evaluate` is a callback that sees only the Gauss
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,49 +17,26 @@ import torch
 from torch import Tensor
 
 from framework import schedule
+from framework.edits import apply_edits
 from framework.epoch import PSEUDO, Item, Items, shuffled
 from framework.errors import require
 from framework.fisher import FisherInformation, fisher_information
-from framework.guard import check_appended, check_loss, diverged
+from framework.guard import check_loss, diverged
 from framework.initialize import background_color, random_background
 from framework.losses import photometric_loss
 from framework.optim import Adam, decay_opacities
 from framework.options import TrainerOptions
-from framework.plugin import Edits, StepContext, StepStats
+from framework.plugin import StepContext, StepStats
 from framework.progress import Progress
 from framework.rasterize import rasterize
 from framework.registry import Plugged
 from framework.rng import stream
 from framework.run_files import HistoryRow
 from framework.stopwatch import Stopwatch
-from framework.training_state import Keeper, PluginState, TrainerState
-from framework.types import Camera, DepthMap, Gaussians, Render, TrainingSet, View, concatenate
+from framework.training_state import Keeper, Plugins, PluginState, Trained, TrainerState
+from framework.types import Camera, DepthMap, Gaussians, Render, TrainingSet, View
 
 HISTORY_ROWS = 60  # about so many rows of history per run, beside the evaluations
-
-
-@dataclass(frozen=True)
-class Plugins:
-    """The three chosen plugins with their framework keys."""
-
-    augment: Plugged
-    reg: Plugged
-    capacity: Plugged
-
-
-@dataclass(frozen=True)
-class Trained:
-    """What a training gives. background: [3], what renders for evaluation stand on. wall_s, cpu_s:
-    of the training without evaluations, all its parts together. resumed: how often it was taken up
-    again from a kept state."""
-
-    gaussians: Gaussians
-    background: Tensor
-    sh_degree: int
-    history: tuple[HistoryRow, ...]
-    wall_s: float
-    cpu_s: float
-    resumed: int
 
 
 @dataclass
@@ -265,27 +241,10 @@ class Trainer:
             plugin: Any = self.capacity.plugged.plugin
             edits, self.capacity.state = plugin.update(context, self.capacity.state, stats)
             if edits is not None:
-                self._apply(edits)
-
-    def _apply(self, edits: Edits) -> None:
-        params = self.params.detach()
-        if edits.keep is not None or edits.append is not None:
-            kept = params if edits.keep is None else params[edits.keep]
-            params = kept if edits.append is None else concatenate([kept, edits.append])
-            self.optimizer.edit(edits.keep, 0 if edits.append is None else len(edits.append))
-            self.version += 1
-        if edits.opacity_ceiling is not None:
-            ceiling = math.log(edits.opacity_ceiling / (1 - edits.opacity_ceiling))
-            params = params.replace(opacity_logits=params.opacity_logits.clamp(max=ceiling))
-            self.optimizer.zero("opacity_logits")
-        require(
-            len(params) > 0,
-            f"training step {self.step}: the capacity plugin removed every Gaussian; raise"
-            " init.budget or lower its pruning threshold",
-        )
-        if edits.append is not None:
-            check_appended(edits.append, f"training step {self.step}")
-        self.params = params.map(_parameter)
+                where = f"training step {self.step}"
+                edited = apply_edits(self.params.detach(), self.optimizer, edits, where)
+                self.params = edited.map(_parameter)
+                self.version += int(edits.changes_the_number)
 
     def _sh_degree(self) -> int:
         return schedule.sh_degree(self.options, self.step, self.params.sh_degree)

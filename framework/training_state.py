@@ -10,9 +10,36 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from torch import Tensor
+
 from framework.optim import AdamState
+from framework.registry import Plugged
 from framework.run_files import HistoryRow
 from framework.types import Gaussians, View
+
+
+@dataclass(frozen=True)
+class Plugins:
+    """The three chosen plugins with their framework keys."""
+
+    augment: Plugged
+    reg: Plugged
+    capacity: Plugged
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a training gives. background: [3], what renders for evaluation stand on. wall_s, cpu_s:
+    of the training without evaluations, all its parts together. resumed: how often it was taken up
+    again from a kept state."""
+
+    gaussians: Gaussians
+    background: Tensor
+    sh_degree: int
+    history: tuple[HistoryRow, ...]
+    wall_s: float
+    cpu_s: float
+    resumed: int
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from framework.errors import UserError
 from framework.naming import run_name, study_dir, study_name
 from tests.cli.conftest import composed
 
-
 ALL = [(group, name) for group in OBJECT_GROUPS for name in choices(group)]
 VARIANTS = [(p.parent.name, p.stem) for p in sorted(CONF_DIR.glob("*/*.yaml"))]
 

@@ -1,0 +1,36 @@
+"""A capacity plugin's edits, applied to the parameters and to the optimizer's memory together."""
+
+from __future__ import annotations
+
+import math
+
+from framework.errors import require
+from framework.guard import check_appended
+from framework.optim import Adam
+from framework.plugin import Edits
+from framework.types import Gaussians, concatenate
+
+
+def apply_edits(params: Gaussians, optimizer: Adam, edits: Edits, where: str) -> Gaussians:
+    """The edited set; `optimizer` follows it. params: detached. where: for messages.
+
+    Raises UserError when nothing is left, Diverged when what was appended is not finite.
+    """
+    if edits.keep is not None:
+        params = params[edits.keep]
+    if edits.append is not None:
+        params = concatenate([params, edits.append])
+    if edits.changes_the_number:
+        optimizer.edit(edits.keep, 0 if edits.append is None else len(edits.append))
+    if edits.opacity_ceiling is not None:
+        ceiling = math.log(edits.opacity_ceiling / (1 - edits.opacity_ceiling))
+        params = params.replace(opacity_logits=params.opacity_logits.clamp(max=ceiling))
+        optimizer.zero("opacity_logits")
+    require(
+        len(params) > 0,
+        f"{where}: the capacity plugin removed every Gaussian; raise init.budget or lower its"
+        " pruning threshold",
+    )
+    if edits.append is not None:
+        check_appended(edits.append, where)
+    return params
