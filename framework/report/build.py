@@ -1,4 +1,4 @@
-"""From the folders of one or more studies to `report.md`, `report.html` and the figures."""
+"""From the folders of one or more studies to `report.md`, `report.html`, `runs.csv` and figures."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from framework.files import write_whole
 from framework.report import markdown, page
 from framework.report.collect import collect
+from framework.report.export import TABLE, runs_csv
 from framework.report.gallery import gallery
 from framework.report.sections import document
 
@@ -26,5 +27,7 @@ def build_report(
     study.out_dir.mkdir(parents=True, exist_ok=True)
     made = document(study, title or study.out_dir.resolve().name)
     write_whole(study.out_dir / PAGE, page.render(made, gallery(study), study.out_dir))
+    if study.runs:
+        write_whole(study.out_dir / TABLE, runs_csv(study))
     write_whole(study.out_dir / REPORT, markdown.render(made))
     return study.out_dir / REPORT

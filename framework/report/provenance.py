@@ -20,7 +20,7 @@ def provenance_blocks(study: Study) -> list[Block]:
     sources += [run.provenance for run in study.failed if run.provenance]
     facts = {name: values for name, values in _facts(sources).items() if values}
     lines = [f"{name}: {'; '.join(values)}" for name, values in facts.items()]
-    blocks: list[Block] = [Heading(2, "Provenance"), Bullets((*lines, *_time(study)))]
+    blocks: list[Block] = [Heading(2, "Provenance"), Bullets((*lines, *_runs(study)))]
     scenes = _scenes(study)
     if scenes:
         blocks += [Text("Scenes:"), Bullets(tuple(scenes))]
@@ -43,15 +43,16 @@ def _facts(sources: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
     return {name: sorted(set(values)) for name, values in facts.items()}
 
 
-def _time(study: Study) -> list[str]:
-    """What the runs took, one after another."""
+def _runs(study: Study) -> list[str]:
+    """Where each run is told, and what all took, one after another."""
     if not study.runs:
         return []
     stages = [stage for run in study.runs for stage in run.record.timings.values()]
     wall, cpu = sum(stage.wall_s for stage in stages), sum(stage.cpu_s for stage in stages)
     return [
+        "Every run in a row, with its options and figures: `runs.csv`",
         f"Time: {duration(wall)} in the stages of all {len(study.runs)} runs, {duration(cpu)} of"
-        " CPU time (scene and depth count once per run, also where they were shared)"
+        " CPU time (scene and depth count once per run, also where they were shared)",
     ]
 
 

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 from scipy import stats
@@ -116,6 +117,15 @@ def test_report_has_all_parts(study_dir: Path, report: str) -> None:
     assert str(study_dir) not in report and str(ROOT) not in report
 
 
+def test_every_run_is_a_row_of_the_table(study_dir: Path, report: str) -> None:
+    table = pd.read_csv(study_dir / "runs.csv")
+    assert "runs.csv" in report
+    assert list(table["seed"]) == [0, 1, 2, 0, 1, 2]
+    assert table["augment.name"].nunique() == 2 and "scene.name" not in table
+    means = table.groupby("method")["psnr"].mean()
+    assert means["safi + uar"] - means["none + none"] == pytest.approx(2.0, abs=0.5)
+
+
 def test_links_lead_to_files(study_dir: Path, report: str) -> None:
     targets = re.findall(r"\]\(([^)]+)\)", report)
     assert {"images_embedded.jpg", "curves_embedded.png", "curves_embedded.svg"} <= set(targets)
@@ -133,7 +143,7 @@ def test_rebuilding_gives_the_same_bytes(study_dir: Path, report: str) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"report: {study_dir / 'report.md'}\n"
     assert set(before) == {
-        *("report.md", "report.html", "images_embedded.jpg", "sigma_embedded.jpg"),
+        *("report.md", "report.html", "runs.csv", "images_embedded.jpg", "sigma_embedded.jpg"),
         *("curves_embedded.png", "curves_embedded.svg"),
         *("tradeoff_embedded.png", "tradeoff_embedded.svg"),
     }
