@@ -41,7 +41,7 @@ from framework.plugin import Regularizer, register
 @register("reg", "fragile")
 @dataclass(frozen=True)
 class Fragile(Regularizer):
-    """below: seeds with a smaller first draw fail, the odd ones of them by a loss of NaN."""
+    """below: seeds with a smaller first draw fail, those with an odd digit of it by a loss of NaN."""
 
     below: float = 0.0
 
@@ -49,7 +49,7 @@ class Fragile(Regularizer):
         draw = ctx.rng("fate").random()
         if ctx.step > 0 or draw >= self.below:
             return None
-        if int(draw * 1e9) % 2:
+        if int(draw * 1e8) % 2:
             return render.rgb.sum() * float("nan")
         raise RuntimeError("planted")
 '''
