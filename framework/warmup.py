@@ -47,12 +47,13 @@ class Warmup:
         self.config, self.progress = config, progress
         chosen = {group: config[group] for group in (*registry.GROUPS, "depth")}
         chosen["sh_degree"] = config["trainer"]["sh_degree"]
-        text = json.dumps(chosen, sort_keys=True, default=str)
-        self.key = hashlib.sha256(f"{text} {cpu_model()}".encode()).hexdigest()[:16]
-        self.marker = KERNEL_CACHE / f"warm-{self.key}"
+        self.key = _key(chosen)
+        self.markers = [KERNEL_CACHE / f"warm-{key}" for key in (self.key, _key(config["depth"]))]
         self.beside: subprocess.Popen[bytes] | None = None
-        if self.key not in _warm and not self.marker.exists():
+        self.compiles = self.key not in _warm and not all(m.exists() for m in self.markers)
+        if self.compiles:
             progress.compiling("kernels")
+        if self.compiles and not self.markers[1].exists():
             self.beside = _start_beside(config["depth"])
 
     def __enter__(self) -> Warmup:
@@ -68,7 +69,7 @@ class Warmup:
         """Compile or load what is still missing."""
         if self.key in _warm:
             return
-        if self.beside is not None:
+        if self.compiles:
             self.progress.compiling("kernels")
         training, depth, gaussians = _plane(int(self.config["trainer"]["sh_degree"]))
         _train(self.config, training, depth, gaussians)
@@ -76,8 +77,14 @@ class Warmup:
             self.beside.wait()  # if it failed, the next line compiles, and tells why
         _estimate(self.config["depth"], training)
         _warm.add(self.key)
-        self.marker.parent.mkdir(parents=True, exist_ok=True)
-        self.marker.touch()
+        for marker in self.markers:
+            marker.parent.mkdir(parents=True, exist_ok=True)
+            marker.touch()
+
+
+def _key(chosen: Mapping[str, Any]) -> str:
+    text = json.dumps(dict(chosen), sort_keys=True, default=str)
+    return hashlib.sha256(f"{text} {cpu_model()}".encode()).hexdigest()[:16]
 
 
 def _start_beside(depth: Mapping[str, Any]) -> subprocess.Popen[bytes]:
