@@ -41,7 +41,7 @@ from framework.plugin import Regularizer, register
 @register("reg", "fragile")
 @dataclass(frozen=True)
 class Fragile(Regularizer):
-    """below: seeds with a smaller first draw fail, those with an odd digit of it by a loss of NaN."""
+    """below: seeds with a smaller first draw fail, some of them by a loss of NaN."""
 
     below: float = 0.0
 

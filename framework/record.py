@@ -147,6 +147,12 @@ class RunRecord:
         stage = self.timings.get(TRAIN_STAGE)
         return None if stage is None else stage.wall_s
 
+    @property
+    def train_cpu_s(self) -> float | None:
+        """CPU seconds of the training stage, of all threads."""
+        stage = self.timings.get(TRAIN_STAGE)
+        return None if stage is None else stage.cpu_s
+
 
 @dataclass(frozen=True)
 class Run:

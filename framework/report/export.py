@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from framework.metrics import METRICS
-from framework.record import TRAIN_STAGE
 from framework.report.collect import ReportRun, Study
 
 TABLE = "runs.csv"
@@ -31,7 +30,6 @@ def runs_csv(study: Study) -> str:
 
 def _measured(run: ReportRun) -> dict[str, Any]:
     record = run.record
-    train = record.timings.get(TRAIN_STAGE)
     return {
         "scene": run.scene,
         "method": run.method,
@@ -39,7 +37,7 @@ def _measured(run: ReportRun) -> dict[str, Any]:
         **{metric: run.mean(metric) for metric in METRICS},
         "gaussians": record.gaussians,
         "parameters": record.parameters,
-        "train_wall_s": None if train is None else train.wall_s,
-        "train_cpu_s": None if train is None else train.cpu_s,
+        "train_wall_s": record.train_s,
+        "train_cpu_s": record.train_cpu_s,
         "run": run.run.run_dir.name,
     }

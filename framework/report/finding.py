@@ -98,7 +98,7 @@ def cost_sentence(study: Study, found: Outcomes) -> str | None:
     best, rival = _best(found), _rival(study, found)
     methods = [best] if rival is None else [best, rival]
     told = ", ".join(_cost(study, method) for method in methods)
-    return f"Cost: {told} (wall seconds of training, mean over runs)."
+    return f"Cost: {told} (seconds of training by the wall clock and of CPU, mean over runs)."
 
 
 def _best(found: Outcomes) -> str:
@@ -162,8 +162,9 @@ def _observed(c: SigmaComparison) -> str:
 def _cost(study: Study, method: str) -> str:
     runs = study.of(method=method)
     seconds = mean_text([run.record.train_s for run in runs], 1)
+    cpu = mean_text([run.record.train_cpu_s for run in runs], 1)
     gaussians = mean_text([float(run.record.gaussians) for run in runs], 0)
-    return f"{method} {seconds} s and {gaussians} Gaussians"
+    return f"{method} {seconds} s ({cpu} s of CPU) and {gaussians} Gaussians"
 
 
 def _p(c: SigmaComparison) -> str:

@@ -167,6 +167,7 @@ def _main_row(
         if metric == "psnr":
             row["σ_PSNR (dB)"] = sigma_text(values)
     row["Train (s)"] = mean_text([run.record.train_s for run in runs], 1)
+    row["CPU (s)"] = mean_text([run.record.train_cpu_s for run in runs], 1)
     row["Gaussians"] = mean_text([float(run.record.gaussians) for run in runs], 0)
     row["Parameters (k)"] = mean_text([run.record.parameters / 1000 for run in runs], 0)
     return row

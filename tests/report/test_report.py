@@ -62,7 +62,12 @@ def test_first_screen_answers_what_how_reliably_and_at_what_cost(report: str) ->
         finding,
     )
     assert stability.startswith("σ_PSNR over seeds: no significant difference from none + none (")
-    assert cost.startswith("Cost: safi + uar 18.1 s and 12 Gaussians, none + none 16.1 s and 12 ")
+    number = r"\d+\.\d"
+    assert re.match(
+        rf"Cost: safi \+ uar 18\.1 s \({number} s of CPU\) and 12 Gaussians,"
+        rf" none \+ none 16\.1 s \({number} s of CPU\) and 12 ",
+        cost,
+    )
     assert note == "**Note.** 1 of 7 runs failed: listed below."
     names = [name.strip() for name in header.strip("|").split("|")]
     assert names == [
@@ -73,6 +78,7 @@ def test_first_screen_answers_what_how_reliably_and_at_what_cost(report: str) ->
             "SSIM ↑",
             "FLIP ↓",
             "Train (s)",
+            "CPU (s)",
             "Gaussians",
             "Parameters (k)",
         )
@@ -89,7 +95,7 @@ def test_table_numbers_are_the_records(study_dir: Path, report: str) -> None:
     half = stats.t.ppf(0.975, 2) * np.std(values, ddof=1) / 3**0.5
     assert cells[1] == f"{np.mean(values):.2f} ± {half:.2f}"
     assert cells[2].startswith(f"{np.std(values, ddof=1):.2f} [")
-    assert cells[5] == "18.1" and cells[6] == "12"
+    assert cells[5] == "18.1" and cells[7] == "12"
 
 
 def test_report_has_all_parts(study_dir: Path, report: str) -> None:
