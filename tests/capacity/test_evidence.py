@@ -15,10 +15,11 @@ from framework import registry
 from framework.errors import UserError
 from framework.options import TrainerOptions
 from framework.progress import Silent
+from framework.record import parameters_sha256
 from framework.rng import stream
 from framework.rounds import training_information
-from framework.trainer import Plugins, Trained, Trainer
-from framework.types import TrainingSet
+from framework.trainer import Evaluate, Plugins, Trained, Trainer
+from framework.types import Gaussians, TrainingSet
 from framework.warmup import _plane
 from plugins.capacity.evidence import (
     FEWEST,
@@ -94,7 +95,7 @@ def test_a_round_keeps_who_pays_and_splits_nobody_late() -> None:
     assert log.values["noise"] and log.values["unpaid"][0] >= 25
 
 
-def trained(training: TrainingSet, steps: int) -> Trained:
+def trained(training: TrainingSet, steps: int, evaluate: Evaluate | None = None) -> Trained:
     """A short training on the plane's cameras, from 1,200 Gaussians before it."""
     _, depth, few = _plane(0)
     draws = torch.from_numpy(stream(0, "many").uniform(-0.1, 0.1, (6, len(few), 3))).float()
@@ -106,7 +107,7 @@ def trained(training: TrainingSet, steps: int) -> Trained:
     chosen = {"augment": "none", "reg": "none", "capacity": "evidence"}
     plugins = Plugins(*(registry.build(group, {"name": name}) for group, name in chosen.items()))
     options = TrainerOptions(steps=steps, evaluations=1)
-    return Trainer(training, depth, start, options, plugins, 0, Silent()).run()
+    return Trainer(training, depth, start, options, plugins, 0, Silent(), evaluate).run()
 
 
 def with_images(paint) -> TrainingSet:  # type: ignore[no-untyped-def]
@@ -141,6 +142,19 @@ def test_the_size_follows_the_content() -> None:
 
     sizes = [len(trained(with_images(p), 60).gaussians) for p in (smooth, lambda _, x: x, noise)]
     assert sizes[0] < 200 and sizes[0] < sizes[1] and max(sizes) < 1200
+
+
+def test_the_test_views_have_no_say() -> None:
+    """Whatever an evaluation measures, and even if it spoils what it is given."""
+
+    def spoiling(gaussians: Gaussians, background: torch.Tensor, degree: int) -> float:
+        for _, tensor in gaussians.items():
+            tensor.zero_()
+        return 99.0
+
+    plain, spoilt = (trained(_plane(0)[0], 20, evaluate) for evaluate in (None, spoiling))
+    assert len(plain.gaussians) < 1200
+    assert parameters_sha256(plain.gaussians) == parameters_sha256(spoilt.gaussians)
 
 
 def test_options_are_checked() -> None:
