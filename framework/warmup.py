@@ -12,6 +12,7 @@ import contextlib
 import dataclasses
 import hashlib
 import json
+import logging
 import os
 import subprocess
 import sys
@@ -119,7 +120,12 @@ def _train(
     plugins = Plugins(
         *(registry.build(group, {**config[group], **always}) for group in registry.GROUPS)
     )
-    Trainer(training, depth, gaussians, options, plugins, 0, Silent()).run()
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)  # what a method finds wrong with the plane is no news
+    try:
+        Trainer(training, depth, gaussians, options, plugins, 0, Silent()).run()
+    finally:
+        logging.disable(before)
 
 
 def _plane(sh_degree: int) -> tuple[TrainingSet, tuple[DepthMap, ...], Gaussians]:

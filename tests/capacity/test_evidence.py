@@ -6,6 +6,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from framework.rng import stream
 from framework.rounds import training_information
 from framework.trainer import Evaluate, Plugins, Trained, Trainer
 from framework.types import Gaussians, TrainingSet
-from framework.warmup import _plane
+from framework.warmup import _plane, _train
 from plugins.capacity.evidence import (
     FEWEST,
     Evidence,
@@ -127,6 +128,14 @@ def test_a_scene_of_one_colour_ends_with_a_handful_and_says_so(
     assert len(result.gaussians) == FEWEST
     (message,) = [record.getMessage() for record in caplog.records]
     assert "no Gaussian pays for its description" in message and "\n" not in message
+
+
+def test_the_warm_up_tells_nothing_of_its_plane(caplog: pytest.LogCaptureFixture) -> None:
+    config: dict[str, Any] = {group: {"name": "none"} for group in ("augment", "reg")}
+    config |= {"capacity": {"name": "evidence"}, "trainer": {}}
+    with caplog.at_level(logging.WARNING, "plugins"):
+        _train(config, *_plane(0))
+    assert not caplog.records
 
 
 def test_the_size_follows_the_content() -> None:
