@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 CRITERIA = ("laplace", "correlated", "bic")
-FEWEST = 8  # are kept even if none pays
+FEWEST, HANDFUL = 8, 16  # are kept even if none pays; is when that is told
 ROUNDING_VARIANCE = (1 / 255) ** 2 / 12  # of 8-bit images
 NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
 
@@ -78,11 +78,10 @@ class Evidence(RoundsCapacity):
         n, gone = len(gain), removable(gain, cost, self.pace)
         gone = gone[: max(0, n - FEWEST)]
         ctx.log("unpaid", float(unpaid.sum()))
-        if unpaid.all() and n - len(gone) <= FEWEST < n:
+        if n - len(gone) <= HANDFUL < n:  # told once, on the way down
             log.warning(
-                "capacity=evidence: no Gaussian pays for its description, the training views show"
-                " nothing but the background colour; %d are kept",
-                FEWEST,
+                "capacity=evidence: hardly a Gaussian pays for its description, the training views"
+                " show little but the background colour; a handful is kept",
             )
         keep = torch.ones(n, dtype=torch.bool)
         keep[torch.from_numpy(gone)] = False

@@ -24,6 +24,7 @@ from framework.types import Gaussians, TrainingSet
 from framework.warmup import _plane, _train
 from plugins.capacity.evidence import (
     FEWEST,
+    HANDFUL,
     Evidence,
     description_cost,
     removable,
@@ -125,9 +126,9 @@ def test_a_scene_of_one_colour_ends_with_a_handful_and_says_so(
 ) -> None:
     with caplog.at_level(logging.WARNING, "plugins"):
         result = trained(with_images(lambda _, image: torch.full_like(image, 0.5)), 120)
-    assert len(result.gaussians) == FEWEST
+    assert FEWEST <= len(result.gaussians) <= HANDFUL
     (message,) = [record.getMessage() for record in caplog.records]
-    assert "no Gaussian pays for its description" in message and "\n" not in message
+    assert "hardly a Gaussian pays for its description" in message and "\n" not in message
 
 
 def test_the_warm_up_tells_nothing_of_its_plane(caplog: pytest.LogCaptureFixture) -> None:
