@@ -20,6 +20,8 @@ from framework.report.axes import Axis
 from framework.report.labels import MethodLabel, SceneLabel, method_labels, outside, scene_labels
 from framework.report.order import BASELINE, method_order, natural
 
+BUSY = 1.3  # wall seconds per CPU second of a training from which others shared its cores
+
 
 @dataclass(frozen=True)
 class ReportRun:
@@ -170,7 +172,7 @@ def collect(study_dirs: Path | Sequence[Path], out_dir: Path | None = None) -> S
     missing = _missing(labelled, named, origins)
     unique, repeated = _without_repeats(labelled)
     unique.sort(key=lambda r: (natural(r.scene), method_order(r.method), r.seed))
-    notes = (*repeated, *_repeat_notes(unique), *_code_notes(runs))
+    notes = (*repeated, *_repeat_notes(unique), *_code_notes(runs), *_busy_notes(unique))
     return Study(out_dir or folders[0], tuple(unique), tuple(named), notes, tuple(missing))
 
 
@@ -283,4 +285,16 @@ def _code_notes(runs: list[Run]) -> list[str]:
     return [
         f"The runs were made with {len(versions)} versions of the code, which may explain a"
         " difference; the study's command repeats the outdated ones."
+    ]
+
+
+def _busy_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """A training alone on its cores takes no more wall time than CPU time."""
+    seconds = [(run.record.train_s or 0.0, run.record.train_cpu_s or 0.0) for run in runs]
+    slowed = sum(wall > BUSY * cpu > 0 for wall, cpu in seconds)
+    if slowed == 0:
+        return []
+    return [
+        f"Other programs ran beside {slowed} of {len(runs)} trainings, which took over"
+        f" {BUSY:g} times their CPU time: compare CPU seconds here, not wall seconds."
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -194,3 +195,13 @@ def test_a_folder_without_runs_is_one_line(tmp_path: Path) -> None:
     for folder in (tmp_path, tmp_path / "nothing"):
         with pytest.raises(UserError, match="folder with runs"):
             collect(folder)
+
+
+def test_trainings_beside_other_programs_are_told(tmp_path: Path) -> None:
+    fake_run(tmp_path, "none", "none", 0)
+    busy = fake_run(tmp_path, "none", "none", 1) / "record.json"
+    content = json.loads(busy.read_text(encoding="utf-8"))
+    content["timings"]["train"]["cpu_s"] = 5.0
+    busy.write_text(json.dumps(content), encoding="utf-8")
+    (note,) = collect(tmp_path).notes
+    assert note.startswith("Other programs ran beside 1 of 2 trainings")
