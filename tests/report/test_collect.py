@@ -201,7 +201,8 @@ def test_trainings_beside_other_programs_are_told(tmp_path: Path) -> None:
     fake_run(tmp_path, "none", "none", 0)
     busy = fake_run(tmp_path, "none", "none", 1) / "record.json"
     content = json.loads(busy.read_text(encoding="utf-8"))
-    content["timings"]["train"]["cpu_s"] = 5.0
+    (train,) = (stage for stage in content["timings"] if stage["stage"] == "train")
+    train["cpu_s"] = 5.0
     busy.write_text(json.dumps(content), encoding="utf-8")
     (note,) = collect(tmp_path).notes
     assert note.startswith("Other programs ran beside 1 of 2 trainings")
