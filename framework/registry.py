@@ -23,6 +23,7 @@ from framework.errors import UserError, nearest_hint, require
 GROUPS = {"augment": "plugins.augment", "reg": "plugins.regularize", "capacity": "plugins.capacity"}
 FOLDER = Path(__file__).resolve().parent.parent / "plugins"
 FRAMEWORK_KEYS = {"weight": 1.0, "start": 0.0, "stop": 1.0}
+OPTION_TYPES = (bool, int, float, str, type(None))
 
 _classes: dict[str, dict[str, type]] = {group: {} for group in GROUPS}
 C = TypeVar("C", bound=type)
@@ -112,6 +113,13 @@ def option_fields(cls: type) -> list[tuple[str, Any, Any]]:
     ]
     hints = typing.get_type_hints(cls)
     for option in dataclasses.fields(cls):
+        kinds = typing.get_args(hints[option.name]) or (hints[option.name],)
+        require(
+            all(kind in OPTION_TYPES for kind in kinds),
+            f"{cls.__module__}: expected the option '{option.name}' of {cls.__name__} to be a bool,"
+            f" int, float or str, got {hints[option.name]}; make a choice a str and check it in"
+            " __post_init__",
+        )
         rows.append((option.name, hints[option.name], field(default=option.default)))
     return rows
 

@@ -19,7 +19,7 @@ from torch import Tensor
 from framework import schedule
 from framework.edits import apply_edits
 from framework.epoch import PSEUDO, Item, Items, shuffled
-from framework.errors import require
+from framework.errors import UserError, require
 from framework.fisher import FisherInformation, fisher_information
 from framework.guard import check_loss, diverged
 from framework.initialize import background_color, random_background
@@ -232,7 +232,14 @@ class Trainer:
             return 0.0
         plugged = self.reg.plugged
         term: Tensor | None = plugged.plugin.loss(context, self.reg.state, view, render)
-        return 0.0 if term is None else plugged.weight * term
+        if term is None:
+            return 0.0
+        if not term.requires_grad:
+            raise UserError(
+                f"reg={plugged.plugin.name}: expected a loss of the render's rgb, alpha or depth,"
+                " got one without a gradient (ctx.gaussians is detached); return None for no loss"
+            )
+        return plugged.weight * term
 
     def _edit(self, stats: StepStats) -> None:
         """Let the capacity plugin change the set, parameters and moments together."""

@@ -84,8 +84,9 @@ class Warmup:
 
 
 def _key(chosen: Mapping[str, Any]) -> str:
+    """Of what was compiled, for which CPU, by which checkout: numba's cache knows files by path."""
     text = json.dumps(dict(chosen), sort_keys=True, default=str)
-    return hashlib.sha256(f"{text} {cpu_model()}".encode()).hexdigest()[:16]
+    return hashlib.sha256(f"{text} {cpu_model()} {__file__}".encode()).hexdigest()[:16]
 
 
 def _start_beside(depth: Mapping[str, Any]) -> subprocess.Popen[bytes]:

@@ -20,7 +20,8 @@ def runs_csv(study: Study) -> str:
     options = pd.json_normalize([dict(run.record.config) for run in study.runs]).drop(
         columns=["seed", "study", "force", "estimate", "traceback", "threads"], errors="ignore"
     )
-    differs = [name for name in options if options[name].astype(str).nunique() > 1]
+    # an option that only some methods have differs too
+    differs = [name for name in options if options[name].map(repr).nunique() > 1]
     labels = ["scene", "method", "seed"]
     # one column stays one column: `method` is a label here, never an option
     chosen = options[differs].drop(columns=labels, errors="ignore")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
+from typing import Literal
 
 import pytest
 
@@ -56,3 +58,12 @@ def test_discovery_can_be_repeated() -> None:
     before = {group: registry.names(group) for group in registry.GROUPS}
     registry.discover()
     assert {group: registry.names(group) for group in registry.GROUPS} == before
+
+
+def test_an_option_of_another_type_is_told_by_its_plugin() -> None:
+    @dataclass(frozen=True)
+    class Chosen(Regularizer):
+        form: Literal["linear", "square"] = "linear"
+
+    with pytest.raises(UserError, match=r"'form' of Chosen to be a bool, int, float or str"):
+        registry.option_fields(Chosen)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Embedded:
-    """Options of `scene=embedded`.
+    """A ray-traced room in the repository itself, with exact depth.
 
     The training cameras stand in a zigzag of their own (protocol `rig`); eight test cameras, tagged
     `interpolating` (inside the training cameras' hull) or `extrapolating`, are always the same.
