@@ -33,10 +33,13 @@ def test_every_command_of_the_documents_runs(
 ) -> None:
     Path("DIR").mkdir()
     # a sweep's seeds all start alike, and the test of the command line has three of them
+    command = command.replace("NAME", "uar")  # stands for the reader's own plugin
     words = [re.sub(r"^seed=.*,.*", "seed=0,1", word) for word in command.split()]
+    given = {word.split("=")[0] for word in words}
     for word in list(words):
         if word.startswith("sweep="):
-            words += _one_run(word.removeprefix("sweep="))
+            last = _one_run(word.removeprefix("sweep="))
+            words += [value for value in last if value.split("=")[0] not in given]
     assert main(words) == 0, capsys.readouterr().err
 
 
