@@ -13,6 +13,7 @@ CPU time of the training. Writes a markdown table to results/held_out.md, or pri
 from __future__ import annotations
 
 import argparse
+import re
 import statistics
 import sys
 from dataclasses import dataclass
@@ -92,12 +93,15 @@ def main() -> None:
         counts = [int(w.split("=")[1]) for w in words if w.startswith("held_out=")]
         overrides = [w for w in words if not w.startswith("held_out=")]
         scenes.append((overrides, held_out_views(overrides, counts[0] if counts else None)))
+    told = [re.sub(r"path=\S+", "path=DIR", text) for text in given.scene]
+    asked = " ".join([*(f'--scene "{text}"' for text in told), f"--seed {given.seed}"])
     names = [" ".join(w for w in o if "path" not in w) for o, _ in scenes]
     lines = [
         "# Settings on held-out training views",
         "",
-        f"`benchmarks/held_out.py`, seed {given.seed}, on {cpu_model()}: PSNR in dB, in brackets of"
-        " the worst view, and CPU seconds of the training.",
+        f"`python benchmarks/held_out.py {asked}`, with the settings below as `--setting`, on"
+        f" {cpu_model()}: PSNR in dB, in brackets of the worst view, and CPU seconds of the"
+        " training.",
         "",
         "| setting | " + " | ".join(names) + " | mean |",
         "|---|" + "---|" * (len(names) + 1),

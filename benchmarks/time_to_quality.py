@@ -12,6 +12,7 @@ of depth, initialisation and training, without evaluation. Test views tagged `in
 from __future__ import annotations
 
 import argparse
+import re
 import statistics
 import sys
 import time
@@ -101,10 +102,12 @@ def main() -> None:
     lines = [
         "# Time to quality",
         "",
-        f"`benchmarks/time_to_quality.py` on {cpu_model()}, {parallel.threads()} threads.",
+        f"`python benchmarks/time_to_quality.py --steps {given.steps}"
+        f" --reference {given.reference}` with the headings below as `--scene`,"
+        f" on {cpu_model()}, {parallel.threads()} threads.",
     ]
     for scene in given.scene:
-        name = " ".join(word for word in scene.split() if "path" not in word)
+        name = re.sub(r"path=\S+", "path=DIR", scene)
         lines += ["", f"## {name}", "", "| steps | seconds | test PSNR | by kind | worst view |"]
         lines += ["|---:|---:|---:|---|---|"]
         steps = [*map(int, given.steps.split(",")), given.reference]

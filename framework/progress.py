@@ -91,7 +91,7 @@ class Terminal:
         self._transient(what)
 
     def compiling(self, what: str) -> None:
-        self._transient(f"compiling {what} (once per machine)")
+        self._transient(f"compiling {what} (once per checkout)")
 
     def note(self, text: str) -> None:
         self._line(text)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, UnionType
 from typing import Any, TypeVar
 
 from framework.errors import UserError, nearest_hint, require
@@ -24,6 +24,7 @@ GROUPS = {"augment": "plugins.augment", "reg": "plugins.regularize", "capacity":
 FOLDER = Path(__file__).resolve().parent.parent / "plugins"
 FRAMEWORK_KEYS = {"weight": 1.0, "start": 0.0, "stop": 1.0}
 OPTION_TYPES = (bool, int, float, str, type(None))
+UNIONS = (typing.Union, UnionType)
 
 _classes: dict[str, dict[str, type]] = {group: {} for group in GROUPS}
 C = TypeVar("C", bound=type)
@@ -113,14 +114,15 @@ def option_fields(cls: type) -> list[tuple[str, Any, Any]]:
     ]
     hints = typing.get_type_hints(cls)
     for option in dataclasses.fields(cls):
-        kinds = typing.get_args(hints[option.name]) or (hints[option.name],)
+        hint = hints[option.name]
+        kinds = typing.get_args(hint) if typing.get_origin(hint) in UNIONS else (hint,)
         require(
             all(kind in OPTION_TYPES for kind in kinds),
             f"{cls.__module__}: expected the option '{option.name}' of {cls.__name__} to be a bool,"
-            f" int, float or str, got {hints[option.name]}; make a choice a str and check it in"
+            f" int, float or str, got {hint}; make a choice a str and check it in"
             " __post_init__",
         )
-        rows.append((option.name, hints[option.name], field(default=option.default)))
+        rows.append((option.name, hint, field(default=option.default)))
     return rows
 
 

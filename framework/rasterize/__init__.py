@@ -128,7 +128,7 @@ def rasterize(
     opacity_factors: [N], multiply the activated opacities. means2d_offset: [N, 2], added to the
     projected means; pass zeros that require a gradient to get d loss / d means2d in pixels.
     near: Gaussians with a smaller z are culled. depth: False leaves the depth out ([0, 0] then),
-    which saves a tenth of the time. Differentiable in all tensors but the background.
+    which saves a tenth of the blending. Differentiable in all tensors but the background.
     Raises UserError for other dtypes than float32 and for wrong shapes.
     """
     n = len(gaussians)

@@ -25,8 +25,9 @@ import numpy as np
 
 from framework.jit import inlined, kernel
 from framework.rasterize.chunks import take1, take3, take4
+from framework.rasterize.ewa import exp
+from framework.rasterize.harmonics import Y0, basis_gradient, direction
 from framework.rasterize.jacobian import PARAMETERS, screen_jacobian
-from framework.rasterize.projection import Y0, basis_gradient, direction, exp
 from framework.rasterize.simd import (
     LANES,
     fma,

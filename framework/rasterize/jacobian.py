@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from framework.jit import inlined
-from framework.rasterize.projection import exp, rotation, to_camera, unit_quat
+from framework.rasterize.ewa import exp, rotation, to_camera, unit_quat
 from framework.rasterize.simd import LANES, store
 
 TWO = np.float32(2)

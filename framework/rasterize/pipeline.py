@@ -43,7 +43,7 @@ class Image:
 
 
 def camera_row(camera: Camera, near: float) -> np.ndarray:
-    """The camera as the kernels read it: float32[20], see `projection`."""
+    """The camera as the kernels read it: float32[20], see `ewa`."""
     rotation, translation = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
     K = camera.K
     row = [*rotation.reshape(-1).tolist(), *translation.tolist(), *camera.center.tolist()]

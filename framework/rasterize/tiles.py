@@ -114,6 +114,20 @@ def _write_row(plane: Any, at: int, count: int, value: Any, scratch: Any) -> Non
             plane[at + i] = scratch[i]
 
 
+@inlined
+def _met(t: Any, power: Any, limits: Any) -> tuple[Any, ...]:
+    """A pixel with transmittance t and a Gaussian of alpha 2^power: (alpha before and after its
+    limit, weight, whether it blends, the pixel's next t). limits: cut, stop and most of alpha."""
+    cut, stop, most = limits
+    active = both(greater_equal(power, cut), greater(t, zeros()))
+    raw = exp2(power)
+    a = minimum(raw, most)
+    goes_on = both(active, greater_equal(fnma(t, a, t), stop))
+    weight = select(goes_on, a * t, zeros())
+    kept = t - weight
+    return raw, a, weight, goes_on, select(but_not(active, goes_on), neg(kept), kept)
+
+
 @kernel
 def blend(
     block: int,
@@ -129,7 +143,7 @@ def blend(
     depth: Any,
 ) -> None:
     """Render tiles block, block + blocks, ...; rgb flat [3 H W], alpha and depth flat [H W]; depth
-    may be empty: it is left out then, which saves a tenth of the time."""
+    may be empty: it is left out then, which saves a tenth of the time here."""
     with_depth = len(depth) > 0
     columns = (width + 15) // 16
     plane = width * height
@@ -137,7 +151,7 @@ def blend(
     transmittance = state[:256]
     red, green, blue = state[256:512], state[512:768], state[768:1024]
     far, scratch = state[1024:1280], state[1280:]
-    cut, stop, most, one = splat(_CUT), splat(_STOP), splat(_MAX), splat(ONE)
+    limits, one = (splat(_CUT), splat(_STOP), splat(_MAX)), splat(ONE)
     down = _row_numbers()
     flat = rows.reshape(-1)
     last = len(lists) - 1
@@ -166,18 +180,13 @@ def blend(
                 dy = dy0 + splat(down[at])
                 power = fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
                 t = load(transmittance, at)
-                active = both(greater_equal(power, cut), greater(t, zeros()))
-                a = minimum(exp2(power), most)
-                rest = fnma(t, a, t)
-                goes_on = both(active, greater_equal(rest, stop))
-                weight = select(goes_on, a * t, zeros())
+                _, _, weight, _, left = _met(t, power, limits)
+                store(transmittance, at, left)
                 store(red, at, fma(weight, cr, load(red, at)))
                 store(green, at, fma(weight, cg, load(green, at)))
                 store(blue, at, fma(weight, cb, load(blue, at)))
                 if with_depth:
                     store(far, at, fma(weight, cz, load(far, at)))
-                kept = t - weight
-                store(transmittance, at, select(but_not(active, goes_on), neg(kept), kept))
         count = min(16, width - x)
         for row in range(min(16, height - y)):
             at = row * 16
@@ -224,7 +233,7 @@ def blend_backward(
     gr_, gg_, gb_ = state[512:768], state[768:1024], state[1024:1280]
     ga_, gz_ = state[1280:1536], state[1536:1792]
     first, second = state[1792:2048], state[2048:2304]
-    cut, stop, most, one = splat(_CUT), splat(_STOP), splat(_MAX), splat(ONE)
+    limits, most, one = (splat(_CUT), splat(_STOP), splat(_MAX)), splat(_MAX), splat(ONE)
     down = _row_numbers()
     flat = rows.reshape(-1)
     last = len(lists) - 1
@@ -279,28 +288,22 @@ def blend_backward(
                 dy = dy0 + splat(down[at])
                 power = fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
                 t = load(transmittance, at)
-                active = both(greater_equal(power, cut), greater(t, zeros()))
-                raw = exp2(power)
-                a = minimum(raw, most)
-                rest = fnma(t, a, t)
-                goes_on = both(active, greater_equal(rest, stop))
-                weight = select(goes_on, a * t, zeros())
+                raw, a, weight, goes_on, left = _met(t, power, limits)
+                store(transmittance, at, left)
                 gr, gg, gb = load(gr_, at), load(gg_, at), load(gb_, at)
                 own = fma(gr, cr, fma(gg, cg, gb * cb))
                 if not colour_alone:
                     gz = load(gz_, at)
                     own = own + fma(gz, cz, load(ga_, at))
                     sz = fma(weight, gz, sz)
-                left = fnma(weight, own, load(behind, at))
-                store(behind, at, left)
-                slope = fma(t, own, neg(left / (one - a)))
+                rest = fnma(weight, own, load(behind, at))
+                store(behind, at, rest)
+                slope = fma(t, own, neg(rest / (one - a)))
                 pull = select(but_not(goes_on, greater(raw, most)), slope * a, zeros())
                 pull_y = pull * dy
                 m0, m1, m2 = m0 + pull, m1 + pull_y, fma(pull_y, dy, m2)
                 sr, sg = fma(weight, gr, sr), fma(weight, gg, sg)
                 sb = fma(weight, gb, sb)
-                kept = t - weight
-                store(transmittance, at, select(but_not(active, goes_on), neg(kept), kept))
             m0x = m0 * dx
             sums = lane_sums((m0, m0x, m0x * dx, m1, m1 * dx, m2, sr, sg, sb, sz))
             store(slots, slot, sums)
@@ -336,7 +339,7 @@ def blend_moments(
     state = _aligned(6 * 256)
     transmittance = state[:256]
     br, bg, bb = state[256:512], state[512:768], state[768:1024]
-    cut, stop, most, one = splat(_CUT), splat(_STOP), splat(_MAX), splat(ONE)
+    limits, most, one = (splat(_CUT), splat(_STOP), splat(_MAX)), splat(_MAX), splat(ONE)
     first, second = state[1024:1280], state[1280:]  # of the two sums r
     powers = _aligned(64)  # of every row's dy, as broadcasts from memory cost nothing
     flat = rows.reshape(-1)
@@ -393,12 +396,8 @@ def blend_moments(
                 dy, dy2 = splat(powers[row]), splat(powers[16 + row])
                 power = fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
                 t = load(transmittance, at)
-                active = both(greater_equal(power, cut), greater(t, zeros()))
-                raw = exp2(power)
-                a = minimum(raw, most)
-                rest = fnma(t, a, t)
-                goes_on = both(active, greater_equal(rest, stop))
-                weight = select(goes_on, a * t, zeros())
+                raw, a, weight, goes_on, left = _met(t, power, limits)
+                store(transmittance, at, left)
                 odds = select(but_not(goes_on, greater(raw, most)), a / (one - a), zeros())
                 sr, sg, sb = load(br, at), load(bg, at), load(bb, at)
                 jr, jg, jb = fma(t, cr, neg(sr)), fma(t, cg, neg(sg)), fma(t, cb, neg(sb))
@@ -413,8 +412,6 @@ def blend_moments(
                     pull = weight * odds
                     store(first, at, pull * fma(jr, vr, fma(jg, vg, jb * vb)))
                     store(second, at, pull * fma(jr, wr, fma(jg, wg, jb * wb)))
-                kept = t - weight
-                store(transmittance, at, select(but_not(active, goes_on), neg(kept), kept))
             if directional:  # another loop: all accumulators together would leave the registers
                 todo = _listed_rows(item) & alive
                 while todo != 0:

@@ -65,5 +65,10 @@ def test_an_option_of_another_type_is_told_by_its_plugin() -> None:
     class Chosen(Regularizer):
         form: Literal["linear", "square"] = "linear"
 
-    with pytest.raises(UserError, match=r"'form' of Chosen to be a bool, int, float or str"):
-        registry.option_fields(Chosen)
+    @dataclass(frozen=True)
+    class Listed(Regularizer):
+        forms: list[int] | None = None
+
+    for cls, option in ((Chosen, "form"), (Listed, "forms")):
+        with pytest.raises(UserError, match=rf"'{option}' of .* to be a bool, int, float or str"):
+            registry.option_fields(cls)
