@@ -1,0 +1,165 @@
+"""Where the wall time of one run goes, from the start of Python to its end.
+
+    python benchmarks/end_to_end.py [--runs 5] [--output FILE] [OVERRIDE ...]
+
+Each run is a fresh process doing what `python run.py OVERRIDE ...` does, into an empty folder, with
+kernels cached by one before. A stage's time is without the stages inside it; medians over the runs.
+The machine should be idle. Writes a markdown table to FILE, or prints it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import re
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+CHILD = "--child"
+# stage -> functions, as module and name, whose time it is
+STAGES = {
+    "scene": ["framework.experiment:load_scene"],
+    "loading kernels": ["framework.warmup:Warmup.finish"],
+    "depth": ["framework.experiment:_depth"],
+    "initial Gaussians": ["framework.experiment:initial"],
+    "training: the steps themselves": ["framework.trainer:Trainer.run"],
+    "training: pseudo views": ["framework.trainer:Trainer._pseudo_views"],
+    "training: the regularizer's opacities": ["framework.trainer:Trainer._opacity_factors"],
+    "training: the capacity plugin": ["framework.trainer:Trainer._edit"],
+    "training: Fisher information": ["framework.trainer:fisher_information"],
+    "training: checkpoints": ["framework.checkpoint:Checkpoints.keep"],
+    "test PSNR along the way": ["framework.trainer:Trainer._record"],
+    "evaluation: rendering, PSNR": ["framework.experiment:evaluate"],
+    "evaluation: SSIM": ["framework.metrics:_ssim"],
+    "evaluation: FLIP": ["framework.metrics:_flip"],
+    "files": ["framework.experiment:write_run"],
+    "identity of code, packages and files": [
+        "framework.experiment:_files",
+        "framework.experiment:identity_of",
+        "framework.experiment:code_hash",
+    ],
+    "report": ["framework.study:build_reports"],
+}
+START, REST = "Python, libraries", "command line, configuration, the rest"
+
+
+class Clock:
+    """Seconds per stage, each without what is measured inside it."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._inside = [0.0]  # per open stage: time of the stages inside it
+
+    def watch(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(function)
+        def watched(*args: Any, **kwargs: Any) -> Any:
+            start = time.perf_counter()
+            self._inside.append(0.0)
+            try:
+                return function(*args, **kwargs)
+            finally:
+                total = time.perf_counter() - start
+                self.seconds[stage] += total - self._inside.pop()
+                self._inside[-1] += total
+
+        return watched
+
+    @property
+    def measured(self) -> float:
+        return self._inside[0]
+
+
+def child(began: float, output: Path, overrides: list[str]) -> None:
+    """One run with a clock around its stages; `began` is the time when the process was started."""
+    import importlib
+
+    clock = Clock()
+    modules = sorted({place.partition(":")[0] for places in STAGES.values() for place in places})
+    for name in modules:
+        importlib.import_module(name)
+    clock.seconds[START] = time.time() - began
+    for stage, places in STAGES.items():
+        for place in places:
+            module, _, path = place.partition(":")
+            *owners, name = path.split(".")
+            owner = functools.reduce(getattr, owners, sys.modules[module])
+            setattr(owner, name, clock.watch(stage, getattr(owner, name)))
+    from framework.cli import main as run
+
+    code = run(overrides)
+    clock.seconds[REST] = time.time() - began - clock.seconds[START] - clock.measured
+    output.write_text(json.dumps(clock.seconds))
+    sys.exit(code)
+
+
+def profile(folder: Path, overrides: list[str]) -> dict[str, float]:
+    """Seconds per stage of one fresh process, with the `total` as its parent saw it."""
+    output = folder / "seconds.json"
+    line = [*overrides, "force=true", f"hydra.run.dir={folder / 'run'}"]
+    start = time.time()
+    command = [sys.executable, __file__, CHILD, repr(start), str(output), *line]
+    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    total = time.time() - start
+    if done.returncode:
+        sys.exit(done.stderr.decode().strip().splitlines()[-1])
+    return {**json.loads(output.read_text()), "total": total}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--output", type=Path)
+    parser.add_argument("overrides", nargs="*")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        profile(folder, [*given.overrides, "trainer.steps=10"])
+        runs = [profile(folder, given.overrides) for _ in range(given.runs)]
+        record = json.loads((folder / "run" / "record.json").read_text())
+    from framework.provenance import cpu_model
+
+    median = {key: statistics.median(run.get(key, 0.0) for run in runs) for key in runs[0]}
+    total = median.pop("total")
+    line = re.sub(r"path=\S+", "path=DIR", " ".join(given.overrides))
+    psnr, gaussians = record["summary"]["psnr"]["mean"], record["gaussians"]
+    rows = [
+        f"| {stage} | {median[stage]:.2f} | {100 * median[stage] / total:.0f} % |"
+        for stage in (START, REST, *STAGES)
+        if median.get(stage, 0.0) >= 0.005
+    ]
+    text = "\n".join(
+        [
+            "# One run from end to end",
+            "",
+            f"`python benchmarks/end_to_end.py {line}` on {cpu_model()},"
+            f" {record['provenance']['threads']} threads: medians of {given.runs} runs;"
+            f" test PSNR {psnr:.2f} dB, {gaussians} Gaussians.",
+            "",
+            "| stage | seconds | share |",
+            "|---|---:|---:|",
+            *rows,
+            f"| **all** | {total:.2f} | |",
+            "",
+        ]
+    )
+    print(text)
+    if given.output:
+        given.output.write_text(text)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == [CHILD]:
+        child(float(sys.argv[2]), Path(sys.argv[3]), sys.argv[4:])
+    else:
+        main()
