@@ -13,7 +13,7 @@ demo: $(STAMP)
 	$(RUN) python run.py +augment=safi +reg=uar seed=0,1,2 -m
 
 test: $(STAMP)
-	$(RUN) python -m pytest
+	$(RUN) python -m pytest --numprocesses=logical --maxprocesses=4
 
 lint: $(STAMP)
 	$(RUN) ruff check .
