@@ -16,17 +16,21 @@ from framework.types import View
 PSEUDO = "pseudo"  # the tag the trainer gives to what an augmenter returns
 
 
-def shuffled(real: Sequence[View], pseudo: Sequence[View], seed: int, epoch: int) -> list[View]:
-    """All views of an epoch in random order.
+def ordered(
+    real: Sequence[View], pseudo: Sequence[View], seed: int, epoch: int
+) -> list[tuple[View, ...]]:
+    """The steps of an epoch: a real view each, and after it the pseudo views that join its step.
 
-    The order of the real ones depends on (seed, epoch) alone: pseudo views are put between them by
-    draws of their own. So all methods of a seed train on the real views in the same order.
+    The order of the real ones depends on (seed, epoch) alone; a pseudo view joins a step by a draw
+    of its own. So all methods of a seed see the same real view at every step.
     """
-    order = [real[i] for i in stream(seed, "epoch", epoch).permutation(len(real))]
+    order = stream(seed, "epoch", epoch).permutation(len(real))
+    steps: list[tuple[View, ...]] = [(real[i],) for i in order]
     rng = stream(seed, "epoch/pseudo", epoch)
     for view in pseudo:
-        order.insert(int(rng.integers(len(order) + 1)), view)
-    return order
+        joined = int(rng.integers(len(steps)))
+        steps[joined] = (*steps[joined], view)
+    return steps
 
 
 @dataclass(frozen=True)

@@ -96,8 +96,9 @@ class Plugin:
 
 
 class Augmenter(Plugin):
-    """Makes pseudo views that join the real ones for one epoch. `weight` multiplies their loss;
-    before `start` and after `stop` (shares of the training) it is not called."""
+    """Makes the pseudo views of an epoch. Each joins the step of one real view, drawn at random,
+    and adds its loss times `weight`; before `start` and after `stop` (shares of the training) none
+    is asked for."""
 
     def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[View], Any]:
         """Called at each epoch's start: its pseudo views (rebuilt, not accumulated)."""

@@ -45,7 +45,7 @@ def check_state(
     check_kind("pseudo", state.pseudo, tuple)
     for i, view in enumerate(state.pseudo):
         check_view(f"pseudo {i}", view)
-    check_count("left", state.left, len(training.views) + len(state.pseudo))
+    check_count("left", state.left, len(training.views))
     _check_history(state)
     _check_plugins(state, training, plugins)
 

@@ -2,8 +2,10 @@
 
 A training step: pick the epoch's next view -> the regularizer scales opacities -> rasterize ->
 photometric loss (+ regularizer term) -> gradient -> Adam -> the capacity plugin edits the set. At
-each epoch's start the augmenter may add pseudo views. The trainer holds a `TrainingSet`, so no test
-view can be reached from here; `evaluate` is a callback that sees only the Gaussians.
+each epoch's start the augmenter may add pseudo views; each joins the step of a real one and adds
+its weighted loss. So every method takes the same steps on the same real views. The trainer holds a
+`TrainingSet`, so no test view can be reached from here; `evaluate` is a callback that sees only the
+Gaussians.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from torch import Tensor
 
 from framework import schedule
 from framework.edits import apply_edits
-from framework.epoch import PSEUDO, Item, Items, shuffled
+from framework.epoch import PSEUDO, Item, Items, ordered
 from framework.errors import UserError, require
 from framework.fisher import FisherInformation, fisher_information
 from framework.guard import check_loss, diverged
@@ -91,7 +93,7 @@ class Trainer:
         self.optimizer = Adam(self.params)
         self.items = Items()
         self.pseudo: list[View] = []
-        self.queue: list[View] = []
+        self.queue: list[tuple[View, ...]] = []
         self.step, self.epoch, self.version = 0, -1, 0
         self.logged: dict[str, float] = {}
         self.history: list[HistoryRow] = []
@@ -106,7 +108,7 @@ class Trainer:
         evaluations = schedule.evaluation_steps(self.options)
         every = max(1, self.options.steps // HISTORY_ROWS)
         while self.step < self.options.steps:
-            loss = self._train_step(self._next_item())
+            loss = self._train_step(self._next_items())
             self.step += 1
             if self.step in evaluations or self.step % every == 0:
                 with self.watch.paused():
@@ -149,7 +151,7 @@ class Trainer:
         self.params = state.gaussians.map(_parameter)
         self.optimizer.load(state.adam)
         self.pseudo = list(state.pseudo)
-        self.queue = self._shuffled()[: state.left] if state.left else []
+        self.queue = self._ordered()[: state.left] if state.left else []
         for running in self._running():
             kept = state.plugins[running.group]
             running.started, running.state = kept.started, kept.value
@@ -160,18 +162,21 @@ class Trainer:
     def _running(self) -> tuple[_Running, ...]:
         return self.augment, self.reg, self.capacity
 
-    def _next_item(self) -> Item:
-        """The next view of the epoch, at the current resolution; starts an epoch when needed."""
+    def _next_items(self) -> tuple[Item, ...]:
+        """The epoch's next real view and the pseudo views that join it, at the current resolution;
+        starts an epoch when needed."""
         if not self.queue:
             self.epoch += 1
             self.pseudo = self._pseudo_views()
-            self.queue = self._shuffled()
-        view = self.queue.pop()
-        return self.items.get(view, schedule.downsampling(self.options, self.step, view.camera))
+            self.queue = self._ordered()
+        return tuple(
+            self.items.get(view, schedule.downsampling(self.options, self.step, view.camera))
+            for view in self.queue.pop()
+        )
 
-    def _shuffled(self) -> list[View]:
-        """The epoch's views in its order; the last one is trained on first."""
-        return shuffled(self.training.views, self.pseudo, self.seed, self.epoch)
+    def _ordered(self) -> list[tuple[View, ...]]:
+        """The epoch's steps in their order; the last one is taken first."""
+        return ordered(self.training.views, self.pseudo, self.seed, self.epoch)
 
     def _pseudo_views(self) -> list[View]:
         context = self._context_if_active(self.augment)
@@ -184,34 +189,48 @@ class Trainer:
             for view in views
         ]
 
-    def _train_step(self, item: Item) -> float:
-        """One optimizer step on one view; returns the loss."""
-        view, pull = item.view, torch.zeros(len(self.params), 2, requires_grad=True)
+    def _train_step(self, items: tuple[Item, ...]) -> float:
+        """One optimizer step on a real view, the first item, and the pseudo views that join it;
+        returns the loss on the real one."""
         reg = self._context_if_active(self.reg)
+        factors = self._opacity_factors(reg)
+        value, gradients, stats = self._gradients(items[0], reg, factors)
+        for item in items[1:]:
+            _, more, _ = self._gradients(item, reg, factors)
+            gradients = {name: gradients[name] + more[name] for name in gradients}
+        rates = schedule.learning_rates(self.options, self.step, self.extent)
+        broken = self.optimizer.step(self.params, gradients, rates)
+        if broken:
+            raise diverged(broken, self._where(items[0]), self.params.detach(), gradients)
+        decay_opacities(self.params.opacity_logits, self.options.opacity_decay)
+        self._edit(stats)
+        return value
+
+    def _gradients(
+        self, item: Item, reg: StepContext | None, factors: Tensor | None
+    ) -> tuple[float, dict[str, Tensor], StepStats]:
+        """The loss on one view, its gradient in every parameter, and what capacity plugins see."""
+        view, pull = item.view, torch.zeros(len(self.params), 2, requires_grad=True)
         render = rasterize(
             self.params,
             view.camera,
             background=self._step_background(),
             sh_degree=self._sh_degree(),
-            opacity_factors=self._opacity_factors(reg),
+            opacity_factors=factors,
             means2d_offset=pull,
             near=self.near,
             depth=reg is not None and self.reg.plugged.plugin.weighted(),
         )
         loss = photometric_loss(render.rgb, item.target, self.options.ssim_weight) * view.weight
         loss = loss + self._penalty(reg, view, render)
-        where = f"training step {self.step} on view '{view.name}'"
-        value = check_loss(float(loss.detach()), where, self.params.detach())
+        value = check_loss(float(loss.detach()), self._where(item), self.params.detach())
         tensors = dict(self.params.items())
         *gradients, d_pull = torch.autograd.grad(loss, [*tensors.values(), pull])
-        by_name = dict(zip(tensors, gradients, strict=True))
-        rates = schedule.learning_rates(self.options, self.step, self.extent)
-        broken = self.optimizer.step(self.params, by_name, rates)
-        if broken:
-            raise diverged(broken, where, self.params.detach(), by_name)
-        decay_opacities(self.params.opacity_logits, self.options.opacity_decay)
-        self._edit(StepStats(d_pull, render.radii, view.camera.width, view.camera.height))
-        return value
+        stats = StepStats(d_pull, render.radii, view.camera.width, view.camera.height)
+        return value, dict(zip(tensors, gradients, strict=True)), stats
+
+    def _where(self, item: Item) -> str:
+        return f"training step {self.step} on view '{item.view.name}'"
 
     def _step_background(self) -> Tensor:
         if self.random_background:

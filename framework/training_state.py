@@ -54,10 +54,10 @@ class PluginState:
 class TrainerState:
     """A training between two steps.
 
-    step: finished steps. left: how many of the epoch's views are still to be trained on. pseudo:
-    the epoch's pseudo views. plugins: by group. logged: since the last row of `history`. psnr: the
-    last one measured. wall_s, cpu_s: of the training so far, without evaluations. resumed: how
-    often it was taken up again.
+    step: finished steps. left: how many of the epoch's real views are still to be trained on.
+    pseudo: the epoch's pseudo views. plugins: by group. logged: since the last row of `history`.
+    psnr: the last one measured. wall_s, cpu_s: of the training so far, without evaluations.
+    resumed: how often it was taken up again.
     """
 
     step: int
