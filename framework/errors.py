@@ -36,7 +36,7 @@ def printable_line(text: str) -> str:
 def nearest_hint(name: str, options: Iterable[str]) -> str:
     """Text that lists `options` and, if one is close to `name`, suggests it."""
     known = sorted(options)
-    close = difflib.get_close_matches(name, known, n=1)
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.7)
     suggestion = f"did you mean '{close[0]}'? " if close else ""
     return f"{suggestion}available: {', '.join(known) or 'none'}"
 

@@ -10,6 +10,7 @@ import dataclasses
 import functools
 import importlib
 import pkgutil
+import sys
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -35,6 +36,7 @@ def register(group: str, name: str) -> Callable[[C], C]:
 
     def add(cls: C) -> C:
         require(group in GROUPS, f"register: unknown group {group}; {nearest_hint(group, GROUPS)}")
+        _check_class(group, name, cls)
         other = _classes[group].get(name)
         if other is not None and (other.__module__, other.__qualname__) != (
             cls.__module__,
@@ -51,15 +53,42 @@ def register(group: str, name: str) -> Callable[[C], C]:
     return add
 
 
+def _check_class(group: str, name: str, cls: type) -> None:
+    """Raise UserError unless `cls` is a frozen dataclass whose fields are options."""
+    where = f"{group}={name} ({cls.__module__}.{cls.__qualname__})"
+    made: Any = vars(cls).get("__dataclass_params__")
+    require(
+        made is not None and made.frozen,
+        f"{where}: expected a frozen dataclass, got another class; put @dataclass(frozen=True)"
+        " between @register and the class",
+    )
+    for option in dataclasses.fields(cls):
+        require(
+            option.name not in (*FRAMEWORK_KEYS, "name"),
+            f"{where}: expected options beside {', '.join(FRAMEWORK_KEYS)} and name, which every"
+            f" plugin has, got a field '{option.name}'; set its default in `defaults`",
+        )
+    typed = {*cls.__annotations__, "defaults", "name", "group"}  # the last two: registered twice
+    for key, value in vars(cls).items():
+        require(
+            key.startswith("_") or key in typed or not isinstance(value, OPTION_TYPES),
+            f"{where}: expected options with a type, got '{key} = {value!r:.40}'; write"
+            f" '{key}: {type(value).__name__} = {value!r:.40}'",
+        )
+
+
 def discover() -> None:
     """Import every plugin module, so that all of them are registered."""
     for package_name in GROUPS.values():
         package = importlib.import_module(package_name)
         _check_place(package)
         for module in pkgutil.iter_modules(package.__path__):
-            importlib.import_module(f"{package_name}.{module.name}")
+            name = f"{package_name}.{module.name}"
+            if name not in sys.modules:
+                _guarded(name, "repair it", functools.partial(importlib.import_module, name))
     for point in _installed():
-        _load(point)
+        told = f"entry point {point.name} = {point.value}"
+        _guarded(told, "repair or uninstall that package", point.load)
 
 
 def _check_place(package: ModuleType) -> None:
@@ -72,16 +101,16 @@ def _check_place(package: ModuleType) -> None:
     )
 
 
-def _load(point: EntryPoint) -> None:
-    """Import an installed package's plugins. Raises UserError, naming it, when that fails."""
+def _guarded(told: str, repair: str, load: Callable[[], object]) -> None:
+    """Import plugins by `load`. Raises UserError, naming them as `told`, when that fails."""
     try:
-        point.load()
+        load()
     except UserError:
         raise
     except Exception as error:  # whatever somebody else's code raises
         raise UserError(
-            f"entry point {point.name} = {point.value}: expected a module of plugins that imports,"
-            f" got {type(error).__name__}: {error}; repair or uninstall that package"
+            f"{told}: expected a module of plugins that imports, got {type(error).__name__}:"
+            f" {error}; {repair}"
         ) from error
 
 

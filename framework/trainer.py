@@ -18,10 +18,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from framework import schedule
+from framework import hooks, schedule
 from framework.edits import apply_edits
 from framework.epoch import PSEUDO, Item, Items, ordered
-from framework.errors import UserError, require
+from framework.errors import require
 from framework.fisher import FisherInformation, fisher_information
 from framework.guard import check_loss, diverged
 from framework.initialize import background_color, random_background
@@ -183,7 +183,8 @@ class Trainer:
         if context is None:
             return []
         plugged = self.augment.plugged
-        views, self.augment.state = plugged.plugin.pseudo_views(context, self.augment.state)
+        result = plugged.plugin.pseudo_views(context, self.augment.state)
+        views, self.augment.state = hooks.pseudo_views(plugged.plugin, result)
         return [
             replace(view, weight=view.weight * plugged.weight, tags=(*view.tags, PSEUDO))
             for view in views
@@ -241,8 +242,8 @@ class Trainer:
         if context is None:
             return None
         plugin: Any = self.reg.plugged.plugin
-        factors: Tensor | None
-        factors, self.reg.state = plugin.opacity_factors(context, self.reg.state)
+        result = plugin.opacity_factors(context, self.reg.state)
+        factors, self.reg.state = hooks.opacity_factors(plugin, result, len(self.params))
         return factors
 
     def _penalty(self, context: StepContext | None, view: View, render: Render) -> Tensor | float:
@@ -250,22 +251,17 @@ class Trainer:
         if context is None:
             return 0.0
         plugged = self.reg.plugged
-        term: Tensor | None = plugged.plugin.loss(context, self.reg.state, view, render)
-        if term is None:
-            return 0.0
-        if not term.requires_grad:
-            raise UserError(
-                f"reg={plugged.plugin.name}: expected a loss of the render's rgb, alpha or depth,"
-                " got one without a gradient (ctx.gaussians is detached); return None for no loss"
-            )
-        return plugged.weight * term
+        result = plugged.plugin.loss(context, self.reg.state, view, render)
+        term = hooks.loss_term(plugged.plugin, result)
+        return 0.0 if term is None else plugged.weight * term
 
     def _edit(self, stats: StepStats) -> None:
         """Let the capacity plugin change the set, parameters and moments together."""
         context = self._context_if_active(self.capacity)
         if context is not None:
             plugin: Any = self.capacity.plugged.plugin
-            edits, self.capacity.state = plugin.update(context, self.capacity.state, stats)
+            result = plugin.update(context, self.capacity.state, stats)
+            edits, self.capacity.state = hooks.edits(plugin, result)
             if edits is not None:
                 where = f"training step {self.step}"
                 edited = apply_edits(self.params.detach(), self.optimizer, edits, where)

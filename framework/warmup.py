@@ -46,10 +46,10 @@ class Warmup:
 
     def __init__(self, config: Mapping[str, Any], progress: Progress) -> None:
         self.config, self.progress = config, progress
-        chosen = {group: config[group] for group in (*registry.GROUPS, "depth")}
-        chosen["sh_degree"] = config["trainer"]["sh_degree"]
-        self.key = _key(chosen)
-        self.markers = [KERNEL_CACHE / f"warm-{key}" for key in (self.key, _key(config["depth"]))]
+        depth = {"depth": config["depth"]["name"]}
+        chosen = depth | {group: config[group]["name"] for group in registry.GROUPS}
+        self.key = _key({**chosen, "sh_degree": config["trainer"]["sh_degree"]})
+        self.markers = [KERNEL_CACHE / f"warm-{key}" for key in (self.key, _key(depth))]
         self.beside: subprocess.Popen[bytes] | None = None
         self.compiles = self.key not in _warm and not all(m.exists() for m in self.markers)
         if self.compiles:
@@ -73,9 +73,10 @@ class Warmup:
         if self.compiles:
             self.progress.compiling("kernels")
         training, depth, gaussians = _plane(int(self.config["trainer"]["sh_degree"]))
-        _train(self.config, training, depth, gaussians)
+        with contextlib.suppress(Exception):  # a broken plugin fails again, on the user's scene
+            _train(self.config, training, depth, gaussians)
         if self.beside is not None:
-            self.beside.wait()  # if it failed, the next line compiles, and tells why
+            self.beside.wait()  # if it failed, the next line compiles
         _estimate(self.config["depth"], training)
         _warm.add(self.key)
         for marker in self.markers:

@@ -92,7 +92,8 @@ def _draw_legend(figure: Figure) -> None:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             entries.setdefault(label, handle)
     if entries:
-        columns = 2 if max(map(len, entries)) > 22 or len(entries) < 3 else 3
+        longest = max(len(line) for label in entries for line in label.splitlines())
+        columns = 1 if longest > 36 else 2 if longest > 22 or len(entries) < 3 else 3
         figure.legend(
             list(entries.values()),
             list(entries),

@@ -1,4 +1,4 @@
-"""The example of CONTRIBUTING.md, installed as another package would be, and trained with."""
+"""The examples of CONTRIBUTING.md, installed as another package would be, and trained with."""
 
 from __future__ import annotations
 
@@ -13,21 +13,24 @@ import pytest
 
 from framework.config import ROOT
 
-ENTRY_POINT = "[fishersplat.plugins]\nsmooth_depth = smooth_depth\n"
+EXAMPLES = ("smooth_depth", "two_nearest")
 
 
 @pytest.fixture
 def installed(tmp_path: Path) -> dict[str, str]:
-    """The environment of a process in which the example is an installed distribution."""
+    """The environment of a process in which the examples are an installed distribution."""
     page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    example = re.search(r"```python\n(.*?)```", page, re.DOTALL)
-    assert example is not None
     site = tmp_path / "site"
-    metadata = site / "smooth_depth-1.0.dist-info"
+    metadata = site / "examples-1.0.dist-info"
     metadata.mkdir(parents=True)
-    (site / "smooth_depth.py").write_text(example.group(1), encoding="utf-8")
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: smooth_depth\nVersion: 1.0\n")
-    (metadata / "entry_points.txt").write_text(ENTRY_POINT)
+    for name, text in zip(
+        EXAMPLES, re.findall(r"```python\n(.*?)```", page, re.DOTALL), strict=True
+    ):
+        assert f"/{name}.py`" in page
+        (site / f"{name}.py").write_text(text, encoding="utf-8")
+    points = "".join(f"{name} = {name}\n" for name in EXAMPLES)
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: examples\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text(f"[fishersplat.plugins]\n{points}")
     return {**os.environ, "PYTHONPATH": f"{site}{os.pathsep}{ROOT}"}
 
 
@@ -53,13 +56,15 @@ def test_it_is_a_choice_like_any_other(installed: dict[str, str], tmp_path: Path
 def test_its_check_is_a_one_line_error(installed: dict[str, str], tmp_path: Path) -> None:
     done = run(installed, tmp_path, "reg=smooth_depth reg.edge=-1")
     assert done.returncode == 2
-    assert done.stderr == "error: smooth_depth: expected edge >= 0, got -1.0; raise it\n"
+    assert done.stderr == "error: reg.edge: expected a number >= 0, got -1.0; raise it\n"
 
 
-def test_it_trains(installed: dict[str, str], tmp_path: Path) -> None:
-    line = "+reg=smooth_depth depth=ground_truth trainer.steps=8 trainer.evaluations=1"
-    done = run(installed, tmp_path, f"{line} init.budget=2000 hydra.run.dir=out")
+def test_they_train(installed: dict[str, str], tmp_path: Path) -> None:
+    line = "+augment=two_nearest +reg=smooth_depth depth=ground_truth init.budget=2000"
+    short = "trainer.steps=8 trainer.evaluations=1 hydra.run.dir=out"
+    done = run(installed, tmp_path, f"{line} {short}")
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "out" / "record.json").read_text(encoding="utf-8"))
     assert record["status"] == "complete"
+    assert record["config"]["augment"]["name"] == "two_nearest"
     assert record["config"]["reg"]["name"] == "smooth_depth"

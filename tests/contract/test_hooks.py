@@ -1,0 +1,114 @@
+"""A mistake in somebody's plugin ends in one line that names the plugin and the hook."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import pytest
+import torch
+
+from framework import hooks, registry
+from framework.errors import UserError
+from framework.plugin import Augmenter, Capacity, Edits, Regularizer, register
+from framework.types import View
+from framework.warmup import _plane
+
+VIEW = _plane(0)[0].views[0]
+GRADIENT = torch.zeros((), requires_grad=True)
+
+
+def plugin(base: type, group: str) -> Any:
+    return type("Mine", (base,), {"name": "mine", "group": group})()
+
+
+@pytest.mark.parametrize(
+    ("result", "told"),
+    [
+        (None, r"expected to return \(list of views, state\), got NoneType"),
+        ([VIEW], r"expected to return \(list of views, state\), got list"),
+        ((VIEW, None), "expected a list of views, got View"),
+        (([VIEW.image], None), "view 0: expected a View, got Tensor"),
+        (([dataclasses.replace(VIEW, mask=VIEW.image)], None), r"view 0.mask: .* \[48, 64\], got"),
+        (([dataclasses.replace(VIEW, image=VIEW.image[:, 1:])], None), r"view 0.image: .*got"),
+        (([dataclasses.replace(VIEW, image=VIEW.image.double())], None), "got float64"),
+        (([dataclasses.replace(VIEW, image=VIEW.image * torch.nan)], None), "got NaN"),
+    ],
+)
+def test_pseudo_views(result: object, told: str) -> None:
+    with pytest.raises(UserError, match=rf"^augment=mine: pseudo_views: .*{told}"):
+        hooks.pseudo_views(plugin(Augmenter, "augment"), result)
+
+
+@pytest.mark.parametrize(
+    ("result", "told"),
+    [
+        (torch.ones(3), r"expected to return \(factors or None, state\), got Tensor"),
+        ((torch.ones(2), None), r"expected float32 \[3\], got float32 \[2\]"),
+        ((0.5, None), "got float"),
+    ],
+)
+def test_opacity_factors(result: object, told: str) -> None:
+    with pytest.raises(UserError, match=rf"^reg=mine: opacity_factors: .*{told}"):
+        hooks.opacity_factors(plugin(Regularizer, "reg"), result, 3)
+
+
+@pytest.mark.parametrize(
+    ("term", "told"),
+    [
+        (0.5, "expected a scalar tensor, got float"),
+        (torch.ones(2, 3), r"expected a scalar tensor, got Tensor \[2, 3\]"),
+        (torch.ones(()), "without a gradient"),
+        (GRADIENT * torch.nan, "expected a finite number, got nan"),
+    ],
+)
+def test_loss_term(term: object, told: str) -> None:
+    with pytest.raises(UserError, match=rf"^reg=mine: loss: .*{told}"):
+        hooks.loss_term(plugin(Regularizer, "reg"), term)
+
+
+def test_edits() -> None:
+    mine = plugin(Capacity, "capacity")
+    with pytest.raises(UserError, match=r"^capacity=mine: update: expected to return \(Edits or"):
+        hooks.edits(mine, Edits())
+    with pytest.raises(UserError, match="expected Edits or None, got Tensor"):
+        hooks.edits(mine, (torch.ones(3), None))
+
+
+def test_what_is_right_passes() -> None:
+    views: list[View] = [VIEW]
+    assert hooks.pseudo_views(plugin(Augmenter, "augment"), (views, 1)) == (views, 1)
+    factors = torch.ones(3)
+    assert hooks.opacity_factors(plugin(Regularizer, "reg"), (factors, 2), 3) == (factors, 2)
+    assert hooks.loss_term(plugin(Regularizer, "reg"), GRADIENT) is GRADIENT
+    assert hooks.loss_term(plugin(Regularizer, "reg"), None) is None
+    assert hooks.edits(plugin(Capacity, "capacity"), (None, 3)) == (None, 3)
+
+
+def test_a_class_that_is_no_plugin_is_told_at_its_definition() -> None:
+    class Bare(Regularizer):
+        pass
+
+    @dataclass
+    class Thawed(Regularizer):
+        pass
+
+    @dataclass(frozen=True)
+    class Weighted(Regularizer):
+        weight: float = 0.5
+
+    @dataclass(frozen=True)
+    class Untyped(Regularizer):
+        defaults: ClassVar[dict[str, float]] = {"start": 0.1}
+        strength = 0.5
+
+    for cls, told in (
+        (Bare, "frozen dataclass"),
+        (Thawed, "frozen dataclass"),
+        (Weighted, "got a field 'weight'"),
+        (Untyped, "write 'strength: float = 0.5'"),
+    ):
+        with pytest.raises(UserError, match=rf"^reg=bad \(.*{cls.__name__}\): .*{told}"):
+            register("reg", "bad")(cls)
+    assert "bad" not in registry.names("reg")
