@@ -132,12 +132,17 @@ class Study:
         return bool(self.runs) and self.baseline.startswith(BASELINE)
 
     def baseline_of(self, method: str) -> str:
-        """The baseline with the budget of `method`, where there is one; else the study's."""
+        """The baseline with the budget and, for another method, the other options of `method`, as
+        far as there is one; else the study's."""
         if len(self.families) < 2:
             return self.baseline
         labels = {run.method: run.method_label for run in self.runs}
-        budget = labels[method].budget if method in labels else ""
-        equal = [m for m in self.methods if labels[m].budget == budget]
+        own = labels.get(method, MethodLabel(method))
+        equal = [m for m in self.methods if labels[m].budget == own.budget]
+        plain = labels[self.baseline].pair
+        alike = [m for m in equal if (labels[m].pair, labels[m].options) == (plain, own.options)]
+        if own.pair != plain and alike:
+            return alike[0]
         return equal[0] if equal else self.baseline
 
     def of(self, scene: str | None = None, method: str | None = None) -> list[ReportRun]:

@@ -2,7 +2,8 @@
 
 A method is what a user compares: augmenter and regularizer, plus every other option that differs
 between the runs: another capacity plugin, depth provider or initializer, an option of a plugin
-that differs between runs of the same plugin, `trainer.steps`, and so on. The seed, the scene, the
+that differs between runs of the same plugin, `trainer.steps`, and so on; the default choices of
+these groups (`USUAL`) need no name. The seed, the scene, the
 stresses of `framework.report.axes` and keys that cannot change a result (`NEUTRAL_KEYS`) are no
 part of it.
 """
@@ -21,6 +22,7 @@ from framework.record import METHOD_GROUPS, SceneInfo
 from framework.report.axes import BUDGETS, DATA_KEYS
 
 NAMED = ("augment", "reg")  # groups every method's name starts with
+USUAL = {"capacity.name": "fixed", "init.name": "stereo", "depth.name": "plane_sweep"}  # unnamed
 NO_METHOD = ("seed", "scene", "metrics", *NEUTRAL_KEYS)
 UNKNOWN_SCENE = "unknown scene"
 
@@ -29,11 +31,20 @@ Flat = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class MethodLabel:
-    """full: the name. family: the name without budgets. budget: these alone, "" if none varies."""
+    """full: the name. family: the name without budgets. pair: augmenter and regularizer alone.
+    options, budget: the other two parts, "" where there is none."""
 
-    full: str
-    family: str
-    budget: str
+    pair: str
+    options: str = ""
+    budget: str = ""
+
+    @property
+    def family(self) -> str:
+        return ", ".join(filter(None, (self.pair, self.options)))
+
+    @property
+    def full(self) -> str:
+        return ", ".join(filter(None, (self.family, self.budget)))
 
 
 @dataclass(frozen=True)
@@ -164,17 +175,18 @@ def _varies(key: str, configs: Sequence[Flat]) -> bool:
 
 
 def _method_label(config: Flat, varying: Sequence[str]) -> MethodLabel:
-    named = " + ".join(text_of(config.get(f"{group}.name", "none")) for group in NAMED)
+    pair = " + ".join(text_of(config.get(f"{group}.name", "none")) for group in NAMED)
     options: list[str] = []
     budgets: list[str] = []
     for key in varying:
         group, _, option = key.partition(".")
         if key in {f"{g}.name" for g in NAMED} or key not in config:
             continue
+        if key in USUAL and config[key] == USUAL[key]:
+            continue
         text = f"{group if option == 'name' else key}={text_of(config[key])}"
         (budgets if key in BUDGETS else options).append(text)
-    family = ", ".join([named, *options])
-    return MethodLabel(", ".join([family, *budgets]), family, ", ".join(budgets))
+    return MethodLabel(pair, ", ".join(options), ", ".join(budgets))
 
 
 def slug(text: str) -> str:

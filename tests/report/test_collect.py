@@ -43,9 +43,9 @@ def test_every_other_difference_is_named() -> None:
         ]
     )
     assert labels == [
-        "none + none, capacity=fixed, init.budget=40000, trainer.steps=300",
+        "none + none, init.budget=40000, trainer.steps=300",
         "none + none, capacity=adc, init.budget=40000, trainer.steps=800",
-        "none + none, capacity=fixed, init.budget=5000, trainer.steps=800",
+        "none + none, init.budget=5000, trainer.steps=800",
     ]
 
 
@@ -139,6 +139,22 @@ def test_the_baseline_has_the_same_budget(tmp_path: Path) -> None:
             fake_run(tmp_path, augment, trainer={"steps": steps}, run_name=f"{augment}{steps}")
     study = collect(tmp_path)
     assert study.baseline_of("safi + none, trainer.steps=400") == "none + none, trainer.steps=400"
+
+
+def test_a_method_is_compared_under_its_own_options(tmp_path: Path) -> None:
+    """A capacity with the same capacity; the default choices have no name and come first."""
+    for augment in ("none", "safi"):
+        for name in ("budget", "fixed"):
+            capacity = {"name": name, "weight": 1.0, "start": 0.0, "stop": 1.0}
+            fake_run(tmp_path, augment, capacity=capacity, run_name=f"{augment}{name}")
+    study = collect(tmp_path)
+    assert study.methods == [
+        *("none + none", "none + none, capacity=budget"),
+        *("safi + none", "safi + none, capacity=budget"),
+    ]
+    assert study.baseline_of("safi + none, capacity=budget") == "none + none, capacity=budget"
+    assert study.baseline_of("safi + none") == "none + none"
+    assert study.baseline_of("none + none, capacity=budget") == "none + none"
 
 
 def test_budgets_of_one_method_are_compared_with_the_first(tmp_path: Path) -> None:
