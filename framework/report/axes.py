@@ -37,6 +37,7 @@ STRESSES = (
 # part of the conditions a method meets, without an order of their own
 CONDITIONS = ("depth.corruption",)
 DATA_KEYS = (*(axis.key for axis in STRESSES), *CONDITIONS)
+# of a method; the capacity plugin and its options are one, too
 BUDGETS = (
     "trainer.steps",
     "trainer.coarse_factor",

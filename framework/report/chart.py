@@ -72,7 +72,9 @@ class Chart:
 def draw(charts: Sequence[Chart]) -> Figure:
     """The charts below each other with one legend; they share their series' names."""
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 3.7 * len(charts) + 0.6), layout="constrained")
+        names = {s.name for chart in charts for s in chart.series if not s.faint}
+        height = 3.7 * len(charts) + 0.6 + 0.1 * max(0, len(names) - 6)  # room for the legend
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
         column = figure.subplots(len(charts), squeeze=False)[:, 0]
         for axes, chart in zip(column, charts, strict=True):
             _draw_chart(axes, chart)

@@ -22,6 +22,7 @@ from framework.record import METHOD_GROUPS, SceneInfo
 from framework.report.axes import BUDGETS, DATA_KEYS
 
 NAMED = ("augment", "reg")  # groups every method's name starts with
+COARSE = ("trainer.coarse_factor", "trainer.coarse_until")
 USUAL = {"capacity.name": "fixed", "init.name": "stereo", "depth.name": "plane_sweep"}  # unnamed
 NO_METHOD = ("seed", "scene", "metrics", *NEUTRAL_KEYS)
 UNKNOWN_SCENE = "unknown scene"
@@ -73,7 +74,8 @@ def method_labels(configs: Sequence[Mapping[str, Any]]) -> list[MethodLabel]:
     flat = [flatten(config) for config in configs]
     keys = {key for key in set().union(*flat) if _may_name_a_method(key)}
     varying = sorted(key for key in keys if _varies(key, flat))
-    return [_method_label(entry, varying) for entry in flat]
+    told = [key for key in varying if key not in COARSE or not _follows(key, flat)]
+    return [_method_label(entry, told) for entry in flat]
 
 
 def scene_labels(
@@ -174,6 +176,14 @@ def _varies(key: str, configs: Sequence[Flat]) -> bool:
     return any(len(values) > 1 for values in seen.values())
 
 
+def _follows(key: str, configs: Sequence[Flat]) -> bool:
+    """Whether the number of steps determines this option, as where presets set both."""
+    seen: dict[str, set[str]] = defaultdict(set)
+    for config in configs:
+        seen[text_of(config.get("trainer.steps"))].add(text_of(config.get(key)))
+    return len(seen) > 1 and all(len(values) == 1 for values in seen.values())
+
+
 def _method_label(config: Flat, varying: Sequence[str]) -> MethodLabel:
     pair = " + ".join(text_of(config.get(f"{group}.name", "none")) for group in NAMED)
     options: list[str] = []
@@ -184,8 +194,9 @@ def _method_label(config: Flat, varying: Sequence[str]) -> MethodLabel:
             continue
         if key in USUAL and config[key] == USUAL[key]:
             continue
-        text = f"{group if option == 'name' else key}={text_of(config[key])}"
-        (budgets if key in BUDGETS else options).append(text)
+        name = group if option == "name" else option if key in BUDGETS else key
+        budget = key in BUDGETS or group == "capacity"
+        (budgets if budget else options).append(f"{name}={text_of(config[key])}")
     return MethodLabel(pair, ", ".join(options), ", ".join(budgets))
 
 

@@ -43,9 +43,9 @@ def test_every_other_difference_is_named() -> None:
         ]
     )
     assert labels == [
-        "none + none, init.budget=40000, trainer.steps=300",
-        "none + none, capacity=adc, init.budget=40000, trainer.steps=800",
-        "none + none, init.budget=5000, trainer.steps=800",
+        "none + none, budget=40000, steps=300",
+        "none + none, capacity=adc, budget=40000, steps=800",
+        "none + none, budget=5000, steps=800",
     ]
 
 
@@ -128,8 +128,8 @@ def test_a_corrupted_depth_is_a_condition_and_no_method() -> None:
 def test_budgets_are_told_apart_from_the_family() -> None:
     configs = [make_config("safi", trainer={"steps": steps}) for steps in (100, 400)]
     assert [(label.family, label.budget) for label in method_labels(configs)] == [
-        ("safi + none", "trainer.steps=100"),
-        ("safi + none", "trainer.steps=400"),
+        ("safi + none", "steps=100"),
+        ("safi + none", "steps=400"),
     ]
 
 
@@ -138,30 +138,42 @@ def test_the_baseline_has_the_same_budget(tmp_path: Path) -> None:
         for steps in (100, 400):
             fake_run(tmp_path, augment, trainer={"steps": steps}, run_name=f"{augment}{steps}")
     study = collect(tmp_path)
-    assert study.baseline_of("safi + none, trainer.steps=400") == "none + none, trainer.steps=400"
+    assert study.baseline_of("safi + none, steps=400") == "none + none, steps=400"
 
 
 def test_a_method_is_compared_under_its_own_options(tmp_path: Path) -> None:
-    """A capacity with the same capacity; the default choices have no name and come first."""
+    """The default choices have no name and come first."""
     for augment in ("none", "safi"):
-        for name in ("budget", "fixed"):
-            capacity = {"name": name, "weight": 1.0, "start": 0.0, "stop": 1.0}
-            fake_run(tmp_path, augment, capacity=capacity, run_name=f"{augment}{name}")
+        for name in ("sparse", "stereo"):
+            fake_run(tmp_path, augment, init={"name": name}, run_name=f"{augment}{name}")
     study = collect(tmp_path)
     assert study.methods == [
-        *("none + none", "none + none, capacity=budget"),
-        *("safi + none", "safi + none, capacity=budget"),
+        *("none + none", "none + none, init=sparse"),
+        *("safi + none", "safi + none, init=sparse"),
     ]
-    assert study.baseline_of("safi + none, capacity=budget") == "none + none, capacity=budget"
+    assert study.baseline_of("safi + none, init=sparse") == "none + none, init=sparse"
     assert study.baseline_of("safi + none") == "none + none"
-    assert study.baseline_of("none + none, capacity=budget") == "none + none"
+    assert study.baseline_of("none + none, init=sparse") == "none + none"
+
+
+def test_what_the_steps_determine_needs_no_name() -> None:
+    presets = [(75, 1.0), (100, 0.5), (300, 0.25)]
+    configs = [make_config(trainer={"steps": s, "coarse_until": c}) for s, c in presets]
+    capacity = {"name": "budget", "weight": 1.0, "start": 0.0, "stop": 1.0}
+    small = make_config(trainer={"steps": 300, "coarse_until": 0.25}, capacity=capacity)
+    assert names([*configs, small]) == [
+        *(f"none + none, steps={steps}" for steps, _ in presets),
+        "none + none, capacity=budget, steps=300",
+    ]
+    other = make_config(trainer={"steps": 300, "coarse_until": 0.5})
+    assert "none + none, coarse_until=0.5, steps=300" in names([*configs, other])
 
 
 def test_budgets_of_one_method_are_compared_with_the_first(tmp_path: Path) -> None:
     for steps in (100, 400):
         fake_run(tmp_path, trainer={"steps": steps}, run_name=f"{steps}")
     study = collect(tmp_path)
-    assert study.baseline_of("none + none, trainer.steps=400") == "none + none, trainer.steps=100"
+    assert study.baseline_of("none + none, steps=400") == "none + none, steps=100"
 
 
 def test_failed_runs_have_the_name_of_their_method(tmp_path: Path) -> None:

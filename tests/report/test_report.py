@@ -302,8 +302,8 @@ def test_pictures_are_of_the_best_budget_of_each_method(tmp_path: Path) -> None:
             fake_run(tmp_path, augment, gain=gain, **options)
     study = collect(tmp_path)
     assert [run.method for run in choose_views(study, "embedded").runs] == [
-        "none + none, trainer.steps=400",
-        "safi + none, trainer.steps=400",
+        "none + none, steps=400",
+        "safi + none, steps=400",
     ]
     text = text_of(tmp_path)
     assert "On embedded, by seconds of training:" in text
