@@ -30,7 +30,7 @@ class Breakdown:
     where it begins above or never does. stops: the break-down point, None where it does not fall
     to zero. interval: hull of the strengths where a zero is not refuted, None where it is refuted
     everywhere or with fewer than two seeds. n: seeds. significant: some tested strength differs
-    from zero, Bonferroni-corrected.
+    from zero, Bonferroni-corrected; gains: so does one where it is above zero.
     """
 
     helps: bool
@@ -39,6 +39,7 @@ class Breakdown:
     interval: Interval | None
     n: int
     significant: bool
+    gains: bool
 
 
 def break_down(strengths: np.ndarray, gains: np.ndarray) -> Breakdown:
@@ -50,10 +51,12 @@ def break_down(strengths: np.ndarray, gains: np.ndarray) -> Breakdown:
     starts, stops = _zeros(strengths, mean)
     helps = bool((mean > 0).any())
     if n < 2:
-        return Breakdown(helps, starts, stops, None, n, False)
+        return Breakdown(helps, starts, stops, None, n, False, False)
     doubtful = _doubtful(strengths, gains)
     interval = Interval(min(doubtful), max(doubtful)) if doubtful else None
-    return Breakdown(helps, starts, stops, interval, n, _differs(gains))
+    differs = _differs(gains)
+    above = bool((differs & (mean > 0)).any())
+    return Breakdown(helps, starts, stops, interval, n, bool(differs.any()), above)
 
 
 def _zeros(strengths: np.ndarray, mean: np.ndarray) -> tuple[float | None, float | None]:
@@ -99,11 +102,12 @@ def _roots(a: float, b: float, c: float) -> list[float]:
     return [top / bottom for top, bottom in ((q, a), (c, q)) if bottom != 0]
 
 
-def _differs(gains: np.ndarray) -> bool:
-    """Whether a tested strength has a mean other than zero, Bonferroni-corrected for all."""
+def _differs(gains: np.ndarray) -> np.ndarray:
+    """[L] bool: whether the mean is other than zero, Bonferroni-corrected for all strengths."""
     n = gains.shape[1]
     sd = gains.std(axis=1, ddof=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         t = np.abs(gains.mean(axis=1)) / (sd / np.sqrt(n))
     p = 2 * stats.t.sf(np.nan_to_num(t, nan=0.0, posinf=np.inf), n - 1)
-    return bool((p < (1 - CONFIDENCE) / len(p)).any())
+    found: np.ndarray = p < (1 - CONFIDENCE) / len(p)
+    return found

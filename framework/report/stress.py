@@ -129,6 +129,8 @@ def sentence(limit: Limit) -> str:
         )
     if not found.helps:
         said = "helps at no tested strength"
+    elif found.n > 1 and not found.gains:
+        said = f"gains nothing significant and costs quality {_where_below(limit)}"
     elif found.stops is not None:
         start = f", having begun at {_at(axis, found.starts)}," if found.starts is not None else ""
         said = f"stops helping{start} at {_at(axis, found.stops)}"
@@ -137,6 +139,14 @@ def sentence(limit: Limit) -> str:
     else:
         said = f"helps from {_at(axis, levels[0])} to {_at(axis, levels[-1])}"
     return f"{limit.method} {said} ({_evidence(limit)})."
+
+
+def _where_below(limit: Limit) -> str:
+    """Where a method that gains nothing significant is below the baseline."""
+    found, axis = limit.found, limit.panel.axis
+    weaker, stronger = ("below", "above") if axis.harder > 0 else ("above", "below")
+    ends = ((weaker, found.starts), (stronger, found.stops))
+    return " and ".join(f"{side} {_at(axis, at)}" for side, at in ends if at is not None)
 
 
 def _evidence(limit: Limit) -> str:
