@@ -188,7 +188,7 @@ def _method_label(config: Flat, varying: Sequence[str]) -> MethodLabel:
     pair = " + ".join(text_of(config.get(f"{group}.name", "none")) for group in NAMED)
     options: list[str] = []
     budgets: list[str] = []
-    for key in varying:
+    for key in sorted(varying, key=lambda key: key.startswith("capacity.")):
         group, _, option = key.partition(".")
         if key in {f"{g}.name" for g in NAMED} or key not in config:
             continue

@@ -44,7 +44,7 @@ def test_every_other_difference_is_named() -> None:
     )
     assert labels == [
         "none + none, budget=40000, steps=300",
-        "none + none, capacity=adc, budget=40000, steps=800",
+        "none + none, budget=40000, steps=800, capacity=adc",
         "none + none, budget=5000, steps=800",
     ]
 
@@ -163,7 +163,7 @@ def test_what_the_steps_determine_needs_no_name() -> None:
     small = make_config(trainer={"steps": 300, "coarse_until": 0.25}, capacity=capacity)
     assert names([*configs, small]) == [
         *(f"none + none, steps={steps}" for steps, _ in presets),
-        "none + none, capacity=budget, steps=300",
+        "none + none, steps=300, capacity=budget",
     ]
     other = make_config(trainer={"steps": 300, "coarse_until": 0.5})
     assert "none + none, coarse_until=0.5, steps=300" in names([*configs, other])
