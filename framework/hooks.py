@@ -16,7 +16,7 @@ from framework.types import View
 
 def pseudo_views(plugin: Plugin, result: object) -> tuple[list[View], Any]:
     """(views, state) of `Augmenter.pseudo_views`. Raises UserError."""
-    where = f"augment={plugin.name}: pseudo_views"
+    where = _hook("augment", plugin, "pseudo_views")
     views, state = _pair(where, result, "(list of views, state)")
     if not isinstance(views, list | tuple):
         raise UserError(f"{where}: expected a list of views, got {type(views).__name__}")
@@ -31,7 +31,7 @@ def pseudo_views(plugin: Plugin, result: object) -> tuple[list[View], Any]:
 def opacity_factors(plugin: Plugin, result: object, n: int) -> tuple[Tensor | None, Any]:
     """(factors or None, state) of `Regularizer.opacity_factors` for n Gaussians. Raises
     UserError."""
-    where = f"reg={plugin.name}: opacity_factors"
+    where = _hook("reg", plugin, "opacity_factors")
     factors, state = _pair(where, result, "(factors or None, state)")
     if factors is not None:
         try:
@@ -45,7 +45,7 @@ def loss_term(plugin: Plugin, term: Any) -> Tensor | None:
     """What `Regularizer.loss` gives. Raises UserError."""
     if term is None:
         return None
-    where = f"reg={plugin.name}: loss"
+    where = _hook("reg", plugin, "loss")
     if not isinstance(term, Tensor) or term.numel() != 1:
         shape = f" {list(term.shape)}" if isinstance(term, Tensor) else ""
         raise UserError(f"{where}: expected a scalar tensor, got {type(term).__name__}{shape}")
@@ -62,11 +62,16 @@ def loss_term(plugin: Plugin, term: Any) -> Tensor | None:
 
 def edits(plugin: Plugin, result: object) -> tuple[Edits | None, Any]:
     """(edits or None, state) of `Capacity.update`. Raises UserError."""
-    where = f"capacity={plugin.name}: update"
+    where = _hook("capacity", plugin, "update")
     change, state = _pair(where, result, "(Edits or None, state)")
     if change is not None and not isinstance(change, Edits):
         raise UserError(f"{where}: expected Edits or None, got {type(change).__name__}")
     return change, state
+
+
+def _hook(group: str, plugin: Plugin, hook: str) -> str:
+    """How a message begins. A class that was never registered, as in tests, has no name."""
+    return f"{group}={getattr(plugin, 'name', type(plugin).__name__)}: {hook}"
 
 
 def _pair(where: str, result: object, expected: str) -> tuple[Any, Any]:

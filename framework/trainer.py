@@ -223,12 +223,12 @@ class Trainer:
             depth=reg is not None and self.reg.plugged.plugin.weighted(),
         )
         loss = photometric_loss(render.rgb, item.target, self.options.ssim_weight) * view.weight
-        loss = loss + self._penalty(reg, view, render)
-        value = check_loss(float(loss.detach()), self._where(item), self.params.detach())
+        check_loss(float(loss.detach()), self._where(item), self.params.detach())
+        loss = loss + self._penalty(reg, view, render)  # a term that is not finite is its plugin's
         tensors = dict(self.params.items())
         *gradients, d_pull = torch.autograd.grad(loss, [*tensors.values(), pull])
         stats = StepStats(d_pull, render.radii, view.camera.width, view.camera.height)
-        return value, dict(zip(tensors, gradients, strict=True)), stats
+        return float(loss.detach()), dict(zip(tensors, gradients, strict=True)), stats
 
     def _where(self, item: Item) -> str:
         return f"training step {self.step} on view '{item.view.name}'"

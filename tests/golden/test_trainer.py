@@ -96,7 +96,7 @@ def test_a_loss_that_is_not_finite_is_an_error() -> None:
         def loss(self, ctx: StepContext, state: Any, view: View, render: Any) -> Tensor:
             return render.rgb.sum() * float("nan")
 
-    with pytest.raises(UserError, match=r"training step 0 on view 'plane-\d': .*lr_scale"):
+    with pytest.raises(UserError, match="reg=Broken: loss: expected a finite number, got nan"):
         _train(_plugins(reg=Plugged(Broken(), 1.0, 0.0, 1.0)))
 
 
