@@ -124,8 +124,9 @@ class Regularizer(Plugin):
 
 @dataclass(frozen=True)
 class StepStats:
-    """What the last step measured. means2d_grad: [N, 2], gradient of the loss with respect to the
-    projected means, in pixels. radii: [N] pixels, 0 = culled. width, height: of that render."""
+    """What the last step measured on its real view; pseudo views have no say in the number of
+    Gaussians. means2d_grad: [N, 2], gradient of the loss with respect to the projected means, in
+    pixels. radii: [N] pixels, 0 = culled. width, height: of that render."""
 
     means2d_grad: Tensor
     radii: Tensor

@@ -64,9 +64,9 @@ def _check_class(group: str, name: str, cls: type) -> None:
     )
     for option in dataclasses.fields(cls):
         require(
-            option.name not in (*FRAMEWORK_KEYS, "name"),
-            f"{where}: expected options beside {', '.join(FRAMEWORK_KEYS)} and name, which every"
-            f" plugin has, got a field '{option.name}'; set its default in `defaults`",
+            option.name not in (*FRAMEWORK_KEYS, "name", "group"),
+            f"{where}: expected options beside {', '.join(FRAMEWORK_KEYS)}, name and group, which"
+            f" every plugin has, got a field '{option.name}'; rename it, or set it in `defaults`",
         )
     typed = {*cls.__annotations__, "defaults", "name", "group"}  # the last two: registered twice
     for key, value in vars(cls).items():

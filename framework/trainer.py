@@ -198,7 +198,8 @@ class Trainer:
         value, gradients, stats = self._gradients(items[0], reg, factors)
         for item in items[1:]:
             _, more, _ = self._gradients(item, reg, factors)
-            gradients = {name: gradients[name] + more[name] for name in gradients}
+            for name, gradient in more.items():
+                gradients[name].add_(gradient)
         rates = schedule.learning_rates(self.options, self.step, self.extent)
         broken = self.optimizer.step(self.params, gradients, rates)
         if broken:

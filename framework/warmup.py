@@ -48,8 +48,10 @@ class Warmup:
         self.config, self.progress = config, progress
         depth = {"depth": config["depth"]["name"]}
         chosen = depth | {group: config[group]["name"] for group in registry.GROUPS}
-        self.key = _key({**chosen, "sh_degree": config["trainer"]["sh_degree"]})
-        self.markers = [KERNEL_CACHE / f"warm-{key}" for key in (self.key, _key(depth))]
+        chosen["sh_degree"] = config["trainer"]["sh_degree"]
+        # an option's value may call another kernel: warmed up once per process, without a word
+        self.key = _key(chosen | {group: config[group] for group in (*registry.GROUPS, "depth")})
+        self.markers = [KERNEL_CACHE / f"warm-{_key(names)}" for names in (chosen, depth)]
         self.beside: subprocess.Popen[bytes] | None = None
         self.compiles = self.key not in _warm and not all(m.exists() for m in self.markers)
         if self.compiles:
@@ -73,13 +75,15 @@ class Warmup:
         if self.compiles:
             self.progress.compiling("kernels")
         training, depth, gaussians = _plane(int(self.config["trainer"]["sh_degree"]))
+        done = False
         with contextlib.suppress(Exception):  # a broken plugin fails again, on the user's scene
             _train(self.config, training, depth, gaussians)
+            done = True
         if self.beside is not None:
             self.beside.wait()  # if it failed, the next line compiles
         _estimate(self.config["depth"], training)
         _warm.add(self.key)
-        for marker in self.markers:
+        for marker in self.markers if done else ():
             marker.parent.mkdir(parents=True, exist_ok=True)
             marker.touch()
 

@@ -12,14 +12,16 @@ from torch import Tensor
 from framework import registry, schedule
 from framework.epoch import Items, box_mean
 from framework.errors import UserError
+from framework.optim import Adam
 from framework.options import TrainerOptions
-from framework.plugin import Edits, Regularizer, StepContext, StepStats
+from framework.plugin import Augmenter, Edits, Regularizer, StepContext, StepStats
 from framework.progress import Silent
 from framework.record import parameters_sha256
 from framework.registry import Plugged
 from framework.trainer import Plugins, Trained, Trainer
 from framework.types import Camera, Gaussians, View
 from framework.warmup import _plane
+from plugins.capacity.fixed import Fixed
 
 
 def _plugins(**changes: Plugged) -> Plugins:
@@ -129,6 +131,42 @@ def test_pseudo_views_are_never_kept() -> None:
         for by in (1.0, 0.5)
     }
     assert len(bits) == 2
+
+
+def test_a_pseudo_view_adds_its_weighted_gradient_to_its_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """And has no say in what the capacity plugin sees."""
+
+    @dataclass(frozen=True)
+    class Darker(Augmenter):
+        def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[View], Any]:
+            # each joins a random step: with so many the first gets some
+            return [replace(view, image=view.image * 0.5) for view in 3 * ctx.views], state
+
+    step, update = Adam.step, Fixed.update
+    gradients: list[dict[str, Tensor]] = []
+    pulls: list[Tensor] = []
+
+    def noted(self: Adam, params: Gaussians, grads: Any, rates: Any) -> tuple[str, ...]:
+        gradients.append({name: gradient.clone() for name, gradient in grads.items()})
+        return step(self, params, grads, rates)
+
+    def watched(self: Any, ctx: StepContext, state: Any, stats: StepStats) -> Any:
+        pulls.append(stats.means2d_grad.clone())
+        return update(self, ctx, state, stats)
+
+    monkeypatch.setattr(Adam, "step", noted)
+    monkeypatch.setattr(Fixed, "update", watched)
+    for plugins in (None, *(_plugins(augment=Plugged(Darker(), w, 0.0, 1.0)) for w in (0.5, 1.0))):
+        _train(plugins, steps=1, coarse_factor=1)
+    plain, half, whole = gradients
+    for name in plain:
+        middle = (plain[name] + whole[name]) / 2
+        torch.testing.assert_close(half[name], middle, rtol=1e-3, atol=1e-8)
+    for name in ("means", "log_scales", "opacity_logits", "sh0"):
+        assert not torch.allclose(half[name], plain[name], rtol=0.01, atol=1e-8), name
+    assert torch.equal(pulls[0], pulls[1]) and torch.equal(pulls[0], pulls[2])
 
 
 def test_a_weight_that_would_do_nothing_is_refused() -> None:

@@ -12,7 +12,8 @@ import yaml
 from framework.errors import UserError
 from framework.record import SceneInfo, write_failed
 from framework.report.collect import collect
-from framework.report.labels import method_labels, scene_labels
+from framework.report.labels import USUAL, method_labels, scene_labels
+from tests.cli.conftest import composed
 from tests.record.fakes import fake_run, make_config
 
 
@@ -154,6 +155,11 @@ def test_a_method_is_compared_under_its_own_options(tmp_path: Path) -> None:
     assert study.baseline_of("safi + none, init=sparse") == "none + none, init=sparse"
     assert study.baseline_of("safi + none") == "none + none"
     assert study.baseline_of("none + none, init=sparse") == "none + none"
+
+
+def test_unnamed_choices_are_the_defaults() -> None:
+    config = composed()
+    assert {key: config[key.partition(".")[0]]["name"] for key in USUAL} == USUAL
 
 
 def test_what_the_steps_determine_needs_no_name() -> None:
