@@ -105,6 +105,77 @@ def covariance(m: Any, s0: Any, s1: Any, s2: Any) -> tuple[Any, Any, Any, Any]:
 
 
 @inlined
+def _from_conic(
+    conic: Any, ga: Any, gb: Any, gc: Any, m: Any, scales: Any
+) -> tuple[tuple[Any, ...], tuple[Any, Any, Any]]:
+    """(d loss / d U [2x3], gradient in the log-scales) from those in the conic A, B, C: the chain
+    conic -> covariance (dS = -C G C) -> A = U S."""
+    ca, cb, cc = conic
+    gh = HALF * gb
+    h00, h01 = ca * ga + cb * gh, ca * gh + cb * gc
+    h10, h11 = cb * ga + cc * gh, cb * gh + cc * gc
+    p00, p01, p11 = -(h00 * ca + h01 * cb), -(h00 * cb + h01 * cc), -(h10 * cb + h11 * cc)
+    s0, s1, s2 = scales
+    d00, d10 = TWO * (p00 * m[0] + p01 * m[3]) * s0, TWO * (p01 * m[0] + p11 * m[3]) * s0
+    d01, d11 = TWO * (p00 * m[1] + p01 * m[4]) * s1, TWO * (p01 * m[1] + p11 * m[4]) * s1
+    d02, d12 = TWO * (p00 * m[2] + p01 * m[5]) * s2, TWO * (p01 * m[2] + p11 * m[5]) * s2
+    # so far d(loss)/d(A); log-scale gradient = A . dA, dU = dA S
+    l0 = s0 * (d00 * m[0] + d10 * m[3])
+    l1 = s1 * (d01 * m[1] + d11 * m[4])
+    l2 = s2 * (d02 * m[2] + d12 * m[5])
+    return (d00 * s0, d01 * s1, d02 * s2, d10 * s0, d11 * s1, d12 * s2), (l0, l1, l2)
+
+
+@inlined
+def _to_quat(t: Any, d: Any, quat: Any) -> tuple[Any, Any, Any, Any]:
+    """Gradient in the stored quaternion from d = d loss / d U, U = T R, through its norm."""
+    e0, e1, e2 = t[0] * d[0] + t[3] * d[3], t[0] * d[1] + t[3] * d[4], t[0] * d[2] + t[3] * d[5]
+    e3, e4, e5 = t[1] * d[0] + t[4] * d[3], t[1] * d[1] + t[4] * d[4], t[1] * d[2] + t[4] * d[5]
+    e6, e7, e8 = t[2] * d[0] + t[5] * d[3], t[2] * d[1] + t[5] * d[4], t[2] * d[2] + t[5] * d[5]
+    qw, qx, qy, qz, qi = quat
+    kw = TWO * (qx * (e7 - e5) + qy * (e2 - e6) + qz * (e3 - e1))
+    kx = TWO * (-TWO * qx * (e4 + e8) + qy * (e1 + e3) + qz * (e2 + e6) + qw * (e7 - e5))
+    ky = TWO * (qx * (e1 + e3) - TWO * qy * (e0 + e8) + qz * (e5 + e7) + qw * (e2 - e6))
+    kz = TWO * (qx * (e2 + e6) + qy * (e5 + e7) - TWO * qz * (e0 + e4) + qw * (e3 - e1))
+    along = kw * qw + kx * qx + ky * qy + kz * qz
+    return (
+        (kw - along * qw) * qi,
+        (kx - along * qx) * qi,
+        (ky - along * qy) * qi,
+        (kz - along * qz) * qi,
+    )
+
+
+@inlined
+def _to_mean(
+    camera: Any, x: Any, y: Any, z: Any, r: Any, d: Any, gu: Any, gv: Any, gz: Any
+) -> tuple[Any, Any, Any]:
+    """Gradient in the mean from those in (u, v, z) and d = d loss / d U, U = J W R."""
+    t0 = d[0] * r[0] + d[1] * r[1] + d[2] * r[2]
+    t1 = d[0] * r[3] + d[1] * r[4] + d[2] * r[5]
+    t2 = d[0] * r[6] + d[1] * r[7] + d[2] * r[8]
+    t3 = d[3] * r[0] + d[4] * r[1] + d[5] * r[2]
+    t4 = d[3] * r[3] + d[4] * r[4] + d[5] * r[5]
+    t5 = d[3] * r[6] + d[4] * r[7] + d[5] * r[8]
+    # dJ = dT W^T, only its four entries that depend on the mean
+    j00 = t0 * camera[0] + t1 * camera[1] + t2 * camera[2]
+    j02 = t0 * camera[6] + t1 * camera[7] + t2 * camera[8]
+    j11 = t3 * camera[3] + t4 * camera[4] + t5 * camera[5]
+    j12 = t3 * camera[6] + t4 * camera[7] + t5 * camera[8]
+    inverse = ONE / z
+    fx, fy = camera[15] * inverse, camera[16] * inverse
+    gx = fx * (gu - j02 * inverse)
+    gy = fy * (gv - j12 * inverse)
+    gz -= inverse * (fx * (x * gu + j00) + fy * (y * gv + j11))
+    gz += TWO * inverse * inverse * (fx * x * j02 + fy * y * j12)
+    return (
+        camera[0] * gx + camera[3] * gy + camera[6] * gz,
+        camera[1] * gx + camera[4] * gy + camera[7] * gz,
+        camera[2] * gx + camera[5] * gy + camera[8] * gz,
+    )
+
+
+@inlined
 def pull_back(
     camera: Any,
     x: Any,
@@ -123,59 +194,7 @@ def pull_back(
     gc: Any,
     gz: Any,
 ) -> tuple[Any, ...]:
-    """Gradients in (mean 3, log-scale 3, quat 4) from those in (u, v, A, B, C, z).
-
-    The chain conic -> covariance (dS = -C G C) -> A = T R S -> its factors; T, u, v -> mean.
-    """
-    ca, cb, cc = conic
-    gh = HALF * gb
-    h00, h01 = ca * ga + cb * gh, ca * gh + cb * gc
-    h10, h11 = cb * ga + cc * gh, cb * gh + cc * gc
-    p00, p01, p11 = -(h00 * ca + h01 * cb), -(h00 * cb + h01 * cc), -(h10 * cb + h11 * cc)
-    s0, s1, s2 = scales
-    d00, d10 = TWO * (p00 * m[0] + p01 * m[3]) * s0, TWO * (p01 * m[0] + p11 * m[3]) * s0
-    d01, d11 = TWO * (p00 * m[1] + p01 * m[4]) * s1, TWO * (p01 * m[1] + p11 * m[4]) * s1
-    d02, d12 = TWO * (p00 * m[2] + p01 * m[5]) * s2, TWO * (p01 * m[2] + p11 * m[5]) * s2
-    # so far d(loss)/d(A) with A = U S; log-scale gradient = A . dA, dU = dA S
-    l0 = s0 * (d00 * m[0] + d10 * m[3])
-    l1 = s1 * (d01 * m[1] + d11 * m[4])
-    l2 = s2 * (d02 * m[2] + d12 * m[5])
-    d00, d10, d01, d11, d02, d12 = d00 * s0, d10 * s0, d01 * s1, d11 * s1, d02 * s2, d12 * s2
-    e0, e1, e2 = t[0] * d00 + t[3] * d10, t[0] * d01 + t[3] * d11, t[0] * d02 + t[3] * d12
-    e3, e4, e5 = t[1] * d00 + t[4] * d10, t[1] * d01 + t[4] * d11, t[1] * d02 + t[4] * d12
-    e6, e7, e8 = t[2] * d00 + t[5] * d10, t[2] * d01 + t[5] * d11, t[2] * d02 + t[5] * d12
-    qw, qx, qy, qz, qi = quat
-    kw = TWO * (qx * (e7 - e5) + qy * (e2 - e6) + qz * (e3 - e1))
-    kx = TWO * (-TWO * qx * (e4 + e8) + qy * (e1 + e3) + qz * (e2 + e6) + qw * (e7 - e5))
-    ky = TWO * (qx * (e1 + e3) - TWO * qy * (e0 + e8) + qz * (e5 + e7) + qw * (e2 - e6))
-    kz = TWO * (qx * (e2 + e6) + qy * (e5 + e7) - TWO * qz * (e0 + e4) + qw * (e3 - e1))
-    along = kw * qw + kx * qx + ky * qy + kz * qz
-    t0 = d00 * r[0] + d01 * r[1] + d02 * r[2]
-    t1 = d00 * r[3] + d01 * r[4] + d02 * r[5]
-    t2 = d00 * r[6] + d01 * r[7] + d02 * r[8]
-    t3 = d10 * r[0] + d11 * r[1] + d12 * r[2]
-    t4 = d10 * r[3] + d11 * r[4] + d12 * r[5]
-    t5 = d10 * r[6] + d11 * r[7] + d12 * r[8]
-    # dJ = dT W^T, only its four entries that depend on the mean
-    j00 = t0 * camera[0] + t1 * camera[1] + t2 * camera[2]
-    j02 = t0 * camera[6] + t1 * camera[7] + t2 * camera[8]
-    j11 = t3 * camera[3] + t4 * camera[4] + t5 * camera[5]
-    j12 = t3 * camera[6] + t4 * camera[7] + t5 * camera[8]
-    inverse = ONE / z
-    fx, fy = camera[15] * inverse, camera[16] * inverse
-    gx = fx * (gu - j02 * inverse)
-    gy = fy * (gv - j12 * inverse)
-    gz -= inverse * (fx * (x * gu + j00) + fy * (y * gv + j11))
-    gz += TWO * inverse * inverse * (fx * x * j02 + fy * y * j12)
-    return (
-        camera[0] * gx + camera[3] * gy + camera[6] * gz,
-        camera[1] * gx + camera[4] * gy + camera[7] * gz,
-        camera[2] * gx + camera[5] * gy + camera[8] * gz,
-        l0,
-        l1,
-        l2,
-        (kw - along * qw) * qi,
-        (kx - along * qx) * qi,
-        (ky - along * qy) * qi,
-        (kz - along * qz) * qi,
-    )
+    """Gradients in (mean 3, log-scale 3, quat 4) from those in (u, v, A, B, C, z)."""
+    d, g_scales = _from_conic(conic, ga, gb, gc, m, scales)
+    g_mean = _to_mean(camera, x, y, z, r, d, gu, gv, gz)
+    return g_mean + g_scales + _to_quat(t, d, quat)

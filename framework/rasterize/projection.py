@@ -74,6 +74,58 @@ def _covered(u: Any, v: Any, rx: Any, ry: Any, w: Any, h: Any) -> tuple[Any, Any
     return both(greater_equal(right, left), greater_equal(bottom, top)), columns * bands
 
 
+@inlined
+def _colour(
+    degree: int,
+    camera: Any,
+    mean: Any,
+    base: int,
+    count: int,
+    sh0: Any,
+    shN: Any,
+    sh: Any,
+    scratch: Any,
+) -> tuple[Any, Any, Any]:
+    """As seen from the camera, not clamped."""
+    first = take3(sh0, base, count, scratch)
+    red, green, blue = HALF + Y0 * first[0], HALF + Y0 * first[1], HALF + Y0 * first[2]
+    if degree > 0:
+        more = sh_color(degree, direction(camera, mean), base, count, shN, sh)
+        red, green, blue = red + more[0], green + more[1], blue + more[2]
+    return red, green, blue
+
+
+@inlined
+def _clamped(red: Any, green: Any, blue: Any) -> Any:
+    """Bit c (as a number) is set where colour c is below 0."""
+    flag = select(greater(zeros(), red), splat(ONE), zeros())
+    flag = flag + select(greater(zeros(), green), splat(TWO), zeros())
+    return flag + select(greater(zeros(), blue), splat(FOUR), zeros())
+
+
+@inlined
+def _put_row(rows: Any, base: int, count: int, row: Any, spare: Any) -> None:
+    """Store the rows of `count` Gaussians; spare: scratch [256]."""
+    if count == LANES:
+        store16(rows, base * LANES, row)
+    else:
+        store16(spare, 0, row)
+        for i in range(count * LANES):
+            rows[base * LANES + i] = spare[i]
+
+
+@inlined
+def _take_row(rows: Any, base: int, count: int, spare: Any) -> Any:
+    """What `_put_row` stored; the lanes beyond are of no meaning."""
+    if count == LANES:
+        row = load16(rows, base * LANES)
+    else:
+        for i in range(count * LANES):
+            spare[i] = rows[base * LANES + i]
+        row = load16(spare, 0)
+    return row
+
+
 @kernel
 def project(
     block: int,
@@ -132,19 +184,8 @@ def project(
         visible = both(visible, greater(determinant, zeros()))
         visible = both(visible, greater(splat(_HUGE), determinant))
         inverse = ONE / determinant
-        base_color = take3(sh0, base, count, scratch)
-        red, green, blue = (
-            HALF + Y0 * base_color[0],
-            HALF + Y0 * base_color[1],
-            HALF + Y0 * base_color[2],
-        )
-        if degree > 0:
-            way = direction(camera, mean)
-            more = sh_color(degree, way, base, count, shN, sh)
-            red, green, blue = red + more[0], green + more[1], blue + more[2]
-        flag = select(greater(zeros(), red), splat(ONE), zeros())
-        flag = flag + select(greater(zeros(), green), splat(TWO), zeros())
-        flag = flag + select(greater(zeros(), blue), splat(FOUR), zeros())
+        red, green, blue = _colour(degree, camera, mean, base, count, sh0, shN, sh, scratch)
+        flag = _clamped(red, green, blue)
         level = log2(opacity)
         reach = _TWO_LN2 * (level + _LOG2_255)
         rx, ry = math.sqrt(reach * xx), math.sqrt(reach * yy)
@@ -169,12 +210,7 @@ def project(
             -xy * inverse,
             xx * inverse,
         )
-        if count == LANES:
-            store16(rows, base * LANES, row)
-        else:
-            store16(sh, 0, row)
-            for i in range(count * LANES):
-                rows[base * LANES + i] = sh[i]
+        _put_row(rows, base, count, row, sh)
         store_whole(whole, 0, select(visible, covered, zeros()))
         store_whole(flags, 0, flag)
         for lane in range(count):
@@ -251,12 +287,7 @@ def project_backward(
             g_offset[2 * base : 2 * (base + count)] = ZERO
             continue
         s = load16(total, 0)
-        if count == LANES:
-            row = load16(rows, base * LANES)
-        else:
-            for i in range(count * LANES):
-                total[i] = rows[base * LANES + i]
-            row = load16(total, 0)
+        row = _take_row(rows, base, count, total)
         seen = greater(s[15], zeros())
         ca, cb, cc = row[13], row[14], row[15]
         gu = select(seen, ca * s[1] + cb * s[3], zeros())

@@ -115,6 +115,26 @@ def _write_row(plane: Any, at: int, count: int, value: Any, scratch: Any) -> Non
 
 
 @inlined
+def _placed(rows: Any, g: int, x: int, y: int) -> tuple[Any, Any, Any, Any, Any, Any]:
+    """A Gaussian as the rows of the tile at (x, y) see it: dx of their lanes, dy of the first row,
+    and the four coefficients of `_power`."""
+    dx = iota() + splat(f4(x) + HALF - rows[g, 0])
+    dy0 = splat(f4(y) + HALF - rows[g, 1])
+    return dx, dy0, splat(rows[g, 2]) * dx, splat(rows[g, 3]), splat(rows[g, 4]), splat(rows[g, 5])
+
+
+@inlined
+def _power(dx: Any, dy: Any, slant: Any, shear: Any, fall: Any, peak: Any) -> Any:
+    """log2(alpha) at (dx, dy) from the mean."""
+    return fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
+
+
+@inlined
+def _colour(rows: Any, g: int) -> tuple[Any, Any, Any]:
+    return splat(rows[g, 6]), splat(rows[g, 7]), splat(rows[g, 8])
+
+
+@inlined
 def _met(t: Any, power: Any, limits: Any) -> tuple[Any, ...]:
     """A pixel with transmittance t and a Gaussian of alpha 2^power: (alpha before and after its
     limit, weight, whether it blends, the pixel's next t). limits: cut, stop and most of alpha."""
@@ -167,18 +187,15 @@ def blend(
             item = lists[k, 0]
             prefetch(flat, (lists[min(k + _AHEAD, last), 0] >> 8) * 16)
             g = item >> 8
-            shear, fall, peak = splat(rows[g, 3]), splat(rows[g, 4]), splat(rows[g, 5])
-            cr, cg, cb = splat(rows[g, 6]), splat(rows[g, 7]), splat(rows[g, 8])
+            dx, dy0, slant, shear, fall, peak = _placed(rows, g, x, y)
+            cr, cg, cb = _colour(rows, g)
             cz = splat(rows[g, 9])
-            dx = iota() + splat(f4(x) + HALF - rows[g, 0])
-            slant = splat(rows[g, 2]) * dx
-            dy0 = splat(f4(y) + HALF - rows[g, 1])
             todo = _listed_rows(item) & alive
             while todo != 0:
                 at = lowest_bit(todo) * 16
                 todo &= todo - 1
                 dy = dy0 + splat(down[at])
-                power = fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
+                power = _power(dx, dy, slant, shear, fall, peak)
                 t = load(transmittance, at)
                 _, _, weight, _, left = _met(t, power, limits)
                 store(transmittance, at, left)
@@ -188,20 +205,26 @@ def blend(
                 if with_depth:
                     store(far, at, fma(weight, cz, load(far, at)))
         count = min(16, width - x)
+        br, bg, bb = splat(background[0]), splat(background[1]), splat(background[2])
         for row in range(min(16, height - y)):
-            at = row * 16
-            place = (y + row) * width + x
+            at, place = row * 16, (y + row) * width + x
             t = absolute(load(transmittance, at))
-            _write_row(rgb, place, count, fma(t, splat(background[0]), load(red, at)), scratch)
-            _write_row(
-                rgb, plane + place, count, fma(t, splat(background[1]), load(green, at)), scratch
-            )
-            _write_row(
-                rgb, 2 * plane + place, count, fma(t, splat(background[2]), load(blue, at)), scratch
-            )
+            _write_row(rgb, place, count, fma(t, br, load(red, at)), scratch)
+            _write_row(rgb, plane + place, count, fma(t, bg, load(green, at)), scratch)
+            _write_row(rgb, 2 * plane + place, count, fma(t, bb, load(blue, at)), scratch)
             _write_row(alpha, place, count, one - t, scratch)
             if with_depth:
                 _write_row(depth, place, count, load(far, at), scratch)
+
+
+@inlined
+def _weigh(
+    total: Any, g: Any, plane: Any, place: int, count: int, buffer: Any, held: Any, at: int
+) -> Any:
+    """total + g x plane for a row of a tile; keeps g in its buffer. held: scratch."""
+    _read_row(g, place, count, buffer, at)
+    _read_row(plane, place, count, held, at)
+    return fma(load(buffer, at), load(held, at), total)
 
 
 @kernel
@@ -228,11 +251,10 @@ def blend_backward(
     colour_alone = len(g_alpha) == 0
     columns = (width + 15) // 16
     plane = width * height
-    state = _aligned(9 * 256)
+    state = _aligned(8 * 256)
     transmittance, behind = state[:256], state[256:512]
     gr_, gg_, gb_ = state[512:768], state[768:1024], state[1024:1280]
-    ga_, gz_ = state[1280:1536], state[1536:1792]
-    first, second = state[1792:2048], state[2048:2304]
+    ga_, gz_, held = state[1280:1536], state[1536:1792], state[1792:2048]
     limits, most, one = (splat(_CUT), splat(_STOP), splat(_MAX)), splat(_MAX), splat(ONE)
     down = _row_numbers()
     flat = rows.reshape(-1)
@@ -244,23 +266,12 @@ def blend_backward(
         count = min(16, width - x)
         for row in range(min(16, height - y)):
             at, place = row * 16, (y + row) * width + x
-            total = zeros()
-            _read_row(g_rgb, place, count, gr_, at)
-            _read_row(rgb, place, count, first, at)
-            total = fma(load(gr_, at), load(first, at), total)
-            _read_row(g_rgb, plane + place, count, gg_, at)
-            _read_row(rgb, plane + place, count, first, at)
-            total = fma(load(gg_, at), load(first, at), total)
-            _read_row(g_rgb, 2 * plane + place, count, gb_, at)
-            _read_row(rgb, 2 * plane + place, count, first, at)
-            total = fma(load(gb_, at), load(first, at), total)
+            total = _weigh(zeros(), g_rgb, rgb, place, count, gr_, held, at)
+            total = _weigh(total, g_rgb, rgb, plane + place, count, gg_, held, at)
+            total = _weigh(total, g_rgb, rgb, 2 * plane + place, count, gb_, held, at)
             if not colour_alone:
-                _read_row(g_alpha, place, count, ga_, at)
-                _read_row(alpha, place, count, first, at)
-                total = fma(load(ga_, at), load(first, at), total)
-                _read_row(g_depth, place, count, gz_, at)
-                _read_row(depth, place, count, second, at)
-                total = fma(load(gz_, at), load(second, at), total)
+                total = _weigh(total, g_alpha, alpha, place, count, ga_, held, at)
+                total = _weigh(total, g_depth, depth, place, count, gz_, held, at)
             store(behind, at, total)
         alive = 1
         for k in range(offsets[tile], offsets[tile + 1]):
@@ -273,12 +284,9 @@ def blend_backward(
             item = lists[k, 0]
             prefetch(flat, (lists[min(k + _AHEAD, last), 0] >> 8) * 16)
             g = item >> 8
-            shear, fall, peak = splat(rows[g, 3]), splat(rows[g, 4]), splat(rows[g, 5])
-            cr, cg, cb = splat(rows[g, 6]), splat(rows[g, 7]), splat(rows[g, 8])
+            dx, dy0, slant, shear, fall, peak = _placed(rows, g, x, y)
+            cr, cg, cb = _colour(rows, g)
             cz = splat(rows[g, 9])
-            dx = iota() + splat(f4(x) + HALF - rows[g, 0])
-            slant = splat(rows[g, 2]) * dx
-            dy0 = splat(f4(y) + HALF - rows[g, 1])
             m0, m1, m2 = zeros(), zeros(), zeros()
             sr, sg, sb, sz = zeros(), zeros(), zeros(), zeros()
             todo = _listed_rows(item) & alive
@@ -286,7 +294,7 @@ def blend_backward(
                 at = lowest_bit(todo) * 16
                 todo &= todo - 1
                 dy = dy0 + splat(down[at])
-                power = fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
+                power = _power(dx, dy, slant, shear, fall, peak)
                 t = load(transmittance, at)
                 raw, a, weight, goes_on, left = _met(t, power, limits)
                 store(transmittance, at, left)
@@ -307,6 +315,16 @@ def blend_backward(
             m0x = m0 * dx
             sums = lane_sums((m0, m0x, m0x * dx, m1, m1 * dx, m2, sr, sg, sb, sz))
             store(slots, slot, sums)
+
+
+@inlined
+def _fourth_order(dx: Any, m0: Any, m1: Any, m2: Any, m3: Any, m4: Any) -> tuple[Any, ...]:
+    """The 15 products of order 0 to 4 from those with powers of dy alone, m_j = sum of q dy^j."""
+    m0x, m1x, m2x = m0 * dx, m1 * dx, m2 * dx
+    m0xx, m1xx = m0x * dx, m1x * dx
+    m0xxx = m0xx * dx
+    second = (m0, m0x, m1, m0xx, m1x, m2)
+    return (*second, m0xxx, m1xx, m2x, m3, m0xxx * dx, m1xx * dx, m2x * dx, m3 * dx, m4)
 
 
 @kernel
@@ -370,11 +388,9 @@ def blend_moments(
             if directional:
                 prefetch(slopes, ahead)
             g = item >> 8
-            shear, fall, peak = splat(rows[g, 3]), splat(rows[g, 4]), splat(rows[g, 5])
-            cr, cg, cb = splat(rows[g, 6]), splat(rows[g, 7]), splat(rows[g, 8])
-            dx = iota() + splat(f4(x) + HALF - rows[g, 0])
-            slant = splat(rows[g, 2]) * dx
-            dys = iota() + splat(f4(y) + HALF - rows[g, 1])
+            dx, dy0, slant, shear, fall, peak = _placed(rows, g, x, y)
+            cr, cg, cb = _colour(rows, g)
+            dys = iota() + dy0
             dys2 = dys * dys
             store(powers, 0, dys)
             store(powers, 16, dys2)
@@ -394,7 +410,7 @@ def blend_moments(
                 at = row * 16
                 todo &= todo - 1
                 dy, dy2 = splat(powers[row]), splat(powers[16 + row])
-                power = fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
+                power = _power(dx, dy, slant, shear, fall, peak)
                 t = load(transmittance, at)
                 raw, a, weight, goes_on, left = _met(t, power, limits)
                 store(transmittance, at, left)
@@ -421,30 +437,7 @@ def blend_moments(
                     r, p = load(first, row * 16), load(second, row * 16)
                     r0, r1, r2 = r0 + r, fma(r, dy, r1), fma(r, dy2, r2)
                     p0, p1, p2 = p0 + p, fma(p, dy, p1), fma(p, dy2, p2)
-            m0x, m1x, m2x = m0 * dx, m1 * dx, m2 * dx
-            m0xx, m1xx = m0x * dx, m1x * dx
-            m0xxx = m0xx * dx
-            sums = lane_sums(
-                (
-                    m0,
-                    m0x,
-                    m1,
-                    m0xx,
-                    m1x,
-                    m2,
-                    m0xxx,
-                    m1xx,
-                    m2x,
-                    m3,
-                    m0xxx * dx,
-                    m1xx * dx,
-                    m2x * dx,
-                    m3 * dx,
-                    m4,
-                    ww,
-                )
-            )
-            store(slots, slot, sums)
+            store(slots, slot, lane_sums((*_fourth_order(dx, m0, m1, m2, m3, m4), ww)))
             if directional:
                 r0x, p0x = r0 * dx, p0 * dx
                 rs = (r0x, r1, r0x * dx, r1 * dx, r2)
