@@ -56,8 +56,8 @@ def fisher_information(
 def _render(
     work: Workspace, arrays: Arrays, camera: Camera, degree: int, near: float, colour: np.ndarray
 ) -> Image:
-    planes = np.empty((5, camera.height, camera.width), np.float32)
-    image = Image(planes[:3], planes[3], planes[4])
+    planes = np.empty((4, camera.height, camera.width), np.float32)
+    image = Image(planes[:3], planes[3], np.empty((0, 0), np.float32))  # the moments need no depth
     work.project(arrays, camera, degree, near, np.empty(len(arrays.means), np.float32))
     work.sort()
     work.bin()

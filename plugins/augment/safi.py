@@ -25,13 +25,15 @@ APPROXIMATIONS = ("diagonal", "block")
 @dataclass(frozen=True)
 class Snapshot:
     """theta_0 with what the training views know about it. gaussians: detached copies. sh_degree:
-    the active degree. known: for each part of the parameters K times what `Safi._information`
-    gives. priors: one [P] for each part. epoch: when it was taken."""
+    the active degree. unknown: for each of the K views the variances [N, P] of the parameters that
+    are taken by their diagonal. blocks, prior: with approximation "block" the K views' information
+    [N, 6, 6] of the others and its [6]; else () and None. epoch: when it was taken."""
 
     gaussians: Gaussians
     sh_degree: int
-    known: tuple[tuple[Tensor, ...], ...]
-    priors: tuple[Tensor, ...]
+    unknown: tuple[Tensor, ...]
+    blocks: tuple[Tensor, ...]
+    prior: Tensor | None
     epoch: int
 
 
@@ -82,47 +84,48 @@ class Safi(ThresholdAugmenter):
         from framework.shapes import check_kind, check_tensor
 
         n, block = len(snapshot.gaussians), self.approximation == "block"
-        shapes = [(n, 6, 6), (n, 8)] if block else [(n, 14)]  # see `FisherInformation`
-        for part, shape, prior in zip(snapshot.known, shapes, snapshot.priors, strict=True):
-            check_kind("safi.known", part, tuple)
-            if len(part) != n_views:
-                raise ValueError(f"safi.known: expected {n_views} views, got {len(part)}")
-            for tensor in part:
-                check_tensor("safi.known", tensor, *shape, dtype=torch.float64)
-            check_tensor("safi.priors", prior, shape[-1], dtype=torch.float64)
+        _check_views("safi.unknown", snapshot.unknown, n_views, n, 8 if block else 14)
+        _check_views("safi.blocks", snapshot.blocks, n_views if block else 0, n, 6, 6)
+        if block:
+            check_tensor("safi.prior", snapshot.prior, 6, dtype=torch.float64)
+        else:
+            check_kind("safi.prior", snapshot.prior, type(None))
 
     def scores(
         self, ctx: StepContext, selection: Snapshot | None, camera: Camera
     ) -> tuple[list[float], Snapshot]:
-        from framework.information import information_gains
+        from framework.information import gains_over, information_gains
 
         snapshot = selection
         if snapshot is None or self._outdated(snapshot, ctx.epoch):
             snapshot = self._snapshot(ctx)
-        candidate = self._information(ctx, snapshot.gaussians, snapshot.sh_degree, camera)
-        parts = zip(candidate, snapshot.known, snapshot.priors, strict=True)
-        gains = [information_gains(*part, self.form) for part in parts]
-        return [sum(of_view) for of_view in zip(*gains, strict=True)], snapshot
+        block, diagonal = self._information(ctx, snapshot.gaussians, snapshot.sh_degree, camera)
+        gains = gains_over(diagonal, snapshot.unknown, self.form)
+        if block is None or snapshot.prior is None:
+            return gains, snapshot
+        of_blocks = information_gains(block, snapshot.blocks, snapshot.prior, self.form)
+        return [sum(both) for both in zip(of_blocks, gains, strict=True)], snapshot
 
     def _outdated(self, snapshot: Snapshot, epoch: int) -> bool:
         return 0 < self.refresh_epochs <= epoch - snapshot.epoch
 
     def _snapshot(self, ctx: StepContext) -> Snapshot:
-        from framework.information import block_prior, shared_prior
+        from framework.information import block_prior, shared_prior, variances
 
         gaussians, degree = ctx.gaussians.clone(), ctx.sh_degree
         views = [self._information(ctx, gaussians, degree, v.camera) for v in ctx.views]
-        known = tuple(zip(*views, strict=True))
-        priors: tuple[Tensor, ...] = (shared_prior(known[-1], self.regulariser),)
-        if self.approximation == "block":
-            priors = (block_prior(known[0], self.regulariser), *priors)
-        return Snapshot(gaussians, degree, known, priors, ctx.epoch)
+        diagonals = [diagonal for _, diagonal in views]
+        prior = shared_prior(diagonals, self.regulariser)
+        unknown = tuple(variances(diagonal, prior) for diagonal in diagonals)
+        blocks = tuple(block for block, _ in views if block is not None)
+        of_blocks = block_prior(blocks, self.regulariser) if blocks else None
+        return Snapshot(gaussians, degree, unknown, blocks, of_blocks, ctx.epoch)
 
     def _information(
         self, ctx: StepContext, gaussians: Gaussians, sh_degree: int, camera: Camera
-    ) -> tuple[Tensor, ...]:
-        """Fisher information of theta_0 in `camera`, float64, lengths in scene extents: the [N, P]
-        diagonal; or the blocks [N, 6, 6] and the diagonal of the other parameters."""
+    ) -> tuple[Tensor | None, Tensor]:
+        """Fisher information of theta_0 in `camera`, float64, lengths in scene extents: None and
+        the [N, 14] diagonal; or the blocks [N, 6, 6] and the diagonal [N, 8] of the others."""
         import torch
 
         factor = min(self.downscale, camera.width, camera.height)
@@ -131,5 +134,18 @@ class Safi(ThresholdAugmenter):
         unit[:3] = ctx.extent
         diagonal = information.diagonal * unit**2
         if self.approximation == "diagonal":
-            return (diagonal,)
-        return information.block * (unit[:6, None] * unit[:6]), diagonal[:, 6:]
+            return None, diagonal
+        return information.block * (unit[:6, None] * unit[:6]), diagonal[:, 6:].contiguous()
+
+
+def _check_views(where: str, value: tuple[Tensor, ...], n_views: int, *shape: int) -> None:
+    """Raise ValueError unless `value` has a float64 tensor of `shape` for every view."""
+    import torch
+
+    from framework.shapes import check_kind, check_tensor
+
+    check_kind(where, value, tuple)
+    if len(value) != n_views:
+        raise ValueError(f"{where}: expected {n_views} views, got {len(value)}")
+    for tensor in value:
+        check_tensor(where, tensor, *shape, dtype=torch.float64)
