@@ -35,6 +35,7 @@ from framework.files import MENDABLE, unwritable
 from framework.help import help_text
 from framework.locks import Busy
 from framework.naming import plain, register_resolvers, study_name
+from framework.orphans import end_with_parent
 from framework.progress import Progress, Terminal
 from framework.study import Outcome, Refused, add_outcome, job_count, ledger
 from framework.trust import check_command
@@ -90,6 +91,7 @@ def task(cfg: DictConfig) -> None:
 
     An error ends this run and not its siblings: it goes into the record and the ledger.
     """
+    end_with_parent()
     job: Any = HydraConfig.get()
     run_dir = Path(job.runtime.output_dir)
     number = 0 if OmegaConf.is_missing(job.job, "num") else int(job.job.num)

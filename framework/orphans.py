@@ -1,0 +1,32 @@
+"""A launcher's worker process ends soon after the command that started it is gone.
+
+Without this a killed study leaves its workers: they finish their runs, then wait for more, half a
+gigabyte each. What they were training is kept in checkpoints, as after any kill.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+import time
+
+POLL_S = 1.0
+
+_watching = False
+
+
+def end_with_parent() -> None:
+    """Watch the parent from now on, if this process is a launcher's worker; else do nothing."""
+    global _watching
+    if _watching or multiprocessing.current_process().name == "MainProcess":
+        return
+    _watching = True
+    threading.Thread(target=_watch, args=(os.getppid(),), daemon=True).start()
+
+
+def _watch(parent: int) -> None:
+    """A process whose parent has ended gets another one."""
+    while os.getppid() == parent:
+        time.sleep(POLL_S)
+    os._exit(1)  # no clean-up: it would wait for the parent's queues
