@@ -32,6 +32,7 @@ STRESSES = (
     Axis("scene.spread", "camera spread (m)", 1, "a spread of {} m"),
     Axis("scene.pose_noise", "pose noise (px)", 1, "a noise of {} px"),
     Axis("scene.texture", "texture contrast (factor)", -1, "a contrast of {}"),
+    Axis("scene.downscale", "shrinking of the photos (factor)", 1, "a shrinking by {}"),
     Axis("scene.gloss", "gloss (factor)", 1, "a gloss of {}"),
 )
 # part of the conditions a method meets, without an order of their own

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from framework.report import curves, gaps, stress, tables, tradeoff
+from framework.report import curves, gaps, modelsize, stress, tables, tradeoff
 from framework.report.collect import Study
 from framework.report.document import Block, Bullets, Document, Heading, Picture, Text, table
 from framework.report.figures import chart_picture
@@ -101,6 +101,7 @@ STRESS_CAPTION = (
     " turning point is where the lower curve meets zero, interpolated linearly between tested"
     " strengths; its interval holds every strength where a paired t test does not refute zero."
 )
+SIZE_CAPTION = " Lowest: the number of Gaussians at the end of the training."
 
 
 def _stress(study: Study, panels: Sequence[stress.Panel]) -> list[Block]:
@@ -113,9 +114,11 @@ def _stress(study: Study, panels: Sequence[stress.Panel]) -> list[Block]:
         if told:
             title = f"{panel.title}, along {panel.axis.label}, against {study.baseline}:"
             answers += [Text(title, "finding"), Bullets(told)]
-        alt = f"PSNR of {panel.title} against {panel.axis.label}"
-        charts = stress.charts(study, panel)
-        details.append(chart_picture(study.out_dir, charts, alt, STRESS_CAPTION))
+        sizes = modelsize.told(panel)
+        if sizes:
+            title = f"Size of the model on {panel.title}, along {panel.axis.label}:"
+            answers += [Text(title, "finding"), Bullets(tuple(sizes))]
+        details.append(_stress_picture(study, panel))
         details.append(table(stress.rows(panel), WORDS))
     text = (
         "Cells: PSNR (dB), mean over seeds ± half the width of its 95 % interval (t). A method's"
@@ -123,6 +126,15 @@ def _stress(study: Study, panels: Sequence[stress.Panel]) -> list[Block]:
         " the strengths, each method for itself."
     )
     return [*answers, *gaps.gap_notes(study, pooled=False), *details, Text(text)]
+
+
+def _stress_picture(study: Study, panel: stress.Panel) -> Picture:
+    alt = f"PSNR of {panel.title} against {panel.axis.label}"
+    charts = stress.charts(study, panel)
+    sizes = modelsize.chart(study, panel, stress.chart_name(panel))
+    if sizes is None:
+        return chart_picture(study.out_dir, charts, alt, STRESS_CAPTION)
+    return chart_picture(study.out_dir, (*charts, sizes), alt, STRESS_CAPTION + SIZE_CAPTION)
 
 
 def _comparisons(found: Outcomes) -> list[Block]:

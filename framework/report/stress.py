@@ -82,7 +82,7 @@ def shown_scenes(study: Study, shown: Sequence[Panel]) -> list[str]:
 
 def charts(study: Study, panel: Panel) -> tuple[Chart, ...]:
     """PSNR and gain against the strength, with 95 % intervals over seeds."""
-    name = f"stress_{slug(panel.title)}_{panel.axis.short}"
+    name = chart_name(panel)
     reverse = panel.axis.harder < 0
     order = {method: index for index, method in enumerate(study.methods)}
     level = [
@@ -103,6 +103,11 @@ def charts(study: Study, panel: Panel) -> tuple[Chart, ...]:
             Chart(name, "", label, y_label, tuple(gain), reverse_x=reverse, dodge=True, y_zero=True)
         )
     return tuple(made)
+
+
+def chart_name(panel: Panel) -> str:
+    """Of the figure's files."""
+    return f"stress_{slug(panel.title)}_{panel.axis.short}"
 
 
 def rows(panel: Panel) -> list[dict[str, str]]:
@@ -233,17 +238,18 @@ def _gains(study: Study, panel: Panel, method: str) -> tuple[np.ndarray, np.ndar
 
 def _psnr_points(panel: Panel, by_level: dict[float, list[ReportRun]]) -> tuple[Point, ...]:
     found = {level: list(_seed_values(by_level.get(level, [])).values()) for level in panel.levels}
-    return tuple(_point(level, values) for level, values in found.items() if values)
+    return tuple(point(level, values) for level, values in found.items() if values)
 
 
 def _gain_points(study: Study, panel: Panel, method: str) -> tuple[Point, ...]:
     gains = _gains(study, panel, method)
     if gains is None:
         return ()
-    return tuple(_point(float(level), list(row)) for level, row in zip(*gains, strict=True))
+    return tuple(point(float(level), list(row)) for level, row in zip(*gains, strict=True))
 
 
-def _point(x: float, values: Sequence[float]) -> Point:
+def point(x: float, values: Sequence[float]) -> Point:
+    """The mean of `values` with its 95 % interval, at `x`."""
     found = spread(values)
     low = high = found.mean
     if found.mean_interval is not None:
