@@ -22,7 +22,8 @@ from framework.rasterize import photometric
 class Target:
     """What the loss needs of a target image, computed once per view.
 
-    image: [3, H, W], multiplied by mask [H, W]. mean, variance: [3, H, W], its window statistics.
+    image: [3, H, W], multiplied by mask [H, W]. mean, variance: [3, H, S], its window's statistics
+    in rows of whole vectors.
     """
 
     image: np.ndarray
@@ -38,23 +39,12 @@ class Target:
         if mask is not None:
             valid = np.ascontiguousarray(mask.detach().numpy(), np.float32)
             pixels = pixels * valid
-        mean, variance = np.empty_like(pixels), np.empty_like(pixels)
-        blurs = _blurs(pixels.shape)
+        shape = (*pixels.shape[:2], photometric.stride(pixels.shape[2]))
+        mean, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         # the image is masked already: a mask of ones keeps a fractional one from counting twice
-        run_blocks(photometric.blur_rows, pixels, pixels, np.ones_like(valid), blurs)
-        run_blocks(photometric.statistics_rows, blurs, mean, variance)
+        ones = np.ones_like(valid)
+        run_blocks(photometric.statistics, pixels, ones, mean, variance, blocks=photometric.BANDS)
         return Target(pixels, valid, mean, variance)
-
-
-_buffers: dict[tuple[int, ...], np.ndarray] = {}
-
-
-def _blurs(shape: tuple[int, ...]) -> np.ndarray:
-    """Scratch for one image size, kept between steps; its padding rows stay zero."""
-    if shape not in _buffers:
-        channels, height, width = shape
-        _buffers[shape] = np.zeros((6, channels, height + 10, width), np.float32)
-    return _buffers[shape]
 
 
 class _Photometric(torch.autograd.Function):
@@ -67,19 +57,20 @@ class _Photometric(torch.autograd.Function):
                 f" {pixels.shape}"
             )
         gradient = torch.empty(rgb.shape)
-        blurs, sums = _blurs(pixels.shape), np.empty((2, *pixels.shape[:2]), np.float32)
-        run_blocks(photometric.blur_rows, pixels, target.image, target.mask, blurs)
-        run_blocks(photometric.ssim_rows, target.mean, target.variance, blurs, sums[0])
+        sums = np.empty((2, *pixels.shape[:2]), np.float32)
         run_blocks(
-            photometric.gradient_rows,
+            photometric.loss_and_gradient,
             pixels,
             target.image,
             target.mask,
-            blurs,
+            target.mean,
+            target.variance,
             np.float32(ssim_weight),
             np.float32(1 / pixels.size),
+            sums[0],
             sums[1],
             gradient.numpy(),
+            blocks=photometric.BANDS,
         )
         ctx.gradient = gradient
         ssim, l1 = sums.sum(axis=(1, 2), dtype=np.float64) / pixels.size

@@ -1,12 +1,15 @@
-"""L1 + SSIM and its gradient, by rows: three passes, each over blocks of (channel, row) units.
+"""L1 + SSIM and its gradient, in one pass over bands of rows that stay in the cache.
 
 SSIM (Wang et al. 2004) as 3DGS trains with it: 11x11 Gaussian window, sigma 1.5, zero padding,
 C1 = 0.01^2, C2 = 0.03^2, variance E[x^2] - mu^2. With mu, q = E[a^2], r = E[ab] the window's blurs,
 SSIM = (2 mu mu' + C1)(2 (r - mu mu') + C2) / ((mu^2 + mu'^2 + C1)(q - mu^2 + var' + C2)); the
 gradient in the image is the blur (self-adjoint) of the partial derivatives in mu, q and r.
 
-Buffers `blurs` [6, C, H + 10, W]: horizontal blurs of a, a^2, ab, then of the three partials; five
-zero rows above and below stand for the padding.
+Both blurs are horizontal, then vertical. A band goes down the image by CHUNK rows at a time with
+two buffers [3, CHUNK + 10, S] of horizontally blurred rows, one of a, a^2, ab and one of the three
+partials: new rows join the last ten, which a vertical window of the next rows still reaches. Rows
+outside the image are zero. S is a whole number of vectors; what lies beyond W is finite and enters
+nothing.
 """
 
 from __future__ import annotations
@@ -15,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from framework.jit import kernel
-from framework.rasterize.simd import lane_sums, load, store, zeros
+from framework.jit import inlined, kernel
+from framework.rasterize.simd import LANES, fma, lane_sums, load, splat, store, zeros
 
 f4 = np.float32
 
@@ -27,35 +30,25 @@ _C1, _C2 = f4(0.01**2), f4(0.03**2)
 ZERO, ONE, TWO = f4(0), f4(1), f4(2)
 
 
-@kernel
-def _across(source: Any, target: Any, n: int) -> None:
-    """target[x] = sum of WINDOW x source[x ... x + 10]."""
-    for x in range(n):
-        target[x] = (
-            _W0 * (source[x] + source[x + 10])
-            + _W1 * (source[x + 1] + source[x + 9])
-            + _W2 * (source[x + 2] + source[x + 8])
-            + _W3 * (source[x + 3] + source[x + 7])
-            + _W4 * (source[x + 4] + source[x + 6])
-            + _W5 * source[x + 5]
-        )
+CHUNK, REACH = 16, 10  # rows that a band advances by; rows that a window of 11 reaches back
+BANDS = 12  # blocks of a parallel call: whole bands of each of three channels
 
 
-@kernel
-def _down(plane: Any, y: int, target: Any, n: int) -> None:
-    """target[x] = sum of WINDOW x plane[y ... y + 10, x]."""
-    r0, r1, r2, r3, r4 = plane[y], plane[y + 1], plane[y + 2], plane[y + 3], plane[y + 4]
-    r5, r6, r7, r8, r9 = plane[y + 5], plane[y + 6], plane[y + 7], plane[y + 8], plane[y + 9]
-    r10 = plane[y + 10]
-    for x in range(n):
-        target[x] = (
-            _W0 * (r0[x] + r10[x])
-            + _W1 * (r1[x] + r9[x])
-            + _W2 * (r2[x] + r8[x])
-            + _W3 * (r3[x] + r7[x])
-            + _W4 * (r4[x] + r6[x])
-            + _W5 * r5[x]
-        )
+def stride(width: int) -> int:
+    """S: `width` in whole vectors, an odd number of them, so that the rows that a window adds do
+    not fall on the same few lines of the cache."""
+    return LANES * (-(-width // LANES) | 1)
+
+
+@inlined
+def _window(source: Any, at: int, step: int) -> Any:
+    """Sum of WINDOW x source[at], source[at + step] ... source[at + 10 step], sixteen at a time."""
+    total = splat(_W5) * load(source, at + 5 * step)
+    total = fma(splat(_W4), load(source, at + 4 * step) + load(source, at + 6 * step), total)
+    total = fma(splat(_W3), load(source, at + 3 * step) + load(source, at + 7 * step), total)
+    total = fma(splat(_W2), load(source, at + 2 * step) + load(source, at + 8 * step), total)
+    total = fma(splat(_W1), load(source, at + step) + load(source, at + 9 * step), total)
+    return fma(splat(_W0), load(source, at) + load(source, at + 10 * step), total)
 
 
 @kernel
@@ -70,116 +63,197 @@ def _sum(values: Any) -> Any:
 
 
 @kernel
-def blur_rows(block: int, blocks: int, a: Any, b: Any, mask: Any, blurs: Any) -> None:
-    """Pass 1: horizontal blurs of (mask a), (mask a)^2 and (mask a) b; b is already masked."""
-    channels, height, width = a.shape
-    padded = np.zeros((3, width + 10), np.float32)
+def _across(padded: Any, rows: Any, i: int) -> None:
+    """Horizontal blurs of three padded rows into row i of the three planes of `rows`."""
+    source, length, wide = padded.reshape(-1), padded.shape[1], rows.shape[2]
+    target = rows.reshape(-1)
+    for k in range(3):
+        at = (k * rows.shape[1] + i) * wide
+        for x in range(0, wide, LANES):
+            store(target, at + x, _window(source, k * length + x, 1))
+
+
+@kernel
+def _blur_image(
+    a: Any, b: Any, mask: Any, first: int, count: int, padded: Any, rows: Any, to: int
+) -> None:
+    """Rows first ... first + count - 1 of (mask a), (mask a)^2 and (mask a) b, horizontally blurred
+    into `rows` from row `to` on; b is already masked."""
+    height, width = a.shape
     p0, p1, p2 = padded[0], padded[1], padded[2]
-    units = channels * height
-    for unit in range(units * block // blocks, units * (block + 1) // blocks):
-        c, y = unit // height, unit % height
-        row, other, valid = a[c, y], b[c, y], mask[y]
+    for i in range(count):
+        y = first + i
+        if y < 0 or y >= height:
+            rows[:, to + i] = ZERO
+            continue
+        row, other, valid = a[y], b[y], mask[y]
         for x in range(width):
             value = row[x] * valid[x]
             p0[x + 5] = value
             p1[x + 5] = value * value
             p2[x + 5] = value * other[x]
-        _across(p0, blurs[0, c, y + 5], width)
-        _across(p1, blurs[1, c, y + 5], width)
-        _across(p2, blurs[2, c, y + 5], width)
+        _across(padded, rows, to + i)
 
 
 @kernel
-def statistics_rows(block: int, blocks: int, blurs: Any, mean: Any, variance: Any) -> None:
-    """Of a target b, after `blur_rows` with a = b: its window's mean and variance [C, H, W]."""
-    channels, height, width = mean.shape
-    units = channels * height
-    for unit in range(units * block // blocks, units * (block + 1) // blocks):
-        c, y = unit // height, unit % height
-        mu, spread = mean[c, y], variance[c, y]
-        _down(blurs[0, c], y, mu, width)
-        _down(blurs[1, c], y, spread, width)
-        for x in range(width):
-            spread[x] -= mu[x] * mu[x]
+def _keep_last(rows: Any, count: int) -> None:
+    """Move the last REACH of count + REACH rows to the front."""
+    for k in range(3):
+        for i in range(REACH):
+            rows[k, i] = rows[k, i + count]
 
 
 @kernel
-def ssim_rows(
-    block: int, blocks: int, mu_b: Any, variance_b: Any, blurs: Any, ssim_sums: Any
+def _ssim_row(
+    blurred: Any, i: int, mean: Any, variance: Any, values: Any, padded: Any, width: int
 ) -> None:
-    """Pass 2: SSIM per row into ssim_sums [C, H]; horizontal blurs of its partial derivatives."""
-    channels, height, width = mu_b.shape
-    mu, q, r = (
-        np.empty(width, np.float32),
-        np.empty(width, np.float32),
-        np.empty(width, np.float32),
-    )
-    values = np.zeros((width + 15) // 16 * 16, np.float32)
-    padded = np.zeros((3, width + 10), np.float32)
+    """SSIM of a row into `values`, its partial derivatives into `padded`; rows i ... i + 10 of
+    `blurred` are around it, mean and variance are the target's."""
+    flat, wide = blurred.reshape(-1), blurred.shape[2]
+    plane = blurred.shape[1] * wide
     p0, p1, p2 = padded[0], padded[1], padded[2]
-    units = channels * height
-    for unit in range(units * block // blocks, units * (block + 1) // blocks):
-        c, y = unit // height, unit % height
-        _down(blurs[0, c], y, mu, width)
-        _down(blurs[1, c], y, q, width)
-        _down(blurs[2, c], y, r, width)
-        mu_row, variance_row = mu_b[c, y], variance_b[c, y]
-        for x in range(width):
-            m1, m2 = mu[x], mu_row[x]
-            top_l = TWO * m1 * m2 + _C1
-            top_r = TWO * (r[x] - m1 * m2) + _C2
-            over_l = ONE / (m1 * m1 + m2 * m2 + _C1)
-            over_r = ONE / (q[x] - m1 * m1 + variance_row[x] + _C2)
-            ratio = over_l * over_r
-            value = top_l * top_r * ratio
-            values[x] = value
-            d_top_l, d_top_r = top_r * ratio, top_l * ratio
-            d_over_l, d_over_r = -value * over_l, -value * over_r
-            p0[x + 5] = TWO * (m2 * (d_top_l - d_top_r) + m1 * (d_over_l - d_over_r))
-            p1[x + 5] = d_over_r
-            p2[x + 5] = TWO * d_top_r
-        ssim_sums[c, y] = _sum(values)
-        _across(p0, blurs[3, c, y + 5], width)
-        _across(p1, blurs[4, c, y + 5], width)
-        _across(p2, blurs[5, c, y + 5], width)
+    for x in range(0, wide, LANES):
+        at = i * wide + x
+        m1, m2 = _window(flat, at, wide), load(mean, x)
+        cross, square = m1 * m2, m1 * m1
+        top_l = fma(splat(TWO), cross, splat(_C1))
+        top_r = fma(splat(TWO), _window(flat, at + 2 * plane, wide) - cross, splat(_C2))
+        over_l = ONE / (fma(m2, m2, square) + _C1)
+        over_r = ONE / (_window(flat, at + plane, wide) - square + load(variance, x) + _C2)
+        d_top_l, d_top_r = top_r * (over_l * over_r), top_l * (over_l * over_r)
+        value = top_l * d_top_l
+        store(values, x, value)
+        d_over_r = -value * over_r
+        in_mu = m2 * (d_top_l - d_top_r) - m1 * fma(value, over_l, d_over_r)
+        store(p0, x + 5, TWO * in_mu)
+        store(p1, x + 5, d_over_r)
+        store(p2, x + 5, TWO * d_top_r)
+    values[width:] = ZERO  # beyond the image there is nothing
+    padded[:, width + 5 :] = ZERO
 
 
 @kernel
-def gradient_rows(
+def _gradient_row(
+    partials: Any,
+    i: int,
+    a: Any,
+    b: Any,
+    mask: Any,
+    keep: Any,
+    pull: Any,
+    windows: Any,
+    values: Any,
+    gradient: Any,
+) -> None:
+    """|mask a - b| of a row into `values`, and its gradient; rows i ... i + 10 of `partials` are
+    around it."""
+    flat, wide, width = partials.reshape(-1), partials.shape[2], len(a)
+    mu, q, r = windows[0], windows[1], windows[2]
+    for k in range(3):
+        at = (k * partials.shape[1] + i) * wide
+        for x in range(0, wide, LANES):
+            store(windows[k], x, _window(flat, at + x, wide))
+    for x in range(width):
+        value = a[x] * mask[x]
+        difference = value - b[x]
+        values[x] = abs(difference)
+        sign = ONE if difference > ZERO else (-ONE if difference < ZERO else ZERO)
+        bent = mu[x] + TWO * value * q[x] + b[x] * r[x]
+        gradient[x] = mask[x] * (keep * sign - pull * bent)
+
+
+@kernel
+def statistics(block: int, blocks: int, b: Any, mask: Any, mean: Any, variance: Any) -> None:
+    """Of a target b [C, H, W]: its window's mean and variance [C, H, S]. mask: ones [H, W]."""
+    channels, height, _ = b.shape
+    wide = mean.shape[2]
+    blurred = np.zeros((3, CHUNK + REACH, wide), np.float32)
+    padded = np.zeros((3, wide + LANES), np.float32)
+    flat, plane = blurred.reshape(-1), (CHUNK + REACH) * wide
+    start, end = channels * height * block // blocks, channels * height * (block + 1) // blocks
+    while start < end:
+        c, y0 = start // height, start % height
+        y1 = min(height, y0 + end - start)
+        _blur_image(b[c], b[c], mask, y0 - 5, REACH, padded, blurred, 0)
+        for y in range(y0, y1, CHUNK):
+            n = min(CHUNK, y1 - y)
+            _blur_image(b[c], b[c], mask, y + 5, n, padded, blurred, REACH)
+            for i in range(n):
+                for x in range(0, wide, LANES):
+                    mu = _window(flat, i * wide + x, wide)
+                    store(mean[c, y + i], x, mu)
+                    q = _window(flat, plane + i * wide + x, wide)
+                    store(variance[c, y + i], x, q - mu * mu)
+            _keep_last(blurred, n)
+        start += y1 - y0
+
+
+@kernel
+def loss_and_gradient(
     block: int,
     blocks: int,
     a: Any,
     b: Any,
     mask: Any,
-    blurs: Any,
+    mean: Any,
+    variance: Any,
     ssim_weight: Any,
     scale: Any,
+    ssim_sums: Any,
     l1_sums: Any,
     gradient: Any,
 ) -> None:
-    """Pass 3: |mask a - b| per row into l1_sums [C, H]; gradient [C, H, W] of
+    """Of an image a [C, H, W] and a masked target b with its `statistics`: SSIM and |mask a - b|
+    summed per row, [C, H] each; gradient [C, H, W] of
     scale x ((1 - w) sum |mask a - b| - w sum SSIM) in a."""
     channels, height, width = a.shape
-    mu, q, r = (
-        np.empty(width, np.float32),
-        np.empty(width, np.float32),
-        np.empty(width, np.float32),
-    )
-    values = np.zeros((width + 15) // 16 * 16, np.float32)
-    keep = (ONE - ssim_weight) * scale
-    pull = ssim_weight * scale
-    units = channels * height
-    for unit in range(units * block // blocks, units * (block + 1) // blocks):
-        c, y = unit // height, unit % height
-        _down(blurs[3, c], y, mu, width)
-        _down(blurs[4, c], y, q, width)
-        _down(blurs[5, c], y, r, width)
-        row, other, valid, out = a[c, y], b[c, y], mask[y], gradient[c, y]
-        for x in range(width):
-            value = row[x] * valid[x]
-            difference = value - other[x]
-            values[x] = abs(difference)
-            sign = ONE if difference > ZERO else (-ONE if difference < ZERO else ZERO)
-            bent = mu[x] + TWO * value * q[x] + other[x] * r[x]
-            out[x] = valid[x] * (keep * sign - pull * bent)
-        l1_sums[c, y] = _sum(values)
+    wide = mean.shape[2]
+    blurred = np.zeros((3, CHUNK + REACH, wide), np.float32)
+    partials = np.zeros((3, CHUNK + REACH, wide), np.float32)
+    padded = np.zeros((3, wide + LANES), np.float32)  # of the image
+    derived = np.zeros((3, wide + LANES), np.float32)  # of the partials
+    windows, values = np.empty((3, wide), np.float32), np.zeros(wide, np.float32)
+    keep, pull = (ONE - ssim_weight) * scale, ssim_weight * scale
+    start, end = channels * height * block // blocks, channels * height * (block + 1) // blocks
+    while start < end:
+        c, y0 = start // height, start % height
+        y1 = min(height, y0 + end - start)
+        image, target, out = a[c], b[c], gradient[c]
+        # before the first chunk: the ten partials that its windows reach back to
+        _blur_image(image, target, mask, y0 - REACH, 2 * REACH, padded, blurred, 0)
+        n, y, to = REACH, y0 - REACH, 0
+        while True:
+            for i in range(n):  # partials of row y + 5 + i
+                at = y + 5 + i
+                if at < 0 or at >= height:
+                    partials[:, to + i] = ZERO
+                    continue
+                _ssim_row(blurred, i, mean[c, at], variance[c, at], values, derived, width)
+                if at >= y0 and at < y1:
+                    ssim_sums[c, at] = _sum(values)
+                _across(derived, partials, to + i)
+            _keep_last(blurred, n)
+            if to > 0:
+                for i in range(n):
+                    at = y + i
+                    _gradient_row(
+                        partials,
+                        i,
+                        image[at],
+                        target[at],
+                        mask[at],
+                        keep,
+                        pull,
+                        windows,
+                        values,
+                        out[at],
+                    )
+                    values[width:] = ZERO
+                    l1_sums[c, at] = _sum(values)
+                _keep_last(partials, n)
+            y, to = y + n, REACH
+            if y >= y1:
+                break
+            n = min(CHUNK, y1 - y)
+            _blur_image(image, target, mask, y + REACH, n, padded, blurred, REACH)
+        start += y1 - y0
