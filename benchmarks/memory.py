@@ -76,7 +76,9 @@ def train(count: int, factor: float) -> tuple[int, int]:
     )
     options = TrainerOptions(steps=STEPS, sh_degree=3, sh_every=1)
     training = TrainingSet("memory", tuple(views), points, 1.0, 30.0)
-    Trainer(training, (), gaussians, options, Plugins(*plugins), 0, Silent()).run()
+    trainer = Trainer(training, (), gaussians, options, Plugins(*plugins), 0, Silent())
+    del gaussians  # as `framework.training` does
+    trainer.run()
     return width, height
 
 

@@ -47,7 +47,7 @@ from framework.record import (
 from framework.scenes import load_scene
 from framework.stopwatch import Stopwatch
 from framework.training import initial, renderer, train
-from framework.types import DepthMap, Scene
+from framework.types import DepthMap, Gaussians, Scene
 from framework.warmup import Warmup
 
 
@@ -137,9 +137,12 @@ def _trained(
     """The record with the result of its run, as written; `timings` are those it holds."""
     config = record.config
     options = TrainerOptions(**config["trainer"])
-    with _timed(timings, "init"):
-        gaussians = initial(config, scene, depth, options)
-    trained = train(config, scene, depth, gaussians, options, run_dir, record.identity, progress)
+
+    def start() -> Gaussians:
+        with _timed(timings, "init"):
+            return initial(config, scene, depth, options)
+
+    trained = train(config, scene, depth, start, options, run_dir, record.identity, progress)
     timings[TRAIN_STAGE] = StageTime(trained.wall_s, trained.cpu_s)
     progress.stage("evaluation")
     with _timed(timings, "evaluate"):

@@ -6,6 +6,7 @@ multiplies the render and the target, so nothing outside it leaks in; see `raste
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,16 +36,21 @@ class Target:
     def of(image: Tensor, mask: Tensor | None = None) -> Target:
         """From an image [3, H, W] in [0, 1] and an optional mask [H, W] in [0, 1]."""
         pixels = np.ascontiguousarray(image.detach().numpy(), np.float32)
-        valid = np.ones(pixels.shape[1:], np.float32)
+        ones = valid = _ones(*pixels.shape[1:])
         if mask is not None:
             valid = np.ascontiguousarray(mask.detach().numpy(), np.float32)
             pixels = pixels * valid
         shape = (*pixels.shape[:2], photometric.stride(pixels.shape[2]))
         mean, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         # the image is masked already: a mask of ones keeps a fractional one from counting twice
-        ones = np.ones_like(valid)
         run_blocks(photometric.statistics, pixels, ones, mean, variance, blocks=photometric.BANDS)
         return Target(pixels, valid, mean, variance)
+
+
+@functools.lru_cache(maxsize=8)
+def _ones(height: int, width: int) -> np.ndarray:
+    """The mask [H, W] of all views without one; read only."""
+    return np.ones((height, width), np.float32)
 
 
 class _Photometric(torch.autograd.Function):

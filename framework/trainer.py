@@ -118,7 +118,7 @@ class Trainer:
             if self.keeper is not None and self.keeper.due():
                 self.keeper.keep(self.state())
         return Trained(
-            self.params.clone(),
+            self.params.detach(),
             self.background,
             self._sh_degree(),
             tuple(self.history),

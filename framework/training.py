@@ -47,7 +47,7 @@ def train(
     config: Mapping[str, Any],
     scene: Scene,
     depth: tuple[DepthMap, ...],
-    gaussians: Gaussians,
+    start: Callable[[], Gaussians],
     options: TrainerOptions,
     run_dir: Path,
     identity: str,
@@ -55,9 +55,10 @@ def train(
 ) -> Trained:
     """Train, or go on with what an interrupted process left in `run_dir` under this identity.
 
-    `force` begins anew. Raises Diverged when the training diverges; the state is in the run's
-    folder then.
+    start: makes the Gaussians to begin with, which nobody else keeps then. `force` begins anew.
+    Raises Diverged when the training diverges; the state is in the run's folder then.
     """
+    gaussians = start()
     plugins = Plugins(*(registry.build(group, config[group]) for group in registry.GROUPS))
     chosen: list[Plugin] = [p.plugin for p in (plugins.augment, plugins.reg, plugins.capacity)]
     size = COPIES * BYTES_PER_FLOAT * sum(tensor.numel() for _, tensor in gaussians.items())
@@ -68,9 +69,9 @@ def train(
     check = functools.partial(
         check_state, training=scene.training, options=options, plugins=by_group
     )
-    start = checkpoints.newest(check)
-    if start is not None:
-        progress.note(f"going on at step {start.step} of {options.steps}")
+    kept = checkpoints.newest(check)
+    if kept is not None:
+        progress.note(f"going on at step {kept.step} of {options.steps}")
     trainer = Trainer(
         scene.training,
         depth,
@@ -81,8 +82,9 @@ def train(
         progress,
         _evaluation(scene, options),
         checkpoints,
-        start,
+        kept,
     )
+    del gaussians  # the trainer has its own
     try:
         return trainer.run()
     except Diverged as error:

@@ -112,7 +112,7 @@ def test_the_state_is_left_for_inspection(tmp_path: Path, monkeypatch: pytest.Mo
     config = {"augment": {}, "reg": {}, "capacity": {}, "seed": 0, "force": False}
     scene = Scene("plane", "own", views, (), "f")
     with pytest.raises(UserError, match=r"the state is in .*diverged\.safetensors$"):
-        training.train(config, scene, depth, gaussians, OPTIONS, tmp_path, "id", Silent())
+        training.train(config, scene, depth, lambda: gaussians, OPTIONS, tmp_path, "id", Silent())
     identity, state = unpack(tmp_path / "diverged.safetensors", [Gaussians])
     assert identity == "id" and state["where"].startswith("training step 2")
     assert set(state["gradients"]) == set(dict(gaussians.items()))
