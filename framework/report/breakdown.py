@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from framework.report.statistics import CONFIDENCE, Interval, t_quantile
 
@@ -108,6 +108,6 @@ def _differs(gains: np.ndarray) -> np.ndarray:
     sd = gains.std(axis=1, ddof=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         t = np.abs(gains.mean(axis=1)) / (sd / np.sqrt(n))
-    p = 2 * stats.t.sf(np.nan_to_num(t, nan=0.0, posinf=np.inf), n - 1)
+    p = 2 * special.stdtr(n - 1, -np.nan_to_num(t, nan=0.0, posinf=np.inf))
     found: np.ndarray = p < (1 - CONFIDENCE) / len(p)
     return found

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from framework.report.collect import FailedRun, ReportRun, Study
 from framework.report.outcomes import by_pair
@@ -85,7 +85,7 @@ def has_failed(run: ReportRun, reference: Mapping[tuple[str, int], float]) -> bo
 
 def wilson(failed: int, n: int) -> Interval:
     """Wilson's score interval of a share."""
-    z = float(stats.norm.ppf((1 + CONFIDENCE) / 2))
+    z = float(special.ndtri((1 + CONFIDENCE) / 2))
     share, weight = failed / n, z * z / n
     middle = (share + weight / 2) / (1 + weight)
     half = z * math.sqrt(share * (1 - share) / n + weight / (4 * n)) / (1 + weight)

@@ -20,9 +20,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
-from framework.report.statistics import CONFIDENCE, SIGNIFICANCE, Interval
+from framework.report.statistics import CONFIDENCE, SIGNIFICANCE, Interval, chi2_quantiles
 
 POWER = 0.8
 MOST_SEEDS = 10_000
@@ -70,8 +70,10 @@ def brown_forsythe(a: np.ndarray, b: np.ndarray) -> float:
     """Two-sided p of equal spread; 1 where neither sample varies."""
     if not (np.ptp(a) > 0 or np.ptp(b) > 0):
         return 1.0
+    from scipy.stats import levene  # a second to import, which studies of one method do not need
+
     with np.errstate(divide="ignore", invalid="ignore"):
-        p = float(stats.levene(a, b, center="median").pvalue)
+        p = float(levene(a, b, center="median").pvalue)
     # all distances equal within both samples: a difference without noise, or none at all
     return p if math.isfinite(p) else float(np.isclose(np.ptp(a), np.ptp(b)))
 
@@ -102,7 +104,7 @@ def mean_deviation(samples: Sequence[Sequence[float]]) -> tuple[float, Interval]
         return 0.0, Interval(0.0, 0.0)
     variance = float(np.sum(sds**2 * (1 / c4(n) ** 2 - 1))) / len(sds) ** 2
     freedom = _freedom(variance / mean**2)
-    high, low = stats.chi2.ppf([(1 + CONFIDENCE) / 2, (1 - CONFIDENCE) / 2], freedom)
+    high, low = chi2_quantiles(freedom)
     unit = mean * float(_c4_of_freedom(freedom)) * math.sqrt(freedom)
     return mean, Interval(unit / math.sqrt(high), unit / math.sqrt(low))
 
@@ -130,7 +132,7 @@ def _freedom(relative_variance: float) -> float:
 def _power(ratio: float, n: int) -> float:
     """Power of the two-sided F test for n values each and this true ratio of sds."""
     low, high = (quantile / ratio**2 for quantile in _f_quantiles(n - 1, n - 1))
-    return float(stats.f.cdf(low, n - 1, n - 1) + stats.f.sf(high, n - 1, n - 1))
+    return float(special.fdtr(n - 1, n - 1, low) + special.fdtrc(n - 1, n - 1, high))
 
 
 def _ratio_interval(ratio: float, n: int, other_n: int) -> Interval:
@@ -141,5 +143,5 @@ def _ratio_interval(ratio: float, n: int, other_n: int) -> Interval:
 @functools.cache
 def _f_quantiles(a: int, b: int) -> tuple[float, float]:
     """The 2.5 % and 97.5 % quantiles of F(a, b)."""
-    low, high = stats.f.ppf([(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], a, b)
+    low, high = special.fdtri(a, b, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return float(low), float(high)
