@@ -20,6 +20,11 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--out", type=Path, help="folder of the report (default: the only DIR)")
     parser.add_argument("--title", help="heading of the report (default: its folder's name)")
+    parser.add_argument(
+        "--without-photos",
+        action="store_true",
+        help="no pictures but of the embedded scene: for photos that may not be passed on",
+    )
     options = parser.parse_args(arguments)
     try:
         require(
@@ -29,7 +34,9 @@ def main(arguments: list[str] | None = None) -> int:
         )
         from framework.report.build import build_report
 
-        path = build_report(options.study_dirs, options.title, options.out)
+        path = build_report(
+            options.study_dirs, options.title, options.out, not options.without_photos
+        )
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

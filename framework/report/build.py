@@ -11,22 +11,29 @@ from framework.report.collect import collect
 from framework.report.export import TABLE, runs_csv
 from framework.report.gallery import gallery
 from framework.report.sections import document
+from framework.report.views import own_scenes
 
 REPORT, PAGE = "report.md", "report.html"
 
 
 def build_report(
-    study_dirs: Path | Sequence[Path], title: str | None = None, out_dir: Path | None = None
+    study_dirs: Path | Sequence[Path],
+    title: str | None = None,
+    out_dir: Path | None = None,
+    photos: bool = True,
 ) -> Path:
     """Rebuild the report of all runs below the folders; returns the path of `report.md`.
 
     title: the heading, else the name of the report's folder. out_dir: where the report goes, else
-    the first folder. Raises UserError when there is no run to report or a record is damaged.
+    the first folder. photos: show the scenes; without, the embedded one alone, so that a report can
+    be passed on where photos may not. Raises UserError when there is no run to report or a record
+    is damaged.
     """
     study = collect(study_dirs, out_dir)
     study.out_dir.mkdir(parents=True, exist_ok=True)
-    made = document(study, title or study.out_dir.resolve().name)
-    write_whole(study.out_dir / PAGE, page.render(made, gallery(study), study.out_dir))
+    shown = study.scenes if photos else own_scenes(study)
+    made = document(study, title or study.out_dir.resolve().name, shown)
+    write_whole(study.out_dir / PAGE, page.render(made, gallery(study, shown), study.out_dir))
     if study.runs:
         write_whole(study.out_dir / TABLE, runs_csv(study))
     write_whole(study.out_dir / REPORT, markdown.render(made))

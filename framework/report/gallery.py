@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -39,12 +39,12 @@ class Gallery:
     left_out: int = 0
 
 
-def gallery(study: Study) -> Gallery:
-    """The pictures of all complete runs, as far as they fit."""
+def gallery(study: Study, scenes: Sequence[str]) -> Gallery:
+    """The pictures of all complete runs on `scenes`, as far as they fit."""
     found = Gallery()
     truths: dict[Path, int] = {}
     known: dict[bytes, int] = {}
-    for layer in _layers(study):
+    for layer in _layers(study, scenes):
         if found.size >= CAP_BYTES or len(found.images) >= CAP_IMAGES:
             found.left_out += len(layer)
             continue
@@ -60,10 +60,10 @@ def gallery(study: Study) -> Gallery:
     return found
 
 
-def _layers(study: Study) -> Iterator[list[tuple[ReportRun, str]]]:
+def _layers(study: Study, scenes: Sequence[str]) -> Iterator[list[tuple[ReportRun, str]]]:
     """By rank of the seed, then of the view: the pairs of run and view of that rank."""
     ranked: dict[tuple[int, int], list[tuple[ReportRun, str]]] = {}
-    for scene in study.scenes:
+    for scene in scenes:
         first = [view for view, _ in choose_views(study, scene).views]
         for method in study.methods:
             for seed_rank, run in enumerate(study.of(scene, method)):

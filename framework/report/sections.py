@@ -34,11 +34,13 @@ POOLED = (
     " of the scenes' deviations, stands under Stability)"
 )
 BEST_BUDGETS = "Of each method, the budget with the highest mean PSNR on the scene."
+HIDDEN = "No pictures of {scenes}: this report was built without photos, to be passed on."
 LPIPS = " LPIPS was not measured; the reason stands under Missing metrics."
 
 
-def document(study: Study, title: str) -> Document:
-    """Everything the report says; draws its figures into `study.out_dir`."""
+def document(study: Study, title: str, visible: Sequence[str]) -> Document:
+    """Everything the report says; draws its figures into `study.out_dir`, with pictures of the
+    `visible` scenes."""
     found, panels = outcomes(study), stress.panels(study)
     shown = stress.shown_scenes(study, panels)
     blocks: list[Block] = [Heading(1, outside(title))]
@@ -54,7 +56,7 @@ def document(study: Study, title: str) -> Document:
     blocks += _worst(study)
     blocks += _costs(study, [] if panels else study.scenes)
     blocks += _by_tag(study, shown)
-    blocks += _pictures(study, shown)
+    blocks += _pictures(study, shown, visible)
     if study.runs:
         blocks += [Heading(2, "Published figures"), PUBLISHED, Text(SOURCE)]
         blocks += [Heading(2, "Every run"), table(tables.seed_rows(study), WORDS)]
@@ -219,13 +221,15 @@ def _by_tag(study: Study, scenes: Sequence[str]) -> list[Block]:
     return [Heading(2, "Kinds of test views apart"), table(rows, WORDS)] if rows else []
 
 
-def _pictures(study: Study, scenes: Sequence[str]) -> list[Block]:
+def _pictures(study: Study, scenes: Sequence[str], visible: Sequence[str]) -> list[Block]:
+    seen = [scene for scene in scenes if scene in visible]
     drawn = {
-        "Images": [(scene, draw_images(study, scene)) for scene in scenes],
-        "Where runs disagree": [(scene, draw_sigma_maps(study, scene)) for scene in scenes],
+        "Images": [(scene, draw_images(study, scene)) for scene in seen],
+        "Where runs disagree": [(scene, draw_sigma_maps(study, scene)) for scene in seen],
         "Quality over training time": [(scene, _curves(study, scene)) for scene in scenes],
     }
-    blocks: list[Block] = []
+    hidden = [scene for scene in scenes if scene not in visible]
+    blocks: list[Block] = [Text(HIDDEN.format(scenes=", ".join(hidden)))] if hidden else []
     of_many = any(run.method_label.budget for run in study.runs)
     for heading, pictures in drawn.items():
         present = [(scene, picture) for scene, picture in pictures if picture is not None]

@@ -14,6 +14,8 @@ from framework.report.collect import ReportRun, Study
 from framework.report.numbers import average
 from framework.run_files import RENDERS
 
+EMBEDDED = "embedded"  # the name of the only scene whose pictures are ours
+
 
 @dataclass(frozen=True)
 class ShownViews:
@@ -87,3 +89,9 @@ def _pick(runs: Sequence[ReportRun]) -> dict[str, str]:
 def _mean_psnr(runs: Sequence[ReportRun], view: str) -> float:
     values = [run.psnr[view] for run in runs]
     return float(np.mean([math.inf if math.isnan(psnr) else psnr for psnr in values]))
+
+
+def own_scenes(study: Study) -> list[str]:
+    """The scenes that are the repository's own, whose pictures anybody may have."""
+    own = {run.scene for run in study.runs if run.record.config["scene"]["name"] == EMBEDDED}
+    return [scene for scene in study.scenes if scene in own]

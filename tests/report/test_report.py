@@ -45,7 +45,8 @@ def report(study_dir: Path) -> str:
 
 
 def text_of(folder: Path) -> str:
-    return render(document(collect(folder), "x"))
+    study = collect(folder)
+    return render(document(study, "x", study.scenes))
 
 
 def first_sentence(folder: Path) -> str:
@@ -272,6 +273,21 @@ def test_studies_are_merged_on_the_command_line(tmp_path: Path) -> None:
     assert text.startswith("# Both\n") and "dB above none + none" in text
     assert "](../b/runs/embedded-safi-none-s1/)" in text
     assert main(folders) == 2
+
+
+def test_a_report_can_be_built_without_photos(tmp_path: Path) -> None:
+    """Of the embedded scene it keeps the pictures."""
+    for name in ("fern", "embedded"):
+        loader = {"name": "embedded" if name == "embedded" else "llff"}
+        for method in ("none", "safi"):
+            fake_run(tmp_path / "study", method, scene=name, condition=loader)
+    out = tmp_path / "out"
+    assert main([str(tmp_path / "study"), "--out", str(out), "--without-photos"]) == 0
+    text = (out / "report.md").read_text(encoding="utf-8")
+    assert "No pictures of fern: this report was built without photos" in text
+    assert {path.name for path in out.glob("*.jpg")} == {"images_embedded.jpg"}
+    shots = re.search(r'"shots": ?(\[.*?\]\])', (out / "report.html").read_text(encoding="utf-8"))
+    assert shots is not None and "embedded" in shots[1] and "fern" not in shots[1]
 
 
 def test_methods_without_common_seeds_are_not_compared(tmp_path: Path) -> None:
