@@ -126,6 +126,11 @@ class Study:
         """What the others are compared with: `none + none` if it ran, else the first by name."""
         return self.methods[0]
 
+    @cached_property
+    def by_cpu(self) -> bool:
+        """Whether to compare the CPU seconds of trainings: other programs ran beside some."""
+        return any(map(_disturbed, self.runs))
+
     @property
     def has_plain(self) -> bool:
         """Whether the baseline is `none + none`, perhaps with options of its own."""
@@ -295,11 +300,15 @@ def _code_notes(runs: list[Run]) -> list[str]:
 
 def _busy_notes(runs: Sequence[ReportRun]) -> list[str]:
     """A training alone on its cores takes no more wall time than CPU time."""
-    seconds = [(run.record.train_s or 0.0, run.record.train_cpu_s or 0.0) for run in runs]
-    slowed = sum(wall > BUSY * cpu > 0 for wall, cpu in seconds)
+    slowed = sum(map(_disturbed, runs))
     if slowed == 0:
         return []
     return [
         f"Other programs ran beside {slowed} of {len(runs)} trainings, which took over"
-        f" {BUSY:g} times their CPU time: compare CPU seconds here, not wall seconds."
+        f" {BUSY:g} times their CPU time: charts and advice count CPU seconds here."
     ]
+
+
+def _disturbed(run: ReportRun) -> bool:
+    wall, cpu = run.record.train_s or 0.0, run.record.train_cpu_s or 0.0
+    return wall > BUSY * cpu > 0

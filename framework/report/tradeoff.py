@@ -27,7 +27,8 @@ AS_GOOD_DB = 0.1  # a model so much worse than the best counts as good
 
 @dataclass(frozen=True)
 class Entry:
-    """A method with a budget on one scene: means over its runs."""
+    """A method with a budget on one scene: means over its runs. train_s: by the wall clock, or of
+    CPU time where other programs disturbed the study."""
 
     method: str
     family: str
@@ -45,7 +46,9 @@ def entries(study: Study, scene: str) -> list[Entry]:
     for method in study.methods:
         runs = study.of(scene, method)
         psnr = [value for run in runs if (value := run.mean("psnr")) is not None]
-        seconds = average([run.record.train_s for run in runs])
+        seconds = average(
+            [run.record.train_cpu_s if study.by_cpu else run.record.train_s for run in runs]
+        )
         if not runs or len(psnr) < len(runs) or seconds is None:
             continue
         label = runs[0].method_label
@@ -74,7 +77,8 @@ def charts(study: Study, scene: str) -> list[tuple[Chart, ...]]:
     if len(found) < 2:
         return []
     name = slug(scene)
-    time = _chart(study, found, f"tradeoff_{name}", scene, "training time (s, wall clock)", _time)
+    label = f"training time (s, {'CPU' if study.by_cpu else 'wall clock'})"
+    time = _chart(study, found, f"tradeoff_{name}", scene, label, _time)
     sizes = [
         _chart(study, found, f"size_{name}", scene, label, cost)
         for label, cost in (("Gaussians", _gaussians), ("file size (MB)", _size))
@@ -92,7 +96,13 @@ def advice(study: Study, scene: str) -> list[str]:
     limits: dict[str, list[str]] = {}
     for limit in LIMITS_S:
         limits.setdefault(_advice(found, limit), []).append(f"{limit:g}")
-    return [f"Within {' or '.join(told)} s: {answer}" for answer, told in limits.items()]
+    of_cpu = " of CPU time" if study.by_cpu else ""
+    return [f"Within {_or(told)} s{of_cpu}: {answer}" for answer, told in limits.items()]
+
+
+def _or(words: Sequence[str]) -> str:
+    """`a, b or c`."""
+    return " or ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def smallest(study: Study, scene: str) -> str | None:
@@ -126,7 +136,7 @@ def rows(study: Study, scene: str) -> list[dict[str, str]]:
             "Method": method,
             "PSNR (dB)": mean_text([run.mean("psnr") for run in runs], 2, show_half=True),
             "Train, wall (s)": mean_text([run.record.train_s for run in runs], 1),
-            "Train, CPU (s)": mean_text([_cpu_s(run) for run in runs], 1),
+            "Train, CPU (s)": mean_text([run.record.train_cpu_s for run in runs], 1),
             "Render (frames/s)": mean_text([_frames_per_s(run) for run in runs], 1),
             "Gaussians": mean_text([float(run.record.gaussians) for run in runs], 0),
             "Parameters (k)": mean_text([run.record.parameters / 1000 for run in runs], 0),
@@ -148,11 +158,6 @@ def _gaussians(entry: Entry) -> float:
 
 def _size(entry: Entry) -> float:
     return entry.megabytes
-
-
-def _cpu_s(run: ReportRun) -> float | None:
-    stage = run.record.timings.get("train")
-    return None if stage is None else stage.cpu_s
 
 
 def _frames_per_s(run: ReportRun) -> float | None:

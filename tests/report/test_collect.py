@@ -11,6 +11,7 @@ import yaml
 
 from framework.errors import UserError
 from framework.record import SceneInfo, write_failed
+from framework.report import tradeoff
 from framework.report.collect import collect
 from framework.report.labels import USUAL, method_labels, scene_labels
 from tests.cli.conftest import composed
@@ -231,12 +232,17 @@ def test_a_folder_without_runs_is_one_line(tmp_path: Path) -> None:
             collect(folder)
 
 
-def test_trainings_beside_other_programs_are_told(tmp_path: Path) -> None:
+def test_trainings_beside_other_programs_are_told_and_compared_by_cpu(tmp_path: Path) -> None:
     fake_run(tmp_path, "none", "none", 0)
+    fake_run(tmp_path, "safi", "none", 0)
+    assert not collect(tmp_path).by_cpu
     busy = fake_run(tmp_path, "none", "none", 1) / "record.json"
     content = json.loads(busy.read_text(encoding="utf-8"))
     (train,) = (stage for stage in content["timings"] if stage["stage"] == "train")
     train["cpu_s"] = 5.0
     busy.write_text(json.dumps(content), encoding="utf-8")
-    (note,) = collect(tmp_path).notes
-    assert note.startswith("Other programs ran beside 1 of 2 trainings")
+    study = collect(tmp_path)
+    assert study.notes[0].startswith("Other programs ran beside 1 of 3 trainings")
+    ((chart,), *_) = tradeoff.charts(study, "embedded")
+    assert chart.x_label == "training time (s, CPU)"
+    assert tradeoff.advice(study, "embedded")[0].split(":")[0].endswith("s of CPU time")
