@@ -2,7 +2,7 @@
 
 A pixel's colour C_c depends on a Gaussian through its alpha and, for the mean, through its colour:
 the SH direction. With d = (u, v, A, B, C, logit) the numbers that alpha depends on,
-d(alpha)/d(d) = alpha L m for m = (1, dx, dy, dx^2, dx dy, dy^2), with K = d(d)/d(parameters) and
+d(alpha)/d(d) = alpha L m for m = (1, dx, e, dx^2, dx e, e^2), with K = d(d)/d(parameters) and
 J_c = alpha dC_c/d(alpha),
 
     dC_c / d(parameters) = J_c K^T L m + weight v_c,   v_c = d(colour_c) / d(mean)
@@ -43,7 +43,7 @@ from framework.rasterize.simd import (
 
 f4 = np.float32
 ZERO, ONE = f4(0), f4(1)
-# which of the 15 sums holds the product of two of (dx, dy, dx^2, dx dy, dy^2)
+# which of the 15 sums holds the product of two of (dx, e, dx^2, dx e, e^2)
 _PLACE = np.array(
     [
         [3, 4, 6, 7, 8],
@@ -235,11 +235,13 @@ def _write(
         for p in range(6):
             for o in range(p, 6):
                 value = values[(p * 6 + o) * LANES + lane]
+                if p == o:
+                    value = max(value, ZERO)  # a sum of squares, but for rounding
                 fisher[i, p, o] = value
                 fisher[i, o, p] = value
             diagonal[i, p] = fisher[i, p, p]
         for p in range(4):
-            diagonal[i, 6 + p] = turns[p * LANES + lane]
+            diagonal[i, 6 + p] = max(turns[p * LANES + lane], ZERO)
         rate = transparency[lane]
         diagonal[i, 10] = rate * rate * moments[lane]
         for c in range(3):

@@ -319,7 +319,7 @@ def blend_backward(
 
 @inlined
 def _fourth_order(dx: Any, m0: Any, m1: Any, m2: Any, m3: Any, m4: Any) -> tuple[Any, ...]:
-    """The 15 products of order 0 to 4 from those with powers of dy alone, m_j = sum of q dy^j."""
+    """The 15 products of order 0 to 4 from those with powers of e alone, m_j = sum of q e^j."""
     m0x, m1x, m2x = m0 * dx, m1 * dx, m2 * dx
     m0xx, m1xx = m0x * dx, m1x * dx
     m0xxx = m0xx * dx
@@ -343,12 +343,14 @@ def blend_moments(
 ) -> None:
     """Second moments of the image's derivatives: the Fisher information in screen coordinates.
 
-    With q = sum over channels of (alpha d C / d alpha)^2, slot lanes 0-14 are the sums over pixels
-    of q times dx^i dy^j, ordered 1; dx, dy; dx^2, dx dy, dy^2; dx^3 ... dy^3; dx^4 ... dy^4, and
-    lane 15 is the sum of weight^2 (the information on each colour channel).
+    With q = sum over channels of (alpha d C / d alpha)^2 and e = dy + (B / C) dx, the offset from
+    the line on which a needle lies (A, B, C: the conic), slot lanes 0-14 are the sums over pixels
+    of q times dx^i e^j, ordered 1; dx, e; dx^2, dx e, e^2; dx^3 ... e^3; dx^4 ... e^4, and lane 15
+    is the sum of weight^2 (the information on each colour channel). With dy in the place of e, what
+    a long thin Gaussian tells about its width would be lost in rounding.
 
     With view-dependent colour (`slopes` flat [N, 16], `cross` like slots; both else empty) lanes
-    0-4 of `cross` are the sums of r times dx, dy, dx^2, dx dy, dy^2, where r is the sum over the
+    0-4 of `cross` are the sums of r times dx, e, dx^2, dx e, e^2, where r is the sum over the
     channels of weight x slope x alpha d C / d alpha, slopes 0, 2, 4; lanes 5-9 with 1, 3, 5.
     """
     directional = len(cross) > 0
@@ -359,7 +361,7 @@ def blend_moments(
     br, bg, bb = state[256:512], state[512:768], state[768:1024]
     limits, most, one = (splat(_CUT), splat(_STOP), splat(_MAX)), splat(_MAX), splat(ONE)
     first, second = state[1024:1280], state[1280:]  # of the two sums r
-    powers = _aligned(64)  # of every row's dy, as broadcasts from memory cost nothing
+    downs = _aligned(16)  # every row's dy, as broadcasts from memory cost nothing
     flat = rows.reshape(-1)
     last = len(lists) - 1
     for tile in range(block, len(offsets) - 1, blocks):
@@ -390,12 +392,8 @@ def blend_moments(
             g = item >> 8
             dx, dy0, slant, shear, fall, peak = _placed(rows, g, x, y)
             cr, cg, cb = _colour(rows, g)
-            dys = iota() + dy0
-            dys2 = dys * dys
-            store(powers, 0, dys)
-            store(powers, 16, dys2)
-            store(powers, 32, dys2 * dys)
-            store(powers, 48, dys2 * dys2)
+            store(downs, 0, iota() + dy0)
+            line = splat(HALF * rows[g, 3] / rows[g, 4]) * dx  # B / C dx
             m0, m1, m2, m3, m4, ww = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             r0, r1, r2, p0, p1, p2 = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             if directional:
@@ -409,7 +407,7 @@ def blend_moments(
                 row = lowest_bit(todo)
                 at = row * 16
                 todo &= todo - 1
-                dy, dy2 = splat(powers[row]), splat(powers[16 + row])
+                dy = splat(downs[row])
                 power = _power(dx, dy, slant, shear, fall, peak)
                 t = load(transmittance, at)
                 raw, a, weight, goes_on, left = _met(t, power, limits)
@@ -421,8 +419,10 @@ def blend_moments(
                 store(bg, at, fnma(weight, cg, sg))
                 store(bb, at, fnma(weight, cb, sb))
                 q = odds * odds * fma(jr, jr, fma(jg, jg, jb * jb))
-                m0, m1, m2 = m0 + q, fma(q, dy, m1), fma(q, dy2, m2)
-                m3, m4 = fma(q, splat(powers[32 + row]), m3), fma(q, splat(powers[48 + row]), m4)
+                e = dy + line
+                e2 = e * e
+                m0, m1, m2 = m0 + q, fma(q, e, m1), fma(q, e2, m2)
+                m3, m4 = fma(q, e2 * e, m3), fma(q, e2 * e2, m4)
                 ww = fma(weight, weight, ww)
                 if directional:
                     pull = weight * odds
@@ -433,10 +433,10 @@ def blend_moments(
                 while todo != 0:
                     row = lowest_bit(todo)
                     todo &= todo - 1
-                    dy, dy2 = splat(powers[row]), splat(powers[16 + row])
+                    e = splat(downs[row]) + line
                     r, p = load(first, row * 16), load(second, row * 16)
-                    r0, r1, r2 = r0 + r, fma(r, dy, r1), fma(r, dy2, r2)
-                    p0, p1, p2 = p0 + p, fma(p, dy, p1), fma(p, dy2, p2)
+                    r0, r1, r2 = r0 + r, fma(r, e, r1), fma(r, e * e, r2)
+                    p0, p1, p2 = p0 + p, fma(p, e, p1), fma(p, e * e, p2)
             store(slots, slot, lane_sums((*_fourth_order(dx, m0, m1, m2, m3, m4), ww)))
             if directional:
                 r0x, p0x = r0 * dx, p0 * dx

@@ -106,6 +106,31 @@ def test_equals_the_sum_of_the_pixels_outer_products(seed: int) -> None:
     assert_equal(information(case), brute_force(case))
 
 
+@pytest.mark.parametrize(("length", "width"), [(0.5, 0.01), (2.0, 0.003), (8.0, 0.002)])
+def test_needles(length: float, width: float) -> None:
+    """Up to hundreds of pixels long and thinner than one: what they tell about each of their
+    parameters, which would be lost if the moments were taken along the image's axes."""
+    n = 6
+    draw = torch.Generator().manual_seed(int(1000 * width))
+    u = torch.rand(n, 3, generator=draw)
+    sizes = torch.tensor([length, width, width]).log() + 0.3 * torch.rand(n, 3, generator=draw)
+    gaussians = Gaussians(
+        means=u * torch.tensor([1.2, 0.9, 2.0]) + torch.tensor([-0.6, -0.45, 3.0]),
+        quats=torch.randn(n, 4, generator=draw),
+        log_scales=sizes,
+        opacity_logits=torch.linspace(-1.5, 0.5, n),
+        sh0=2 * torch.rand(n, 1, 3, generator=draw) - 1,
+        shN=torch.zeros(n, 0, 3),
+    )
+    K = torch.tensor([[90.0, 0, 48], [0, 90, 36], [0, 0, 1]])
+    camera = Camera(torch.eye(4), K, 96, 72)
+    case = Case(gaussians, camera, torch.zeros(3), torch.ones(n), torch.zeros(n, 2), 0)
+    exact = brute_force(case).diagonal(dim1=1, dim2=2)[:, :6]
+    ours = information(case).diagonal[:, :6].double()
+    assert (exact > 0).all(), "all are seen"
+    assert ((ours - exact).abs() / exact).max() < 2e-3
+
+
 def test_active_degree_below_the_stored_one() -> None:
     for degree in range(3):
         assert_equal(information(scene(3), degree), brute_force(scene(3), degree))
@@ -206,6 +231,6 @@ def test_the_unit_of_length_changes_no_score() -> None:
     assert large_gains == pytest.approx(gains, rel=5e-3)
     assert torch.equal(plain.isinf(), large.isinf())
     change = (plain - large)[~plain.isinf()].abs()
-    assert change.quantile(0.99) < 0.05 and change.max() < 0.3  # a pixel at a cut-off may change
+    assert change.quantile(0.99) < 0.1 and change.max() < 0.5  # a pixel at a cut-off may change
     ordered = plain[large.argsort(stable=True)][: len(change)]
-    assert (ordered.diff() > -0.3).all(), "only scores that are equal to rounding may change places"
+    assert (ordered.diff() > -0.5).all(), "only scores that are equal to rounding may change places"
