@@ -20,7 +20,7 @@ FORMS = ("trace", "log")
 ROUNDING = 1e-12  # a parameter whose information is below this share of the largest has none
 LARGEST_LOGIT = 40.0  # beyond it 1 - o has no digits left in float32
 OPACITY = 10  # the opacity logit's place in a diagonal
-NOISE = 1e-6  # share of its diagonal to which a block from float32 derivatives is known
+NOISE = 1e-5  # share of its diagonal to which a block from float32 derivatives is known
 
 
 def information_gain(
@@ -60,17 +60,13 @@ def information_gains(
     1/2 sum H' / (H + lambda) = 1/2 tr(H' (H + lambda)^-1). Raises ValueError on an unknown form,
     differing shapes and values that are not finite.
     """
-    if form not in FORMS:
-        raise ValueError(f"information_gain: form must be one of {', '.join(FORMS)}, got '{form}'")
-    gained = _float64(candidate)
-    if gained.ndim == 2:
-        return gains_over(candidate, [variances(known, prior) for known in references], form)
-    gains = []
+    _check_form(form)
     for reference in references:
-        known = _float64(reference)
-        _check_shapes(gained, known)
-        gains.append(_block_gain(gained, known, prior.numpy(), form))
-    return gains
+        _check_shapes(candidate, reference)
+    if candidate.ndim == 2:
+        return gains_over(candidate, [variances(known, prior) for known in references], form)
+    gained = _float64(candidate)
+    return [_block_gain(gained, _float64(known), prior.numpy(), form) for known in references]
 
 
 def variances(diagonal: Tensor, prior: Tensor) -> Tensor:
@@ -80,22 +76,29 @@ def variances(diagonal: Tensor, prior: Tensor) -> Tensor:
 
 def gains_over(candidate: Tensor, unknown: Sequence[Tensor], form: str = "trace") -> list[float]:
     """`information_gains` of diagonals from the views' `variances`, kept by who asks repeatedly."""
+    _check_form(form)
     gained = _float64(candidate)
     gains = []
     for of_view in unknown:
+        _check_shapes(candidate, of_view)
         left = of_view.numpy()
-        _check_shapes(gained, left)
-        if form == "trace":  # einsum: in order on one thread, without the [N, P] of ratios
+        if form == "trace":  # einsum: in a fixed order on one thread, without the [N, P] of ratios
             gains.append(0.5 * float(np.einsum("np,np->", gained, left)))
         else:
             gains.append(0.5 * float(np.sum(np.log1p(gained * left))))
     return gains
 
 
-def _check_shapes(gained: np.ndarray, known: np.ndarray) -> None:
-    if known.shape != gained.shape:
+def _check_form(form: str) -> None:
+    if form not in FORMS:
+        raise ValueError(f"information_gain: form must be one of {', '.join(FORMS)}, got '{form}'")
+
+
+def _check_shapes(candidate: Tensor, reference: Tensor) -> None:
+    if reference.shape != candidate.shape:
         raise ValueError(
-            f"information_gain: candidate {gained.shape} and reference {known.shape} differ"
+            f"information_gain: candidate {tuple(candidate.shape)} and reference"
+            f" {tuple(reference.shape)} differ"
         )
 
 

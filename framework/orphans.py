@@ -6,10 +6,10 @@ gigabyte each. What they were training is kept in checkpoints, as after any kill
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import threading
 import time
+from multiprocessing import parent_process
 
 POLL_S = 1.0
 
@@ -19,14 +19,15 @@ _watching = False
 def end_with_parent() -> None:
     """Watch the parent from now on, if this process is a launcher's worker; else do nothing."""
     global _watching
-    if _watching or multiprocessing.current_process().name == "MainProcess":
+    parent = parent_process()
+    if _watching or parent is None:
         return
     _watching = True
-    threading.Thread(target=_watch, args=(os.getppid(),), daemon=True).start()
+    threading.Thread(target=_watch, args=(parent.pid,), daemon=True).start()
 
 
-def _watch(parent: int) -> None:
-    """A process whose parent has ended gets another one."""
+def _watch(parent: int | None) -> None:
+    """A process whose parent has ended gets another one, perhaps before it came to this line."""
     while os.getppid() == parent:
         time.sleep(POLL_S)
     os._exit(1)  # no clean-up: it would wait for the parent's queues

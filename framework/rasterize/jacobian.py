@@ -123,7 +123,8 @@ def screen_jacobian(
     _put(jacobian, 4, k1, n1)
     _put(jacobian, 5, k2, n2)
     _put_turns(jacobian, quat, (n0, n1, n2), s)
-    # b_i = sum_k (W r_k)_i s_k^2 C m_k: what the entries of J that act on axis i multiply
+    # b_i = sum_k (W r_k)_i s_k^2 (y . m_k), in dx and e: what the entries of J that act on axis i
+    # multiply
     b0x, b0y = _combined(m0[2], m1[2], m2[2], k0, k1, k2)
     b1x, b1y = _combined(m0[3], m1[3], m2[3], k0, k1, k2)
     b2x, b2y = _combined(m0[4], m1[4], m2[4], k0, k1, k2)

@@ -164,7 +164,10 @@ def _gradient_row(
 
 @kernel
 def statistics(block: int, blocks: int, b: Any, mask: Any, mean: Any, variance: Any) -> None:
-    """Of a target b [C, H, W]: its window's mean and variance [C, H, S]. mask: ones [H, W]."""
+    """Of a target b [C, H, W]: its window's mean and variance [C, H, S]. mask: ones [H, W].
+
+    The third blur, of b b once more, is not needed; a target is made once.
+    """
     channels, height, _ = b.shape
     wide = mean.shape[2]
     blurred = np.zeros((3, CHUNK + REACH, wide), np.float32)
@@ -248,7 +251,6 @@ def loss_and_gradient(
                         values,
                         out[at],
                     )
-                    values[width:] = ZERO
                     l1_sums[c, at] = _sum(values)
                 _keep_last(partials, n)
             y, to = y + n, REACH

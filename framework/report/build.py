@@ -10,6 +10,7 @@ from framework.report import markdown, page
 from framework.report.collect import collect
 from framework.report.export import TABLE, runs_csv
 from framework.report.gallery import gallery
+from framework.report.images import remove_pictures
 from framework.report.sections import document
 from framework.report.views import own_scenes
 
@@ -26,12 +27,13 @@ def build_report(
 
     title: the heading, else the name of the report's folder. out_dir: where the report goes, else
     the first folder. photos: show the scenes; without, the embedded one alone, so that a report can
-    be passed on where photos may not. Raises UserError when there is no run to report or a record
-    is damaged.
+    be passed on where photos may not; pictures of an earlier report in that folder go. Raises
+    UserError when there is no run to report or a record is damaged.
     """
     study = collect(study_dirs, out_dir)
     study.out_dir.mkdir(parents=True, exist_ok=True)
     shown = study.scenes if photos else own_scenes(study)
+    remove_pictures(study, [scene for scene in study.scenes if scene not in shown])
     made = document(study, title or study.out_dir.resolve().name, shown)
     write_whole(study.out_dir / PAGE, page.render(made, gallery(study, shown), study.out_dir))
     if study.runs:

@@ -305,7 +305,8 @@ def _busy_notes(runs: Sequence[ReportRun]) -> list[str]:
         return []
     return [
         f"Other programs ran beside {slowed} of {len(runs)} trainings, which took over"
-        f" {BUSY:g} times their CPU time: charts and advice count CPU seconds here."
+        f" {BUSY:g} times their CPU time: the charts of cost, the Pareto front and the advice count"
+        " CPU seconds here; tables give both, curves over time are by the wall clock."
     ]
 
 

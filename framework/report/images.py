@@ -52,6 +52,13 @@ def draw_images(study: Study, scene: str) -> Picture | None:
     return grid_picture(study.out_dir, name, bands, f"Images of {scene}", caption, in_viewer=True)
 
 
+def remove_pictures(study: Study, scenes: Sequence[str]) -> None:
+    """Remove what an earlier report drew of these scenes."""
+    for scene in scenes:
+        for kind in ("images", "sigma"):
+            (study.out_dir / f"{kind}_{slug(scene)}.jpg").unlink(missing_ok=True)
+
+
 def draw_sigma_maps(study: Study, scene: str) -> Picture | None:
     """Where the runs of each method disagree; None where no method has `FEWEST_SEEDS` seeds."""
     shown = choose_views(study, scene)

@@ -55,7 +55,7 @@ def _changes(means: list[float]) -> bool:
 
 
 def _sentence(panel: Panel, means: dict[float, float]) -> str:
-    """From the hardest strength, where a scene supports the least, to the easiest."""
+    """From the hardest strength to the easiest."""
     levels = [level for level in reversed(panel.levels) if level in means]
     sizes = [means[level] for level in levels]
     if not _changes(sizes):

@@ -228,8 +228,10 @@ def _pictures(study: Study, scenes: Sequence[str], visible: Sequence[str]) -> li
         "Where runs disagree": [(scene, draw_sigma_maps(study, scene)) for scene in seen],
         "Quality over training time": [(scene, _curves(study, scene)) for scene in scenes],
     }
-    hidden = [scene for scene in scenes if scene not in visible]
-    blocks: list[Block] = [Text(HIDDEN.format(scenes=", ".join(hidden)))] if hidden else []
+    hidden = [scene for scene in study.scenes if scene not in visible]
+    blocks: list[Block] = []
+    if hidden:
+        blocks = [Heading(2, "Pictures left out"), Text(HIDDEN.format(scenes=", ".join(hidden)))]
     of_many = any(run.method_label.budget for run in study.runs)
     for heading, pictures in drawn.items():
         present = [(scene, picture) for scene, picture in pictures if picture is not None]

@@ -50,22 +50,32 @@ def test_workers_end_with_the_command_that_started_them(tmp_path: Path) -> None:
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     ) as command:
-        locks = (tmp_path / "reports").glob
         try:
-            _wait_for(lambda: len(list(locks("*/runs/*/.lock"))) == 2)
-            workers = [json.loads(path.read_text())["pid"] for path in locks("*/runs/*/.lock")]
+            _wait_for(lambda: len(_workers(tmp_path)) == 2)
+            workers = _workers(tmp_path)
             assert command.pid not in workers
         finally:
             command.send_signal(signal.SIGKILL)
-    _wait_for(lambda: not any(map(_alive, workers)))
+    try:
+        _wait_for(lambda: not any(map(_alive, workers)))
+    finally:
+        for pid in filter(_alive, workers):
+            os.kill(pid, signal.SIGKILL)
+
+
+def _workers(folder: Path) -> list[int]:
+    """The processes that are at a run; a lock is signed just after it was made."""
+    texts = [path.read_text() for path in (folder / "reports").glob("*/runs/*/.lock")]
+    return [int(json.loads(text)["pid"]) for text in texts if text]
 
 
 def _alive(pid: int) -> bool:
+    """Not ended, nor waiting for its parent to notice that it has."""
     try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
         return False
-    return True
+    return state != "Z"
 
 
 def _wait_for(condition: Callable[[], bool], seconds: float = 120) -> None:

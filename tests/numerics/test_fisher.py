@@ -125,10 +125,9 @@ def test_needles(length: float, width: float) -> None:
     K = torch.tensor([[90.0, 0, 48], [0, 90, 36], [0, 0, 1]])
     camera = Camera(torch.eye(4), K, 96, 72)
     case = Case(gaussians, camera, torch.zeros(3), torch.ones(n), torch.zeros(n, 2), 0)
-    exact = brute_force(case).diagonal(dim1=1, dim2=2)[:, :6]
-    ours = information(case).diagonal[:, :6].double()
-    assert (exact > 0).all(), "all are seen"
-    assert ((ours - exact).abs() / exact).max() < 2e-3
+    exact, ours = brute_force(case).diagonal(dim1=1, dim2=2), information(case).diagonal.double()
+    assert (exact[:, :6] > 0).all(), "all are seen"
+    assert ((ours - exact).abs() / exact.clamp(min=1e-9)).max() < 1e-3
 
 
 def test_active_degree_below_the_stored_one() -> None:
@@ -231,6 +230,6 @@ def test_the_unit_of_length_changes_no_score() -> None:
     assert large_gains == pytest.approx(gains, rel=5e-3)
     assert torch.equal(plain.isinf(), large.isinf())
     change = (plain - large)[~plain.isinf()].abs()
-    assert change.quantile(0.99) < 0.1 and change.max() < 0.5  # a pixel at a cut-off may change
+    assert change.quantile(0.99) < 0.05 and change.max() < 0.3  # a pixel at a cut-off may change
     ordered = plain[large.argsort(stable=True)][: len(change)]
-    assert (ordered.diff() > -0.5).all(), "only scores that are equal to rounding may change places"
+    assert (ordered.diff() > -0.3).all(), "only scores that are equal to rounding may change places"

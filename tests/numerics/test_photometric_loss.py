@@ -10,7 +10,7 @@ from torch.nn.functional import conv2d
 from framework.losses import Target, photometric_loss
 from framework.rng import stream
 
-SIZES = ((40, 30), (64, 48), (33, 21), (16, 11), (9, 5), (1, 1), (101, 17))
+SIZES = ((40, 30), (64, 48), (33, 21), (16, 11), (9, 5), (1, 1), (101, 17), (23, 130), (17, 67))
 
 
 def loss_reference(rgb: Tensor, image: Tensor, mask: Tensor | None, ssim_weight: float) -> Tensor:

@@ -282,7 +282,9 @@ def test_a_report_can_be_built_without_photos(tmp_path: Path) -> None:
         for method in ("none", "safi"):
             fake_run(tmp_path / "study", method, scene=name, condition=loader)
     out = tmp_path / "out"
-    assert main([str(tmp_path / "study"), "--out", str(out), "--without-photos"]) == 0
+    line = [str(tmp_path / "study"), "--out", str(out)]
+    assert main(line) == 0 and (out / "images_fern.jpg").exists()
+    assert main([*line, "--without-photos"]) == 0
     text = (out / "report.md").read_text(encoding="utf-8")
     assert "No pictures of fern: this report was built without photos" in text
     assert {path.name for path in out.glob("*.jpg")} == {"images_embedded.jpg"}
