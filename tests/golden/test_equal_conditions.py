@@ -74,7 +74,7 @@ def start(folder: Path, augment: str, reg: str, seed: int) -> None:
     options = TrainerOptions(**config["trainer"])
     gaussians = initial(config, scene, depth, options)
     run_dir = folder / f"{augment}-{reg}-{seed}"
-    train(config, scene, depth, gaussians, options, run_dir, "identity", Silent())
+    train(config, scene, depth, lambda: gaussians, options, run_dir, "identity", Silent())
 
 
 def real(names: list[str]) -> list[str]:
