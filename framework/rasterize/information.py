@@ -11,7 +11,7 @@ Summed over pixels and channels its outer products are
 
     F = K^T L Q L^T K + sum_c (K^T L h_c v_c^T + v_c h_c^T L^T K) + W sum_c v_c v_c^T
 
-with Q = sum q m m^T, h_c = sum weight J_c m, W = sum weight^2 (`tiles.blend_moments`): exact, as
+with Q = sum q m m^T, h_c = sum weight J_c m, W = sum weight^2 (`moments.blend_moments`): exact, as
 every pixel's outer product is in these sums. The direction is a unit vector, so v_c = sum_k
 s_ck e_k with two tangents e_k, and two sums over the channels, h_k = sum_c s_ck h_c, hold all.
 Clamped colours have s_ck = 0; at SH degree 0 only the first term is left.

@@ -133,20 +133,42 @@ def _ssim_row(
 
 
 @kernel
-def _gradient_row(
-    partials: Any,
-    i: int,
-    a: Any,
-    b: Any,
-    mask: Any,
-    keep: Any,
-    pull: Any,
-    windows: Any,
+def _partial_rows(
+    blurred: Any,
+    first: int,
+    count: int,
+    own: Any,
+    target: Any,
+    width: int,
+    derived: Any,
     values: Any,
-    gradient: Any,
+    partials: Any,
+    to: int,
+    sums: Any,
+) -> None:
+    """Partial derivatives of rows first ... first + count - 1, horizontally blurred into `partials`
+    from row `to` on, and SSIM summed per row, of the band's own rows alone. target: its mean and
+    variance [H, S]. derived, values: scratch."""
+    mean, variance = target
+    for i in range(count):
+        y = first + i
+        if y < 0 or y >= len(mean):
+            partials[:, to + i] = ZERO
+            continue
+        _ssim_row(blurred, i, mean[y], variance[y], values, derived, width)
+        if y >= own[0] and y < own[1]:
+            sums[y] = _sum(values)
+        _across(derived, partials, to + i)
+
+
+@kernel
+def _gradient_row(
+    partials: Any, i: int, near: Any, pulls: Any, windows: Any, values: Any, gradient: Any
 ) -> None:
     """|mask a - b| of a row into `values`, and its gradient; rows i ... i + 10 of `partials` are
-    around it."""
+    around it. near: the row of a, b and mask; pulls: of L1 and of SSIM."""
+    a, b, mask = near
+    keep, pull = pulls
     flat, wide, width = partials.reshape(-1), partials.shape[2], len(a)
     mu, q, r = windows[0], windows[1], windows[2]
     for k in range(3):
@@ -170,7 +192,7 @@ def statistics(block: int, blocks: int, b: Any, mask: Any, mean: Any, variance: 
     """
     channels, height, _ = b.shape
     wide = mean.shape[2]
-    blurred = np.zeros((3, CHUNK + REACH, wide), np.float32)
+    blurred = np.empty((3, CHUNK + REACH, wide), np.float32)
     padded = np.zeros((3, wide + LANES), np.float32)
     flat, plane = blurred.reshape(-1), (CHUNK + REACH) * wide
     start, end = channels * height * block // blocks, channels * height * (block + 1) // blocks
@@ -211,47 +233,31 @@ def loss_and_gradient(
     scale x ((1 - w) sum |mask a - b| - w sum SSIM) in a."""
     channels, height, width = a.shape
     wide = mean.shape[2]
-    blurred = np.zeros((3, CHUNK + REACH, wide), np.float32)
-    partials = np.zeros((3, CHUNK + REACH, wide), np.float32)
+    blurred = np.empty((3, CHUNK + REACH, wide), np.float32)
+    partials = np.empty((3, CHUNK + REACH, wide), np.float32)
     padded = np.zeros((3, wide + LANES), np.float32)  # of the image
     derived = np.zeros((3, wide + LANES), np.float32)  # of the partials
     windows, values = np.empty((3, wide), np.float32), np.zeros(wide, np.float32)
-    keep, pull = (ONE - ssim_weight) * scale, ssim_weight * scale
+    pulls = ((ONE - ssim_weight) * scale, ssim_weight * scale)
     start, end = channels * height * block // blocks, channels * height * (block + 1) // blocks
     while start < end:
         c, y0 = start // height, start % height
         y1 = min(height, y0 + end - start)
-        image, target, out = a[c], b[c], gradient[c]
+        image, target, out, ssim = a[c], b[c], gradient[c], ssim_sums[c]
+        of_target = (mean[c], variance[c])
         # before the first chunk: the ten partials that its windows reach back to
         _blur_image(image, target, mask, y0 - REACH, 2 * REACH, padded, blurred, 0)
         n, y, to = REACH, y0 - REACH, 0
         while True:
-            for i in range(n):  # partials of row y + 5 + i
-                at = y + 5 + i
-                if at < 0 or at >= height:
-                    partials[:, to + i] = ZERO
-                    continue
-                _ssim_row(blurred, i, mean[c, at], variance[c, at], values, derived, width)
-                if at >= y0 and at < y1:
-                    ssim_sums[c, at] = _sum(values)
-                _across(derived, partials, to + i)
+            _partial_rows(
+                blurred, y + 5, n, (y0, y1), of_target, width, derived, values, partials, to, ssim
+            )
             _keep_last(blurred, n)
             if to > 0:
                 for i in range(n):
-                    at = y + i
-                    _gradient_row(
-                        partials,
-                        i,
-                        image[at],
-                        target[at],
-                        mask[at],
-                        keep,
-                        pull,
-                        windows,
-                        values,
-                        out[at],
-                    )
-                    l1_sums[c, at] = _sum(values)
+                    near = (image[y + i], target[y + i], mask[y + i])
+                    _gradient_row(partials, i, near, pulls, windows, values, out[y + i])
+                    l1_sums[c, y + i] = _sum(values)
                 _keep_last(partials, n)
             y, to = y + n, REACH
             if y >= y1:

@@ -12,7 +12,7 @@ import numpy as np
 
 from framework.errors import UserError
 from framework.parallel import BLOCKS, run_blocks
-from framework.rasterize import binning, information, projection, tiles
+from framework.rasterize import binning, blend, information, moments, projection
 from framework.rasterize.constants import ROW
 from framework.types import Camera
 
@@ -158,7 +158,7 @@ class Workspace:
     def blend(self, background: np.ndarray, image: Image) -> None:
         """Render into `image`."""
         run_blocks(
-            tiles.blend,
+            blend.blend,
             self.width,
             self.height,
             self.rows,
@@ -179,7 +179,7 @@ class Workspace:
     def blend_backward(self, image: Image, gradient: Image) -> None:
         """Gradient in the image -> per (tile, Gaussian) sums in `slots`."""
         run_blocks(
-            tiles.blend_backward,
+            blend.blend_backward,
             self.width,
             self.height,
             self.rows,
@@ -196,7 +196,7 @@ class Workspace:
         )
 
     def _direction_buffers(self) -> tuple[np.ndarray, np.ndarray]:
-        """slopes and cross of `tiles.blend_moments`; empty at SH degree 0."""
+        """slopes and cross of `moments.blend_moments`; empty at SH degree 0."""
         if self.degree == 0:
             return self.slopes[:0], self.cross[:0]
         if len(self.slopes) < len(self.rows):
@@ -207,7 +207,7 @@ class Workspace:
 
     def blend_moments(self, image: Image) -> None:
         """Second moments of the image's derivatives -> `slots`, and with view-dependent colour
-        `slopes` and `cross`; see `tiles.blend_moments` and `information`."""
+        `slopes` and `cross`; see `moments.blend_moments` and `information`."""
         slopes, cross = self._direction_buffers()
         if self.degree > 0:
             arrays = self.arrays
@@ -221,7 +221,7 @@ class Workspace:
                 slopes.reshape(-1),
             )
         run_blocks(
-            tiles.blend_moments,
+            moments.blend_moments,
             self.width,
             self.height,
             self.rows,

@@ -126,6 +126,45 @@ def _take_row(rows: Any, base: int, count: int, spare: Any) -> Any:
     return row
 
 
+@inlined
+def _centre(camera: Any, x: Any, y: Any, z: Any, w: Any, h: Any) -> tuple[Any, Any, Any]:
+    """(u, v) of the mean, and whether it lies beyond the near plane and not far off the image."""
+    inverse_z = ONE / z
+    u = camera[15] * x * inverse_z + camera[17]
+    v = camera[16] * y * inverse_z + camera[18]
+    across = greater_equal(splat(_REACH * w), absolute(u - HALF * w))
+    down = greater_equal(splat(_REACH * h), absolute(v - HALF * h))
+    return u, v, both(greater_equal(z, splat(camera[19])), both(across, down))
+
+
+@inlined
+def _spread(camera: Any, x: Any, y: Any, z: Any, quat: Any, log_scale: Any) -> tuple[Any, ...]:
+    """(xx, xy, yy, determinant) of the covariance on the screen."""
+    qw, qx, qy, qz, _ = unit_quat(quat)
+    m = times_rotation(screen_axes(camera, x, y, z), rotation(qw, qx, qy, qz))
+    return covariance(m, exp(log_scale[0]), exp(log_scale[1]), exp(log_scale[2]))
+
+
+@inlined
+def _row(centre: Any, spread: Any, colour: Any, z: Any, reach: Any, opacity: Any) -> Any:
+    """The 16 values that the tiles and the gradients read; see `binning` and `tiles.place`."""
+    xx, xy, yy, determinant = spread
+    inverse = ONE / determinant
+    power = (-HALF * LOG2E * yy * inverse, LOG2E * xy * inverse, -HALF * LOG2E * xx * inverse)
+    o = zeros()
+    seen = (maximum(colour[0], o), maximum(colour[1], o), maximum(colour[2], o), z)
+    conic = (yy * inverse, -xy * inverse, xx * inverse)
+    return (*centre, *power, log2(opacity), *seen, *reach, opacity, *conic)
+
+
+@inlined
+def _put_counts(bound: Any, base: int, count: int, values: Any, whole: Any) -> None:
+    """Write the first `count` lanes into an array of whole numbers. whole: scratch of its type."""
+    store_whole(whole, 0, values)
+    for lane in range(count):
+        bound[base + lane] = whole[lane]
+
+
 @kernel
 def project(
     block: int,
@@ -160,62 +199,29 @@ def project(
         x, y, z = to_camera(camera, mean)
         logit = take1(logits, base, count, scratch)
         opacity = take1(factors, base, count, scratch) / (ONE + exp(-logit))
-        visible = both(greater_equal(z, splat(camera[19])), greater_equal(opacity, splat(_CUT)))
-        inverse_z = ONE / z
-        u = camera[15] * x * inverse_z + camera[17]
-        v = camera[16] * y * inverse_z + camera[18]
-        visible = both(visible, greater_equal(splat(_REACH * w), absolute(u - HALF * w)))
-        visible = both(visible, greater_equal(splat(_REACH * h), absolute(v - HALF * h)))
+        u, v, near = _centre(camera, x, y, z, w, h)
+        visible = both(near, greater_equal(opacity, splat(_CUT)))
         if not any_lane(visible):
-            for i in range(base, base + count):
-                bound[i] = 0
-                radii[i] = ZERO
+            bound[base : base + count] = 0
+            radii[base : base + count] = ZERO
             continue
         shift = take2(offset, base, count, scratch)
         u, v = u + shift[0], v + shift[1]
-        t = screen_axes(camera, x, y, z)
         quat = take4(quats, base, count, scratch)
-        qw, qx, qy, qz, _ = unit_quat(quat)
-        m = times_rotation(t, rotation(qw, qx, qy, qz))
         log_scale = take3(log_scales, base, count, scratch)
-        s0, s1, s2 = exp(log_scale[0]), exp(log_scale[1]), exp(log_scale[2])
-        xx, xy, yy, determinant = covariance(m, s0, s1, s2)
+        spread = _spread(camera, x, y, z, quat, log_scale)
         # false also where parameters are not finite
-        visible = both(visible, greater(determinant, zeros()))
-        visible = both(visible, greater(splat(_HUGE), determinant))
-        inverse = ONE / determinant
-        red, green, blue = _colour(degree, camera, mean, base, count, sh0, shN, sh, scratch)
-        flag = _clamped(red, green, blue)
-        level = log2(opacity)
-        reach = _TWO_LN2 * (level + _LOG2_255)
-        rx, ry = math.sqrt(reach * xx), math.sqrt(reach * yy)
+        visible = both(visible, greater(spread[3], zeros()))
+        visible = both(visible, greater(splat(_HUGE), spread[3]))
+        colour = _colour(degree, camera, mean, base, count, sh0, shN, sh, scratch)
+        reach = _TWO_LN2 * (log2(opacity) + _LOG2_255)
+        rx, ry = math.sqrt(reach * spread[0]), math.sqrt(reach * spread[2])
         on_screen, covered = _covered(u, v, rx, ry, w, h)
         visible = both(visible, on_screen)
         put1(radii, base, count, scratch, select(visible, maximum(rx, ry), zeros()))
-        row = (
-            u,
-            v,
-            -HALF * LOG2E * yy * inverse,
-            LOG2E * xy * inverse,
-            -HALF * LOG2E * xx * inverse,
-            level,
-            maximum(red, zeros()),
-            maximum(green, zeros()),
-            maximum(blue, zeros()),
-            z,
-            rx,
-            ry,
-            opacity,
-            yy * inverse,
-            -xy * inverse,
-            xx * inverse,
-        )
-        _put_row(rows, base, count, row, sh)
-        store_whole(whole, 0, select(visible, covered, zeros()))
-        store_whole(flags, 0, flag)
-        for lane in range(count):
-            bound[base + lane] = whole[lane]
-            clipped[base + lane] = flags[lane]
+        _put_row(rows, base, count, _row((u, v), spread, colour, z, (rx, ry), opacity), sh)
+        _put_counts(bound, base, count, select(visible, covered, zeros()), whole)
+        _put_counts(clipped, base, count, _clamped(colour[0], colour[1], colour[2]), flags)
 
 
 @inlined
@@ -237,6 +243,45 @@ def _only3(seen: Any, x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
     """0 for the lanes that are not seen."""
     o = zeros()
     return select(seen, x, o), select(seen, y, o), select(seen, z, o)
+
+
+@inlined
+def _zero(gradients: Any, base: int, count: int) -> None:
+    """No gradient for Gaussians base ... base + count - 1."""
+    g_means, g_quats, g_log_scales, g_logits, g_sh0, g_shN, g_factors, g_offset = gradients
+    g_means[3 * base : 3 * (base + count)] = ZERO
+    g_quats[4 * base : 4 * (base + count)] = ZERO
+    g_log_scales[3 * base : 3 * (base + count)] = ZERO
+    g_logits[base : base + count] = ZERO
+    g_sh0[3 * base : 3 * (base + count)] = ZERO
+    g_shN[base : base + count] = ZERO
+    g_factors[base : base + count] = ZERO
+    g_offset[2 * base : 2 * (base + count)] = ZERO
+
+
+@inlined
+def _unclamped(
+    seen: Any, clipped: Any, base: int, count: int, sums: Any, flags: Any
+) -> tuple[Any, Any, Any]:
+    """The gradient of the three colours, 0 where they were clamped. flags: scratch [3, 16]."""
+    for lane in range(count):
+        for c in range(3):
+            flags[c, lane] = f4((clipped[base + lane] >> c) & 1)
+    gr = select(both(seen, greater(splat(HALF), load(flags[0], 0))), sums[6], zeros())
+    gg = select(both(seen, greater(splat(HALF), load(flags[1], 0))), sums[7], zeros())
+    gb = select(both(seen, greater(splat(HALF), load(flags[2], 0))), sums[8], zeros())
+    return gr, gg, gb
+
+
+@inlined
+def _through_direction(vx: Any, vy: Any, vz: Any, way: Any) -> tuple[Any, Any, Any]:
+    """d / d mean from d / d direction; way: the unit direction and 1 / distance."""
+    radial = vx * way[0] + vy * way[1] + vz * way[2]
+    return (
+        (vx - radial * way[0]) * way[3],
+        (vy - radial * way[1]) * way[3],
+        (vz - radial * way[2]) * way[3],
+    )
 
 
 @kernel
@@ -267,24 +312,18 @@ def project_backward(
     """Sum every Gaussian's slots in their order, then pull the sums back to the parameters.
 
     Slot lanes: sums over pixels of a = (d loss / d alpha) alpha times 1, dx, dx^2, dy, dx dy, dy^2,
-    then of weight times d loss / d (r, g, b, depth); see `tiles.blend_backward`. All but shN and
+    then of weight times d loss / d (r, g, b, depth); see `blend.blend_backward`. All but shN and
     g_shN [N, K, 3] are flat.
     """
     n = len(logits)
     scratch, total = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)
     sh, flags = np.zeros((2, 256), np.float32), np.zeros((3, LANES), np.float32)
+    gradients = (g_means, g_quats, g_log_scales, g_logits, g_sh0, g_shN, g_factors, g_offset)
     terms = (degree + 1) * (degree + 1) - 1
     for base in range(n * block // blocks, n * (block + 1) // blocks, LANES):
         count = min(LANES, n * (block + 1) // blocks - base)
         if _sum_slots(first, slots, base, count, total) == 0:
-            g_means[3 * base : 3 * (base + count)] = ZERO
-            g_quats[4 * base : 4 * (base + count)] = ZERO
-            g_log_scales[3 * base : 3 * (base + count)] = ZERO
-            g_logits[base : base + count] = ZERO
-            g_sh0[3 * base : 3 * (base + count)] = ZERO
-            g_shN[base : base + count] = ZERO
-            g_factors[base : base + count] = ZERO
-            g_offset[2 * base : 2 * (base + count)] = ZERO
+            _zero(gradients, base, count)
             continue
         s = load16(total, 0)
         row = _take_row(rows, base, count, total)
@@ -304,21 +343,14 @@ def project_backward(
         g = pull_back(
             camera, x, y, z, t, r, m, scales, quat, (ca, cb, cc), gu, gv, ga, gb, gc, s[9]
         )
-        for lane in range(count):
-            for c in range(3):
-                flags[c, lane] = f4((clipped[base + lane] >> c) & 1)
-        gr = select(both(seen, greater(splat(HALF), load(flags[0], 0))), s[6], zeros())
-        gg = select(both(seen, greater(splat(HALF), load(flags[1], 0))), s[7], zeros())
-        gl = select(both(seen, greater(splat(HALF), load(flags[2], 0))), s[8], zeros())
+        gr, gg, gl = _unclamped(seen, clipped, base, count, s, flags)
         mx, my, mz = g[0], g[1], g[2]
         put3(g_sh0, base, count, scratch, (Y0 * gr, Y0 * gg, Y0 * gl))
         if degree > 0:
             way = direction(camera, mean)
             vx, vy, vz = sh_backward(degree, base, count, (gr, gg, gl), way, shN, g_shN, sh)
-            radial = vx * way[0] + vy * way[1] + vz * way[2]
-            mx = mx + (vx - radial * way[0]) * way[3]
-            my = my + (vy - radial * way[1]) * way[3]
-            mz = mz + (vz - radial * way[2]) * way[3]
+            px, py, pz = _through_direction(vx, vy, vz, way)
+            mx, my, mz = mx + px, my + py, mz + pz
         g_shN[base : base + count, terms:, :] = ZERO
         put3(g_means, base, count, scratch, _only3(seen, mx, my, mz))
         put3(g_log_scales, base, count, scratch, _only3(seen, g[3], g[4], g[5]))
