@@ -84,7 +84,8 @@ def _budgets(study: Study, found: Outcomes) -> list[Block]:
     for scene in study.scenes:
         advice = tradeoff.advice(study, scene)
         if advice:
-            blocks += [Text(f"On {scene}, by seconds of training:", "finding")]
+            clock = "CPU seconds" if study.by_cpu else "seconds"
+            blocks += [Text(f"On {scene}, by {clock} of training:", "finding")]
             blocks += [Bullets(tuple(advice))]
         for charts in tradeoff.charts(study, scene)[:1]:
             alt = f"PSNR against training time of {scene}"
