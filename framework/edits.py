@@ -8,7 +8,7 @@ from framework.errors import require
 from framework.guard import check_appended
 from framework.optim import Adam
 from framework.plugin import Edits
-from framework.types import Gaussians, concatenate
+from framework.types import Gaussians, edited
 
 
 def apply_edits(params: Gaussians, optimizer: Adam, edits: Edits, where: str) -> Gaussians:
@@ -16,12 +16,9 @@ def apply_edits(params: Gaussians, optimizer: Adam, edits: Edits, where: str) ->
 
     Raises UserError when nothing is left, Diverged when what was appended is not finite.
     """
-    if edits.keep is not None:
-        params = params[edits.keep]
-    if edits.append is not None:
-        params = concatenate([params, edits.append])
-    if edits.changes_the_number:
-        optimizer.edit(edits.keep, 0 if edits.append is None else len(edits.append))
+    if edits.changes_the_rows:
+        params = edited(params, edits.keep, edits.bands, edits.append)
+        optimizer.edit(edits.keep, edits.bands, edits.append)
     if edits.opacity_ceiling is not None:
         ceiling = math.log(edits.opacity_ceiling / (1 - edits.opacity_ceiling))
         params = params.replace(opacity_logits=params.opacity_logits.clamp(max=ceiling))

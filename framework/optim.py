@@ -19,7 +19,7 @@ from framework.jit import kernel
 from framework.parallel import BLOCKS, run_blocks
 from framework.rasterize.chunks import put1, take1
 from framework.rasterize.simd import LANES, exp2, log2, maximum, splat
-from framework.types import Gaussians, concatenate
+from framework.types import Gaussians, edited
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
 LOWEST_LOGIT = -30.0
@@ -82,11 +82,11 @@ class Adam:
         run_blocks(adam_kernel, p, g, m, v, self._coefficients, broken)
         return tuple(name for name, n in zip(self._steps, broken.sum(0), strict=True) if n > 0)
 
-    def edit(self, keep: Tensor | None, n_appended: int) -> None:
-        """Follow a change of the set: first keep ([N] bool; None = all), then `n_appended` new
-        Gaussians at the end, whose moments are zero."""
-        self._first = _edited(self._first, keep, n_appended)
-        self._second = _edited(self._second, keep, n_appended)
+    def edit(self, keep: Tensor | None, bands: Tensor | None, append: Gaussians | None) -> None:
+        """Follow a change of the set, see `types.edited`; the moments of new ones are zero."""
+        new = None if append is None else append.map(_zeros_like)
+        self._first = edited(self._first, keep, bands, new)
+        self._second = edited(self._second, keep, bands, new)
 
     def zero(self, name: str) -> None:
         """Forget the moments of one tensor. Its step count stays (as 3DGS does at an opacity
@@ -172,13 +172,6 @@ def _check(name: str, parameter: Tensor, gradient: Tensor, moment: Tensor) -> No
         )
     if not parameter.is_contiguous():
         raise ValueError(f"Adam.{name}: expected a contiguous parameter, to update it in place")
-
-
-def _edited(moments: Gaussians, keep: Tensor | None, n_appended: int) -> Gaussians:
-    kept = moments if keep is None else moments[keep]
-    if n_appended == 0:
-        return kept
-    return concatenate([kept, kept.map(lambda t: t.new_zeros((n_appended, *t.shape[1:])))])
 
 
 @kernel

@@ -40,10 +40,10 @@ class StepContext:
     step: index, from 0, of the current step: the one about to run, for `Capacity.update` the one
     just made. views: the real training views; depth: their depth maps, in the same order.
     gaussians: the current ones, detached; clone what is to be kept, the next step changes them in
-    place. version: changes whenever Gaussians were added or removed. sh_degree: the active degree.
-    background: [3]. extent: see `TrainingSet.extent`; near, far: depth bounds of the scene.
-    render(camera): the current Gaussians without any dropout. fisher(camera): their information;
-    fisher(camera, gaussians, sh_degree): that of others, for instance a snapshot.
+    place. version: changes whenever Gaussians were added, removed or reordered. sh_degree: the
+    active degree. background: [3]. extent: see `TrainingSet.extent`; near, far: depth bounds of the
+    scene. render(camera): the current Gaussians without any dropout. fisher(camera): their
+    information; fisher(camera, gaussians, sh_degree): that of others, for instance a snapshot.
     rng(purpose): this plugin's own stream for this step. log(name, value): into the history.
     """
 
@@ -137,15 +137,18 @@ class StepStats:
 @dataclass(frozen=True)
 class Edits:
     """A change of the set of Gaussians: first `keep` ([N] bool), then `append`; afterwards clamp
-    opacities to at most `opacity_ceiling` (and forget their optimizer moments)."""
+    opacities to at most `opacity_ceiling` (and forget their optimizer moments). bands: [N] bool,
+    which of those there were keep their SH bands above 0; None: all. The order may change."""
 
     keep: Tensor | None = None
     append: Gaussians | None = None
     opacity_ceiling: float | None = None
+    bands: Tensor | None = None
 
     @property
-    def changes_the_number(self) -> bool:
-        return self.keep is not None or self.append is not None
+    def changes_the_rows(self) -> bool:
+        """Whether the tensors of the set get other rows."""
+        return any(part is not None for part in (self.keep, self.append, self.bands))
 
 
 class Capacity(Plugin):

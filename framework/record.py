@@ -105,8 +105,9 @@ class RunRecord:
 
     config: resolved. timings: by stage, in order; the training itself is `TRAIN_STAGE`.
     provenance: see `framework.provenance`. resumed: how often an interrupted training was taken up
-    again; its time is the sum of the parts, the other stages' that of the last process. summary:
-    mean over the test views of each metric. error: one line, of a failed run.
+    again; its time is the sum of the parts, the other stages' that of the last process. sh_degree:
+    the highest of any Gaussian. banded: how many have one above 0; None: all, or none where it is
+    0. summary: mean over the test views of each metric. error: one line, of a failed run.
     """
 
     identity: str
@@ -119,6 +120,7 @@ class RunRecord:
     resumed: int = 0
     gaussians: int = 0
     sh_degree: int = 0
+    banded: int | None = None
     parameters_sha256: str = ""
     ply_bytes: int = 0
     summary: Mapping[str, Measurement] = field(default_factory=dict)
@@ -138,8 +140,10 @@ class RunRecord:
 
     @property
     def parameters(self) -> int:
-        """Stored numbers: of each Gaussian 11 and 3 for every SH coefficient."""
-        return self.gaussians * (11 + 3 * (self.sh_degree + 1) ** 2)
+        """Stored numbers: of each Gaussian 14, and 3 for every SH coefficient above the first of
+        those that have any."""
+        banded = self.gaussians if self.banded is None else self.banded
+        return 14 * self.gaussians + 3 * ((self.sh_degree + 1) ** 2 - 1) * banded
 
     @property
     def train_s(self) -> float | None:
@@ -192,6 +196,7 @@ def write_run(
         record,
         gaussians=len(gaussians),
         sh_degree=gaussians.sh_degree,
+        banded=len(gaussians.shN) if gaussians.sh_degree else None,
         parameters_sha256=parameters_sha256(gaussians),
         ply_bytes=ply_bytes,
         summary={name: mean_of(metrics, name) for name in METRICS},
@@ -322,7 +327,8 @@ def _write_record(run_dir: Path, record: RunRecord) -> None:
 def _from_json(content: dict[str, Any]) -> RunRecord:
     scene = content["scene"]
     lists = ("training", "test")
-    content = {"resumed": 0, **content}  # a record of before runs could be resumed
+    # records of before runs could be resumed and Gaussians could differ in their SH degree
+    content = {"resumed": 0, "banded": None, **content}
     fields = {f.name: content[f.name] for f in dataclasses.fields(RunRecord)}
     return RunRecord(
         **fields

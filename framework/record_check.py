@@ -19,6 +19,8 @@ def check_record(content: Any) -> None:
     _check("status", content["status"], content["status"] in ("complete", "failed"))
     for key in ("peak_memory_bytes", "gaussians", "sh_degree", "ply_bytes"):
         _check(key, content[key], _is_count(content[key]))
+    banded = content.get("banded")
+    _check("banded", banded, banded is None or _is_count(banded))
     _check("resumed", content.get("resumed", 0), _is_count(content.get("resumed", 0)))
     _check("error", content["error"], content["error"] is None or _is_line(content["error"]))
     _check("overrides", content["overrides"], _are_texts(content["overrides"]))

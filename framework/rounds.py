@@ -10,7 +10,7 @@ moment: standard deviations 0.6, offsets 0.8 of the parent's (0.6^2 + 0.8^2 = 1)
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from framework.errors import require
@@ -52,14 +52,20 @@ class RoundsCapacity(PullCapacity):
         Every split adds one Gaussian."""
         raise NotImplementedError
 
+    def banded(self, ctx: StepContext) -> Tensor | None:
+        """[N] bool, which Gaussians keep their SH bands above 0; None: all that have them."""
+        return None
+
     def update(self, ctx: StepContext, state: Pull, stats: StepStats) -> tuple[Edits | None, Pull]:
         pull = self.measured(state, stats)
         if (ctx.step + 1) % self._interval(ctx) != 0:
             return None, pull
         keep, n_split = self.selected(ctx, training_information(ctx))
-        if keep.all() and n_split == 0:
+        bands = self.banded(ctx)
+        if keep.all() and n_split == 0 and bands is None:
             return None, pull
         edits = _edits(ctx.gaussians, keep, pull.mean, n_split)
+        edits = replace(edits, bands=bands)
         for name, count in (("pruned", int((~keep).sum())), ("split", n_split)):
             ctx.log(name, count)
         return edits, self.unmeasured(int(keep.sum()) + n_split)
@@ -98,7 +104,7 @@ def _edits(gaussians: Gaussians, keep: Tensor, pull: Tensor, n_split: int) -> Ed
     strongest = pull.masked_fill(~keep, -1).argsort(descending=True, stable=True)[:n_split]
     whole = keep.clone()
     whole[strongest] = False
-    return Edits(whole, _halves(gaussians[strongest]))
+    return Edits(whole, _halves(gaussians[keep & ~whole]))
 
 
 def _halves(parents: Gaussians) -> Gaussians:

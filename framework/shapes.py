@@ -68,7 +68,8 @@ def check_gaussians(where: str, value: object, n: int | None, terms: int | None)
     check_tensor(f"{where}.log_scales", value.log_scales, count, 3)
     check_tensor(f"{where}.opacity_logits", value.opacity_logits, count)
     check_tensor(f"{where}.sh0", value.sh0, count, 1, 3)
-    check_tensor(f"{where}.shN", value.shN, count, terms, 3)
+    check_tensor(f"{where}.shN", value.shN, None, terms, 3)
+    check_count(f"{where}.shN", len(value.shN), count)
     if value.shN.shape[1] not in (0, 3, 8, 15):
         raise ValueError(f"{where}.shN: expected 0, 3, 8 or 15 terms, got {value.shN.shape[1]}")
     for name, tensor in value.items():

@@ -19,6 +19,7 @@ from framework.shapes import (
     check_gaussians,
     check_kind,
     check_number,
+    check_tensor,
     check_view,
 )
 from framework.training_state import PluginState, TrainerState
@@ -55,6 +56,8 @@ def _check_adam(adam: Any, state: TrainerState, terms: int) -> None:
     n = len(state.gaussians)
     check_gaussians("adam.first", adam.first, n, terms)
     check_gaussians("adam.second", adam.second, n, terms)
+    for moments in (adam.first, adam.second):
+        check_tensor("adam.shN", moments.shN, *state.gaussians.shN.shape)
     for name, tensor in adam.second.items():
         if tensor.numel() and float(tensor.min()) < 0:
             raise ValueError(f"adam.second.{name}: expected squares, got a negative number")

@@ -267,7 +267,7 @@ class Trainer:
                 where = f"training step {self.step}"
                 edited = apply_edits(self.params.detach(), self.optimizer, edits, where)
                 self.params = edited.map(_parameter)
-                self.version += int(edits.changes_the_number)
+                self.version += int(edits.changes_the_rows)
 
     def _sh_degree(self) -> int:
         return schedule.sh_degree(self.options, self.step, self.params.sh_degree)

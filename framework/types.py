@@ -135,7 +135,8 @@ class Gaussians:
     """The stored (unactivated) parameters of N Gaussians with SH up to degree d, K = (d+1)^2.
 
     means [N, 3] · quats [N, 4] wxyz · log_scales [N, 3] · opacity_logits [N] · sh0 [N, 1, 3] ·
-    shN [N, K-1, 3]. All of one floating dtype.
+    shN [M, K-1, 3]. All of one floating dtype. The first M <= N have SH bands above 0, the others
+    one colour from everywhere and nothing stored for more; nearly always M = N.
     """
 
     means: Tensor
@@ -150,8 +151,8 @@ class Gaussians:
 
     @property
     def sh_degree(self) -> int:
-        """The stored degree: 0 to 3."""
-        return {0: 0, 3: 1, 8: 2, 15: 3}[self.shN.shape[1]]
+        """The highest degree of any: 0 to 3."""
+        return {0: 0, 3: 1, 8: 2, 15: 3}[self.shN.shape[1]] if len(self.shN) else 0
 
     @property
     def scales(self) -> Tensor:
@@ -176,17 +177,52 @@ class Gaussians:
         return self.map(lambda t: t.detach().clone())
 
     def __getitem__(self, index: Tensor) -> Gaussians:
-        return self.map(lambda t: t[index])
+        """Those that a mask ([N] bool) or row numbers choose. Raises ValueError where row numbers
+        put one with SH bands above 0 behind one without: sorted ones never do."""
+        rows = index.nonzero()[:, 0] if index.dtype == torch.bool else index
+        banded = rows < len(self.shN)
+        first = rows[: int(banded.sum())]
+        if not banded[: len(first)].all():
+            raise ValueError(
+                "Gaussians: expected row numbers of those with SH bands first; sort them"
+            )
+        return self.map(lambda t: t[first if t is self.shN else rows])
+
+    def rows(self, start: int, end: int) -> Gaussians:
+        """Gaussians start ... end - 1."""
+        return self.map(lambda t: t[start:end])
+
+    def with_bands(self, keep: Tensor) -> Gaussians:
+        """All of them, but only those of the mask `keep` ([N] bool) with their SH bands above 0;
+        these come first."""
+        kept = keep[: len(self.shN)]
+        rows = torch.cat([kept.nonzero()[:, 0], (~kept).nonzero()[:, 0]])
+        rows = torch.cat([rows, torch.arange(len(kept), len(self))])
+        return self.map(lambda t: t[kept if t is self.shN else rows])
 
     def replace(self, **changes: Tensor) -> Gaussians:
         return replace(self, **changes)
 
 
 def concatenate(parts: list[Gaussians]) -> Gaussians:
-    """The Gaussians of all `parts`, in order."""
+    """The Gaussians of all `parts`, in order: first all that have SH bands above 0."""
+    pieces = [part.rows(0, len(part.shN)) for part in parts]
+    pieces += [part.rows(len(part.shN), len(part)) for part in parts]
     return Gaussians(
-        **{f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Gaussians)}
+        **{f.name: torch.cat([getattr(p, f.name) for p in pieces]) for f in fields(Gaussians)}
     )
+
+
+def edited(
+    gaussians: Gaussians, keep: Tensor | None, bands: Tensor | None, append: Gaussians | None
+) -> Gaussians:
+    """Those of the mask `keep`, SH bands above 0 only for those of `bands` (both [N] bool, None:
+    all); then the appended ones."""
+    if keep is not None:
+        gaussians, bands = gaussians[keep], None if bands is None else bands[keep]
+    if bands is not None:
+        gaussians = gaussians.with_bands(bands)
+    return gaussians if append is None else concatenate([gaussians, append])
 
 
 @dataclass(frozen=True)

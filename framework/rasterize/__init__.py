@@ -147,7 +147,8 @@ def _check_shapes(
 ) -> None:
     """The kernels do not check bounds."""
     expected = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "opacity_logits": (n,)}
-    expected |= {"sh0": (n, 1, 3), "shN": (n, gaussians.shN.shape[1], 3)}
+    banded = min(n, gaussians.shN.shape[0])
+    expected |= {"sh0": (n, 1, 3), "shN": (banded, gaussians.shN.shape[1], 3)}
     given = [(name, tensor, expected[name]) for name, tensor in gaussians.items()]
     given += [("opacity_factors", factors, (n,)), ("means2d_offset", offset, (n, 2))]
     for name, tensor, shape in [*given, ("background", colour, (3,))]:

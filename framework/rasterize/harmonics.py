@@ -82,12 +82,14 @@ def direction(camera: Any, mean: Any) -> tuple[Any, Any, Any, Any]:
 
 @inlined
 def sh_color(degree: int, way: Any, base: int, count: int, shN: Any, sh: Any) -> Any:
-    """What the bands above 0 add to red, green, blue; sh [256] is scratch."""
+    """What the bands above 0, of the Gaussians that have them, add to red, green, blue; sh [256] is
+    scratch."""
     b = basis(way[0], way[1], way[2])
     store16(sh, 0, (*b, zeros()))
     for lane in range(count):
         red, green, blue = ZERO, ZERO, ZERO
-        for k in range((degree + 1) * (degree + 1) - 1):
+        terms = (degree + 1) * (degree + 1) - 1 if base + lane < len(shN) else 0
+        for k in range(terms):
             value = sh[lane * LANES + k]
             red += value * shN[base + lane, k, 0]
             green += value * shN[base + lane, k, 1]
@@ -114,6 +116,9 @@ def sh_backward(
     for lane in range(count):
         at = lane * LANES
         red, green, blue = pulls[at], pulls[at + 1], pulls[at + 2]
+        if base + lane >= len(shN):
+            pulls[at : at + LANES] = ZERO
+            continue
         own, out = shN[base + lane], g_shN[base + lane]
         for k in range(terms):
             value = values[at + k]

@@ -79,9 +79,9 @@ def colour_slopes(
     slopes: Any,
 ) -> None:
     """slopes (flat [N, 16]): the derivative of colour c along tangent k per scene unit at 2 c + k,
-    0 where the colour is clamped; 6-11 the two tangents. Undefined for culled Gaussians.
-    means flat, shN [N, K, 3]."""
-    n = len(shN)
+    0 where the colour is clamped or has no bands above 0; 6-11 the two tangents. Undefined for
+    culled Gaussians. means flat, shN [M, K, 3]."""
+    n = len(means) // 3
     terms = (degree + 1) * (degree + 1) - 1
     scratch, sh = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)
     for base in range(n * block // blocks, n * (block + 1) // blocks, LANES):
@@ -120,7 +120,7 @@ def _along(
     """Derivatives of one channel's colour along the two tangents e."""
     for lane in range(count):
         for k in range(terms):
-            sh[lane * LANES + k] = shN[base + lane, k, channel]
+            sh[lane * LANES + k] = shN[base + lane, k, channel] if base + lane < len(shN) else ZERO
         scratch[lane] = ZERO if (clipped[base + lane] >> channel) & 1 else ONE
     gx, gy, gz = basis_gradient(degree, x, y, z, load16(sh, 0))
     scale = inverse * load(scratch, 0)

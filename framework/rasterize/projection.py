@@ -89,7 +89,7 @@ def _colour(
     """As seen from the camera, not clamped."""
     first = take3(sh0, base, count, scratch)
     red, green, blue = HALF + Y0 * first[0], HALF + Y0 * first[1], HALF + Y0 * first[2]
-    if degree > 0:
+    if degree > 0 and base < len(shN):
         more = sh_color(degree, direction(camera, mean), base, count, shN, sh)
         red, green, blue = red + more[0], green + more[1], blue + more[2]
     return red, green, blue
@@ -188,7 +188,7 @@ def project(
 ) -> None:
     """Fill `rows` (flat [N 16]); clipped [N] uint8: bit c set where colour c was clamped at 0;
     bound [N] int32: the number of tiles the box covers (0 = culled), an upper bound on those
-    touched; radii [N]: the larger half-side of the box, 0 if culled. All but shN [N, K, 3] flat."""
+    touched; radii [N]: the larger half-side of the box, 0 if culled. All but shN [M, K, 3] flat."""
     n = len(logits)
     scratch, sh = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)
     w, h = f4(width), f4(height)
@@ -313,7 +313,7 @@ def project_backward(
 
     Slot lanes: sums over pixels of a = (d loss / d alpha) alpha times 1, dx, dx^2, dy, dx dy, dy^2,
     then of weight times d loss / d (r, g, b, depth); see `blend.blend_backward`. All but shN and
-    g_shN [N, K, 3] are flat.
+    g_shN [M, K, 3] are flat.
     """
     n = len(logits)
     scratch, total = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)
@@ -346,7 +346,7 @@ def project_backward(
         gr, gg, gl = _unclamped(seen, clipped, base, count, s, flags)
         mx, my, mz = g[0], g[1], g[2]
         put3(g_sh0, base, count, scratch, (Y0 * gr, Y0 * gg, Y0 * gl))
-        if degree > 0:
+        if degree > 0 and base < len(shN):
             way = direction(camera, mean)
             vx, vy, vz = sh_backward(degree, base, count, (gr, gg, gl), way, shN, g_shN, sh)
             px, py, pz = _through_direction(vx, vy, vz, way)

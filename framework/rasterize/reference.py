@@ -119,13 +119,14 @@ def project(
     visible = _inside(points.detach(), camera, near) & (opacities.detach() >= ALPHA_MIN)
     index = visible.nonzero()[:, 0]
     index = index[points.detach()[index, 2].argsort(stable=True)]
-    points, kept = points[index], gaussians[index]
+    points = points[index]
     means2d = _means2d(points, camera)
     if means2d_offset is not None:
         means2d = means2d + means2d_offset[index]
-    half = _perspective_jacobian(points, camera) @ rotation @ _covariance_factor(kept)
+    factors = _covariance_factor(gaussians)[index]
+    half = _perspective_jacobian(points, camera) @ rotation @ factors
     cov2d = half @ half.mT + DILATION * torch.eye(2, dtype=dtype)
-    colors = shade(kept, camera.center.to(dtype), sh_degree)
+    colors = shade(gaussians, camera.center.to(dtype), sh_degree)[index]
     return Footprints(index, means2d, cov2d, points[:, 2], opacities[index], colors)
 
 
@@ -158,7 +159,9 @@ def shade(gaussians: Gaussians, center: Tensor, sh_degree: int | None = None) ->
     """[N, 3] colours max(0, 0.5 + SH(d)), d the unit direction from the camera `center` [3]."""
     degree = gaussians.sh_degree if sh_degree is None else min(sh_degree, gaussians.sh_degree)
     directions = torch.nn.functional.normalize(gaussians.means - center, dim=1)
-    coefficients = torch.cat([gaussians.sh0, gaussians.shN], dim=1)[:, : (degree + 1) ** 2]
+    without = gaussians.shN.new_zeros(len(gaussians) - len(gaussians.shN), *gaussians.shN.shape[1:])
+    bands = torch.cat([gaussians.shN, without])
+    coefficients = torch.cat([gaussians.sh0, bands], dim=1)[:, : (degree + 1) ** 2]
     basis = sh_basis(directions, degree)
     return (0.5 + torch.einsum("nk,nkc->nc", basis, coefficients)).clamp(min=0)
 

@@ -1,4 +1,5 @@
-"""`capacity=evidence`: a Gaussian stays only while it pays for its description.
+"""`capacity=evidence`: a Gaussian stays only while it pays for its description, and so do its SH
+bands above 0, judged alike by `framework.bands`.
 
 Derivation. Pixels are image + noise of variance s2. With parameters a priori from N(m, diag(v)),
 the Laplace approximation of the evidence (MacKay 1992) with Gaussian i over that without is
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 CRITERIA = ("laplace", "correlated", "bic")
+SH0 = 11  # where the colours begin in a diagonal
 FEWEST, HANDFUL = 8, 16  # are kept even if none pays; is when that is told
 ROUNDING_VARIANCE = (1 / 255) ** 2 / 12  # of 8-bit images
 NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
@@ -89,6 +91,25 @@ class Evidence(RoundsCapacity):
         n_paid = n - int(unpaid.sum())
         return keep, min(round(self.grow * n_kept), n_paid) if self.growing(ctx) else 0
 
+    def banded(self, ctx: StepContext) -> Tensor | None:
+        """Judged when nothing grows any more and all bands are in use, as what they gain is learned
+        slowly. All that do not pay go at once: the images hardly change, the means stay."""
+        import torch
+
+        from framework.bands import bands_evidence
+
+        gaussians = ctx.gaussians
+        if self.growing(ctx) or not 0 < gaussians.sh_degree == ctx.sh_degree:
+            return None
+        colours = [ctx.fisher(view.camera).diagonal[:, SH0:] for view in ctx.views]
+        centers = [view.camera.center for view in ctx.views]
+        noise, _, _ = residual_noise(ctx)
+        gain, cost = bands_evidence(gaussians, centers, colours, noise)
+        pays = torch.zeros(len(gaussians), dtype=torch.bool)
+        pays[: len(gain)] = torch.from_numpy(gain > cost)
+        ctx.log("bands_dropped", float((gain <= cost).sum()))
+        return pays if (gain <= cost).any() else None
+
     def _evidence(self, ctx: StepContext, information: FisherInformation) -> tuple[Array, Array]:
         """(G, C), each [N] nats."""
         import numpy as np
@@ -102,8 +123,9 @@ class Evidence(RoundsCapacity):
             noise *= channels
         energy = removal_energy(information.diagonal, gaussians.opacity_logits).numpy()
         if self.criterion == "bic":
-            size = sum(tensor[0].numel() for _, tensor in gaussians.items())
-            cost = np.full(len(energy), 0.5 * size * math.log(values))
+            size = np.full(len(energy), 14.0)
+            size[: len(gaussians.shN)] += 3 * gaussians.shN.shape[1]
+            cost = 0.5 * size * math.log(values)
         else:
             cost = description_cost(gaussians, information, noise)
         return energy / (2 * noise), cost
@@ -139,9 +161,10 @@ def description_cost(gaussians: Gaussians, information: FisherInformation, noise
     root = np.sqrt(prior[:6])
     block = information.block.double().numpy() * np.outer(root, root) / noise
     logs = np.linalg.slogdet(block + np.eye(6))[1] + np.log1p(known[:, 6:]).sum(1)
-    if g.shN.shape[1] > 0:
-        higher = information.diagonal[:, 11:].double().numpy() / noise
-        logs += g.shN.shape[1] * np.log1p(higher * _spread(g.shN.flatten(1)[:, :3])).sum(1)
+    if g.sh_degree > 0:
+        higher = information.diagonal[: len(g.shN), SH0:].double().numpy() / noise
+        each = np.log1p(higher * _spread(g.shN.flatten(1)[:, :3])).sum(1)
+        logs[: len(g.shN)] += g.shN.shape[1] * each
     cost: Array = 0.5 * logs + math.log(2)
     return cost
 

@@ -78,7 +78,7 @@ def test_it_drops_what_is_hidden_and_splits_what_is_pulled() -> None:
     assert edits is not None and edits.keep is not None and edits.append is not None
     assert not edits.keep[50:].any() and not edits.keep[[3, 7]].any()
     assert edits.append.means.shape == (4, 3)
-    assert moments(edits.append[torch.tensor([0, 2])]) == moments(subject[torch.tensor([7])])
+    assert moments(edits.append[torch.tensor([1, 3])]) == moments(subject[torch.tensor([7])])
 
 
 def moments(parts: Gaussians) -> list[float]:

@@ -18,7 +18,7 @@ PLUGIN_MAY_IMPORT = {
     f"framework.{name}"
     for name in (
         *("plugin", "types", "shapes", "geometry", "warp", "warping", "fisher", "information"),
-        *("dropout", "pull", "rounds", "losses", "errors", "registry"),
+        *("dropout", "pull", "rounds", "bands", "losses", "errors", "registry"),
     )
 }
 REPORT_MUST_NOT_IMPORT = {

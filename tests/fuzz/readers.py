@@ -21,6 +21,7 @@ from framework.record import read_run
 from framework.scenes import load_scene
 from framework.scenes.images import read_image
 from framework.trust import check_config_files
+from framework.types import Gaussians
 from tests.metrics.test_lpips import features, state_dict
 from tests.record.fakes import fake_run, make_gaussians
 from tests.resume.test_checkpoint import state
@@ -60,6 +61,11 @@ def _colmap(folder: Path) -> None:
     for file in (folder / "sparse" / "0").iterdir():
         file.unlink()
     write_binary_model(folder / "sparse" / "0")
+
+
+def _two_degrees() -> Gaussians:
+    gaussians = make_gaussians(6, 1)
+    return gaussians.replace(shN=gaussians.shN[:2])
 
 
 def _scene(name: str, **options: Any) -> Step:
@@ -117,6 +123,11 @@ VALUES = np.linspace(1, 2, 768, dtype=np.float32).reshape(24, 32)
 READERS: dict[str, Reader] = {
     "splat ply": Reader(
         lambda f: write_ply(f / "a.ply", make_gaussians(6, 1), torch.rand(3)),
+        ("a.ply",),
+        lambda f: read_ply(f / "a.ply"),
+    ),
+    "splat ply of two degrees": Reader(
+        lambda f: write_ply(f / "a.ply", _two_degrees(), torch.rand(3)),
         ("a.ply",),
         lambda f: read_ply(f / "a.ply"),
     ),

@@ -130,14 +130,14 @@ def test_edit_keeps_old_moments_and_starts_new_ones_at_zero() -> None:
     adam.step(params, gradient(6, 0), RATES)
     before = copy.deepcopy(adam.state())
     keep = torch.tensor([True, False, True, True, False, True])
-    adam.edit(keep, 2)
+    adam.edit(keep, None, gaussians(2, "test/new"))
     after = adam.state()
     assert equal(after.first[torch.arange(4)], before.first[keep])
     assert equal(after.second[torch.arange(4)], before.second[keep])
     assert all((t[4:] == 0).all() and len(t) == 6 for _, t in after.first.items())
     params = gaussians(6, "test/params")
     adam.step(params, gradient(6, 1), RATES)
-    adam.edit(None, 0)
+    adam.edit(None, None, None)
     assert len(adam.state().first) == 6
 
 

@@ -52,6 +52,43 @@ def test_plyfile_reads_the_layout(tmp_path: Path) -> None:
             )
 
 
+@pytest.mark.parametrize(("banded", "elements"), [(0, 1), (2, 2), (5, 1)])
+def test_bands_of_the_first_alone_are_an_element_of_their_own(
+    tmp_path: Path, banded: int, elements: int
+) -> None:
+    gaussians = make_gaussians(5, 2)
+    gaussians = gaussians.replace(shN=gaussians.shN[:banded])
+    size = write_ply(tmp_path / "a.ply", gaussians, torch.zeros(3))
+    data = PlyData.read(str(tmp_path / "a.ply"))
+    assert [element.name for element in data] == ["vertex", "sh"][:elements]
+    if elements == 2:
+        assert len(data["sh"]) == banded and "f_rest_0" not in data["vertex"]
+        np.testing.assert_array_equal(data["sh"]["f_rest_9"], gaussians.shN[:, 1, 1])
+    assert size - 4 * (5 * 17 + banded * 24) < 1500  # the header
+    read, _ = read_ply(tmp_path / "a.ply")
+    assert torch.equal(read.shN, gaussians.shN) or (banded == 0 and read.sh_degree == 0)
+    assert torch.equal(read.means, gaussians.means) and torch.equal(read.quats, gaussians.quats)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda b: b.replace(b"element sh 2", b"element sh 5"), "1 to 4 rows of 'sh'"),
+        (lambda b: b.replace(b"element sh 2", b"element sh 3"), "bytes for 5 vertices"),
+        (lambda b: b.replace(b"element sh 2", b"element faces 2"), "element 'vertex'"),
+        (lambda b: b.replace(b"f_rest_8", b"f_rest_9"), "f_rest_8"),
+        (lambda b: b[:-4] + b"\0\0\xc0\x7f", "NaN or infinity in 1 vertices"),
+    ],
+)
+def test_damaged_bands_end_in_one_line(tmp_path: Path, change, message: str) -> None:  # type: ignore[no-untyped-def]
+    gaussians, path = make_gaussians(5, 1), tmp_path / "a.ply"
+    write_ply(path, gaussians.replace(shN=gaussians.shN[:2]), torch.zeros(3))
+    path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(UserError, match=message) as caught:
+        read_ply(path)
+    assert "\n" not in str(caught.value)
+
+
 def test_a_file_of_another_trainer_without_background(tmp_path: Path) -> None:
     write_ply(tmp_path / "a.ply", make_gaussians(3, 0), torch.zeros(3))
     content = (tmp_path / "a.ply").read_bytes().replace(b"comment background 0.0 0.0 0.0\n", b"")

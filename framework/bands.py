@@ -1,0 +1,69 @@
+"""What view-dependent colour gains and what its description costs, per Gaussian.
+
+A pixel is linear in a Gaussian's colour: with a_v the sum over view v's pixels of its squared
+weight, y_v the SH basis above degree 0 in the direction of v and b a channel's coefficients, a
+colour (s + y_v b) with a free mean s fits the views better than a constant by
+
+    G = 1 / (2 s2) sum_v a_v ((y_v - y) b)^2,    y = sum_v a_v y_v / sum_v a_v
+
+(at an optimum, see `capacity=evidence`; s takes up what the views share, so only differences count)
+and costs, with b a priori from N(0, q I) and s from a flat prior, both sums over the channels,
+
+    C = 1/2 log det(I + q / s2 sum_v a_v (y_v - y)^T (y_v - y)) + log 2.
+
+So what three views can tell costs three directions at most, however many coefficients there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from framework.rasterize.reference import sh_basis
+from framework.types import Gaussians
+
+Array = NDArray[np.float64]
+
+
+def bands_evidence(
+    gaussians: Gaussians, centers: Sequence[Tensor], colours: Sequence[Tensor], noise: float
+) -> tuple[Array, Array]:
+    """(G, C) in nats, each [M], of the M Gaussians that have SH bands above 0.
+
+    centers: [3] of every view's camera. colours: [N, 3], every view's information on the three
+    coefficients of sh0, at unit noise: a_v / (4 pi), 0 where the colour is clamped. noise: the
+    variance s2. q is the mean square of all b.
+    """
+    m, degree = len(gaussians.shN), gaussians.sh_degree
+    coefficients = gaussians.shN.double().numpy()  # [M, K - 1, 3]
+    basis = np.stack([_basis(gaussians.means[:m], center, degree) for center in centers], 1)
+    weights = np.stack([known[:m].double().numpy() for known in colours], 1) * 4 * np.pi
+    spread = float(np.square(coefficients).mean())
+    gain, cost = np.zeros(m), np.full(m, np.log(2.0))
+    for channel in range(3):
+        rows = _centred(basis, weights[:, :, channel])
+        change = (rows @ coefficients[:, :, channel, None])[..., 0]
+        gain += np.square(change).sum(1) / (2 * noise)
+        small = rows if rows.shape[1] <= rows.shape[2] else rows.transpose(0, 2, 1)
+        gram = small @ small.transpose(0, 2, 1) * (spread / noise)
+        cost += 0.5 * np.linalg.slogdet(np.eye(gram.shape[1]) + gram)[1]
+    return gain, cost
+
+
+def _centred(basis: Array, weights: Array) -> Array:
+    """[M, V, K - 1] sqrt(a_v) (y_v - y) from the y_v and the a_v [M, V]."""
+    total = np.maximum(weights.sum(1), np.finfo(np.float64).tiny)
+    mean = np.einsum("mv,mvk->mk", weights, basis) / total[:, None]
+    centred: Array = np.sqrt(weights)[:, :, None] * (basis - mean[:, None])
+    return centred
+
+
+def _basis(means: Tensor, center: Tensor, degree: int) -> Array:
+    """[M, K - 1] the basis above degree 0 as seen from `center`."""
+    directions = torch.nn.functional.normalize(means.double() - center, dim=1)
+    rows: Array = sh_basis(directions, degree)[:, 1:].numpy()
+    return rows

@@ -1,0 +1,108 @@
+"""What SH bands gain and cost: against least squares on the images and dense determinants."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from framework.bands import bands_evidence
+from framework.fisher import fisher_information
+from framework.rasterize import rasterize
+from framework.rasterize.reference import sh_basis
+from framework.rng import stream
+from framework.types import Gaussians
+from plugins.capacity.evidence import Evidence
+from tests.capacity.population import pulls, watched
+from tests.plugins.fakes import Log, stage, wall_of_gaussians
+
+NOISE = 1e-4
+
+
+def coloured(n: int, degree: int, strength: float = 0.1) -> Gaussians:
+    """The wall with random bands, nowhere darker than 0."""
+    wall = wall_of_gaussians(n)
+    terms = (degree + 1) ** 2 - 1
+    draws = stream(0, "bands").normal(0, strength, (n, terms, 3)).astype(np.float32)
+    return replace(wall, shN=torch.from_numpy(draws))
+
+
+def evidence(subject: Gaussians, noise: float = NOISE) -> tuple[np.ndarray, np.ndarray]:
+    views = stage()[0]
+    known = [fisher_information(subject, view.camera).diagonal[:, 11:] for view in views]
+    return bands_evidence(subject, [view.camera.center for view in views], known, noise)
+
+
+@pytest.mark.parametrize("degree", [1, 3])
+def test_the_gain_is_what_the_best_single_colour_misses(degree: int) -> None:
+    """Of one Gaussian alone: a pixel is weight x colour, whatever the colour."""
+    subject = coloured(1, degree)
+    (gain,), _ = evidence(subject)
+    rows = []
+    for view in stage()[0]:
+        direction = torch.nn.functional.normalize(subject.means - view.camera.center, dim=1)
+        values = sh_basis(direction.float(), degree)[0]
+        own = subject.sh0[0, 0] * values[0] + (values[1:, None] * subject.shN[0]).sum(0)
+        weight = rasterize(subject, view.camera).alpha.square().double().sum()
+        rows.append((float(weight), own.double().numpy()))
+    weights, colours = (np.array(column) for column in zip(*rows, strict=True))
+    mean = (weights[:, None] * colours).sum(0) / weights.sum()
+    missed = (weights[:, None] * (colours - mean) ** 2).sum()
+    assert missed > 0
+    assert gain == pytest.approx(missed / (2 * NOISE), rel=1e-3)
+
+
+def test_the_cost_is_half_the_log_determinant_of_what_the_views_tell() -> None:
+    subject = coloured(5, 2)
+    _, cost = evidence(subject)
+    spread = float(subject.shN.square().double().mean())
+    views = stage()[0]
+    expected = np.full(5, math.log(2))
+    known = [fisher_information(subject, view.camera).diagonal[:, 11:].double() for view in views]
+    for i in range(5):
+        for channel in range(3):
+            weights = np.array([4 * math.pi * float(k[i, channel]) for k in known])
+            centers = torch.stack([view.camera.center for view in views])
+            directions = torch.nn.functional.normalize(subject.means[i] - centers, dim=1)
+            y = sh_basis(directions, 2)[:, 1:].numpy()
+            # sh0's flat prior: the Schur complement of its block
+            joint = np.einsum("v,vk,vl->kl", weights, y, y)
+            mean = np.einsum("v,vk->k", weights, y)
+            joint = joint - np.outer(mean, mean) / weights.sum()
+            expected[i] += 0.5 * np.linalg.slogdet(np.eye(8) + spread / NOISE * joint)[1]
+    assert np.allclose(cost, expected, rtol=1e-6)
+
+
+def test_equal_views_and_unseen_gaussians_have_nothing_to_tell() -> None:
+    subject = coloured(3, 1)
+    view = stage()[0][0]
+    unseen = torch.zeros(3, 3)
+    for known in (unseen, torch.ones(3, 3)):
+        gain, cost = bands_evidence(subject, [view.camera.center] * 3, [known] * 3, NOISE)
+        assert np.allclose(gain, 0, atol=1e-9) and np.allclose(cost, math.log(2))
+
+
+def test_bands_stay_where_they_pay() -> None:
+    """Half of the wall is coloured by direction far beyond the noise, half hardly at all."""
+    strong = coloured(100, 1)
+    shN = strong.shN.clone()
+    shN[50:] *= 1e-4
+    subject = strong.replace(shN=shN)
+    log = Log({})
+    ctx = replace(watched(subject, 69, log), sh_degree=1)
+    views = [replace(view, image=ctx.render(view.camera).rgb) for view in ctx.views]
+    ctx = replace(ctx, views=tuple(views))
+    method = Evidence()
+    edits, _ = method.update(ctx, method.init_state(ctx), pulls(torch.ones(100)))
+    assert edits is not None and edits.bands is not None
+    assert not edits.bands[50:].any() and edits.bands[:50].float().mean() > 0.8
+    assert log.values["bands_dropped"][0] == float((~edits.bands).sum())
+
+
+@pytest.mark.parametrize(("step", "active"), [(49, 1), (69, 0)])
+def test_bands_are_not_judged_early(step: int, active: int) -> None:
+    ctx = replace(watched(coloured(30, 1), step), sh_degree=active)
+    assert Evidence().banded(ctx) is None
