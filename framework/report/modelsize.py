@@ -12,8 +12,8 @@ SAME = 0.02  # sizes this near to each other are said to be the same
 
 
 def chart(study: Study, panel: Panel, name: str) -> Chart | None:
-    """Gaussians against the strength, with 95 % intervals over seeds; None where no method's number
-    changes."""
+    """Gaussians against the strength, with 95 % intervals over seeds; None where nothing is
+    `told`."""
     if not told(panel):
         return None
     series = tuple(
@@ -30,7 +30,10 @@ def chart(study: Study, panel: Panel, name: str) -> Chart | None:
 
 
 def told(panel: Panel) -> list[str]:
-    """A sentence on every method; none where the number of no method changes along the stress."""
+    """A sentence on every method; none where no method's number changes along the stress, or only
+    that of the initialisation does, as every capacity is `fixed`."""
+    if not _chosen(panel):
+        return []
     means = {
         method: {level: spread(n).mean for level, n in _counts(panel, method).items()}
         for method in panel.runs
@@ -38,6 +41,11 @@ def told(panel: Panel) -> list[str]:
     if not any(_changes(list(by_level.values())) for by_level in means.values()):
         return []
     return [f"{method}: {_sentence(panel, by_level)}." for method, by_level in means.items()]
+
+
+def _chosen(panel: Panel) -> bool:
+    runs = [run for by_level in panel.runs.values() for of in by_level.values() for run in of]
+    return any(run.record.methods.get("capacity") != "fixed" for run in runs)
 
 
 def _counts(panel: Panel, method: str) -> dict[float, list[float]]:

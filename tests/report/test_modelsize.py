@@ -14,15 +14,18 @@ VIEWS = next(axis for axis in STRESSES if axis.short == "n_views")
 
 
 def panel(**sizes: tuple[int, ...]) -> Panel:
-    """By method, the Gaussians with 9, 6 and 3 views; two seeds, one of them 10 above."""
+    """By capacity, the Gaussians with 9, 6 and 3 views; two seeds, one of them 10 above."""
 
-    def runs(size: int) -> list[Any]:
-        counts = (size, size + 10)
-        return [SimpleNamespace(record=SimpleNamespace(gaussians=n)) for n in counts]
+    def runs(method: str, size: int) -> list[Any]:
+        methods = {"capacity": method}
+        return [
+            SimpleNamespace(record=SimpleNamespace(gaussians=n, methods=methods))
+            for n in (size, size + 10)
+        ]
 
     levels = (9.0, 6.0, 3.0)
     by_method = {
-        method: {level: runs(size) for level, size in zip(levels, of, strict=True)}
+        method: {level: runs(method, size) for level, size in zip(levels, of, strict=True)}
         for method, of in sizes.items()
     }
     return Panel("room", VIEWS, levels, by_method)
@@ -40,6 +43,10 @@ def test_nothing_is_told_where_no_number_changes() -> None:
     same = panel(fixed=(700, 700, 700), other=(900, 901, 902))
     study: Any = SimpleNamespace(methods=["fixed", "other"])
     assert modelsize.told(same) == [] and modelsize.chart(study, same, "name") is None
+
+
+def test_nothing_is_told_where_only_the_start_grows() -> None:
+    assert modelsize.told(panel(fixed=(8000, 5000, 3000))) == []
 
 
 def test_the_chart_has_every_method_with_its_interval() -> None:
