@@ -16,6 +16,8 @@ def apply_edits(params: Gaussians, optimizer: Adam, edits: Edits, where: str) ->
 
     Raises UserError when nothing is left, Diverged when what was appended is not finite.
     """
+    if edits.sh0 is not None:
+        params = params.replace(sh0=edits.sh0)
     if edits.changes_the_rows:
         params = edited(params, edits.keep, edits.bands, edits.append)
         optimizer.edit(edits.keep, edits.bands, edits.append)

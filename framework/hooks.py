@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from framework.errors import UserError
@@ -60,12 +61,24 @@ def loss_term(plugin: Plugin, term: Any) -> Tensor | None:
     return term
 
 
-def edits(plugin: Plugin, result: object) -> tuple[Edits | None, Any]:
-    """(edits or None, state) of `Capacity.update`. Raises UserError."""
+def edits(plugin: Plugin, result: object, n: int) -> tuple[Edits | None, Any]:
+    """(edits or None, state) of `Capacity.update` for `n` Gaussians. Raises UserError."""
     where = _hook("capacity", plugin, "update")
     change, state = _pair(where, result, "(Edits or None, state)")
     if change is not None and not isinstance(change, Edits):
         raise UserError(f"{where}: expected Edits or None, got {type(change).__name__}")
+    if change is not None:
+        for part, shape, dtype in (
+            ("keep", (n,), torch.bool),
+            ("bands", (n,), torch.bool),
+            ("sh0", (n, 1, 3), torch.float32),
+        ):
+            value = getattr(change, part)
+            if value is not None and (tuple(value.shape) != shape or value.dtype != dtype):
+                raise UserError(
+                    f"{where}: expected `{part}` of shape {list(shape)} and {dtype}, got"
+                    f" {list(value.shape)} and {value.dtype}"
+                )
     return change, state
 
 

@@ -138,12 +138,14 @@ class StepStats:
 class Edits:
     """A change of the set of Gaussians: first `keep` ([N] bool), then `append`; afterwards clamp
     opacities to at most `opacity_ceiling` (and forget their optimizer moments). bands: [N] bool,
-    which of those there were keep their SH bands above 0; None: all. The order may change."""
+    which of those there were keep their SH bands above 0; None: all. sh0: [N, 1, 3], new values for
+    those there were. The order may change."""
 
     keep: Tensor | None = None
     append: Gaussians | None = None
     opacity_ceiling: float | None = None
     bands: Tensor | None = None
+    sh0: Tensor | None = None
 
     @property
     def changes_the_rows(self) -> bool:

@@ -24,6 +24,27 @@ if TYPE_CHECKING:
     from framework.types import Gaussians
 
 NARROWED, OFFSET = 0.6, 0.8
+SH0 = 11  # where the colours begin in a diagonal
+
+
+@dataclass(frozen=True)
+class TrainingInformation:
+    """total: the sum over the training views, float64; visible: to any of them. colours: [N, 3],
+    every view's part about sh0."""
+
+    total: FisherInformation
+    colours: tuple[Tensor, ...]
+
+
+@dataclass(frozen=True)
+class Selection:
+    """keep: [N] bool. n_split: how many of those are split, each adds one Gaussian. bands, sh0: see
+    `Edits`."""
+
+    keep: Tensor
+    n_split: int = 0
+    bands: Tensor | None = None
+    sh0: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -47,25 +68,20 @@ class RoundsCapacity(PullCapacity):
         """Raise UserError unless `ok`."""
         require(ok, f"capacity.{option}: expected {expected}, got {getattr(self, option)}")
 
-    def selected(self, ctx: StepContext, information: FisherInformation) -> tuple[Tensor, int]:
-        """(keep [N] bool, how many of those to split), given what all training views together know.
-        Every split adds one Gaussian."""
+    def selected(self, ctx: StepContext, known: TrainingInformation) -> Selection:
+        """What a round keeps and splits, given what the training views know."""
         raise NotImplementedError
-
-    def banded(self, ctx: StepContext) -> Tensor | None:
-        """[N] bool, which Gaussians keep their SH bands above 0; None: all that have them."""
-        return None
 
     def update(self, ctx: StepContext, state: Pull, stats: StepStats) -> tuple[Edits | None, Pull]:
         pull = self.measured(state, stats)
         if (ctx.step + 1) % self._interval(ctx) != 0:
             return None, pull
-        keep, n_split = self.selected(ctx, training_information(ctx))
-        bands = self.banded(ctx)
-        if keep.all() and n_split == 0 and bands is None:
+        chosen = self.selected(ctx, training_information(ctx))
+        keep, n_split = chosen.keep, chosen.n_split
+        if keep.all() and n_split == 0 and chosen.bands is None:
             return None, pull
         edits = _edits(ctx.gaussians, keep, pull.mean, n_split)
-        edits = replace(edits, bands=bands)
+        edits = replace(edits, bands=chosen.bands, sh0=chosen.sh0)
         for name, count in (("pruned", int((~keep).sum())), ("split", n_split)):
             ctx.log(name, count)
         return edits, self.unmeasured(int(keep.sum()) + n_split)
@@ -85,16 +101,23 @@ class RoundsCapacity(PullCapacity):
         return max(1, round(self.every * ctx.n_steps))
 
 
-def training_information(ctx: StepContext) -> FisherInformation:
-    """The sum of what the training views know, float64; visible: to any of them."""
+def training_information(ctx: StepContext) -> TrainingInformation:
+    """What the training views know about the current Gaussians."""
     from framework.fisher import FisherInformation
 
-    first, *others = (ctx.fisher(view.camera) for view in ctx.views)
-    block, diagonal, visible = first.block.double(), first.diagonal.double(), first.visible
-    for view in others:
-        block, diagonal = block + view.block, diagonal + view.diagonal
-        visible = visible | view.visible
-    return FisherInformation(block, diagonal, visible)
+    total, colours = None, []
+    for view in ctx.views:
+        own = ctx.fisher(view.camera)
+        colours.append(own.diagonal[:, SH0:].clone())
+        if total is None:
+            total = FisherInformation(own.block.double(), own.diagonal.double(), own.visible)
+        else:
+            total = FisherInformation(
+                total.block + own.block, total.diagonal + own.diagonal, total.visible | own.visible
+            )
+    if total is None:
+        raise ValueError("training_information: expected at least one training view")
+    return TrainingInformation(total, tuple(colours))
 
 
 def _edits(gaussians: Gaussians, keep: Tensor, pull: Tensor, n_split: int) -> Edits:

@@ -262,7 +262,7 @@ class Trainer:
         if context is not None:
             plugin: Any = self.capacity.plugged.plugin
             result = plugin.update(context, self.capacity.state, stats)
-            edits, self.capacity.state = hooks.edits(plugin, result)
+            edits, self.capacity.state = hooks.edits(plugin, result, len(self.params))
             if edits is not None:
                 where = f"training step {self.step}"
                 edited = apply_edits(self.params.detach(), self.optimizer, edits, where)

@@ -178,11 +178,11 @@ class Gaussians:
 
     def __getitem__(self, index: Tensor) -> Gaussians:
         """Those that a mask ([N] bool) or row numbers choose. Raises ValueError where row numbers
-        put one with SH bands above 0 behind one without: sorted ones never do."""
+        put one with SH bands above 0 behind one without (sorted ones never do) or are negative."""
         rows = index.nonzero()[:, 0] if index.dtype == torch.bool else index
         banded = rows < len(self.shN)
         first = rows[: int(banded.sum())]
-        if not banded[: len(first)].all():
+        if not banded[: len(first)].all() or (rows < 0).any():
             raise ValueError(
                 "Gaussians: expected row numbers of those with SH bands first; sort them"
             )

@@ -39,9 +39,9 @@ from framework.rasterize.tiles import (
     listed_rows,
     log_alpha,
     meet,
-    place,
     read_row,
     row_numbers,
+    seen_from,
     write_row,
 )
 
@@ -132,7 +132,7 @@ def blend(
             item = lists[k, 0]
             prefetch(flat, (lists[min(k + AHEAD, last), 0] >> 8) * 16)
             g, todo = item >> 8, listed_rows(item) & alive
-            placed = place(rows, g, x, y)
+            placed = seen_from(rows, g, x, y)
             _composite(rows, g, placed, todo, down, limits, with_depth, planes)
         _write_tile(x, y, (width, height), background, planes, scratch, (rgb, alpha, depth))
 
@@ -263,6 +263,6 @@ def blend_backward(
             item = lists[k, 0]
             prefetch(flat, (lists[min(k + AHEAD, last), 0] >> 8) * 16)
             g, todo = item >> 8, listed_rows(item) & alive
-            placed = place(rows, g, x, y)
+            placed = seen_from(rows, g, x, y)
             sums = _slot_sums(rows, g, placed, todo, down, limits, colour_alone, of_tile)
             store(slots, slot, sums)

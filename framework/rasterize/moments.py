@@ -37,8 +37,8 @@ from framework.rasterize.tiles import (
     listed_rows,
     log_alpha,
     meet,
-    place,
     read_row,
+    seen_from,
 )
 
 f4 = np.float32
@@ -203,7 +203,7 @@ def blend_moments(
             if directional:
                 prefetch(slopes, ahead)
             g, todo = item >> 8, listed_rows(item) & alive
-            placed = place(rows, g, x, y)
+            placed = seen_from(rows, g, x, y)
             store(downs, 0, iota() + placed[1])
             line = splat(HALF * rows[g, 3] / rows[g, 4]) * placed[0]  # B / C dx
             sums = _moments(

@@ -147,7 +147,7 @@ def _spread(camera: Any, x: Any, y: Any, z: Any, quat: Any, log_scale: Any) -> t
 
 @inlined
 def _row(centre: Any, spread: Any, colour: Any, z: Any, reach: Any, opacity: Any) -> Any:
-    """The 16 values that the tiles and the gradients read; see `binning` and `tiles.place`."""
+    """The 16 values that the tiles and the gradients read; see `binning` and `tiles.seen_from`."""
     xx, xy, yy, determinant = spread
     inverse = ONE / determinant
     power = (-HALF * LOG2E * yy * inverse, LOG2E * xy * inverse, -HALF * LOG2E * xx * inverse)
@@ -158,11 +158,11 @@ def _row(centre: Any, spread: Any, colour: Any, z: Any, reach: Any, opacity: Any
 
 
 @inlined
-def _put_counts(bound: Any, base: int, count: int, values: Any, whole: Any) -> None:
+def _put_numbers(target: Any, base: int, count: int, values: Any, whole: Any) -> None:
     """Write the first `count` lanes into an array of whole numbers. whole: scratch of its type."""
     store_whole(whole, 0, values)
     for lane in range(count):
-        bound[base + lane] = whole[lane]
+        target[base + lane] = whole[lane]
 
 
 @kernel
@@ -220,8 +220,8 @@ def project(
         visible = both(visible, on_screen)
         put1(radii, base, count, scratch, select(visible, maximum(rx, ry), zeros()))
         _put_row(rows, base, count, _row((u, v), spread, colour, z, (rx, ry), opacity), sh)
-        _put_counts(bound, base, count, select(visible, covered, zeros()), whole)
-        _put_counts(clipped, base, count, _clamped(colour[0], colour[1], colour[2]), flags)
+        _put_numbers(bound, base, count, select(visible, covered, zeros()), whole)
+        _put_numbers(clipped, base, count, _clamped(colour[0], colour[1], colour[2]), flags)
 
 
 @inlined

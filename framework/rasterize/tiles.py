@@ -107,7 +107,7 @@ def write_row(plane: Any, at: int, count: int, value: Any, scratch: Any) -> None
 
 
 @inlined
-def place(rows: Any, g: int, x: int, y: int) -> tuple[Any, Any, Any, Any, Any, Any]:
+def seen_from(rows: Any, g: int, x: int, y: int) -> tuple[Any, Any, Any, Any, Any, Any]:
     """A Gaussian as the rows of the tile at (x, y) see it: dx of their lanes, dy of the first row,
     and the four coefficients of `log_alpha`."""
     dx = iota() + splat(f4(x) + HALF - rows[g, 0])

@@ -74,7 +74,7 @@ class Safi(ThresholdAugmenter):
             return
         terms = gaussians.shN.shape[1]
         check_gaussians("safi.gaussians", selection.gaussians, None, terms)
-        check_count("safi.sh_degree", selection.sh_degree, gaussians.sh_degree)
+        check_count("safi.sh_degree", selection.sh_degree, selection.gaussians.sh_degree)
         check_count("safi.epoch", selection.epoch)
         self._check_information(selection, len(views))
 

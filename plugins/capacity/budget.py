@@ -11,15 +11,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from framework.plugin import StepContext, register
-from framework.rounds import RoundsCapacity
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from framework.fisher import FisherInformation
+from framework.rounds import RoundsCapacity, Selection, TrainingInformation
 
 GROWTH = 1.25  # largest ratio of the numbers after and before a round
 
@@ -35,7 +29,7 @@ class Budget(RoundsCapacity):
         super().__post_init__()
         self.check("gaussians", self.gaussians >= 1, "an integer >= 1")
 
-    def selected(self, ctx: StepContext, information: FisherInformation) -> tuple[Tensor, int]:
+    def selected(self, ctx: StepContext, known: TrainingInformation) -> Selection:
         import torch
 
         from framework.information import removal_energy
@@ -44,10 +38,11 @@ class Budget(RoundsCapacity):
         wanted = self._wanted(n, self.rounds_left(ctx))
         new = round(self.grow * wanted) if self.growing(ctx) else 0
         n_kept = min(n, wanted - min(new, wanted // 2))
-        energy = removal_energy(information.diagonal, ctx.gaussians.opacity_logits)
+        energy = removal_energy(known.total.diagonal, ctx.gaussians.opacity_logits)
         keep = torch.zeros(n, dtype=torch.bool)
         keep[energy.argsort(descending=True, stable=True)[:n_kept]] = True
-        return keep, min(wanted - n_kept, n_kept) if self.rounds_left(ctx) > 0 else 0
+        splits = min(wanted - n_kept, n_kept) if self.rounds_left(ctx) > 0 else 0
+        return Selection(keep, splits)
 
     def _wanted(self, n: int, rounds_left: int) -> int:
         """How many there shall be after this round, of `rounds_left` up to `until`."""

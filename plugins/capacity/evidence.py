@@ -35,7 +35,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from framework.plugin import StepContext, register
-from framework.rounds import RoundsCapacity
+from framework.rounds import SH0, RoundsCapacity, Selection, TrainingInformation
 
 if TYPE_CHECKING:
     import numpy as np
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 CRITERIA = ("laplace", "correlated", "bic")
-SH0 = 11  # where the colours begin in a diagonal
 FEWEST, HANDFUL = 8, 16  # are kept even if none pays; is when that is told
 ROUNDING_VARIANCE = (1 / 255) ** 2 / 12  # of 8-bit images
 NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
@@ -72,10 +71,11 @@ class Evidence(RoundsCapacity):
         self.check("criterion", self.criterion in CRITERIA, f"one of {', '.join(CRITERIA)}")
         self.check("pace", 0 < self.pace <= 1, "a share in (0, 1]")
 
-    def selected(self, ctx: StepContext, information: FisherInformation) -> tuple[Tensor, int]:
+    def selected(self, ctx: StepContext, known: TrainingInformation) -> Selection:
         import torch
 
-        gain, cost = self._evidence(ctx, information)
+        noise, values = self._noise(ctx)
+        gain, cost = self._evidence(ctx.gaussians, known, noise, values)
         unpaid = gain <= cost
         n, gone = len(gain), removable(gain, cost, self.pace)
         gone = gone[: max(0, n - FEWEST)]
@@ -87,48 +87,64 @@ class Evidence(RoundsCapacity):
             )
         keep = torch.ones(n, dtype=torch.bool)
         keep[torch.from_numpy(gone)] = False
-        n_kept = n - len(gone)
-        n_paid = n - int(unpaid.sum())
-        return keep, min(round(self.grow * n_kept), n_paid) if self.growing(ctx) else 0
+        n_kept, n_paid = n - len(gone), n - int(unpaid.sum())
+        if self.growing(ctx):
+            return Selection(keep, min(round(self.grow * n_kept), n_paid))
+        bands, sh0 = self._bands(ctx, known, noise, values)
+        if bands is not None:
+            ctx.log("bands_dropped", float((keep & ~bands)[: len(ctx.gaussians.shN)].sum()))
+        return Selection(keep, 0, bands, sh0)
 
-    def banded(self, ctx: StepContext) -> Tensor | None:
-        """Judged when nothing grows any more and all bands are in use, as what they gain is learned
-        slowly. All that do not pay go at once: the images hardly change, the means stay."""
-        import torch
+    def _noise(self, ctx: StepContext) -> tuple[float, float]:
+        """(s2 as the criterion takes it, number of training values)."""
+        noise, values, channels = residual_noise(ctx)
+        ctx.log("noise", math.sqrt(noise))
+        return noise * channels if self.criterion == "correlated" else noise, values
 
-        from framework.bands import bands_evidence
-
-        gaussians = ctx.gaussians
-        if self.growing(ctx) or not 0 < gaussians.sh_degree == ctx.sh_degree:
-            return None
-        colours = [ctx.fisher(view.camera).diagonal[:, SH0:] for view in ctx.views]
-        centers = [view.camera.center for view in ctx.views]
-        noise, _, _ = residual_noise(ctx)
-        gain, cost = bands_evidence(gaussians, centers, colours, noise)
-        pays = torch.zeros(len(gaussians), dtype=torch.bool)
-        pays[: len(gain)] = torch.from_numpy(gain > cost)
-        ctx.log("bands_dropped", float((gain <= cost).sum()))
-        return pays if (gain <= cost).any() else None
-
-    def _evidence(self, ctx: StepContext, information: FisherInformation) -> tuple[Array, Array]:
+    def _evidence(
+        self, gaussians: Gaussians, known: TrainingInformation, noise: float, values: float
+    ) -> tuple[Array, Array]:
         """(G, C), each [N] nats."""
         import numpy as np
 
         from framework.information import removal_energy
 
-        gaussians = ctx.gaussians
-        noise, values, channels = residual_noise(ctx)
-        ctx.log("noise", math.sqrt(noise))
-        if self.criterion == "correlated":
-            noise *= channels
-        energy = removal_energy(information.diagonal, gaussians.opacity_logits).numpy()
+        energy = removal_energy(known.total.diagonal, gaussians.opacity_logits).numpy()
         if self.criterion == "bic":
             size = np.full(len(energy), 14.0)
             size[: len(gaussians.shN)] += 3 * gaussians.shN.shape[1]
             cost = 0.5 * size * math.log(values)
         else:
-            cost = description_cost(gaussians, information, noise)
+            cost = description_cost(gaussians, known.total, noise)
         return energy / (2 * noise), cost
+
+    def _bands(
+        self, ctx: StepContext, known: TrainingInformation, noise: float, values: float
+    ) -> tuple[Tensor | None, Tensor | None]:
+        """(whose SH bands pay [N] bool, sh0 with the mean colour of those whose do not); None where
+        none go. Judged when nothing grows any more and all bands are in use, as what they gain is
+        learned slowly; all that do not pay go at once."""
+        import numpy as np
+        import torch
+
+        from framework.bands import bands_evidence
+
+        gaussians = ctx.gaussians
+        if not 0 < gaussians.sh_degree == ctx.sh_degree:
+            return None, None
+        centers = [view.camera.center for view in ctx.views]
+        found = bands_evidence(gaussians, centers, known.colours, noise)
+        cost = found.cost
+        if self.criterion == "bic":
+            cost = np.full(len(cost), 1.5 * gaussians.shN.shape[1] * math.log(values))
+        pays = torch.zeros(len(gaussians), dtype=torch.bool)
+        pays[: len(cost)] = torch.from_numpy(found.gain > cost)
+        gone = torch.from_numpy(found.gain <= cost)
+        if not gone.any():
+            return None, None
+        sh0 = gaussians.sh0.clone()
+        sh0[: len(gone)][gone] = torch.from_numpy(found.sh0).to(sh0)[gone][:, None]
+        return pays, sh0
 
 
 def residual_noise(ctx: StepContext) -> tuple[float, float, float]:
@@ -154,6 +170,8 @@ def description_cost(gaussians: Gaussians, information: FisherInformation, noise
     where the addition theorem makes a coefficient's mean information that of sh0."""
     import numpy as np
 
+    from framework.bands import prior_variance
+
     g = gaussians
     columns = (g.means, g.log_scales, g.quats, g.opacity_logits[:, None], g.sh0[:, 0])
     prior = np.concatenate([_spread(column) for column in columns])
@@ -163,7 +181,7 @@ def description_cost(gaussians: Gaussians, information: FisherInformation, noise
     logs = np.linalg.slogdet(block + np.eye(6))[1] + np.log1p(known[:, 6:]).sum(1)
     if g.sh_degree > 0:
         higher = information.diagonal[: len(g.shN), SH0:].double().numpy() / noise
-        each = np.log1p(higher * _spread(g.shN.flatten(1)[:, :3])).sum(1)
+        each = np.log1p(higher * prior_variance(g)).sum(1)
         logs[: len(g.shN)] += g.shN.shape[1] * each
     cost: Array = 0.5 * logs + math.log(2)
     return cost

@@ -71,7 +71,7 @@ class FisherPrune(Capacity):
         from framework.information import uncertainty
         from framework.rounds import training_information
 
-        known = training_information(ctx)
+        known = training_information(ctx).total
         scores = uncertainty(known.block, known.visible, ctx.extent, self.regulariser)
         keep = torch.zeros(len(ctx.gaussians), dtype=torch.bool)
         keep[scores.argsort(stable=True)[:n]] = True

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from framework.bands import bands_evidence
+from framework.bands import BandsEvidence, bands_evidence
 from framework.fisher import fisher_information
 from framework.rasterize import rasterize
 from framework.rasterize.reference import sh_basis
@@ -30,7 +30,7 @@ def coloured(n: int, degree: int, strength: float = 0.1) -> Gaussians:
     return replace(wall, shN=torch.from_numpy(draws))
 
 
-def evidence(subject: Gaussians, noise: float = NOISE) -> tuple[np.ndarray, np.ndarray]:
+def evidence(subject: Gaussians, noise: float = NOISE) -> BandsEvidence:
     views = stage()[0]
     known = [fisher_information(subject, view.camera).diagonal[:, 11:] for view in views]
     return bands_evidence(subject, [view.camera.center for view in views], known, noise)
@@ -40,7 +40,7 @@ def evidence(subject: Gaussians, noise: float = NOISE) -> tuple[np.ndarray, np.n
 def test_the_gain_is_what_the_best_single_colour_misses(degree: int) -> None:
     """Of one Gaussian alone: a pixel is weight x colour, whatever the colour."""
     subject = coloured(1, degree)
-    (gain,), _ = evidence(subject)
+    found = evidence(subject)
     rows = []
     for view in stage()[0]:
         direction = torch.nn.functional.normalize(subject.means - view.camera.center, dim=1)
@@ -52,12 +52,22 @@ def test_the_gain_is_what_the_best_single_colour_misses(degree: int) -> None:
     mean = (weights[:, None] * colours).sum(0) / weights.sum()
     missed = (weights[:, None] * (colours - mean) ** 2).sum()
     assert missed > 0
-    assert gain == pytest.approx(missed / (2 * NOISE), rel=1e-3)
+    assert found.gain[0] == pytest.approx(missed / (2 * NOISE), rel=1e-3)
+    assert found.sh0[0] * float(values[0]) == pytest.approx(mean, rel=1e-3)
+    # what the images really lose, with that colour in the place of the bands
+    plain = subject.replace(sh0=torch.from_numpy(found.sh0[:, None]).float())
+    plain = plain.with_bands(torch.zeros(1, dtype=torch.bool))
+    pairs = [
+        (rasterize(subject, view.camera).rgb, rasterize(plain, view.camera).rgb)
+        for view in stage()[0]
+    ]
+    lost = sum(float((ours - theirs).square().double().sum()) for ours, theirs in pairs)
+    assert lost == pytest.approx(missed, rel=1e-3)
 
 
 def test_the_cost_is_half_the_log_determinant_of_what_the_views_tell() -> None:
     subject = coloured(5, 2)
-    _, cost = evidence(subject)
+    cost = evidence(subject).cost
     spread = float(subject.shN.square().double().mean())
     views = stage()[0]
     expected = np.full(5, math.log(2))
@@ -81,8 +91,10 @@ def test_equal_views_and_unseen_gaussians_have_nothing_to_tell() -> None:
     view = stage()[0][0]
     unseen = torch.zeros(3, 3)
     for known in (unseen, torch.ones(3, 3)):
-        gain, cost = bands_evidence(subject, [view.camera.center] * 3, [known] * 3, NOISE)
-        assert np.allclose(gain, 0, atol=1e-9) and np.allclose(cost, math.log(2))
+        found = bands_evidence(subject, [view.camera.center] * 3, [known] * 3, NOISE)
+        assert np.allclose(found.gain, 0, atol=1e-9) and np.allclose(found.cost, math.log(2))
+        moved = np.abs(found.sh0 - subject.sh0[:, 0].numpy()).max()
+        assert (moved > 1e-3) == bool(known.any())
 
 
 def test_bands_stay_where_they_pay() -> None:
@@ -99,10 +111,34 @@ def test_bands_stay_where_they_pay() -> None:
     edits, _ = method.update(ctx, method.init_state(ctx), pulls(torch.ones(100)))
     assert edits is not None and edits.bands is not None
     assert not edits.bands[50:].any() and edits.bands[:50].float().mean() > 0.8
-    assert log.values["bands_dropped"][0] == float((~edits.bands).sum())
+    assert edits.keep is not None and edits.sh0 is not None
+    assert log.values["bands_dropped"][0] == float((edits.keep & ~edits.bands).sum())
+    assert torch.equal(edits.sh0[edits.bands], subject.sh0[edits.bands])
+    assert not torch.equal(edits.sh0[~edits.bands], subject.sh0[~edits.bands])
 
 
 @pytest.mark.parametrize(("step", "active"), [(49, 1), (69, 0)])
 def test_bands_are_not_judged_early(step: int, active: int) -> None:
     ctx = replace(watched(coloured(30, 1), step), sh_degree=active)
-    assert Evidence().banded(ctx) is None
+    method = Evidence()
+    edits, _ = method.update(ctx, method.init_state(ctx), pulls(torch.ones(30)))
+    assert edits is None or edits.bands is None
+
+
+@pytest.mark.parametrize("criterion", ["correlated", "bic"])
+def test_every_criterion_judges_bands_by_its_own_cost(criterion: str) -> None:
+    """A thousandth of the noise lets bands pay that did not."""
+    subject = coloured(60, 1)
+    kept = []
+    for scale in (1.0, 0.001):
+        ctx = replace(watched(subject, 69), sh_degree=1)
+        draws = stream(0, "noise").normal(0, 0.3 * scale, (3, *ctx.views[0].image.shape))
+        views = tuple(
+            replace(view, image=ctx.render(view.camera).rgb + torch.from_numpy(extra).float())
+            for view, extra in zip(ctx.views, draws, strict=True)
+        )
+        method = Evidence(criterion=criterion)
+        ctx = replace(ctx, views=views)
+        edits, _ = method.update(ctx, method.init_state(ctx), pulls(torch.ones(60)))
+        kept.append(60 if edits is None or edits.bands is None else int(edits.bands.sum()))
+    assert kept[0] < kept[1]

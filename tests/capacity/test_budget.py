@@ -21,7 +21,7 @@ def test_removal_energy_is_the_change_of_the_images() -> None:
     wall = wall_of_gaussians(60)
     subject = wall.replace(opacity_logits=torch.linspace(-3.0, 5.0, 60))
     ctx = watched(subject)
-    energy = removal_energy(training_information(ctx).diagonal, subject.opacity_logits)
+    energy = removal_energy(training_information(ctx).total.diagonal, subject.opacity_logits)
     for index in (0, 20, 40, 50, 59):
         absent = torch.ones(60)
         absent[index] = 0
@@ -67,7 +67,7 @@ def test_a_late_start_reaches_it_at_once_and_few_grow_to_it() -> None:
 def test_it_drops_what_is_hidden_and_splits_what_is_pulled() -> None:
     everything = watched(wall_of_gaussians(90))
     seen = removal_energy(
-        training_information(everything).diagonal, everything.gaussians.opacity_logits
+        training_information(everything).total.diagonal, everything.gaussians.opacity_logits
     )
     wall = everything.gaussians[seen.argsort(descending=True)[:50]]  # the most telling ones first
     hidden = wall[torch.arange(10)].replace(opacity_logits=torch.full((10,), -9.0))

@@ -71,9 +71,13 @@ def test_loss_term(term: object, told: str) -> None:
 def test_edits() -> None:
     mine = plugin(Capacity, "capacity")
     with pytest.raises(UserError, match=r"^capacity=mine: update: expected to return \(Edits or"):
-        hooks.edits(mine, Edits())
+        hooks.edits(mine, Edits(), 3)
     with pytest.raises(UserError, match="expected Edits or None, got Tensor"):
-        hooks.edits(mine, (torch.ones(3), None))
+        hooks.edits(mine, (torch.ones(3), None), 3)
+    whole, true = torch.ones(3, dtype=torch.int64), torch.ones(3, dtype=torch.bool)
+    for part, value in (("keep", true[:2]), ("bands", whole), ("sh0", torch.zeros(3, 3))):
+        with pytest.raises(UserError, match=f"^capacity=mine: update: expected `{part}` of shape"):
+            hooks.edits(mine, (Edits(**{part: value}), None), 3)
 
 
 def test_what_is_right_passes() -> None:
@@ -83,7 +87,7 @@ def test_what_is_right_passes() -> None:
     assert hooks.opacity_factors(plugin(Regularizer, "reg"), (factors, 2), 3) == (factors, 2)
     assert hooks.loss_term(plugin(Regularizer, "reg"), GRADIENT) is GRADIENT
     assert hooks.loss_term(plugin(Regularizer, "reg"), None) is None
-    assert hooks.edits(plugin(Capacity, "capacity"), (None, 3)) == (None, 3)
+    assert hooks.edits(plugin(Capacity, "capacity"), (None, 3), 3) == (None, 3)
 
 
 def test_a_class_that_is_no_plugin_is_told_at_its_definition() -> None:

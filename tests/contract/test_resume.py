@@ -20,7 +20,9 @@ from framework.warmup import _plane
 from tests.contract.test_training import ACTING, ALL, EAGER, NEUTRAL, content_sha256
 
 OPTIONS = TrainerOptions(steps=20, sh_degree=1, sh_every=4, evaluations=2)
-TAKEN_UP_AT = (1, 7, 19)  # inside an epoch, at several of the plugins' moments, before the last
+TAKEN_UP_AT = (1, 7, 14, 19)  # inside an epoch, at several of the plugins' moments, before the last
+# bands go while SAFI still has a snapshot with them
+DROPPING = {"augment": "safi", "capacity": "evidence"}
 
 
 class Files:
@@ -74,7 +76,7 @@ def outcome(trained: Trained) -> tuple[Any, ...]:
 
 @pytest.mark.parametrize(
     ("names", "sh_degree"),
-    [*(({group: name}, 1) for group, name in ALL), (ACTING, 3)],
+    [*(({group: name}, 1) for group, name in ALL), (ACTING, 3), (DROPPING, 1)],
     ids=lambda value: "+".join(value.values()) if isinstance(value, dict) else f"sh{value}",
 )
 def test_a_training_taken_up_again_ends_with_the_same_bits(

@@ -128,7 +128,7 @@ READERS: dict[str, Reader] = {
     ),
     "splat ply of two degrees": Reader(
         lambda f: write_ply(f / "a.ply", _two_degrees(), torch.rand(3)),
-        ("a.ply",),
+        ("a.ply", "a_sh.npy"),
         lambda f: read_ply(f / "a.ply"),
     ),
     "colmap binary": Reader(_colmap, BINARY, _scene("colmap")),

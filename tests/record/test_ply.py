@@ -52,41 +52,66 @@ def test_plyfile_reads_the_layout(tmp_path: Path) -> None:
             )
 
 
-@pytest.mark.parametrize(("banded", "elements"), [(0, 1), (2, 2), (5, 1)])
-def test_bands_of_the_first_alone_are_an_element_of_their_own(
-    tmp_path: Path, banded: int, elements: int
-) -> None:
-    gaussians = make_gaussians(5, 2)
-    gaussians = gaussians.replace(shN=gaussians.shN[:banded])
-    size = write_ply(tmp_path / "a.ply", gaussians, torch.zeros(3))
-    data = PlyData.read(str(tmp_path / "a.ply"))
-    assert [element.name for element in data] == ["vertex", "sh"][:elements]
-    if elements == 2:
-        assert len(data["sh"]) == banded and "f_rest_0" not in data["vertex"]
-        np.testing.assert_array_equal(data["sh"]["f_rest_9"], gaussians.shN[:, 1, 1])
-    assert size - 4 * (5 * 17 + banded * 24) < 1500  # the header
-    read, _ = read_ply(tmp_path / "a.ply")
-    assert torch.equal(read.shN, gaussians.shN) or (banded == 0 and read.sh_degree == 0)
+@pytest.mark.parametrize("banded", [0, 2, 5])
+def test_bands_of_the_first_alone_lie_beside_it(tmp_path: Path, banded: int) -> None:
+    whole, path = make_gaussians(5, 2), tmp_path / "a.ply"
+    write_ply(path, whole.replace(shN=whole.shN[:2]), torch.zeros(3))
+    gaussians = whole.replace(shN=whole.shN[:banded])
+    size = write_ply(path, gaussians, torch.zeros(3))
+    assert size == sum(file.stat().st_size for file in tmp_path.iterdir())
+    data = PlyData.read(str(path))
+    assert [element.name for element in data] == ["vertex"]
+    assert ("f_rest_0" in data["vertex"]) == (banded == 5)
+    assert (tmp_path / "a_sh.npy").is_file() == (banded == 2)  # none is left of the first writing
+    read, _ = read_ply(path)
+    assert torch.equal(read.shN, gaussians.shN) or read.sh_degree == banded == 0
     assert torch.equal(read.means, gaussians.means) and torch.equal(read.quats, gaussians.quats)
 
 
+def test_rows_without_bands_are_plain_at_degree_zero(tmp_path: Path) -> None:
+    gaussians = make_gaussians(5, 0)
+    gaussians = gaussians.with_bands(torch.tensor([True, False, True, False, False]))
+    write_ply(tmp_path / "a.ply", gaussians, torch.zeros(3))
+    assert torch.equal(read_ply(tmp_path / "a.ply")[0].means, gaussians.means)
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("bands", "message"),
     [
-        (lambda b: b.replace(b"element sh 2", b"element sh 5"), "1 to 4 rows of 'sh'"),
-        (lambda b: b.replace(b"element sh 2", b"element sh 3"), "bytes for 5 vertices"),
-        (lambda b: b.replace(b"element sh 2", b"element faces 2"), "element 'vertex'"),
-        (lambda b: b.replace(b"f_rest_8", b"f_rest_9"), "f_rest_8"),
-        (lambda b: b[:-4] + b"\0\0\xc0\x7f", "NaN or infinity in 1 vertices"),
+        (None, "found none"),
+        (np.zeros((2, 3, 3), "<f4"), None),
+        (np.zeros((3, 3, 3), "<f4"), r"a_sh.npy: .* shape \[2, 3, 8 or 15, 3\], got \[3, 3, 3\]"),
+        (np.zeros((2, 4, 3), "<f4"), r"got \[2, 4, 3\]"),
+        (np.full((2, 3, 3), np.nan, "<f4"), "finite"),
+        (np.array([object()]), "a_sh.npy"),
     ],
 )
-def test_damaged_bands_end_in_one_line(tmp_path: Path, change, message: str) -> None:  # type: ignore[no-untyped-def]
+def test_damaged_bands_end_in_one_line(tmp_path: Path, bands, message: str | None) -> None:  # type: ignore[no-untyped-def]
     gaussians, path = make_gaussians(5, 1), tmp_path / "a.ply"
     write_ply(path, gaussians.replace(shN=gaussians.shN[:2]), torch.zeros(3))
-    path.write_bytes(change(path.read_bytes()))
+    if bands is None:
+        (tmp_path / "a_sh.npy").unlink()
+    else:
+        np.save(tmp_path / "a_sh.npy", bands, allow_pickle=True)
+    if message is None:
+        assert len(read_ply(path)[0].shN) == 2
+        return
     with pytest.raises(UserError, match=message) as caught:
         read_ply(path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("number", ["0", "5", "999999999999999"])
+def test_a_header_with_more_bands_than_vertices(tmp_path: Path, number: str) -> None:
+    gaussians, path = make_gaussians(5, 1), tmp_path / "a.ply"
+    write_ply(path, gaussians.replace(shN=gaussians.shN[:2]), torch.zeros(3))
+    content = path.read_bytes().replace(b"comment bands 2", f"comment bands {number}".encode())
+    path.write_bytes(content)
+    if number == "0":
+        assert read_ply(path)[0].sh_degree == 0
+        return
+    with pytest.raises(UserError, match="0 < M < 5"):
+        read_ply(path)
 
 
 def test_a_file_of_another_trainer_without_background(tmp_path: Path) -> None:
