@@ -31,7 +31,7 @@ NEUTRAL = {"augment": "none", "reg": "none", "capacity": "fixed"}
 ACTING = {"augment": "safi", "reg": "uar", "capacity": "adc"}
 EAGER: dict[str, dict[str, Any]] = {
     "adc": {"from_step": 4, "every": 4, "grad_threshold": 1e-6},
-    "safi": {"refresh_epochs": 3},
+    "safi": {"refresh_epochs": 2},
     "uar": {"refresh": 4, "schedule": "constant"},
 }
 
