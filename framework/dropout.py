@@ -33,12 +33,12 @@ class DropoutRegularizer(Regularizer):
     defaults: ClassVar[dict[str, float]] = {"start": 0.1, "stop": 0.8}
 
     def __post_init__(self) -> None:
-        self.check("p", 0 < self.p < 1, "in (0, 1)")
+        self.check("p", 0 < self.p < 1, "a number in (0, 1)")
         self.check("schedule", self.schedule in SCHEDULES, f"one of {', '.join(SCHEDULES)}")
 
     def check(self, option: str, ok: bool, expected: str) -> None:
         """Raise UserError unless `ok`."""
-        require(ok, f"{self.name}: {option} must be {expected}, got {getattr(self, option)}")
+        require(ok, f"reg.{option}: expected {expected}, got {getattr(self, option)} ({self.name})")
 
     def drop_rate(self, progress: float) -> float:
         """p(t), the expected share of Gaussians dropped at `progress` in [0, 1)."""

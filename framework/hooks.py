@@ -52,8 +52,8 @@ def loss_term(plugin: Plugin, term: Any) -> Tensor | None:
         raise UserError(f"{where}: expected a scalar tensor, got {type(term).__name__}{shape}")
     if not term.requires_grad:
         raise UserError(
-            f"{where}: expected a loss of the render's rgb, alpha or depth, got one without a"
-            " gradient (ctx.gaussians is detached); return None for no loss"
+            f"{where}: expected a loss of the render's rgb, alpha or depth or of ctx.gaussians, got"
+            " one without a gradient; return None for no loss"
         )
     value = float(term.detach())
     if not math.isfinite(value):

@@ -39,11 +39,12 @@ class StepContext:
 
     step: index, from 0, of the current step: the one about to run, for `Capacity.update` the one
     just made. views: the real training views; depth: their depth maps, in the same order.
-    gaussians: the current ones, detached; clone what is to be kept, the next step changes them in
-    place. version: changes whenever Gaussians were added, removed or reordered. sh_degree: the
-    active degree. background: [3]. extent: see `TrainingSet.extent`; near, far: depth bounds of the
-    scene. render(camera): the current Gaussians without any dropout. fisher(camera): their
-    information; fisher(camera, gaussians, sh_degree): that of others, for instance a snapshot.
+    gaussians: the current ones, detached but in `Regularizer.loss`; clone what is to be kept, the
+    next step changes them in place. version: changes whenever Gaussians were added, removed or
+    reordered. sh_degree: the active degree. background: [3]. extent: see `TrainingSet.extent`;
+    near, far: depth bounds of the scene. render(camera): the current Gaussians without any dropout.
+    fisher(camera): their information; fisher(camera, gaussians, sh_degree): that of others, for
+    instance a snapshot.
     rng(purpose): this plugin's own stream for this step. log(name, value): into the history.
     """
 
@@ -118,7 +119,9 @@ class Regularizer(Plugin):
         return None, state
 
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
-        """An unweighted scalar to add to the photometric loss, or None."""
+        """An unweighted scalar to add to the photometric loss, or None. Here alone
+        `ctx.gaussians` are the parameters themselves: the scalar may be differentiated through them
+        as through `render`."""
         return None
 
 

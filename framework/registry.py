@@ -180,7 +180,8 @@ def build(group: str, config: Mapping[str, Any]) -> Plugged:
     keys = {key: float(options.pop(key, known[key][2].default)) for key in FRAMEWORK_KEYS}
     require(
         keys["weight"] == known["weight"][2].default or cls.weighted(),
-        f"{group}={name}: weight multiplies a loss, and {name} has none; drop {group}.weight",
+        f"{group}={name}: weight multiplies a loss, and {name} has none; drop {group}.weight, or"
+        f" compare it with a variant that sets it, a file conf/{group}/VARIANT.yaml",
     )
     require(keys["weight"] >= 0, f"{group}={name}: weight must be >= 0, got {keys['weight']}")
     require(

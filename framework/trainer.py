@@ -10,6 +10,7 @@ Gaussians.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -38,6 +39,7 @@ from framework.stopwatch import Stopwatch
 from framework.training_state import Keeper, Plugins, PluginState, Trained, TrainerState
 from framework.types import Camera, DepthMap, Gaussians, Render, TrainingSet, View
 
+LOG = logging.getLogger(__name__)
 HISTORY_ROWS = 60  # about so many rows of history per run, beside the evaluations
 
 
@@ -99,6 +101,7 @@ class Trainer:
         self.history: list[HistoryRow] = []
         self.psnr: float | None = None
         self.watch, self.resumed = Stopwatch(), 0
+        self.asked, self.given = 0, 0  # epochs that asked for pseudo views, what they got
         if start is not None:
             self._take_up(start)
 
@@ -117,6 +120,13 @@ class Trainer:
             self.progress.step(self.step, self.options.steps, loss, n, self.psnr)
             if self.keeper is not None and self.keeper.due():
                 self.keeper.keep(self.state())
+        silent = self.asked > 0 and self.given == 0 and self.resumed == 0
+        if silent and self.augment.plugged.plugin.weighted():
+            LOG.warning(
+                f"augment={self.augment.plugged.plugin.name}: no pseudo view in any of {self.asked}"
+                " epochs that asked for one, so the method changed nothing; history.csv has what it"
+                " logged, for instance the coverage that augment.min_coverage refuses"
+            )
         return Trained(
             self.params.detach(),
             self.background,
@@ -185,6 +195,7 @@ class Trainer:
         plugged = self.augment.plugged
         result = plugged.plugin.pseudo_views(context, self.augment.state)
         views, self.augment.state = hooks.pseudo_views(plugged.plugin, result)
+        self.asked, self.given = self.asked + 1, self.given + len(views)
         return [
             replace(view, weight=view.weight * plugged.weight, tags=(*view.tags, PSEUDO))
             for view in views
@@ -251,7 +262,7 @@ class Trainer:
         """The regularizer's weighted loss term; 0 without one."""
         if context is None:
             return 0.0
-        plugged = self.reg.plugged
+        plugged, context = self.reg.plugged, replace(context, gaussians=self.params)
         result = plugged.plugin.loss(context, self.reg.state, view, render)
         term = hooks.loss_term(plugged.plugin, result)
         return 0.0 if term is None else plugged.weight * term

@@ -66,7 +66,9 @@ class WarpingAugmenter(Augmenter):
 
     def check(self, option: str, ok: bool, expected: str) -> None:
         """Raise UserError unless `ok`."""
-        require(ok, f"{self.name}: {option} must be {expected}, got {getattr(self, option)}")
+        require(
+            ok, f"augment.{option}: expected {expected}, got {getattr(self, option)} ({self.name})"
+        )
 
     def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
         """Indices of the training views to warp into `camera`, and the next `selection`."""

@@ -61,13 +61,13 @@ class Uar(DropoutRegularizer):
         most = 1 / self.p
         require(
             1 < self.candidate_factor < most,
-            f"uar: candidate_factor must be in (1, 1/p) = (1, {round(most, 3)}), got"
-            f" {self.candidate_factor:g}; lower it or lower p",
+            f"reg.candidate_factor: expected a number in (1, 1/p) = (1, {round(most, 3)}), got"
+            f" {self.candidate_factor:g}; lower it or lower reg.p (uar)",
         )
-        self.check("soft_scale", 0 <= self.soft_scale <= 1, "in [0, 1]")
+        self.check("soft_scale", 0 <= self.soft_scale <= 1, "a number in [0, 1]")
         self.check("refresh", self.refresh >= 1, "an integer >= 1")
         self.check("form", self.form in FORMS, f"one of {', '.join(FORMS)}")
-        self.check("regulariser", 0 < self.regulariser <= 1e3, "in (0, 1000]")
+        self.check("regulariser", 0 < self.regulariser <= 1e3, "a number in (0, 1000]")
 
     def check_state(
         self, state: Ranking | None, gaussians: Gaussians, version: int, views: tuple[View, ...]

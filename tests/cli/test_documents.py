@@ -69,7 +69,7 @@ def test_the_readme_lists_every_choice(group: str) -> None:
     row = next(line for line in README.splitlines() if line.startswith(f"| `{group}`"))
     variants = [path.stem for path in CONF_DIR.glob(f"{group}/*.yaml")]
     missing = [name for name in choices(group) + variants if f"`{name}`" not in row]
-    assert not missing
+    assert not missing, f"README.md, Choices: the row `{group}` lacks {', '.join(missing)}"
 
 
 def test_the_readme_names_every_study() -> None:

@@ -32,7 +32,7 @@ CASES = {
     "reg.weight=heavy": ["reg.weight: expected a number, got 'heavy'"],
     "trainer.steps=0": ["trainer.steps: expected an integer >= 1, got 0"],
     "trainer.steps=800,0 -m": ["trainer.steps: expected an integer >= 1, got 0"],
-    "reg=uar reg.candidate_factor=70": ["uar: candidate_factor", "got 70"],
+    "reg=uar reg.candidate_factor=70": ["reg.candidate_factor", "got 70"],
     "reg.start=0.9 reg.stop=0.1": ["reg=none: expected 0 <= start <= stop <= 1"],
     "seed=-1": ["seed: expected an integer >= 0, got -1"],
     "seed=0,-1 -m": ["seed: expected an integer >= 0, got -1"],

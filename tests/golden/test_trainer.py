@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -100,6 +101,32 @@ def test_a_loss_that_is_not_finite_is_an_error() -> None:
 
     with pytest.raises(UserError, match="reg=Broken: loss: expected a finite number, got nan"):
         _train(_plugins(reg=Plugged(Broken(), 1.0, 0.0, 1.0)))
+
+
+def test_a_loss_may_be_of_the_gaussians_themselves() -> None:
+    class Faint(Regularizer):
+        def loss(self, ctx: Any, state: Any, view: Any, render: Any) -> Tensor:
+            total: Tensor = ctx.gaussians.opacities.mean()
+            return total
+
+    plain, faint = (
+        _train(_plugins(**chosen), steps=30)
+        for chosen in ({}, {"reg": Plugged(Faint(), 10.0, 0.0, 1.0)})
+    )
+    assert faint.gaussians.opacities.mean() < 0.8 * plain.gaussians.opacities.mean()
+
+
+@pytest.mark.parametrize(("coverage", "told"), [(1.0, True), (0.0, False)])
+def test_an_augmenter_that_gave_nothing_is_told(
+    coverage: float, told: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    built = registry.build("augment", {"name": "dba", "min_coverage": coverage, "stop": 1.0})
+    with caplog.at_level(logging.WARNING, "framework"):
+        _train(_plugins(augment=built))
+        _train(_plugins())
+    messages = [record.getMessage() for record in caplog.records]
+    assert len(messages) == told
+    assert all("augment=dba: no pseudo view in any of" in message for message in messages)
 
 
 def test_an_inactive_method_changes_nothing() -> None:

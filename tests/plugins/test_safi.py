@@ -155,9 +155,9 @@ def test_neighbour_distance() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"eta": 0.7}, r"safi: eta must be a number in \[1, 1e6\], got 0.7"),
-        ({"form": "sum"}, "safi: form must be one of trace, log, got sum"),
-        ({"approximation": "full"}, "approximation must be one of diagonal, block, got full"),
+        ({"eta": 0.7}, r"eta: expected a number in \[1, 1e6\], got 0.7"),
+        ({"form": "sum"}, "form: expected one of trace, log, got sum"),
+        ({"approximation": "full"}, "approximation: expected one of diagonal, block, got full"),
         ({"every": 0}, "every"),
         ({"sigma_center": -1.0}, "sigma_center"),
         ({"sigma_rotation": float("nan")}, "sigma_rotation"),

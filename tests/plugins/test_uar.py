@@ -135,16 +135,19 @@ def test_input_is_left_alone() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"p": 0.2, "candidate_factor": 7.0}, r"must be in \(1, 1/p\) = \(1, 5.0\), got 7"),
-        ({"candidate_factor": 1.0}, "lower p"),
+        (
+            {"p": 0.2, "candidate_factor": 7.0},
+            r"expected a number in \(1, 1/p\) = \(1, 5.0\), got 7",
+        ),
+        ({"candidate_factor": 1.0}, "lower reg.p"),
         ({"candidate_factor": float("nan")}, "candidate_factor"),
-        ({"p": 0.0}, r"uar: p must be in \(0, 1\), got 0.0"),
-        ({"p": 1.5}, "uar: p must be"),
-        ({"mode": "medium"}, "mode must be one of soft, hard"),
-        ({"schedule": "cosine"}, "schedule must be one of linear, constant"),
+        ({"p": 0.0}, r"p: expected a number in \(0, 1\), got 0.0"),
+        ({"p": 1.5}, "p: expected"),
+        ({"mode": "medium"}, "mode: expected one of soft, hard"),
+        ({"schedule": "cosine"}, "schedule: expected one of linear, constant"),
         ({"soft_scale": 1.2}, "soft_scale"),
         ({"refresh": 0}, "refresh"),
-        ({"form": "full"}, "uar: form must be one of block, diagonal, got full"),
+        ({"form": "full"}, "form: expected one of block, diagonal, got full"),
         ({"regulariser": 0.0}, "regulariser"),
     ],
 )

@@ -99,10 +99,10 @@ def test_compensation_moves_no_draw() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"p": 0.0}, r"uniform: p must be in \(0, 1\), got 0.0"),
-        ({"p": 1.0}, "uniform: p must be"),
-        ({"schedule": "cosine"}, "schedule must be one of linear, constant, got cosine"),
-        ({"count": "poisson"}, "count must be one of bernoulli, exact, got poisson"),
+        ({"p": 0.0}, r"p: expected a number in \(0, 1\), got 0.0"),
+        ({"p": 1.0}, "p: expected"),
+        ({"schedule": "cosine"}, "schedule: expected one of linear, constant, got cosine"),
+        ({"count": "poisson"}, "count: expected one of bernoulli, exact, got poisson"),
     ],
 )
 def test_bad_options_are_told_in_one_line(options: dict[str, object], message: str) -> None:
