@@ -60,7 +60,7 @@ class Training:
 
 
 def sizes(gaussians: Gaussians) -> tuple[int, int, int]:
-    """Bytes of the parameters and their moments, of the PLY and of a checkpoint's tensors."""
+    """Bytes of the parameters and their moments, of the files and of a checkpoint's tensors."""
     held = TENSORS * sum(4 * tensor.numel() for _, tensor in gaussians.items())
     with tempfile.TemporaryDirectory() as folder:
         ply = write_ply(Path(folder) / "a.ply", gaussians, torch.zeros(3))
@@ -91,8 +91,8 @@ def main() -> None:
         f"`python benchmarks/bands.py --count {options.count} --rounds {options.rounds}` on"
         f" {cpu_model()}, one thread: {options.count:,} Gaussians of SH degree 3, {WIDTH}x{HEIGHT}."
         " A step with its loss, gradient and update, in CPU time; MB of the parameters with Adam's"
-        " moments, of the PLY, and of a checkpoint.\n\n"
-        "| with bands | step (ms) | ratio | in memory | PLY | checkpoint |\n"
+        " moments, of its files (PLY and bands), and of a checkpoint.\n\n"
+        "| with bands | step (ms) | ratio | in memory | files | checkpoint |\n"
         "|---:|---:|---:|---:|---:|---:|\n" + "\n".join(rows) + "\n"
     )
     if options.output:
