@@ -17,6 +17,7 @@ from framework.report.collect import ReportRun, Study
 from framework.report.labels import slug
 from framework.report.numbers import average, mean_text, p_text
 from framework.report.outcomes import by_pair
+from framework.report.palette import LIGHT
 from framework.report.statistics import Spread, compare, spread
 
 LIMITS_S = (15.0, 60.0, 300.0)
@@ -179,12 +180,15 @@ def _chart(
     cost: Callable[[Entry], float],
 ) -> Chart:
     """A series per method through its undominated budgets; dominated ones faint; the front of all
-    is ringed."""
+    is ringed. Every capacity has its own where there are colours enough to tell them apart."""
     on_front = set(front(found, cost))
+    names = [_with_capacity(entry) for entry in found]
+    order = list(dict.fromkeys(names))
+    if len(order) > len(LIGHT) or set(order) <= set(study.families):
+        names, order = [entry.family for entry in found], study.families
     series = []
-    for family in study.families:
-        own = [k for k, entry in enumerate(found) if entry.family == family]
-        index = study.families.index(family)
+    for index, family in enumerate(order):
+        own = [k for k, name in enumerate(names) if name == family]
         best = [own[k] for k in front([found[k] for k in own], cost)]
         others = [k for k in own if k not in best]
         ringed = tuple(i for i, k in enumerate(best) if k in on_front)
@@ -197,6 +201,12 @@ def _chart(
     return Chart(
         name, title, x_label, "test PSNR (dB)", tuple(s for s in series if s.points), log_x
     )
+
+
+def _with_capacity(entry: Entry) -> str:
+    """The method with how its number of Gaussians is decided."""
+    parts = [part for part in entry.budget.split(", ") if part.startswith("capacity")]
+    return ", ".join([entry.family, *parts])
 
 
 def _point(entry: Entry, cost: Callable[[Entry], float]) -> Point:

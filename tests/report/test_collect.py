@@ -246,3 +246,19 @@ def test_trainings_beside_other_programs_are_told_and_compared_by_cpu(tmp_path: 
     ((chart,), *_) = tradeoff.charts(study, "embedded")
     assert chart.x_label == "training time (s, CPU)"
     assert tradeoff.advice(study, "embedded")[0].split(":")[0].endswith("s of CPU time")
+
+
+def test_every_capacity_has_a_colour_where_there_are_enough(tmp_path: Path) -> None:
+    for name in ("fixed", "adc"):
+        for steps in (100, 400):
+            config = {"capacity": {"name": name}, "trainer": {"steps": steps}}
+            fake_run(tmp_path, gain=steps / 100, run_name=f"{name}{steps}", **config)
+    ((chart,), *_) = tradeoff.charts(collect(tmp_path), "embedded")
+    assert {series.name for series in chart.series} == {
+        "none + none",
+        "none + none, capacity=adc",
+    }
+    for name in ("a", "b", "c", "d", "e"):
+        fake_run(tmp_path, run_name=name, capacity={"name": name}, trainer={"steps": 100})
+    ((chart,), *_) = tradeoff.charts(collect(tmp_path), "embedded")
+    assert {series.name for series in chart.series} == {"none + none"}
