@@ -74,11 +74,12 @@ def edits(plugin: Plugin, result: object, n: int) -> tuple[Edits | None, Any]:
             ("sh0", (n, 1, 3), torch.float32),
         ):
             value = getattr(change, part)
-            if value is not None and (tuple(value.shape) != shape or value.dtype != dtype):
-                raise UserError(
-                    f"{where}: expected `{part}` of shape {list(shape)} and {dtype}, got"
-                    f" {list(value.shape)} and {value.dtype}"
-                )
+            if value is None:
+                continue
+            try:
+                check_tensor(f"`{part}`", value, *shape, dtype=dtype)
+            except ValueError as error:
+                raise UserError(f"{where}: {error}") from error
     return change, state
 
 

@@ -92,8 +92,8 @@ def blend_moments(
     0-4 of `cross` are the sums of r times dx, e, dx^2, dx e, e^2, where r is the sum over the
     channels of weight x slope x alpha d C / d alpha, slopes 0, 2, 4; lanes 5-9 with 1, 3, 5.
     """
-    # One long body: as inlined functions of their own the loops over rows take 1.4 to 1.8 times as
-    # long, the reference counts of the arrays handed to them cost as much as the sums.
+    # One long body: with the loops over rows as inlined functions of their own it takes 1.3 to 1.8
+    # times as long (`benchmarks/fisher.py`), less where one array is handed over than six.
     directional = len(cross) > 0
     columns = (width + 15) // 16
     state = aligned(6 * 256)

@@ -75,8 +75,13 @@ def test_edits() -> None:
     with pytest.raises(UserError, match="expected Edits or None, got Tensor"):
         hooks.edits(mine, (torch.ones(3), None), 3)
     whole, true = torch.ones(3, dtype=torch.int64), torch.ones(3, dtype=torch.bool)
-    for part, value in (("keep", true[:2]), ("bands", whole), ("sh0", torch.zeros(3, 3))):
-        with pytest.raises(UserError, match=f"^capacity=mine: update: expected `{part}` of shape"):
+    for part, value in (
+        ("keep", true[:2]),
+        ("keep", [True] * 3),
+        ("bands", whole),
+        ("sh0", torch.zeros(3, 3)),
+    ):
+        with pytest.raises(UserError, match=f"^capacity=mine: update: `{part}`: expected "):
             hooks.edits(mine, (Edits(**{part: value}), None), 3)
 
 
