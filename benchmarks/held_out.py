@@ -74,7 +74,7 @@ def measure(run: Prepared, views: tuple[View, ...]) -> Result:
 
 def row(setting: str, results: list[Result]) -> str:
     """Mean over the scenes last: what a setting is chosen by."""
-    cells = [f"{r.psnr:.2f} ({r.worst:.2f}), {r.cpu_s:.0f} s" for r in results]
+    cells = [f"{r.psnr:.2f} ({r.worst:.2f}), {r.gaussians}, {r.cpu_s:.0f} s" for r in results]
     mean = statistics.fmean(r.psnr for r in results)
     return f"| `{setting or 'defaults'}` | " + " | ".join([*cells, f"**{mean:.2f}**"]) + " |"
 
@@ -100,8 +100,8 @@ def main() -> None:
         "# Settings on held-out training views",
         "",
         f"`python benchmarks/held_out.py {asked}`, with the settings below as `--setting`, on"
-        f" {cpu_model()}: PSNR in dB, in brackets of the worst view, and CPU seconds of the"
-        " training.",
+        f" {cpu_model()}: PSNR in dB, in brackets of the worst view, Gaussians, and CPU seconds of"
+        " the training.",
         "",
         "| setting | " + " | ".join(names) + " | mean |",
         "|---|" + "---|" * (len(names) + 1),

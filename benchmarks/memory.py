@@ -51,7 +51,7 @@ def train(count: int, factor: float) -> tuple[int, int]:
     """Train `count` Gaussians for a few steps on images larger by `factor`; returns their size."""
     import torch
 
-    from benchmarks.scene import FOCAL_PX, HEIGHT, WIDTH, layered_scene
+    from benchmarks.scene import layered_scene
     from framework import registry
     from framework.options import TrainerOptions
     from framework.progress import Silent
@@ -59,15 +59,16 @@ def train(count: int, factor: float) -> tuple[int, int]:
     from framework.trainer import Plugins, Trainer
     from framework.types import Camera, SparsePoints, TrainingSet, View
 
-    gaussians, _ = layered_scene(count)
-    width, height, focal = round(WIDTH * factor), round(HEIGHT * factor), FOCAL_PX * factor
-    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    gaussians, camera = layered_scene(count, factor=factor)
+    width, height = camera.width, camera.height
     views = []
     for i in range(VIEWS):
         viewmat = torch.eye(4)
         viewmat[0, 3] = -0.1 * i
         pixels = stream(i, "benchmark-target").random((3, height, width), dtype="float32")
-        views.append(View(f"{i}", Camera(viewmat, K, width, height), torch.from_numpy(pixels)))
+        views.append(
+            View(f"{i}", Camera(viewmat, camera.K, width, height), torch.from_numpy(pixels))
+        )
     seen = torch.ones(1, VIEWS, dtype=torch.bool)
     points = SparsePoints(torch.ones(1, 3, dtype=torch.float64), torch.ones(1, 3), seen)
     neutral = {"augment": "none", "reg": "none", "capacity": "fixed"}

@@ -22,8 +22,9 @@ LARGE_SHARE, LARGE_PX = 0.05, (6.0, 20.0)
 SH_AMPLITUDES = np.repeat([0.6, 0.1, 0.05, 0.03], [1, 3, 5, 7])
 
 
-def layered_scene(n: int, seed: int = 0) -> tuple[Gaussians, Camera]:
-    """`n` Gaussians of SH degree 3 and the camera that sees them."""
+def layered_scene(n: int, seed: int = 0, factor: float = 1.0) -> tuple[Gaussians, Camera]:
+    """`n` Gaussians of SH degree 3 and the camera that sees them, with `factor` times the pixels in
+    either direction."""
     rng = stream(seed, "benchmark-scene")
     layer = rng.choice(len(LAYER_DEPTHS), size=n, p=LAYER_SHARES)
     uv = _covered_pixels(rng, layer)
@@ -43,12 +44,13 @@ def layered_scene(n: int, seed: int = 0) -> tuple[Gaussians, Camera]:
         sh0=_tensor(sh[:, :1]),
         shN=_tensor(sh[:, 1:]),
     )
-    return gaussians, _camera()
+    return gaussians, _camera(factor)
 
 
-def _camera() -> Camera:
-    K = torch.tensor([[FOCAL_PX, 0, WIDTH / 2], [0, FOCAL_PX, HEIGHT / 2], [0, 0, 1]])
-    return Camera(torch.eye(4), K, WIDTH, HEIGHT)
+def _camera(factor: float) -> Camera:
+    width, height, focal = round(WIDTH * factor), round(HEIGHT * factor), FOCAL_PX * factor
+    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    return Camera(torch.eye(4), K, width, height)
 
 
 def _covered_pixels(rng: np.random.Generator, layer: np.ndarray) -> np.ndarray:

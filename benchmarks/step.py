@@ -73,7 +73,7 @@ def measure(count: int, threads: int, steps: int, clock: str) -> Steps:
 
     set_threads(threads)
     watch = Stopwatch(CLOCKS[clock])
-    step = _training_step(count, watch)
+    step = training_step(count, watch)
     for _ in range(WARM_UP):
         step()
     wall, cpu = [], []
@@ -88,21 +88,22 @@ def measure(count: int, threads: int, steps: int, clock: str) -> Steps:
     return Steps(count, threads, watch.times, wall, cpu)
 
 
-def _training_step(count: int, watch: Stopwatch) -> Callable[[], None]:
-    """A closure that does one step on its own Gaussians."""
+def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable[[], None]:
+    """A closure that does one step on its own Gaussians; factor: see `layered_scene`."""
     import torch
 
-    from benchmarks.scene import HEIGHT, WIDTH, layered_scene
+    from benchmarks.scene import layered_scene
     from framework.losses import Target, photometric_loss
     from framework.optim import Adam
     from framework.rasterize import rasterize
     from framework.rng import stream
 
-    gaussians, camera = layered_scene(count)
+    gaussians, camera = layered_scene(count, factor=factor)
     leaves = gaussians.map(lambda t: t.requires_grad_())
     names = [name for name, _ in leaves.items()]
     rates = dict.fromkeys(names, 1e-5)
-    image = stream(0, "benchmark-target").random((3, HEIGHT, WIDTH), dtype="float32")
+    shape = (3, camera.height, camera.width)
+    image = stream(0, "benchmark-target").random(shape, dtype="float32")
     target = Target.of(torch.from_numpy(image))
     optimizer = Adam(gaussians)
     loss_of = watch.wrap("loss", photometric_loss)

@@ -2,22 +2,24 @@
 
     python benchmarks/time_to_quality.py --scene "scene=embedded" \\
         --scene "scene=llff scene.path=DIR scene.n_views=3 +augment=safi +reg=uar" \\
-        [--steps 50,100,200,300,600,1000] [--reference 10000] [--threads N] [--output FILE]
+        [--steps 50,100,200,300,600,1000] [--reference 10000] [--threads N] [--output FILE.md]
 
-Every number of steps is a training of its own, as the schedules depend on it; seconds are wall time
-of depth, initialisation and training, without evaluation. Test views tagged `interpolating` or
-`extrapolating` are told apart. Writes a markdown table to FILE, or prints it.
+Every number of steps is a training of its own, as the schedules depend on it; seconds are of
+depth, initialisation and training, without evaluation. Test views tagged `interpolating` or
+`extrapolating` are told apart. Prints markdown, or writes it to FILE.md with FILE.png beside it;
+FILE.json keeps what was measured, so that a second call goes on where the first one ended.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import statistics
 import sys
 import time
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -27,6 +29,8 @@ from framework import experiment, parallel
 from framework.metrics import Missing, psnr
 from framework.options import TrainerOptions
 from framework.provenance import cpu_model
+from framework.report import chart
+from framework.report.figures import DPI
 from framework.training import renderer
 
 GAPS_DB = (0.5, 0.2, 0.1)
@@ -34,10 +38,12 @@ GAPS_DB = (0.5, 0.2, 0.1)
 
 @dataclass(frozen=True)
 class Point:
-    """psnr: mean over the test views. by_tag: over those with a tag. worst: view and its PSNR."""
+    """seconds, cpu_seconds: of the training with its start. psnr: mean over the test views. by_tag:
+    over those with a tag. worst: view and its PSNR."""
 
     steps: int
     seconds: float
+    cpu_seconds: float
     psnr: float
     by_tag: dict[str, float]
     worst: tuple[str, float]
@@ -48,10 +54,10 @@ def measure(scene: str, steps: int) -> Point:
     line = [*scene.split(), f"trainer.steps={steps}"]
     prepared(line)  # kernels and scene; the depth is forgotten, to be on the clock
     experiment._depth.cache_clear()
-    start = time.perf_counter()
+    start, cpu_start = time.perf_counter(), time.process_time()
     run = prepared(line)
     trained = run.trainer().run()
-    seconds = time.perf_counter() - start
+    seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - cpu_start
     options, near = TrainerOptions(**run.config["trainer"]), run.scene.training.near
     render = renderer(
         trained.gaussians, trained.background, trained.sh_degree, options.near_plane * near
@@ -66,16 +72,16 @@ def measure(scene: str, steps: int) -> Point:
     worst = min(values, key=lambda name: values[name])
     by_tag = {tag: statistics.fmean(own) for tag, own in tagged.items()}
     mean = statistics.fmean(values.values())
-    return Point(steps, seconds, mean, by_tag, (worst, values[worst]))
+    return Point(steps, seconds, cpu_seconds, mean, by_tag, (worst, values[worst]))
 
 
 def rows(points: list[Point]) -> list[str]:
     """A row per training; then when the gaps to the last, longest one are closed."""
     lines = [
-        f"| {point.steps} | {point.seconds:.1f} | {point.psnr:.2f} | "
-        + ", ".join(f"{tag} {value:.2f}" for tag, value in sorted(point.by_tag.items()))
-        + f" | {point.worst[0]} {point.worst[1]:.2f} |"
-        for point in points
+        f"| {p.steps} | {p.seconds:.1f} | {p.cpu_seconds:.1f} | {p.psnr:.2f} | "
+        + ", ".join(f"{tag} {value:.2f}" for tag, value in sorted(p.by_tag.items()))
+        + f" | {p.worst[0]} {p.worst[1]:.2f} |"
+        for p in points
     ]
     reached = []
     for gap in GAPS_DB:
@@ -90,6 +96,38 @@ def rows(points: list[Point]) -> list[str]:
     return lines
 
 
+def charts(measured: dict[str, list[Point]]) -> list[chart.Chart]:
+    """PSNR beside that of the longest training: of all test views and of those with either tag."""
+    tags = sorted({tag for points in measured.values() for tag in points[-1].by_tag})
+    made = []
+    for tag in (None, *tags):
+        series = []
+        for index, (name, points) in enumerate(measured.items()):
+            values = [p.psnr if tag is None else p.by_tag.get(tag) for p in points]
+            if values[-1] is None:
+                continue
+            gained = [value - values[-1] for value in values if value is not None]
+            pairs = zip(points, gained, strict=True)
+            dots = tuple(chart.Point(p.seconds, gain, gain, gain) for p, gain in pairs)
+            series.append(chart.Series(name, index, dots))
+        views = "all test views" if tag is None else f"{tag} test views"
+        title = f"Beside the longest training, {views}"
+        label = "PSNR beside it (dB)"
+        x_label = "seconds of depth, initialisation and training"
+        own = chart.Chart("", title, x_label, label, tuple(series), log_x=True, y_zero=True)
+        made.append(own)
+    return made
+
+
+def short(scene: str) -> str:
+    """A legend's name: the folder of the scene, or its layout, and the number of views."""
+    folder = re.search(r"path=\S*?([^/\s]+)/?(?:\s|$)", scene)
+    layout = re.search(r"scene=(\S+)", scene)
+    views = re.search(r"n_views=(\d+)", scene)
+    name = folder[1] if folder else layout[1] if layout else scene
+    return f"{name}, {views[1]} views" if views else name
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", action="append", required=True)
@@ -99,6 +137,10 @@ def main() -> None:
     parser.add_argument("--output", type=Path)
     given = parser.parse_args()
     parallel.set_threads(given.threads)
+    kept = given.output.with_suffix(".json") if given.output else None
+    known = json.loads(kept.read_text()) if kept and kept.exists() else {}
+    steps = [*map(int, given.steps.split(",")), given.reference]
+    measured: dict[str, list[Point]] = {}
     lines = [
         "# Time to quality",
         "",
@@ -107,15 +149,26 @@ def main() -> None:
         f" on {cpu_model()}, {parallel.threads()} threads.",
     ]
     for scene in given.scene:
-        name = re.sub(r"path=\S+", "path=DIR", scene)
-        lines += ["", f"## {name}", "", "| steps | seconds | test PSNR | by kind | worst view |"]
-        lines += ["|---:|---:|---:|---|---|"]
-        steps = [*map(int, given.steps.split(",")), given.reference]
-        lines += rows([measure(scene, count) for count in steps])
+        name, points = re.sub(r"path=\S+", "path=DIR", scene), []
+        for count in steps:
+            key = f"{short(scene)}: {name}, {count} steps"
+            if key not in known:
+                known[key] = asdict(measure(scene, count))
+                if kept:
+                    kept.write_text(json.dumps(known, indent=1) + "\n")
+            points.append(Point(**known[key]))
+            print(key, points[-1], file=sys.stderr, flush=True)
+        measured[short(scene)] = points
+        lines += ["", f"## {short(scene)}: `{name}`", ""]
+        lines += ["| steps | seconds | CPU s | test PSNR | by kind | worst view |"]
+        lines += ["|---:|---:|---:|---:|---|---|", *rows(points)]
     text = "\n".join(lines) + "\n"
     print(text)
     if given.output:
-        given.output.write_text(text)
+        picture = given.output.with_suffix(".png")
+        chart.draw(charts(measured)).savefig(picture, dpi=DPI, metadata={"Software": None})
+        title, rest = text.split("\n", 1)
+        given.output.write_text(f"{title}\n\n![PSNR against time]({picture.name})\n{rest}")
 
 
 if __name__ == "__main__":
