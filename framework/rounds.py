@@ -55,8 +55,8 @@ class RoundsCapacity(PullCapacity):
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.75}
 
-    every: float = 0.05
-    grow: float = 0.1
+    every: float = 0.1
+    grow: float = 0.5
     until: float = 0.6
 
     def __post_init__(self) -> None:

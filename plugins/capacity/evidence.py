@@ -60,11 +60,15 @@ NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
 class Evidence(RoundsCapacity):
     """criterion: "laplace", as derived; "correlated": the same with the residuals' correlation
     between the colour channels; "bic": the cost is k/2 log(number of pixel values) for k parameters
-    (Schwarz 1978). pace: share of the Gaussians that a round removes at most.
+    (Schwarz 1978). pace: share of the Gaussians that a round removes at most. Few rounds of much
+    growth and much removal find better places than many small ones, in less time
+    (`benchmarks/results/capacity.md`).
     """
 
+    grow: float = 1.0
+    until: float = 0.5
     criterion: str = "laplace"
-    pace: float = 0.2
+    pace: float = 0.5
 
     def __post_init__(self) -> None:
         super().__post_init__()

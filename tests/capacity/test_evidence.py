@@ -88,7 +88,7 @@ def test_a_round_keeps_who_pays_and_splits_nobody_late() -> None:
     subject = wall_of_gaussians(100)
     faint = torch.arange(100) % 4 == 0
     subject = subject.replace(opacity_logits=torch.where(faint, -9.0, 2.0))
-    for step, splits in ((49, True), (64, False)):
+    for step, splits in ((39, True), (69, False)):
         evidence, ctx = Evidence(), watched(subject, step, log)
         edits, _ = evidence.update(ctx, evidence.init_state(ctx), pulls(torch.ones(100)))
         assert edits is not None and edits.keep is not None
