@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import gc
 import json
 import re
 import statistics
@@ -52,6 +53,7 @@ STAGES = {
     "report": ["framework.study:build_reports"],
 }
 START, REST = "Python, libraries", "command line, configuration, the rest"
+END = "ending the process"
 
 
 class Clock:
@@ -82,12 +84,12 @@ class Clock:
 
 def child(began: float, output: Path, overrides: list[str]) -> None:
     """One run with a clock around its stages; `began` is the time when the process was started."""
-    import importlib
+    from framework.collector import import_uncollected
 
     clock = Clock()
     modules = sorted({place.partition(":")[0] for places in STAGES.values() for place in places})
-    for name in modules:
-        importlib.import_module(name)
+    for name in ("framework.experiment", *modules):
+        import_uncollected(name)
     clock.seconds[START] = time.time() - began
     for stage, places in STAGES.items():
         for place in places:
@@ -100,6 +102,7 @@ def child(began: float, output: Path, overrides: list[str]) -> None:
     code = run(overrides)
     clock.seconds[REST] = time.time() - began - clock.seconds[START] - clock.measured
     output.write_text(json.dumps(clock.seconds))
+    gc.freeze()  # as run.py
     sys.exit(code)
 
 
@@ -113,7 +116,8 @@ def profile(folder: Path, overrides: list[str]) -> dict[str, float]:
     total = time.time() - start
     if done.returncode:
         sys.exit(done.stderr.decode().strip().splitlines()[-1])
-    return {**json.loads(output.read_text()), "total": total}
+    stages = json.loads(output.read_text())
+    return {**stages, END: total - sum(stages.values()), "total": total}
 
 
 def main() -> None:
@@ -135,7 +139,7 @@ def main() -> None:
     psnr, gaussians = record["summary"]["psnr"]["mean"], record["gaussians"]
     rows = [
         f"| {stage} | {median[stage]:.2f} | {100 * median[stage] / total:.0f} % |"
-        for stage in (START, REST, *STAGES)
+        for stage in (START, REST, *STAGES, END)
         if median.get(stage, 0.0) >= 0.005
     ]
     text = "\n".join(

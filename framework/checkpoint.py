@@ -38,7 +38,7 @@ Check = Callable[[TrainerState], None]
 LOG = logging.getLogger(__name__)
 FOLDER, KEY = "checkpoints", "fishersplat"
 KEPT = 2
-COST_TIMES = 75  # a checkpoint's cost is at most this share of the time until the next
+COST_TIMES = 75  # so many times a checkpoint's cost pass until the next
 SLOW_DISK = 25e6  # bytes per second assumed before the first one was measured
 FRAMEWORK_CLASSES = (
     *(types.Camera, types.View, types.DepthMap, types.SparsePoints, types.Gaussians, types.Render),

@@ -27,6 +27,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
+from framework.collector import import_uncollected
 from framework.complaints import USER_ERRORS, one_line
 from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, check, choices, register_config
 from framework.errors import UserError
@@ -205,6 +206,7 @@ def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
 def _run(
     config: dict[str, Any], run_dir: Path, progress: Progress, overrides: Sequence[str]
 ) -> None:
+    import_uncollected("framework.experiment")
     from framework.experiment import run_experiment
 
     run_experiment(config, run_dir, progress, overrides)

@@ -7,6 +7,8 @@ twice the parameters with their two moments each.
 
 from __future__ import annotations
 
+import contextlib
+import os
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -42,7 +44,7 @@ def _parameter_bytes(config: Mapping[str, Any], floats: int) -> int:
 def check_room(folder: Path, configs: Sequence[Mapping[str, Any]]) -> None:
     """Raise UserError unless the disk of `folder` has room for runs of these configurations; what
     is there already, of an earlier attempt, counts as theirs."""
-    there = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    there = _size(folder)
     wanted = sum(run_bytes(config) for config in configs) - there
     needed = max(0, wanted) + max(checkpoint_bytes(config) for config in configs)
     existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
@@ -52,6 +54,16 @@ def check_room(folder: Path, configs: Sequence[Mapping[str, Any]]) -> None:
         f"{folder}: expected about {_text(needed)} free for {len(configs)} runs, got {_text(free)};"
         " free some space or set hydra.sweep.dir to a folder on another disk",
     )
+
+
+def _size(folder: Path) -> int:
+    """Bytes of all files below; another process may be at work there, what vanishes counts 0."""
+    total = 0
+    for parent, _, names in os.walk(folder):
+        for name in names:
+            with contextlib.suppress(FileNotFoundError):
+                total += os.stat(os.path.join(parent, name)).st_size
+    return total
 
 
 def _text(n_bytes: int) -> str:

@@ -189,4 +189,11 @@ def build(group: str, config: Mapping[str, Any]) -> Plugged:
         f"{group}={name}: expected 0 <= start <= stop <= 1 (shares of the training), got"
         f" start={keys['start']}, stop={keys['stop']}",
     )
-    return Plugged(cls(**options), **keys)
+    plugin = cls(**options)
+    until = getattr(plugin, "until", 0.0)  # of a plugin whose work has a last part without growth
+    require(
+        until <= keys["stop"],
+        f"{group}={name}: expected until <= stop, or it ends before its work is done, got"
+        f" until={until}, stop={keys['stop']}; set {group}.until or {group}.stop",
+    )
+    return Plugged(plugin, **keys)

@@ -50,13 +50,14 @@ class Selection:
 @dataclass(frozen=True)
 class RoundsCapacity(PullCapacity):
     """every: share of the training from one round to the next. grow: of the Gaussians kept, the
-    share that a round splits, the strongest pulled first. until: share of the training after which
-    none is split any more. Rounds begin at the framework key `start` and end at `stop`."""
+    share that a round splits, the strongest pulled first; by default all. until: share of the
+    training after which none is split any more. Rounds begin at the framework key `start` and end
+    at `stop`."""
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.75}
 
     every: float = 0.1
-    grow: float = 0.5
+    grow: float = 1.0
     until: float = 0.6
 
     def __post_init__(self) -> None:

@@ -2,9 +2,10 @@
 
 The initialisation proposes, usually more than the budget; from `start` to `until` rounds bring the
 number to it in equal ratios. Every round drops the Gaussians without which the training images
-would change least (`information.removal_energy`) and splits some of those that the loss pulls at,
-so that Gaussians move from where they are of little use to where they are missing. After `until`
-the number is exact and stays. Starting from fewer, it grows by at most a quarter per round.
+would change least (`information.removal_energy`) and splits the share `grow` of the kept that the
+loss pulls at most, by default all, so that Gaussians move from where they are of little use to
+where they are missing. After `until` the number is exact and stays. Starting
+from fewer, it grows by at most a quarter per round.
 """
 
 from __future__ import annotations
@@ -28,6 +29,9 @@ class Budget(RoundsCapacity):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.check("gaussians", self.gaussians >= 1, "an integer >= 1")
+        self.check(
+            "every", self.every <= self.until, f"a share of at most until={self.until}, its end"
+        )
 
     def selected(self, ctx: StepContext, known: TrainingInformation) -> Selection:
         import torch
@@ -36,8 +40,8 @@ class Budget(RoundsCapacity):
 
         n = len(ctx.gaussians)
         wanted = self._wanted(n, self.rounds_left(ctx))
-        new = round(self.grow * wanted) if self.growing(ctx) else 0
-        n_kept = min(n, wanted - min(new, wanted // 2))
+        grow = self.grow if self.growing(ctx) else 0.0
+        n_kept = min(n, math.ceil(wanted / (1 + grow)))
         energy = removal_energy(known.total.diagonal, ctx.gaussians.opacity_logits)
         keep = torch.zeros(n, dtype=torch.bool)
         keep[energy.argsort(descending=True, stable=True)[:n_kept]] = True

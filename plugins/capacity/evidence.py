@@ -65,7 +65,6 @@ class Evidence(RoundsCapacity):
     (`benchmarks/results/capacity.md`).
     """
 
-    grow: float = 1.0
     until: float = 0.5
     criterion: str = "laplace"
     pace: float = 0.5

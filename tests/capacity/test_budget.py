@@ -73,12 +73,22 @@ def test_it_drops_what_is_hidden_and_splits_what_is_pulled() -> None:
     hidden = wall[torch.arange(10)].replace(opacity_logits=torch.full((10,), -9.0))
     subject, strengths = concatenate([wall, hidden]), torch.zeros(60)
     strengths[[3, 7, 55]] = torch.tensor([1.0, 2.0, 3.0])
-    budget, ctx = Budget(gaussians=40, grow=0.04), watched(subject, 49)
+    budget, ctx = Budget(gaussians=40, grow=0.053), watched(subject, 49)
     edits, _ = budget.update(ctx, budget.init_state(ctx), pulls(strengths))
     assert edits is not None and edits.keep is not None and edits.append is not None
     assert not edits.keep[50:].any() and not edits.keep[[3, 7]].any()
     assert edits.append.means.shape == (4, 3)
     assert moments(edits.append[torch.tensor([1, 3])]) == moments(subject[torch.tensor([7])])
+
+
+def test_by_default_all_that_stay_are_split() -> None:
+    subject = wall_of_gaussians(60)
+    budget, ctx = Budget(gaussians=40), watched(subject, 9)
+    edits, _ = budget.update(ctx, budget.init_state(ctx), pulls(torch.ones(60)))
+    assert edits is not None and edits.keep is not None and edits.append is not None
+    wanted = round(60 * (40 / 60) ** (1 / 6))
+    assert not edits.keep.any() if wanted % 2 == 0 else edits.keep.sum() == 1
+    assert edits.keep.sum() + len(edits.append) == wanted
 
 
 def moments(parts: Gaussians) -> list[float]:
@@ -92,3 +102,7 @@ def test_options_are_checked() -> None:
     for option, value in (("gaussians", 0), ("every", 0.0), ("grow", 2.0), ("until", -1.0)):
         with pytest.raises(UserError, match=rf"capacity.{option}: expected "):
             build("capacity", {"name": "budget", option: value})
+    with pytest.raises(UserError, match=r"capacity.every: expected .* until=0.6"):
+        build("capacity", {"name": "budget", "every": 0.7})
+    with pytest.raises(UserError, match=r"expected until <= stop, .* until=0.6, stop=0.5"):
+        build("capacity", {"name": "budget", "stop": 0.5})
