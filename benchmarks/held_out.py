@@ -7,7 +7,7 @@
 A scene's held-out views are training views of its larger split (`held_out` views) that the smaller
 one leaves out, so a choice made here has seen no test view. The embedded scene, made for this, is
 judged on its test views. Every setting trains once per scene and seed on one thread; seconds are
-CPU time of the training. Writes a markdown table to results/held_out.md, or prints it.
+CPU time of the training. Prints a markdown table, or writes it to the file of `--output`.
 """
 
 from __future__ import annotations

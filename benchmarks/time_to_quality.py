@@ -28,7 +28,7 @@ from benchmarks.prepare import prepared
 from framework import experiment, parallel
 from framework.metrics import Missing, psnr
 from framework.options import TrainerOptions
-from framework.provenance import cpu_model
+from framework.provenance import code_hash, cpu_model
 from framework.report import chart
 from framework.report.figures import DPI
 from framework.training import renderer
@@ -120,12 +120,14 @@ def charts(measured: dict[str, list[Point]]) -> list[chart.Chart]:
 
 
 def short(scene: str) -> str:
-    """A legend's name: the folder of the scene, or its layout, and the number of views."""
+    """A legend's name: the folder of the scene, or its layout, the number of views, the rest."""
     folder = re.search(r"path=\S*?([^/\s]+)/?(?:\s|$)", scene)
     layout = re.search(r"scene=(\S+)", scene)
     views = re.search(r"n_views=(\d+)", scene)
     name = folder[1] if folder else layout[1] if layout else scene
-    return f"{name}, {views[1]} views" if views else name
+    shown = ("scene=", "scene.path=", "scene.n_views=")
+    rest = [word for word in scene.split() if not word.startswith(shown)]
+    return " ".join([f"{name}, {views[1]} views" if views else name, *rest])
 
 
 def main() -> None:
@@ -139,6 +141,7 @@ def main() -> None:
     parallel.set_threads(given.threads)
     kept = given.output.with_suffix(".json") if given.output else None
     known = json.loads(kept.read_text()) if kept and kept.exists() else {}
+    code = code_hash()[:12]
     steps = [*map(int, given.steps.split(",")), given.reference]
     measured: dict[str, list[Point]] = {}
     lines = [
@@ -151,7 +154,7 @@ def main() -> None:
     for scene in given.scene:
         name, points = re.sub(r"path=\S+", "path=DIR", scene), []
         for count in steps:
-            key = f"{short(scene)}: {name}, {count} steps"
+            key = f"{name}, {count} steps, {parallel.threads()} threads, code {code}"
             if key not in known:
                 known[key] = asdict(measure(scene, count))
                 if kept:

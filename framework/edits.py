@@ -27,8 +27,8 @@ def apply_edits(params: Gaussians, optimizer: Adam, edits: Edits, where: str) ->
         optimizer.zero("opacity_logits")
     require(
         len(params) > 0,
-        f"{where}: the capacity plugin removed every Gaussian; raise init.budget or lower its"
-        " pruning threshold",
+        f"{where}: the capacity plugin removed every Gaussian; soften its pruning (of adc:"
+        " capacity.min_opacity), choose capacity=fixed, or start from more Gaussians",
     )
     if edits.append is not None:
         check_appended(edits.append, where)

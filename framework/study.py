@@ -24,6 +24,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
 from framework.cache import cache_dir
+from framework.collector import import_uncollected
 from framework.complaints import USER_ERRORS
 from framework.config import check
 from framework.disk import check_room
@@ -196,6 +197,7 @@ def build_reports() -> None:
     good = [outcome for outcome in outcomes() if outcome.error is None]
     for folder in sorted({study_dir(Path(outcome.run_dir)) for outcome in good}):
         try:
+            import_uncollected("framework.report")
             from framework.report import build_report
 
             with locked(folder, wait=True):

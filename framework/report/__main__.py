@@ -23,7 +23,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--without-photos",
         action="store_true",
-        help="no pictures but of the embedded scene: for photos that may not be passed on",
+        help="no pictures but of the embedded scene and no links to the runs: for a report that is"
+        " passed on where photos may not be",
     )
     options = parser.parse_args(arguments)
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from framework.files import write_whole
@@ -26,11 +27,11 @@ def build_report(
     """Rebuild the report of all runs below the folders; returns the path of `report.md`.
 
     title: the heading, else the name of the report's folder. out_dir: where the report goes, else
-    the first folder. photos: show the scenes; without, the embedded one alone, so that a report can
-    be passed on where photos may not; pictures of an earlier report in that folder go. Raises
-    UserError when there is no run to report or a record is damaged.
+    the first folder. photos: show the scenes and link to the runs; without, the embedded scene alone
+    and no links, for a report that is passed on where photos may not be; pictures of an earlier
+    report in that folder go. Raises UserError when there is no run to report or a record is damaged.
     """
-    study = collect(study_dirs, out_dir)
+    study = replace(collect(study_dirs, out_dir), linked=photos)
     study.out_dir.mkdir(parents=True, exist_ok=True)
     shown = study.scenes if photos else own_scenes(study)
     remove_pictures(study, [scene for scene in study.scenes if scene not in shown])

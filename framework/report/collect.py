@@ -92,13 +92,15 @@ class FailedRun:
 @dataclass(frozen=True)
 class Study:
     """out_dir: where the report goes. runs: complete, sorted by scene, method, seed. notes: what a
-    reader must be told. missing: (scene, method, seed) that a full cross would have."""
+    reader must be told. missing: (scene, method, seed) that a full cross would have. linked: whether
+    the folders of the runs can be reached from the report."""
 
     out_dir: Path
     runs: tuple[ReportRun, ...]
     failed: tuple[FailedRun, ...]
     notes: tuple[str, ...]
     missing: tuple[tuple[str, str, int], ...] = ()
+    linked: bool = True
 
     @cached_property
     def scenes(self) -> list[str]:

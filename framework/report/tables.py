@@ -208,7 +208,8 @@ def _seed_row(study: Study, run: ReportRun, metrics: Sequence[str]) -> dict[str,
     row["Gaussians"] = str(record.gaussians)
     row["PLY (kB)"] = f"{record.ply_bytes / 1000:.0f}"
     row["Parameters"] = f"`{record.parameters_sha256[:12]}`"
-    row["Folder"] = Link(run.run.run_dir.name, quote(study.folder_of(run.run.run_dir)) + "/")
+    name, target = run.run.run_dir.name, quote(study.folder_of(run.run.run_dir)) + "/"
+    row["Folder"] = Link(name, target) if study.linked else name
     return row
 
 

@@ -284,8 +284,10 @@ def test_a_report_can_be_built_without_photos(tmp_path: Path) -> None:
     out = tmp_path / "out"
     line = [str(tmp_path / "study"), "--out", str(out)]
     assert main(line) == 0 and (out / "images_fern.jpg").exists()
+    assert "/runs/" in (out / "report.md").read_text(encoding="utf-8")
     assert main([*line, "--without-photos"]) == 0
     text = (out / "report.md").read_text(encoding="utf-8")
+    assert "/runs/" not in text and "fern-safi-none-s0" in text
     assert "No pictures of fern: this report was built without photos" in text
     assert {path.name for path in out.glob("*.jpg")} == {"images_embedded.jpg"}
     shots = re.search(r'"shots": ?(\[.*?\]\])', (out / "report.html").read_text(encoding="utf-8"))
