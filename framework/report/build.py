@@ -27,9 +27,9 @@ def build_report(
     """Rebuild the report of all runs below the folders; returns the path of `report.md`.
 
     title: the heading, else the name of the report's folder. out_dir: where the report goes, else
-    the first folder. photos: show the scenes and link to the runs; without, the embedded scene alone
+    the first folder. photos: show scenes and link to the runs; without, the embedded scene alone
     and no links, for a report that is passed on where photos may not be; pictures of an earlier
-    report in that folder go. Raises UserError when there is no run to report or a record is damaged.
+    report in that folder go. Raises UserError when there is no run or a record is damaged.
     """
     study = replace(collect(study_dirs, out_dir), linked=photos)
     study.out_dir.mkdir(parents=True, exist_ok=True)

@@ -92,8 +92,8 @@ class FailedRun:
 @dataclass(frozen=True)
 class Study:
     """out_dir: where the report goes. runs: complete, sorted by scene, method, seed. notes: what a
-    reader must be told. missing: (scene, method, seed) that a full cross would have. linked: whether
-    the folders of the runs can be reached from the report."""
+    reader must be told. missing: (scene, method, seed) that a full cross would have. linked:
+    whether the folders of the runs can be reached from the report."""
 
     out_dir: Path
     runs: tuple[ReportRun, ...]

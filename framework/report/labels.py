@@ -72,10 +72,11 @@ def flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def method_labels(configs: Sequence[Mapping[str, Any]]) -> list[MethodLabel]:
     """The name of each run's method among `configs`; equal configs have equal names."""
     flat = [flatten(config) for config in configs]
-    keys = {key for key in set().union(*flat) if _may_name_a_method(key)}
-    varying = sorted(key for key in keys if _varies(key, flat))
-    told = [key for key in varying if key not in COARSE or not _follows(key, flat)]
-    return [_method_label(entry, told) for entry in flat]
+    keys = [key for key in _keys(flat) if _may_name_a_method(key)]
+    keys = [key for key in keys if key not in COARSE or not _follows(key, flat)]
+    where = {key: _varying(key, flat) for key in keys}
+    told = [[key for key in keys if _plugin(key, entry) in where[key]] for entry in flat]
+    return [_method_label(*pair) for pair in zip(flat, told, strict=True)]
 
 
 def scene_labels(
@@ -165,15 +166,26 @@ def _may_name_a_method(key: str) -> bool:
 
 
 def _varies(key: str, configs: Sequence[Flat]) -> bool:
-    """Whether runs differ in `key`; an option of a plugin only counts among runs of that plugin."""
-    group = key.partition(".")[0]
-    own = group in METHOD_GROUPS and key != f"{group}.name"
-    seen: dict[Any, set[str]] = defaultdict(set)
+    return bool(_varying(key, configs))
+
+
+def _varying(key: str, configs: Sequence[Flat]) -> set[str | None]:
+    """The plugins (None: of no plugin) among whose runs `key` differs: an option of a plugin only
+    counts among runs of that plugin."""
+    seen: dict[str | None, set[str]] = defaultdict(set)
     for config in configs:
-        if not own or key in config:
-            name = config.get(f"{group}.name") if own else None
-            seen[name].add(text_of(config.get(key)))
-    return any(len(values) > 1 for values in seen.values())
+        plugin = _plugin(key, config)
+        if plugin is None or key in config:
+            seen[plugin].add(text_of(config.get(key)))
+    return {plugin for plugin, values in seen.items() if len(values) > 1}
+
+
+def _plugin(key: str, config: Flat) -> str | None:
+    """The plugin of `config` whose option `key` is, None if it is no plugin's."""
+    group, _, option = key.partition(".")
+    if group not in METHOD_GROUPS or option == "name":
+        return None
+    return str(config.get(f"{group}.name"))
 
 
 def _follows(key: str, configs: Sequence[Flat]) -> bool:
@@ -184,17 +196,19 @@ def _follows(key: str, configs: Sequence[Flat]) -> bool:
     return len(seen) > 1 and all(len(values) == 1 for values in seen.values())
 
 
-def _method_label(config: Flat, varying: Sequence[str]) -> MethodLabel:
+def _method_label(config: Flat, told: Sequence[str]) -> MethodLabel:
+    """told: the keys to be named. A capacity's options follow its name without the group's."""
     pair = " + ".join(text_of(config.get(f"{group}.name", "none")) for group in NAMED)
     options: list[str] = []
     budgets: list[str] = []
-    for key in sorted(varying, key=lambda key: key.startswith("capacity.")):
+    for key in sorted(told, key=lambda key: (key.startswith("capacity."), key != "capacity.name")):
         group, _, option = key.partition(".")
         if key in {f"{g}.name" for g in NAMED} or key not in config:
             continue
         if key in USUAL and config[key] == USUAL[key]:
             continue
-        name = group if option == "name" else option if key in BUDGETS else key
+        bare = key in BUDGETS or f"capacity={text_of(config.get('capacity.name'))}" in budgets
+        name = group if option == "name" else option if bare else key
         budget = key in BUDGETS or group == "capacity"
         (budgets if budget else options).append(f"{name}={text_of(config[key])}")
     return MethodLabel(pair, ", ".join(options), ", ".join(budgets))

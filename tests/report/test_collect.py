@@ -63,6 +63,19 @@ def test_options_only_count_among_runs_of_one_plugin() -> None:
     ]
 
 
+def test_an_option_that_two_plugins_share_is_named_where_it_differs() -> None:
+    def capacity(name: str, **options: Any) -> dict[str, Any]:
+        return make_config() | {"capacity": {"name": name, "weight": 1.0, **options}}
+
+    evidence = [capacity("evidence", every=share, grow=1.0) for share in (0.1, 0.2)]
+    assert names([capacity("adc", every=50), *evidence]) == [
+        "none + none, capacity=adc",
+        "none + none, capacity=evidence, every=0.1",
+        "none + none, capacity=evidence, every=0.2",
+    ]
+    assert names(evidence)[0] == "none + none, capacity.every=0.1"
+
+
 def test_baseline_comes_first_and_runs_are_sorted(tmp_path: Path) -> None:
     for augment, seed in (("safi", 1), ("none", 10), ("none", 2), ("safi", 0)):
         fake_run(tmp_path, augment, seed=seed)
