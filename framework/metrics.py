@@ -20,13 +20,16 @@ here, so that reading records stays light.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from framework import parallel
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -195,11 +198,30 @@ def _ssim(x: np.ndarray, y: np.ndarray) -> Measurement:
 def _flip(x: np.ndarray, y: np.ndarray) -> Measurement:
     import flip_evaluator
 
-    error_map, _, _ = flip_evaluator.evaluate(
-        y.astype(np.float32), x.astype(np.float32), "LDR", applyMagma=False, computeMeanError=False
-    )
+    with _openmp_threads(parallel.threads()):
+        error_map, _, _ = flip_evaluator.evaluate(
+            y.astype(np.float32),
+            x.astype(np.float32),
+            "LDR",
+            applyMagma=False,
+            computeMeanError=False,
+        )
     value = float(np.asarray(error_map, dtype=np.float64).mean())
     return value if math.isfinite(value) else Missing("FLIP gave no finite value")
+
+
+@contextlib.contextmanager
+def _openmp_threads(n: int) -> Iterator[None]:
+    """FLIP's loops take as many threads as torch, whose OpenMP library it shares; a run has set
+    that to one. The error map is the same for any number."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(n)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _lpips(x: np.ndarray, y: np.ndarray, network: Lpips | None) -> Measurement:

@@ -11,7 +11,7 @@ import torch
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torch import Tensor
 
-from framework import metrics
+from framework import metrics, parallel
 from framework.metrics import Missing
 from framework.rng import stream
 from framework.types import Camera, View
@@ -88,6 +88,20 @@ def test_flip_is_the_mean_of_the_package_map_and_zero_for_equal_images() -> None
     _, mean, _ = flip_evaluator.evaluate(*pair, "LDR", applyMagma=False)
     assert metrics.flip(render, truth) == pytest.approx(mean, abs=1e-5)
     assert metrics.flip(truth, truth) == 0.0
+
+
+def test_flip_is_the_same_on_any_number_of_threads() -> None:
+    """And leaves torch with as many as it had."""
+    truth = image("truth", 120, 160)
+    render, values = similar(truth), []
+    before = torch.get_num_threads()
+    for n in (1, 2, 3):
+        parallel.set_threads(n)
+        try:
+            values.append(metrics.flip(render, truth))
+        finally:
+            parallel.set_threads(0)
+    assert values[0] == values[1] == values[2] and torch.get_num_threads() == before
 
 
 def test_metrics_read_what_is_saved() -> None:
