@@ -71,10 +71,11 @@ class ViewMetrics:
 
 def quantise(image: Tensor) -> np.ndarray:
     """[H, W, 3] uint8, round-to-nearest of the clamped planar `image` [3, H, W]; NaN becomes 0."""
-    pixels = image.detach().cpu().numpy().astype(np.float64)
-    _check_image(pixels)
-    clamped = np.clip(np.nan_to_num(pixels, nan=0.0), 0.0, 1.0)
-    return np.ascontiguousarray(np.rint(clamped * 255.0).astype(np.uint8).transpose(1, 2, 0))
+    if image.ndim != 3 or image.shape[0] != 3:
+        raise ValueError(f"metrics: expected an image [3, H, W], got shape {tuple(image.shape)}")
+    pixels = image.detach().cpu().double().nan_to_num(nan=0.0).clamp_(0.0, 1.0)
+    levels: np.ndarray = pixels.mul_(255.0).round_().byte().permute(1, 2, 0).contiguous().numpy()
+    return levels
 
 
 def psnr(render: Tensor, truth: Tensor, mask: Tensor | None = None) -> Measurement:
@@ -145,36 +146,34 @@ def mean_of(metrics: Sequence[ViewMetrics], metric: str) -> Measurement:
     return float(np.mean(np.asarray(values, dtype=np.float64)))
 
 
-def _check_image(pixels: np.ndarray) -> None:
-    if pixels.ndim != 3 or pixels.shape[0] != 3:
-        raise ValueError(f"metrics: expected an image [3, H, W], got shape {pixels.shape}")
-
-
 def _pair(
     render: Tensor, truth: Tensor, mask: Tensor | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Both images as [H, W, 3] float64 with 8-bit values / 255, and the valid pixels [H, W]."""
+    """Both images as [H, W, 3] uint8, white where not valid, and the valid pixels [H, W]."""
     if render.shape != truth.shape:
         raise ValueError(
             f"metrics: expected a render of the truth's shape {tuple(truth.shape)},"
             f" got {tuple(render.shape)}"
         )
-    x, y = quantise(render) / 255.0, quantise(truth) / 255.0
+    x, y = quantise(render), quantise(truth)
     if mask is None:
         return x, y, None
     valid = mask.detach().cpu().numpy() > 0.5
     if valid.shape != x.shape[:2]:
         raise ValueError(f"metrics: expected a mask {x.shape[:2]}, got {valid.shape}")
-    x[~valid], y[~valid] = 1.0, 1.0
+    x[~valid], y[~valid] = 255, 255
     return x, y, valid
 
 
 def _psnr(x: np.ndarray, y: np.ndarray, valid: np.ndarray | None) -> Measurement:
-    squared = (x - y) ** 2 if valid is None else (x - y)[valid] ** 2
-    if squared.size == 0:
+    count = x.size if valid is None else 3 * int(valid.sum())
+    if count == 0:
         return Missing("the mask has no valid pixel")
-    mse = float(squared.mean())
-    return 10.0 * math.log10(1.0 / mse) if mse > 0 else Missing("infinite: render equals truth")
+    difference = np.subtract(x, y, dtype=np.int64)  # 0 where not valid
+    squares = int(np.vdot(difference, difference))
+    if squares == 0:
+        return Missing("infinite: render equals truth")
+    return 10.0 * math.log10(255.0**2 * count / squares)
 
 
 def _ssim(x: np.ndarray, y: np.ndarray) -> Measurement:
@@ -184,8 +183,8 @@ def _ssim(x: np.ndarray, y: np.ndarray) -> Measurement:
 
     return float(
         structural_similarity(
-            x,
-            y,
+            x / 255.0,
+            y / 255.0,
             gaussian_weights=True,
             sigma=1.5,
             use_sample_covariance=False,
@@ -200,8 +199,8 @@ def _flip(x: np.ndarray, y: np.ndarray) -> Measurement:
 
     with _openmp_threads(parallel.threads()):
         error_map, _, _ = flip_evaluator.evaluate(
-            y.astype(np.float32),
-            x.astype(np.float32),
+            (y / 255.0).astype(np.float32),
+            (x / 255.0).astype(np.float32),
             "LDR",
             applyMagma=False,
             computeMeanError=False,
@@ -227,4 +226,4 @@ def _openmp_threads(n: int) -> Iterator[None]:
 def _lpips(x: np.ndarray, y: np.ndarray, network: Lpips | None) -> Measurement:
     if network is None:
         return NO_LPIPS
-    return network.distance(x, y)
+    return network.distance(x / 255.0, y / 255.0)
