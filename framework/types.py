@@ -66,8 +66,9 @@ class View:
 
     image: [3, H, W] float32 in [0, 1]. mask: [H, W] float32 in [0, 1] or None (all valid).
     weight: factor of this view's photometric loss. depth: [H, W] float32 exact depth (0 = unknown)
-    where a scene has it; only `depth=ground_truth` and diagnostics read it. tags: for instance
-    ("interpolating",) or ("extrapolating",) on test views, ("pseudo",) on augmented ones.
+    where a scene has it; only `depth=ground_truth` and diagnostics read it. tags:
+    ("interpolating",) or ("extrapolating",) on test views (`framework.scenes.placement`),
+    ("pseudo",) on augmented ones.
     """
 
     name: str

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -81,6 +81,11 @@ def _points(tracks: Tracks) -> SparsePoints:
     return SparsePoints(xyz, rgb, torch.from_numpy(np.ascontiguousarray(tracks.seen)))
 
 
+def _centers(shots: Sequence[Shot]) -> NDArray[np.float64]:
+    """[n, 3] camera centres in the world."""
+    return np.array([-s.viewmat[:3, :3].T @ s.viewmat[:3, 3] for s in shots]).reshape(-1, 3)
+
+
 def _fingerprint(protocol: str, train: Sequence[Shot], test: Sequence[Shot], points: Tracks) -> str:
     """SHA-256 over split, names, cameras, pixels, masks, depths and points."""
     digest = hashlib.sha256()
@@ -112,9 +117,13 @@ def assemble(
     near: float,
     far: float,
 ) -> Scene:
-    """The scene. `points.seen` is over the training shots, in their order."""
+    """The scene. `points.seen` is over the training shots, in their order. Test shots without tags
+    get that of their camera's place."""
+    from framework.scenes.placement import placement
     from framework.types import Scene, TrainingSet
 
     training = TrainingSet(name, tuple(map(_view, train)), _points(points), near, far)
     fingerprint = _fingerprint(protocol, train, test, points)
-    return Scene(name, protocol, training, tuple(map(_view, test)), fingerprint)
+    found = placement(_centers(test), _centers(train))
+    tagged = [s if s.tags else replace(s, tags=t) for s, t in zip(test, found, strict=True)]
+    return Scene(name, protocol, training, tuple(map(_view, tagged)), fingerprint)
