@@ -7,8 +7,8 @@
 Every number of steps is a training of its own, as the schedules depend on it; seconds are of
 depth, initialisation and training, without evaluation. CPU seconds decide, so that other programs
 may run beside; on one thread they are what a quiet machine's clock shows. Interpolating and
-extrapolating test views are told apart. Prints markdown, or writes it to FILE.md with FILE.png beside it;
-FILE.json keeps what was measured, so that a second call goes on where the first one ended.
+extrapolating test views are told apart. Prints markdown, or writes it to FILE.md with FILE.png
+beside it; FILE.json keeps what was measured, so that a second call goes on where the first ended.
 """
 
 from __future__ import annotations
