@@ -11,6 +11,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+import torch  # noqa: E402
 from hydra import compose, initialize_config_dir  # noqa: E402
 
 from framework import experiment, registry  # noqa: E402
@@ -62,6 +63,7 @@ def configured(overrides: Sequence[str]) -> dict[str, Any]:
 
 def prepared(overrides: Sequence[str]) -> Prepared:
     """Raises UserError on bad input, as `run.py` does."""
+    torch.set_num_threads(1)  # as a run does
     config = configured(overrides)
     with Warmup(config, Silent()) as warmup:
         warmup.finish()

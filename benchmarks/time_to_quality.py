@@ -14,6 +14,7 @@ beside it; FILE.json keeps what was measured, so that a second call goes on wher
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import re
 import statistics
@@ -25,11 +26,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.prepare import prepared
+from benchmarks.prepare import configured, prepared
 from framework import experiment, parallel
 from framework.metrics import Missing, psnr
 from framework.options import TrainerOptions
-from framework.provenance import code_hash, cpu_model
+from framework.provenance import code_hash, cpu_model, strict_json
 from framework.report import chart
 from framework.report.figures import DPI
 from framework.training import renderer
@@ -121,6 +122,12 @@ def charts(measured: dict[str, list[Point]]) -> list[chart.Chart]:
     return made
 
 
+def identity(scene: str) -> str:
+    """Of code and configuration, with the scene's folder: what a measurement holds for."""
+    text = code_hash() + strict_json(configured(scene.split()))
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
 def short(scene: str) -> str:
     """A legend's name: the folder of the scene, or its layout, the number of views, the rest."""
     folder = re.search(r"path=\S*?([^/\s]+)/?(?:\s|$)", scene)
@@ -143,7 +150,6 @@ def main() -> None:
     parallel.set_threads(given.threads)
     kept = given.output.with_suffix(".json") if given.output else None
     known = json.loads(kept.read_text()) if kept and kept.exists() else {}
-    code = code_hash()[:12]
     steps = [*map(int, given.steps.split(",")), given.reference]
     measured: dict[str, list[Point]] = {}
     lines = [
@@ -156,7 +162,7 @@ def main() -> None:
     for scene in given.scene:
         name, points = re.sub(r"path=\S+", "path=DIR", scene), []
         for count in steps:
-            key = f"{name}, {count} steps, {parallel.threads()} threads, code {code}"
+            key = f"{name}, {count} steps, {parallel.threads()} threads, {identity(scene)}"
             if key not in known:
                 known[key] = asdict(measure(scene, count))
                 if kept:

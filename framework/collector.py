@@ -13,14 +13,14 @@ import sys
 
 def import_uncollected(module: str) -> None:
     """Import `module` with the collector off, and exempt all that lives then from later ones. Does
-    nothing the second time, so that no run's garbage is exempted."""
+    nothing the second time, so that a study of many runs exempts little of their garbage."""
     if module in sys.modules:
         return
     enabled = gc.isenabled()
     gc.disable()
     try:
         importlib.import_module(module)
-    finally:
         gc.freeze()
+    finally:
         if enabled:
             gc.enable()

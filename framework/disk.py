@@ -62,7 +62,7 @@ def _size(folder: Path) -> int:
     for parent, _, names in os.walk(folder):
         for name in names:
             with contextlib.suppress(FileNotFoundError):
-                total += os.stat(os.path.join(parent, name)).st_size
+                total += os.lstat(os.path.join(parent, name)).st_size
     return total
 
 

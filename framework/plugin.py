@@ -83,6 +83,9 @@ class Plugin:
         """Whether `weight` acts; a value for it is refused otherwise."""
         return True
 
+    def check_span(self, start: float, stop: float) -> None:
+        """Raise UserError where the plugin cannot do its work in this share of the training."""
+
     def init_state(self, ctx: StepContext) -> Any:
         """The state before the first use; None for a plugin without one."""
         return None

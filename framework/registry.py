@@ -190,10 +190,5 @@ def build(group: str, config: Mapping[str, Any]) -> Plugged:
         f" start={keys['start']}, stop={keys['stop']}",
     )
     plugin = cls(**options)
-    until = getattr(plugin, "until", 0.0)  # of a plugin whose work has a last part without growth
-    require(
-        until <= keys["stop"],
-        f"{group}={name}: expected until <= stop, or it ends before its work is done, got"
-        f" until={until}, stop={keys['stop']}; set {group}.until or {group}.stop",
-    )
+    plugin.check_span(keys["start"], keys["stop"])
     return Plugged(plugin, **keys)

@@ -65,6 +65,13 @@ class RoundsCapacity(PullCapacity):
         self.check("grow", 0 <= self.grow <= 1, "a share in [0, 1]")
         self.check("until", 0 <= self.until <= 1, "a share in [0, 1]")
 
+    def check_span(self, start: float, stop: float) -> None:
+        require(
+            self.until <= stop,
+            f"capacity={self.name}: expected until <= stop, got until={self.until}, stop={stop};"
+            " set capacity.until or capacity.stop",
+        )
+
     def check(self, option: str, ok: bool, expected: str) -> None:
         """Raise UserError unless `ok`."""
         require(ok, f"capacity.{option}: expected {expected}, got {getattr(self, option)}")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-ROUNDS, PRECISION = 1000, 1e-3  # of the search for the hull's closest point
+ROUNDS = 5000  # of the search at most; some hundred are needed on the border
+ONE_PLACE = 1e-3  # of the largest distance: closer cameras stand in one place
 REACH = 0.25  # camera spacings; handheld and robot-held paths leave their hull by less
 
 INTERPOLATING, EXTRAPOLATING = ("interpolating",), ("extrapolating",)
@@ -13,27 +14,29 @@ INTERPOLATING, EXTRAPOLATING = ("interpolating",), ("extrapolating",)
 
 def placement(centers: NDArray[np.float64], training: NDArray[np.float64]) -> list[tuple[str, ...]]:
     """The tag of each camera at `centers` [M, 3]: interpolating within `REACH` spacings of the
-    convex hull of the `training` cameras [K, 3], else extrapolating; none where fewer than two
-    training cameras stand apart. A spacing is the median distance to the nearest other one."""
+    convex hull of the `training` cameras [K, 3], else extrapolating; none where all of them stand
+    in one place. A spacing is the median distance to the nearest one elsewhere."""
     with np.errstate(over="ignore", invalid="ignore"):  # coordinates near the largest float
         distances = np.linalg.norm(training[:, None] - training, axis=2)
-        np.fill_diagonal(distances, np.inf)
+        distances[distances <= ONE_PLACE * distances.max()] = np.inf
         spacing = float(np.median(distances.min(axis=1)))
         if not 0 < spacing < np.inf:
             return [()] * len(centers)
-        near = [_hull_distance((training - center) / spacing) <= REACH for center in centers]
+        near = [_near_hull((training - center) / spacing) for center in centers]
     return [INTERPOLATING if inside else EXTRAPOLATING for inside in near]
 
 
-def _hull_distance(points: NDArray[np.float64]) -> float:
-    """Distance of the origin from the convex hull of [K, 3] points. Gilbert (1966): go from the
-    closest point so far towards the corner that is farthest in the origin's direction, as far as
-    that helps; no import of scipy.optimize, which takes half a second."""
+def _near_hull(points: NDArray[np.float64]) -> bool:
+    """Whether the convex hull of [K, 3] points comes within `REACH` of the origin. Gilbert (1966):
+    go from the closest point so far towards the corner that is farthest in the origin's direction,
+    until that point is near enough or a plane shows that none is. scipy.optimize could tell too,
+    after half a second of importing it."""
     closest = points[np.linalg.norm(points, axis=1).argmin()]
     for _ in range(ROUNDS):
+        distance = float(np.linalg.norm(closest))
         corner = points[(points @ closest).argmin()]
-        edge = closest - corner
-        if closest @ edge <= PRECISION * (closest @ closest) or not edge.any():
+        if distance <= REACH or closest @ corner > REACH * distance:
             break
+        edge = closest - corner
         closest = closest - min(1.0, closest @ edge / (edge @ edge)) * edge
-    return float(np.linalg.norm(closest))
+    return float(np.linalg.norm(closest)) <= REACH

@@ -4,8 +4,8 @@ The initialisation proposes, usually more than the budget; from `start` to `unti
 number to it in equal ratios. Every round drops the Gaussians without which the training images
 would change least (`information.removal_energy`) and splits the share `grow` of the kept that the
 loss pulls at most, by default all, so that Gaussians move from where they are of little use to
-where they are missing. After `until` the number is exact and stays. Starting
-from fewer, it grows by at most a quarter per round.
+where they are missing. After `until` the number is exact and stays, unless it
+started so low that growth by at most a quarter per round does not reach it.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from framework.errors import require
 from framework.plugin import StepContext, register
 from framework.rounds import RoundsCapacity, Selection, TrainingInformation
 
@@ -29,8 +30,14 @@ class Budget(RoundsCapacity):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.check("gaussians", self.gaussians >= 1, "an integer >= 1")
-        self.check(
-            "every", self.every <= self.until, f"a share of at most until={self.until}, its end"
+
+    def check_span(self, start: float, stop: float) -> None:
+        super().check_span(start, stop)
+        last = math.floor(self.until / self.every + 1e-9) * self.every
+        require(
+            start < last,
+            "capacity=budget: expected a round after start and up to until, or the number is never"
+            f" brought to the budget, got start={start}, every={self.every}, until={self.until}",
         )
 
     def selected(self, ctx: StepContext, known: TrainingInformation) -> Selection:

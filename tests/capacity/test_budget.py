@@ -102,7 +102,9 @@ def test_options_are_checked() -> None:
     for option, value in (("gaussians", 0), ("every", 0.0), ("grow", 2.0), ("until", -1.0)):
         with pytest.raises(UserError, match=rf"capacity.{option}: expected "):
             build("capacity", {"name": "budget", option: value})
-    with pytest.raises(UserError, match=r"capacity.every: expected .* until=0.6"):
-        build("capacity", {"name": "budget", "every": 0.7})
+    for late in ({"every": 0.7}, {"start": 0.72}, {"every": 0.5, "start": 0.55}):
+        with pytest.raises(UserError, match=r"expected a round after start and up to until"):
+            build("capacity", {"name": "budget", **late})
+    build("capacity", {"name": "budget", "every": 0.2, "until": 0.6, "start": 0.5})
     with pytest.raises(UserError, match=r"expected until <= stop, .* until=0.6, stop=0.5"):
         build("capacity", {"name": "budget", "stop": 0.5})

@@ -7,7 +7,8 @@ import pytest
 from scipy.optimize import nnls
 
 from framework.rng import stream
-from framework.scenes.placement import REACH, _hull_distance, placement
+from framework.scenes.assemble import Shot, Tracks, assemble
+from framework.scenes.placement import REACH, _near_hull, placement
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [2.0, 2.0, 0.0]])
 
@@ -18,12 +19,14 @@ def by_least_squares(points: np.ndarray) -> float:
     return float(np.linalg.norm(weights @ points) / weights.sum())
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_the_distance_is_that_of_a_least_squares_solver(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(60))
+def test_near_the_hull_is_what_a_least_squares_solver_finds(seed: int) -> None:
     draw = stream(seed, "hull")
     points = draw.standard_normal((2 + seed % 12, 3))
-    points[:, 2] += 3.0 * (seed % 3)
-    assert _hull_distance(points) == pytest.approx(by_least_squares(points), rel=5e-3, abs=0.03)
+    points[:, 2] += seed % 3
+    for scale in REACH / max(by_least_squares(points), 1e-9) * np.array([0.9, 1.1]):
+        scaled = points * min(scale, 5.0)
+        assert _near_hull(scaled) == (by_least_squares(scaled) <= REACH)
 
 
 def test_a_camera_interpolates_within_a_quarter_of_a_spacing() -> None:
@@ -36,5 +39,29 @@ def test_a_camera_interpolates_within_a_quarter_of_a_spacing() -> None:
     assert placement(centers * 7 + 5, SQUARE * 7 + 5) == [inside, outside, inside, outside]
 
 
-def test_no_tag_where_no_two_training_cameras_stand_apart() -> None:
+def test_no_tag_where_all_training_cameras_stand_in_one_place() -> None:
     assert placement(SQUARE, SQUARE[:1]) == placement(SQUARE, SQUARE[[1, 1]]) == [()] * 4
+
+
+def test_pairs_of_shots_from_one_place_do_not_shrink_the_spacing() -> None:
+    pairs = np.concatenate([SQUARE, SQUARE + 1e-6])
+    centers = np.array([[2.4, 1.0, 0.0], [2.6, 1.0, 0.0]])
+    assert placement(centers, pairs) == placement(centers, SQUARE)
+
+
+def test_a_scene_tags_its_test_views_alone_and_keeps_given_tags() -> None:
+    """Cameras that look anywhere, so that their centre is not minus their translation."""
+
+    def shot(name: str, center: tuple[float, float, float], tags: tuple[str, ...] = ()) -> Shot:
+        rotation = np.linalg.qr(stream(len(name), name).standard_normal((3, 3)))[0]
+        viewmat = np.eye(4)
+        viewmat[:3, :3], viewmat[:3, 3] = rotation, -rotation @ center
+        return Shot(name, viewmat, np.eye(3), np.zeros((4, 4, 3), np.uint8), tags=tags)
+
+    train = [shot("a", (10.0, 0.0, 0.0)), shot("bb", (12.0, 0.0, 0.0))]
+    places = [(11.0, 0.4, 0.0), (11.0, 0.6, 0.0), (13.0, 0.0, 0.0), (11.0, 0.0, 0.0)]
+    test = [shot(f"t{i}", place, ("given",) if i == 3 else ()) for i, place in enumerate(places)]
+    scene = assemble("s", "p", train, test, Tracks(), 1.0, 2.0)
+    outside = ("extrapolating",)
+    assert [v.tags for v in scene.test] == [("interpolating",), outside, outside, ("given",)]
+    assert all(v.tags == () for v in scene.training.views)
