@@ -23,6 +23,7 @@ from framework.report.statistics import Spread, compare, spread
 LIMITS_S = (15.0, 60.0, 300.0)
 SAME_COST = 0.02  # costs that differ by less than this share are not worth a chart
 SIGNIFICANCE = 0.05
+LOG_FROM = 4  # ratio of costs from which an axis is logarithmic; a lesser one has too few ticks
 AS_GOOD_DB = 0.1  # a model so much worse than the best counts as good
 
 
@@ -79,13 +80,15 @@ def charts(study: Study, scene: str) -> list[tuple[Chart, ...]]:
         return []
     name = slug(scene)
     label = f"training time (s, {'CPU' if study.by_cpu else 'wall clock'})"
-    time = _chart(study, found, f"tradeoff_{name}", scene, label, _time)
+    panels = _panels(found, scene)
+    time = [_chart(study, found, p, f"tradeoff_{name}", label, _time) for p in panels]
     sizes = [
-        _chart(study, found, f"size_{name}", scene, label, cost)
+        _chart(study, found, panel, f"size_{name}", label, cost)
         for label, cost in (("Gaussians", _gaussians), ("file size (MB)", _size))
         if _differs([cost(entry) for entry in found])
+        for panel in panels
     ]
-    return [(time,), *([tuple(sizes)] if sizes else [])]
+    return [tuple(time), *([tuple(sizes)] if sizes else [])]
 
 
 def advice(study: Study, scene: str) -> list[str]:
@@ -171,24 +174,40 @@ def _differs(costs: Sequence[float]) -> bool:
     return min(costs) > 0 and max(costs) > (1 + SAME_COST) * min(costs)
 
 
+def _panels(found: Sequence[Entry], scene: str) -> list[tuple[str, dict[int, str]]]:
+    """(title, series of the entries in it by their index) of every chart. A series per method and
+    capacity where the colours suffice; else a chart per method, its capacities as series; where
+    these are too many as well, a series per method."""
+    names = {k: ", ".join(filter(None, (e.family, _capacity(e)))) for k, e in enumerate(found)}
+    if len(set(names.values())) <= len(LIGHT):
+        return [(scene, names)]
+    families = {k: entry.family for k, entry in enumerate(found)}
+    kinds = {k: _capacity(entry) or "capacity=fixed" for k, entry in enumerate(found)}
+    if not 1 < len(set(kinds.values())) <= len(LIGHT):
+        return [(scene, families)]
+    return [
+        (f"{scene}, {family}", {k: kinds[k] for k in kinds if families[k] == family})
+        for family in dict.fromkeys(families.values())
+    ]
+
+
 def _chart(
     study: Study,
     found: Sequence[Entry],
+    panel: tuple[str, dict[int, str]],
     name: str,
-    title: str,
     x_label: str,
     cost: Callable[[Entry], float],
 ) -> Chart:
-    """A series per method through its undominated budgets; dominated ones faint; the front of all
-    is ringed. Every capacity has its own where there are colours enough to tell them apart."""
+    """A series of `panel` goes through its undominated entries; dominated ones are faint; the front
+    of all that was found on the scene is ringed."""
     on_front = set(front(found, cost))
-    names = [_with_capacity(entry) for entry in found]
-    order = list(dict.fromkeys(names))
-    if len(order) > len(LIGHT) or set(order) <= set(study.families):
-        names, order = [entry.family for entry in found], study.families
+    title, shown = panel
+    methods = set(shown.values()) <= set(study.families)
+    order = study.families if methods else list(dict.fromkeys(shown.values()))
     series = []
     for index, family in enumerate(order):
-        own = [k for k, name in enumerate(names) if name == family]
+        own = [k for k, name in shown.items() if name == family]
         best = [own[k] for k in front([found[k] for k in own], cost)]
         others = [k for k in own if k not in best]
         ringed = tuple(i for i, k in enumerate(best) if k in on_front)
@@ -197,16 +216,16 @@ def _chart(
         if others:
             faint = tuple(_point(found[k], cost) for k in others)
             series.append(Series(family, index, faint, faint=True, joined=False))
-    log_x = _differs([cost(entry) for entry in found])
-    return Chart(
-        name, title, x_label, "test PSNR (dB)", tuple(s for s in series if s.points), log_x
-    )
+    costs = [cost(entry) for entry in found]
+    log_x = 0 < LOG_FROM * min(costs) < max(costs)
+    drawn = tuple(s for s in series if s.points)
+    return Chart(name, title, x_label, "test PSNR (dB)", drawn, log_x)
 
 
-def _with_capacity(entry: Entry) -> str:
-    """The method with how its number of Gaussians is decided."""
+def _capacity(entry: Entry) -> str:
+    """How the number of Gaussians is decided, where that differs; its options are budgets."""
     parts = [part for part in entry.budget.split(", ") if part.startswith("capacity")]
-    return ", ".join([entry.family, *parts])
+    return ", ".join(parts)
 
 
 def _point(entry: Entry, cost: Callable[[Entry], float]) -> Point:

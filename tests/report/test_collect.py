@@ -275,3 +275,18 @@ def test_every_capacity_has_a_colour_where_there_are_enough(tmp_path: Path) -> N
         fake_run(tmp_path, run_name=name, capacity={"name": name}, trainer={"steps": 100})
     ((chart,), *_) = tradeoff.charts(collect(tmp_path), "embedded")
     assert {series.name for series in chart.series} == {"none + none"}
+
+
+def test_a_chart_per_method_where_the_colours_are_too_few_for_all(tmp_path: Path) -> None:
+    capacities = ("fixed", "adc", "budget", "evidence")
+    for augment in ("none", "safi"):
+        for at, capacity in enumerate(capacities):
+            name, config = f"{augment}-{capacity}", {"name": capacity}
+            fake_run(tmp_path, augment, gain=at, run_name=name, capacity=config)
+    (panels, *_) = tradeoff.charts(collect(tmp_path), "embedded")
+    assert [chart.title for chart in panels] == ["embedded, none + none", "embedded, safi + none"]
+    for chart in panels:
+        named = {series.index: series.name for series in chart.series}
+        assert set(named.values()) == {f"capacity={name}" for name in capacities}
+        assert named == {series.index: series.name for series in panels[0].series}
+    assert sum(len(series.ringed) for chart in panels for series in chart.series) >= 1
