@@ -24,7 +24,10 @@ pixels are far from independent too, but scaling G by that as well removes the s
 Growth proposes (the strongest pulled are split), evidence decides. A round removes at most `pace`
 of the Gaussians, those with the least gain first, since gains hold one at a time; it removes more
 where k Gaussians would not even pay if all of them changed the same pixels in the same direction:
-then they change the images by at most k times the sum of their energies (Cauchy-Schwarz).
+then they change the images by at most k times the sum of their energies (Cauchy-Schwarz). What is
+removed raises the residuals until the others have taken its place; a round that comes before that
+takes them for noise, and removes more than it should. With many views there are few epochs between
+rounds: below `SETTLED` of them the pace falls with the square root of their number.
 """
 
 from __future__ import annotations
@@ -52,6 +55,7 @@ log = logging.getLogger(__name__)
 CRITERIA = ("laplace", "correlated", "bic")
 FEWEST, HANDFUL = 8, 16  # are kept even if none pays; is when that is told
 ROUNDING_VARIANCE = (1 / 255) ** 2 / 12  # of 8-bit images
+SETTLED = 10  # epochs between rounds after which the others have taken the place of what went
 NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
 
 
@@ -60,9 +64,9 @@ NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
 class Evidence(RoundsCapacity):
     """criterion: "laplace", as derived; "correlated": the same with the residuals' correlation
     between the colour channels; "bic": the cost is k/2 log(number of pixel values) for k parameters
-    (Schwarz 1978). pace: share of the Gaussians that a round removes at most. Few rounds of much
-    growth and much removal find better places than many small ones, in less time
-    (`benchmarks/results/capacity.md`).
+    (Schwarz 1978). pace: share of the Gaussians that a round removes at most, `SETTLED` epochs
+    after the one before; sooner, less. Few rounds of much growth and removal find better places
+    than many small ones, in less time (`benchmarks/results/capacity.md`).
     """
 
     until: float = 0.5
@@ -80,7 +84,9 @@ class Evidence(RoundsCapacity):
         noise, values = self._noise(ctx)
         gain, cost = self._evidence(ctx.gaussians, known, noise, values)
         unpaid = gain <= cost
-        n, gone = len(gain), removable(gain, cost, self.pace)
+        epochs = self._interval(ctx) / len(ctx.views)
+        pace = self.pace * min(1.0, math.sqrt(epochs / SETTLED))
+        n, gone = len(gain), removable(gain, cost, pace)
         gone = gone[: max(0, n - FEWEST)]
         ctx.log("unpaid", float(unpaid.sum()))
         if n - len(gone) <= HANDFUL < n:  # told once, on the way down
