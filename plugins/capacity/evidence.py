@@ -84,9 +84,7 @@ class Evidence(RoundsCapacity):
         noise, values = self._noise(ctx)
         gain, cost = self._evidence(ctx.gaussians, known, noise, values)
         unpaid = gain <= cost
-        epochs = self._interval(ctx) / len(ctx.views)
-        pace = self.pace * min(1.0, math.sqrt(epochs / SETTLED))
-        n, gone = len(gain), removable(gain, cost, pace)
+        n, gone = len(gain), removable(gain, cost, self._pace(ctx))
         gone = gone[: max(0, n - FEWEST)]
         ctx.log("unpaid", float(unpaid.sum()))
         if n - len(gone) <= HANDFUL < n:  # told once, on the way down
@@ -103,6 +101,11 @@ class Evidence(RoundsCapacity):
         if bands is not None:
             ctx.log("bands_dropped", float((keep & ~bands)[: len(ctx.gaussians.shN)].sum()))
         return Selection(keep, 0, bands, sh0)
+
+    def _pace(self, ctx: StepContext) -> float:
+        """The share that a round may remove, with so many views."""
+        epochs = self._interval(ctx) / len(ctx.views)
+        return self.pace * min(1.0, math.sqrt(epochs / SETTLED))
 
     def _noise(self, ctx: StepContext) -> tuple[float, float]:
         """(s2 as the criterion takes it, number of training values)."""

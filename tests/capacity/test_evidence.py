@@ -154,6 +154,15 @@ def test_the_size_follows_the_content() -> None:
     assert sizes[0] < 200 and sizes[0] < sizes[1] and max(sizes) < 1200
 
 
+def test_rounds_of_few_epochs_remove_less() -> None:
+    """A hundred steps, a round every ten: ten epochs with one view, 2.5 with four."""
+    ctx = watched()
+    paces = [Evidence(pace=0.4)._pace(replace(ctx, views=ctx.views[:1] * n)) for n in (1, 4, 40)]
+    assert paces == pytest.approx([0.4, 0.2, 0.4 * 0.025**0.5])
+    longer = replace(ctx, views=ctx.views[:1] * 4, n_steps=400)
+    assert Evidence(pace=0.4)._pace(longer) == 0.4
+
+
 def test_the_test_views_have_no_say() -> None:
     """Whatever an evaluation measures, and even if it spoils what it is given."""
 
