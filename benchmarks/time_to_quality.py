@@ -5,8 +5,8 @@
         [--steps 50,100,200,300,600,1000] [--reference 10000] [--threads N] [--output FILE.md]
 
 Every number of steps is a training of its own, as the schedules depend on it; seconds are of
-depth, initialisation and training, without evaluation. CPU seconds decide, so that other programs
-may run beside; on one thread they are what a quiet machine's clock shows. Interpolating and
+depth, initialisation and training, without evaluation. CPU seconds decide, as other programs
+disturb them less than the clock (on a core's second thread they still rise). Interpolating and
 extrapolating test views are told apart. Prints markdown, or writes it to FILE.md with FILE.png
 beside it; FILE.json keeps what was measured, so that a second call goes on where the first ended.
 """
@@ -14,6 +14,7 @@ beside it; FILE.json keeps what was measured, so that a second call goes on wher
 from __future__ import annotations
 
 import argparse
+import functools
 import hashlib
 import json
 import re
@@ -54,7 +55,7 @@ class Point:
 def measure(scene: str, steps: int) -> Point:
     """Train once, everything but compiling and evaluating on the clock."""
     line = [*scene.split(), f"trainer.steps={steps}"]
-    prepared([*scene.split(), "trainer.steps=10"]).trainer().run()  # all kernels are loaded
+    _warm(scene)
     prepared(line)  # the scene; the depth is forgotten, to be on the clock
     experiment._depth.cache_clear()
     start, cpu_start = time.perf_counter(), time.process_time()
@@ -76,6 +77,12 @@ def measure(scene: str, steps: int) -> Point:
     by_tag = {tag: statistics.fmean(own) for tag, own in tagged.items()}
     mean = statistics.fmean(values.values())
     return Point(steps, seconds, cpu_seconds, mean, by_tag, (worst, values[worst]))
+
+
+@functools.cache
+def _warm(scene: str) -> None:
+    """Load all kernels."""
+    prepared([*scene.split(), "trainer.steps=10"]).trainer().run()
 
 
 def rows(points: list[Point]) -> list[str]:

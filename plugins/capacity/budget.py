@@ -4,8 +4,8 @@ The initialisation proposes, usually more than the budget; from `start` to `unti
 number to it in equal ratios. Every round drops the Gaussians without which the training images
 would change least (`information.removal_energy`) and splits the share `grow` of the kept that the
 loss pulls at most, by default all, so that Gaussians move from where they are of little use to
-where they are missing. After `until` the number is exact and stays, unless it
-started so low that growth by at most a quarter per round does not reach it.
+where they are missing. After `until` the number is exact and stays, unless it started so low that
+growth by at most a quarter per round does not reach it.
 """
 
 from __future__ import annotations

@@ -24,10 +24,10 @@ pixels are far from independent too, but scaling G by that as well removes the s
 Growth proposes (the strongest pulled are split), evidence decides. A round removes at most `pace`
 of the Gaussians, those with the least gain first, since gains hold one at a time; it removes more
 where k Gaussians would not even pay if all of them changed the same pixels in the same direction:
-then they change the images by at most k times the sum of their energies (Cauchy-Schwarz). What is
-removed raises the residuals until the others have taken its place; a round that comes before that
-takes them for noise, and removes more than it should. With many views there are few epochs between
-rounds: below `SETTLED` of them the pace falls with the square root of their number.
+then they change the images by at most k times the sum of their energies (Cauchy-Schwarz). With
+many views few epochs lie between rounds, and residuals that training has not yet mended count as
+noise, so too much goes: below `SETTLED` epochs the pace falls with the square root of their number
+(chosen by trial, see `benchmarks/results/capacity.md`).
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ log = logging.getLogger(__name__)
 CRITERIA = ("laplace", "correlated", "bic")
 FEWEST, HANDFUL = 8, 16  # are kept even if none pays; is when that is told
 ROUNDING_VARIANCE = (1 / 255) ** 2 / 12  # of 8-bit images
-SETTLED = 10  # epochs between rounds after which the others have taken the place of what went
+SETTLED = 10  # epochs between rounds, as with three views; with more, the pace was chosen by trial
 NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
 
 

@@ -154,13 +154,21 @@ def test_the_size_follows_the_content() -> None:
     assert sizes[0] < 200 and sizes[0] < sizes[1] and max(sizes) < 1200
 
 
-def test_rounds_of_few_epochs_remove_less() -> None:
+def test_rounds_of_few_epochs_remove_less(monkeypatch: pytest.MonkeyPatch) -> None:
     """A hundred steps, a round every ten: ten epochs with one view, 2.5 with four."""
-    ctx = watched()
-    paces = [Evidence(pace=0.4)._pace(replace(ctx, views=ctx.views[:1] * n)) for n in (1, 4, 40)]
-    assert paces == pytest.approx([0.4, 0.2, 0.4 * 0.025**0.5])
-    longer = replace(ctx, views=ctx.views[:1] * 4, n_steps=400)
-    assert Evidence(pace=0.4)._pace(longer) == 0.4
+    paces: list[float] = []
+
+    def watching(gain: Any, cost: Any, pace: float) -> Any:
+        paces.append(pace)
+        return removable(gain, cost, pace)
+
+    monkeypatch.setattr("plugins.capacity.evidence.removable", watching)
+    ctx, evidence = watched(step=9), Evidence(pace=0.4)
+    longer = {"n_steps": 400, "step": 39}
+    for n, more in ((1, {}), (4, {}), (40, {}), (4, longer)):
+        seen = replace(ctx, views=ctx.views[:1] * n, **more)
+        evidence.update(seen, evidence.init_state(seen), pulls(torch.ones(len(ctx.gaussians))))
+    assert paces == pytest.approx([0.4, 0.2, 0.4 * 0.025**0.5, 0.4])
 
 
 def test_the_test_views_have_no_say() -> None:
