@@ -3,9 +3,9 @@
     python benchmarks/scaling.py [--counts N ...] [--factors F ...] [--output FILE]
 
 The step and the scene are those of `step.py` (SH of degree 3); a factor scales both sides of
-504x378. A contribution is a pair of a pixel and a Gaussian that is blended into it. Cost grows no
-faster than linearly with them if the nanoseconds per contribution do not rise. Writes a markdown
-table to FILE, or prints it.
+504x378. A contribution is a pair of a pixel and a Gaussian that is blended into it. A line through
+all cases, so much per contribution and so much per Gaussian, says whether cost grows faster than
+linearly: then the largest cases would lie above it. Writes a markdown table to FILE, or prints it.
 """
 
 from __future__ import annotations
@@ -77,6 +77,15 @@ def milliseconds(count: int, factor: float, steps: int) -> float:
     return statistics.median(times)
 
 
+def fitted(cases: list[tuple[float, int, float]]) -> tuple[float, float, list[float]]:
+    """From (contributions, Gaussians, ms) of every case: ns per contribution and per Gaussian of
+    least relative squares, and each case's time in units of the fit's."""
+    pairs, counts, times = np.array(cases, float).T
+    design = 1e-6 * np.stack([pairs, counts], 1)
+    each = np.linalg.lstsq(design / times[:, None], np.ones(len(times)), rcond=None)[0]
+    return float(each[0]), float(each[1]), list(times / (design @ each))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--counts", type=int, nargs="+", default=[20_000, 50_000, 100_000, 300_000])
@@ -93,6 +102,7 @@ def main() -> None:
         "| image | Gaussians | contributions (M) | 1 thread | 2 threads | speed-up | ns each |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
+    cases = []
     for factor in given.factors:
         for count in given.counts:
             pairs, times = contributions(count, factor), []
@@ -100,10 +110,19 @@ def main() -> None:
                 set_threads(threads)
                 times.append(milliseconds(count, factor, given.steps))
             one, two = times
+            cases.append((pairs, count, one))
             size = f"{round(504 * factor)}x{round(378 * factor)} | {count:,} | {pairs / 1e6:.1f}"
             speed = f"{one:.0f} | {two:.0f} | {one / two:.2f} | {1e6 * one / pairs:.2f}"
             lines.append(f"| {size} | {speed} |")
             print(lines[-1], file=sys.stderr, flush=True)
+    if len(cases) > 2:
+        pair, gaussian, shares = fitted(cases)
+        lines += [
+            "",
+            f"On one thread {pair:.1f} ns per contribution and {gaussian:.0f} ns per Gaussian: the"
+            f" cases take {min(shares):.2f} to {max(shares):.2f} times that, the last and largest"
+            f" one {shares[-1]:.2f} times.",
+        ]
     text = "\n".join(lines) + "\n"
     print(text)
     if given.output:
