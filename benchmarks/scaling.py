@@ -1,6 +1,6 @@
 """How a training step's time grows with the Gaussians and the pixels.
 
-    python benchmarks/scaling.py [--counts N ...] [--factors F ...] [--output FILE]
+    python benchmarks/scaling.py [--counts N ...] [--factors F ...] [--rounds 3] [--output FILE]
 
 The step and the scene are those of `step.py` (SH of degree 3); a factor scales both sides of
 504x378. A contribution is a pair of a pixel and a Gaussian that is blended into it. A line through
@@ -14,6 +14,7 @@ import argparse
 import statistics
 import sys
 import time
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -64,8 +65,9 @@ def contributions(count: int, factor: float) -> int:
     return int(_count(camera.width, camera.height, work.rows, work.offsets, work.lists, limits))
 
 
-def milliseconds(count: int, factor: float, steps: int) -> float:
-    """Median wall time of a step."""
+def milliseconds(count: int, factor: float, threads: int, steps: int) -> list[float]:
+    """Wall times of steps."""
+    set_threads(threads)
     step = training_step(count, Stopwatch(time.perf_counter), factor)
     for _ in range(WARM_UP):
         step()
@@ -74,7 +76,7 @@ def milliseconds(count: int, factor: float, steps: int) -> float:
         start = time.perf_counter()
         step()
         times.append(1e3 * (time.perf_counter() - start))
-    return statistics.median(times)
+    return times
 
 
 def fitted(cases: list[tuple[float, int, float]]) -> tuple[float, float, list[float]]:
@@ -90,31 +92,36 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--counts", type=int, nargs="+", default=[20_000, 50_000, 100_000, 300_000])
     parser.add_argument("--factors", type=float, nargs="+", default=[0.5, 1.0, 2.0])
-    parser.add_argument("--steps", type=int, default=11, help="measured steps of every case")
+    parser.add_argument("--rounds", type=int, default=3, help="over all cases, each in its turn")
+    parser.add_argument("--steps", type=int, default=7, help="measured steps of a case in a round")
     parser.add_argument("--output", type=Path)
     given = parser.parse_args()
+    sizes = [(factor, count) for factor in given.factors for count in given.counts]
+    times: dict[tuple[float, int, int], list[float]] = defaultdict(list)
+    for turn in range(given.rounds):
+        for factor, count in sizes:
+            for threads in (1, 2):
+                own = milliseconds(count, factor, threads, given.steps)
+                times[factor, count, threads] += own
+        print(f"round {turn + 1} of {given.rounds}", file=sys.stderr, flush=True)
     lines = [
         "# How a training step grows",
         "",
-        f"`python benchmarks/scaling.py` on {cpu_model()}: medians of {given.steps} steps, ms; ns"
-        " per blended contribution (pixel and Gaussian) of a step on one thread.",
+        f"`python benchmarks/scaling.py` on {cpu_model()}: medians of {given.steps} steps in each"
+        f" of {given.rounds} rounds, ms; ns per blended contribution (pixel and Gaussian) of a step"
+        " on one thread.",
         "",
         "| image | Gaussians | contributions (M) | 1 thread | 2 threads | speed-up | ns each |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
-    cases = []
-    for factor in given.factors:
-        for count in given.counts:
-            pairs, times = contributions(count, factor), []
-            for threads in (1, 2):
-                set_threads(threads)
-                times.append(milliseconds(count, factor, given.steps))
-            one, two = times
-            cases.append((pairs, count, one))
-            size = f"{round(504 * factor)}x{round(378 * factor)} | {count:,} | {pairs / 1e6:.1f}"
-            speed = f"{one:.0f} | {two:.0f} | {one / two:.2f} | {1e6 * one / pairs:.2f}"
-            lines.append(f"| {size} | {speed} |")
-            print(lines[-1], file=sys.stderr, flush=True)
+    cases: list[tuple[float, int, float]] = []
+    for factor, count in sizes:
+        pairs = contributions(count, factor)
+        one, two = (statistics.median(times[factor, count, threads]) for threads in (1, 2))
+        cases.append((pairs, count, one))
+        size = f"{round(504 * factor)}x{round(378 * factor)} | {count:,} | {pairs / 1e6:.1f}"
+        speed = f"{one:.0f} | {two:.0f} | {one / two:.2f} | {1e6 * one / pairs:.2f}"
+        lines.append(f"| {size} | {speed} |")
     if len(cases) > 2:
         pair, gaussian, shares = fitted(cases)
         lines += [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import flip_evaluator
 import numpy as np
@@ -102,6 +103,23 @@ def test_flip_is_the_same_on_any_number_of_threads() -> None:
         finally:
             parallel.set_threads(0)
     assert values[0] == values[1] == values[2] and torch.get_num_threads() == before
+
+
+def test_flip_runs_on_the_threads_of_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though torch, whose OpenMP library it shares, is kept at one."""
+    truth, seen, evaluate = image("truth"), [], flip_evaluator.evaluate
+
+    def watched(*args: Any, **kwargs: Any) -> Any:
+        seen.append(torch.get_num_threads())
+        return evaluate(*args, **kwargs)
+
+    monkeypatch.setattr(flip_evaluator, "evaluate", watched)
+    parallel.set_threads(2)
+    try:
+        metrics.flip(truth, truth)
+    finally:
+        parallel.set_threads(0)
+    assert seen == [2]
 
 
 def test_metrics_read_what_is_saved() -> None:
