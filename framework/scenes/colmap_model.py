@@ -7,7 +7,9 @@ points3D.bin never ends), hence `colmap_files.check`.
 from __future__ import annotations
 
 import shutil
+import signal
 import tempfile
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -99,6 +101,17 @@ def _tracks(points: dict[int, Any], column: dict[int, int], where: Path) -> Trac
     return Tracks(xyz[good], rgb[good], seen[good])
 
 
+def _pycolmap() -> Any:
+    """The module, without the handler it installs: a run that is told to end, as by a cluster's
+    time limit, would print the stack of its C++ code."""
+    before = signal.getsignal(signal.SIGTERM)
+    import pycolmap
+
+    if threading.current_thread() is threading.main_thread():  # no other one may
+        signal.signal(signal.SIGTERM, before)
+    return pycolmap
+
+
 @contextmanager
 def _quiet(pycolmap: Any) -> Iterator[None]:
     """Keep pycolmap's own log lines off the screen: the UserError says it in one."""
@@ -114,8 +127,7 @@ def _reconstruction(folder: Path) -> Any:
     """pycolmap's reading of the checked cameras, images and points3D. Newer models also have rigs
     and frames, which repeat the poses and cannot be checked: a copy without them is read."""
     files = colmap_files.check(folder)
-    import pycolmap
-
+    pycolmap = _pycolmap()
     with tempfile.TemporaryDirectory() as copy, _quiet(pycolmap):
         for file in files:
             shutil.copyfile(file, Path(copy) / file.name)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +57,18 @@ def test_text_and_binary_agree(tmp_path: Path) -> None:
     sparse = to_binary(folder)
     assert (sparse / "images.bin").is_file()
     assert load(folder).fingerprint == text.fingerprint
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGTERM to catch")
+def test_a_run_that_is_told_to_end_ends_without_a_stack_trace(tmp_path: Path) -> None:
+    """pycolmap's import installs a handler that prints one."""
+    code = (
+        "import os, signal, sys; from framework.scenes import load_scene;"
+        f"load_scene('colmap', {{'path': {str(write_scene(tmp_path))!r}, 'n_views': 3}});"
+        "assert 'pycolmap' in sys.modules; os.kill(os.getpid(), signal.SIGTERM)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (-signal.SIGTERM, "")
 
 
 def test_sparse_without_a_number(tmp_path: Path) -> None:
