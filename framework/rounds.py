@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from framework.types import Gaussians
 
 NARROWED, OFFSET = 0.6, 0.8
+SETTLED = 10  # epochs between rounds, as with three views; with fewer, rounds do less
 SH0 = 11  # where the colours begin in a diagonal
 
 
@@ -103,6 +104,11 @@ class RoundsCapacity(PullCapacity):
         interval = self._interval(ctx)
         last = math.floor(self.until * ctx.n_steps) // interval
         return max(0, last - (ctx.step + 1) // interval + 1)
+
+    def settled(self, ctx: StepContext) -> float:
+        """Epochs from one round to the next in units of `SETTLED`, at most 1: with many views, or
+        few steps, training has not yet taken in what the last round changed."""
+        return min(1.0, self._interval(ctx) / (SETTLED * len(ctx.views)))
 
     def _interval(self, ctx: StepContext) -> int:
         """Steps from one round to the next."""

@@ -4,8 +4,10 @@ The initialisation proposes, usually more than the budget; from `start` to `unti
 number to it in equal ratios. Every round drops the Gaussians without which the training images
 would change least (`information.removal_energy`) and splits the share `grow` of the kept that the
 loss pulls at most, by default all, so that Gaussians move from where they are of little use to
-where they are missing. After `until` the number is exact and stays, unless it started so low that
-growth by at most a quarter per round does not reach it.
+where they are missing. With many views few epochs lie between rounds, and what was split is judged
+before it is trained: below ten, `grow` falls with the square of their number (chosen by trial, see
+`benchmarks/results/capacity.md`). After `until` the number is exact and stays, unless it started so
+low that growth by at most a quarter per round does not reach it.
 """
 
 from __future__ import annotations
@@ -47,7 +49,7 @@ class Budget(RoundsCapacity):
 
         n = len(ctx.gaussians)
         wanted = self._wanted(n, self.rounds_left(ctx))
-        grow = self.grow if self.growing(ctx) else 0.0
+        grow = self.grow * self.settled(ctx) ** 2 if self.growing(ctx) else 0.0
         n_kept = min(n, math.ceil(wanted / (1 + grow)))
         energy = removal_energy(known.total.diagonal, ctx.gaussians.opacity_logits)
         keep = torch.zeros(n, dtype=torch.bool)

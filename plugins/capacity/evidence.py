@@ -26,7 +26,7 @@ of the Gaussians, those with the least gain first, since gains hold one at a tim
 where k Gaussians would not even pay if all of them changed the same pixels in the same direction:
 then they change the images by at most k times the sum of their energies (Cauchy-Schwarz). With
 many views few epochs lie between rounds, and residuals that training has not yet mended count as
-noise, so too much goes: below `SETTLED` epochs the pace falls with the square root of their number
+noise, so too much goes: below ten epochs the pace falls with the square root of their number
 (chosen by trial, see `benchmarks/results/capacity.md`).
 """
 
@@ -55,7 +55,6 @@ log = logging.getLogger(__name__)
 CRITERIA = ("laplace", "correlated", "bic")
 FEWEST, HANDFUL = 8, 16  # are kept even if none pays; is when that is told
 ROUNDING_VARIANCE = (1 / 255) ** 2 / 12  # of 8-bit images
-SETTLED = 10  # epochs between rounds, as with three views; with more, the pace was chosen by trial
 NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
 
 
@@ -64,7 +63,7 @@ NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
 class Evidence(RoundsCapacity):
     """criterion: "laplace", as derived; "correlated": the same with the residuals' correlation
     between the colour channels; "bic": the cost is k/2 log(number of pixel values) for k parameters
-    (Schwarz 1978). pace: share of the Gaussians that a round removes at most, `SETTLED` epochs
+    (Schwarz 1978). pace: share of the Gaussians that a round removes at most, ten epochs
     after the one before; sooner, less. Few rounds of much growth and removal find better places
     than many small ones, in less time (`benchmarks/results/capacity.md`).
     """
@@ -104,8 +103,7 @@ class Evidence(RoundsCapacity):
 
     def _pace(self, ctx: StepContext) -> float:
         """The share that a round may remove, with so many views."""
-        epochs = self._interval(ctx) / len(ctx.views)
-        return self.pace * min(1.0, math.sqrt(epochs / SETTLED))
+        return self.pace * math.sqrt(self.settled(ctx))
 
     def _noise(self, ctx: StepContext) -> tuple[float, float]:
         """(s2 as the criterion takes it, number of training values)."""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from framework.errors import UserError
 from framework.information import removal_energy
+from framework.plugin import StepContext
 from framework.rasterize import rasterize
 from framework.registry import build
 from framework.rounds import training_information
@@ -32,6 +35,12 @@ def test_removal_energy_is_the_change_of_the_images() -> None:
             )
             change += float((ctx.render(view.camera).rgb - less.rgb).double().square().sum())
         assert float(energy[index]) == pytest.approx(change, rel=0.06, abs=1e-6), index
+
+
+def longer(ctx: StepContext) -> StepContext:
+    """At the same share of so many more steps that ten epochs lie between rounds."""
+    views = len(ctx.views)
+    return replace(ctx, n_steps=ctx.n_steps * views, step=(ctx.step + 1) * views - 1)
 
 
 def count_after(n: int, step: int, **options: float) -> int:
@@ -73,7 +82,7 @@ def test_it_drops_what_is_hidden_and_splits_what_is_pulled() -> None:
     hidden = wall[torch.arange(10)].replace(opacity_logits=torch.full((10,), -9.0))
     subject, strengths = concatenate([wall, hidden]), torch.zeros(60)
     strengths[[3, 7, 55]] = torch.tensor([1.0, 2.0, 3.0])
-    budget, ctx = Budget(gaussians=40, grow=0.053), watched(subject, 49)
+    budget, ctx = Budget(gaussians=40, grow=0.053), longer(watched(subject, 49))
     edits, _ = budget.update(ctx, budget.init_state(ctx), pulls(strengths))
     assert edits is not None and edits.keep is not None and edits.append is not None
     assert not edits.keep[50:].any() and not edits.keep[[3, 7]].any()
@@ -83,10 +92,22 @@ def test_it_drops_what_is_hidden_and_splits_what_is_pulled() -> None:
 
 def test_by_default_all_that_stay_are_split() -> None:
     subject = wall_of_gaussians(60)
-    budget, ctx = Budget(gaussians=40), watched(subject, 9)
+    budget, ctx = Budget(gaussians=40), longer(watched(subject, 9))
     edits, _ = budget.update(ctx, budget.init_state(ctx), pulls(torch.ones(60)))
     assert edits is not None and edits.keep is not None and edits.append is not None
     assert not edits.keep.any() and len(edits.append) == 56  # 60 (40 / 60)^(1/6), two of each
+
+
+def test_rounds_of_few_epochs_split_less() -> None:
+    """A hundred steps, a round every ten: ten epochs with one view, five with two."""
+    ctx, split = watched(wall_of_gaussians(60), 9), []
+    for n in (1, 2, 4):
+        seen, budget = replace(ctx, views=ctx.views[:1] * n), Budget(gaussians=40)
+        edits, _ = budget.update(seen, budget.init_state(seen), pulls(torch.ones(60)))
+        assert edits is not None and edits.append is not None and edits.keep is not None
+        assert int(edits.keep.sum()) + len(edits.append) == 56
+        split.append(len(edits.append) // 2)
+    assert split == [28, 11, 3]  # all, a quarter and a sixteenth of those kept
 
 
 def moments(parts: Gaussians) -> list[float]:
