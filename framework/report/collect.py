@@ -8,6 +8,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -184,7 +185,8 @@ def collect(study_dirs: Path | Sequence[Path], out_dir: Path | None = None) -> S
     missing = _missing(labelled, named, origins)
     unique, repeated = _without_repeats(labelled)
     unique.sort(key=lambda r: (natural(r.scene), method_order(r.method), r.seed))
-    notes = (*repeated, *_repeat_notes(unique), *_code_notes(runs), *_busy_notes(unique))
+    told = (_repeat_notes(unique), _equal_notes(unique), _code_notes(runs), _busy_notes(unique))
+    notes = (*repeated, *chain(*told))
     return Study(out_dir or folders[0], tuple(unique), tuple(named), notes, tuple(missing))
 
 
@@ -288,6 +290,30 @@ def _repeat_notes(runs: Sequence[ReportRun]) -> list[str]:
         f" ({outside(_read_failed(folder).error)}); the earlier, complete one is reported."
         for folder in again
     ]
+
+
+def _equal_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """Methods that trained to the same bits: a test of their difference would be of nothing."""
+    cells: dict[tuple[str, int, str], list[str]] = defaultdict(list)
+    for run in runs:
+        cells[run.scene, run.seed, run.record.parameters_sha256].append(run.method)
+    found: dict[tuple[str, ...], dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for (scene, seed, bits), methods in cells.items():
+        if bits and len(methods) > 1:
+            found[tuple(methods)][scene].append(seed)
+    notes = []
+    for methods, scenes in found.items():
+        where = "; ".join(f"{scene}, seed {_listed(seeds)}" for scene, seeds in scenes.items())
+        notes.append(
+            f"{_listed(methods)} trained to the same bits ({where}): what tells them apart never"
+            " took effect there, so nothing was learned about it."
+        )
+    return notes
+
+
+def _listed(items: Sequence[object]) -> str:
+    *most, last = map(str, items)
+    return f"{', '.join(most)} and {last}" if most else last
 
 
 def _code_notes(runs: list[Run]) -> list[str]:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from framework.metrics import evaluate_view
+from framework.provenance import strict_json
 from framework.record import HistoryRow, RunRecord, SceneInfo, StageTime, provenance, write_run
 from framework.rng import stream
 from framework.types import Camera, Gaussians, View
@@ -77,11 +78,13 @@ def fake_run(
     scene: str = "embedded",
     run_name: str | None = None,
     condition: dict[str, Any] | None = None,
+    bits: float | None = None,
     **more: Any,
 ) -> Path:
     """Write a run whose test PSNR is BASE_PSNR + gain + a little that depends on the seed.
 
-    condition: options of the scene; other ones make another scene of the same name."""
+    condition: options of the scene; other ones make another scene of the same name. bits: runs with
+    an equal one end with the same parameters."""
     config = make_config(augment, reg, seed, **more)
     config["scene"] = config["scene"] | (condition or {})
     mark = f"{scene}{sorted((condition or {}).items())}"
@@ -121,5 +124,10 @@ def fake_run(
     )
     metrics = [evaluate_view(view, image, 0.01) for view, image in renders]
     run_dir = study_dir / "runs" / (run_name or f"{scene}-{augment}-{reg}-s{seed}")
-    write_run(run_dir, record, metrics, history, make_gaussians(12, 0), torch.zeros(3), renders)
+    gaussians = make_gaussians(12, 0)
+    if bits is None:  # those of no other run
+        gaussians.means[0, 0] = float(stream(seed, strict_json(config)).standard_normal())
+    else:
+        gaussians.means[0, 0] = bits
+    write_run(run_dir, record, metrics, history, gaussians, torch.zeros(3), renders)
     return run_dir

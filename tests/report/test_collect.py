@@ -290,3 +290,15 @@ def test_a_chart_per_method_where_the_colours_are_too_few_for_all(tmp_path: Path
         assert set(named.values()) == {f"capacity={name}" for name in capacities}
         assert named == {series.index: series.name for series in panels[0].series}
     assert sum(len(series.ringed) for chart in panels for series in chart.series) >= 1
+
+
+def test_methods_that_did_nothing_are_told(tmp_path: Path) -> None:
+    """Where a method never took effect its runs have the baseline's bits."""
+    for seed in range(3):
+        fake_run(tmp_path, "none", "none", seed, bits=seed)
+        fake_run(tmp_path, "safi", "none", seed, bits=seed if seed < 2 else 9.0)
+        fake_run(tmp_path, "none", "uar", seed)
+    assert collect(tmp_path).notes == (
+        "none + none and safi + none trained to the same bits (embedded, seed 0 and 1): what tells"
+        " them apart never took effect there, so nothing was learned about it.",
+    )
