@@ -83,11 +83,11 @@ def measure(config: Config) -> Cost:
     """Run `config` with few steps in a folder that goes again. The first run of a process waits for
     its kernels, so the trial is the second one."""
     from framework.experiment import run_experiment
-    from framework.progress import Silent
+    from framework.progress import Silent, unwarned
 
     trainer = {**config["trainer"], "steps": TRIAL_STEPS}
     short = {**config, "trainer": trainer, "force": True}
-    with tempfile.TemporaryDirectory(prefix="trial-") as folder:
+    with unwarned(), tempfile.TemporaryDirectory(prefix="trial-") as folder:
         first = run_experiment(short, Path(folder) / "run", Silent())
         watch = Stopwatch()
         record = run_experiment(short, Path(folder) / "run", Silent())

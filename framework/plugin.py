@@ -72,11 +72,13 @@ class StepContext:
 
 
 class Plugin:
-    """Base of all plugins. `defaults` changes the framework keys' defaults for a method."""
+    """Base of all plugins. `defaults` changes the framework keys' defaults for a method. `idle`:
+    it does nothing by design; of others a run without any effect is told."""
 
     name: ClassVar[str]
     group: ClassVar[str]
     defaults: ClassVar[dict[str, float]] = {}
+    idle: ClassVar[bool] = False
 
     @classmethod
     def weighted(cls) -> bool:

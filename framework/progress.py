@@ -13,17 +13,31 @@ the time left. Nothing here touches training: a run is the same with any `Progre
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import shutil
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Protocol, TextIO
 
 SPEED_WINDOW_S = 5.0
 TTY_PERIOD_S = 0.2
 PLAIN_PERIOD_S = 10.0
 PLAIN_SHARE = 0.1
+
+
+@contextlib.contextmanager
+def unwarned() -> Iterator[None]:
+    """No warnings of the package: what a method finds wrong with a trial of few steps is no
+    news."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        yield
+    finally:
+        logging.disable(before)
 
 
 class Progress(Protocol):

@@ -102,6 +102,7 @@ class Trainer:
         self.psnr: float | None = None
         self.watch, self.resumed = Stopwatch(), 0
         self.asked, self.given = 0, 0  # epochs that asked for pseudo views, what they got
+        self.edits = 0  # of the set, by the capacity plugin
         if start is not None:
             self._take_up(start)
 
@@ -120,13 +121,7 @@ class Trainer:
             self.progress.step(self.step, self.options.steps, loss, n, self.psnr)
             if self.keeper is not None and self.keeper.due():
                 self.keeper.keep(self.state())
-        silent = self.asked > 0 and self.given == 0 and self.resumed == 0
-        if silent and self.augment.plugged.plugin.weighted():
-            LOG.warning(
-                f"augment={self.augment.plugged.plugin.name}: no pseudo view in any of {self.asked}"
-                " epochs that asked for one, so the method changed nothing; history.csv has what it"
-                " logged, for instance the coverage that augment.min_coverage refuses"
-            )
+        self._tell_what_did_nothing()
         return Trained(
             self.params.detach(),
             self.background,
@@ -155,6 +150,24 @@ class Trainer:
             cpu_s=self.watch.cpu_s,
             resumed=self.resumed,
         )
+
+    def _tell_what_did_nothing(self) -> None:
+        """A method without any effect is its baseline; a resumed training has not seen all."""
+        if self.resumed > 0:
+            return
+        augment, capacity = self.augment.plugged.plugin, self.capacity.plugged.plugin
+        if self.asked > 0 and self.given == 0 and not augment.idle:
+            LOG.warning(
+                f"augment={augment.name}: no pseudo view in any of {self.asked}"
+                " epochs that asked for one, so the method changed nothing; history.csv has what it"
+                " logged, for instance the coverage that augment.min_coverage refuses"
+            )
+        if self.edits == 0 and not capacity.idle:
+            LOG.warning(
+                f"capacity={capacity.name}: no Gaussian was added or removed in"
+                f" {self.options.steps} steps, as with capacity=fixed; when it may is set by its"
+                " options, see python run.py --help capacity=" + capacity.name
+            )
 
     def _take_up(self, state: TrainerState) -> None:
         self.step, self.epoch, self.version = state.step, state.epoch, state.version
@@ -275,6 +288,7 @@ class Trainer:
             result = plugin.update(context, self.capacity.state, stats)
             edits, self.capacity.state = hooks.edits(plugin, result, len(self.params))
             if edits is not None:
+                self.edits += 1
                 where = f"training step {self.step}"
                 edited = apply_edits(self.params.detach(), self.optimizer, edits, where)
                 self.params = edited.map(_parameter)

@@ -12,7 +12,6 @@ import contextlib
 import dataclasses
 import hashlib
 import json
-import logging
 import os
 import subprocess
 import sys
@@ -28,7 +27,7 @@ from framework.depth import build_provider
 from framework.errors import UserError
 from framework.jit import KERNEL_CACHE
 from framework.options import TrainerOptions
-from framework.progress import Progress, Silent
+from framework.progress import Progress, Silent, unwarned
 from framework.provenance import cpu_model
 from framework.rng import stream
 from framework.trainer import Plugins, Trainer
@@ -126,12 +125,8 @@ def _train(
     plugins = Plugins(
         *(registry.build(group, {**config[group], **always}) for group in registry.GROUPS)
     )
-    before = logging.root.manager.disable
-    logging.disable(logging.WARNING)  # what a method finds wrong with the plane is no news
-    try:
+    with unwarned():
         Trainer(training, depth, gaussians, options, plugins, 0, Silent()).run()
-    finally:
-        logging.disable(before)
 
 
 def _plane(sh_degree: int) -> tuple[TrainingSet, tuple[DepthMap, ...], Gaussians]:

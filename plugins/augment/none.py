@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from framework.plugin import Augmenter, StepContext, register
 
@@ -12,6 +12,8 @@ from framework.plugin import Augmenter, StepContext, register
 @dataclass(frozen=True)
 class NoAugmentation(Augmenter):
     """No pseudo views."""
+
+    idle: ClassVar[bool] = True
 
     @classmethod
     def weighted(cls) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from framework.plugin import Capacity, Edits, StepContext, StepStats, register
 
@@ -12,6 +12,8 @@ from framework.plugin import Capacity, Edits, StepContext, StepStats, register
 @dataclass(frozen=True)
 class Fixed(Capacity):
     """No edits."""
+
+    idle: ClassVar[bool] = True
 
     def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
         return None, state

@@ -129,6 +129,17 @@ def test_an_augmenter_that_gave_nothing_is_told(
     assert all("augment=dba: no pseudo view in any of" in message for message in messages)
 
 
+def test_a_capacity_that_never_acted_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    """ADC of the literature begins after 500 steps; that the number is fixed needs no telling."""
+    with caplog.at_level(logging.WARNING, "framework"):
+        _train(_plugins(capacity=registry.build("capacity", {"name": "adc"})))
+        _train(_plugins())
+        often = registry.build("capacity", {"name": "adc", "every": 2, "from_step": 0})
+        _train(_plugins(capacity=often))
+    (message,) = (record.getMessage() for record in caplog.records)
+    assert message.startswith("capacity=adc: no Gaussian was added or removed in")
+
+
 def test_an_inactive_method_changes_nothing() -> None:
     """`start=1` keeps a plugin out: the bits are those without it."""
     plain = _train()
