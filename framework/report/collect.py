@@ -302,10 +302,10 @@ def _equal_notes(runs: Sequence[ReportRun]) -> list[str]:
         if bits and len(methods) > 1:
             found[tuple(methods)][scene].append(seed)
     notes = []
-    for methods, scenes in found.items():
+    for alike, scenes in found.items():
         where = "; ".join(f"{scene}, seed {_listed(seeds)}" for scene, seeds in scenes.items())
         notes.append(
-            f"{_listed(methods)} trained to the same bits ({where}): what tells them apart never"
+            f"{_listed(alike)} trained to the same bits ({where}): what tells them apart never"
             " took effect there, so nothing was learned about it."
         )
     return notes

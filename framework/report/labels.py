@@ -33,15 +33,21 @@ Flat = Mapping[str, Any]
 @dataclass(frozen=True)
 class MethodLabel:
     """full: the name. family: the name without budgets. pair: augmenter and regularizer alone.
-    options, budget: the other two parts, "" where there is none."""
+    options, budget: the other two parts, "" where there is none. capacity: the end of `budget` that
+    says how the number of Gaussians is decided."""
 
     pair: str
     options: str = ""
     budget: str = ""
+    capacity: str = ""
 
     @property
     def family(self) -> str:
         return ", ".join(filter(None, (self.pair, self.options)))
+
+    @property
+    def without_capacity(self) -> str:
+        return self.full.removesuffix(self.capacity).removesuffix(", ")
 
     @property
     def full(self) -> str:
@@ -201,17 +207,19 @@ def _method_label(config: Flat, told: Sequence[str]) -> MethodLabel:
     pair = " + ".join(text_of(config.get(f"{group}.name", "none")) for group in NAMED)
     options: list[str] = []
     budgets: list[str] = []
+    capacity: list[str] = []
     for key in sorted(told, key=lambda key: (key.startswith("capacity."), key != "capacity.name")):
         group, _, option = key.partition(".")
         if key in {f"{g}.name" for g in NAMED} or key not in config:
             continue
         if key in USUAL and config[key] == USUAL[key]:
             continue
-        bare = key in BUDGETS or f"capacity={text_of(config.get('capacity.name'))}" in budgets
+        bare = key in BUDGETS or (group == "capacity" and capacity)
         name = group if option == "name" else option if bare else key
-        budget = key in BUDGETS or group == "capacity"
-        (budgets if budget else options).append(f"{name}={text_of(config[key])}")
-    return MethodLabel(pair, ", ".join(options), ", ".join(budgets))
+        parts = capacity if group == "capacity" else budgets if key in BUDGETS else options
+        parts.append(f"{name}={text_of(config[key])}")
+    budget = ", ".join([*budgets, *capacity])
+    return MethodLabel(pair, ", ".join(options), budget, ", ".join(capacity))
 
 
 def slug(text: str) -> str:

@@ -70,10 +70,10 @@ def p_text(p: float) -> str:
     return "p < 0.001" if p < 0.001 else f"p = {p:.2g}"
 
 
-def half_width(values: Sequence[float]) -> float:
-    """Half width of the 95 % interval of the mean; 0 for a single value."""
-    interval = spread(values).mean_interval
-    return 0.0 if interval is None else (interval.high - interval.low) / 2
+def signed(difference: float, interval: Interval | None) -> str:
+    """`+0.21`, rounded by the interval."""
+    places = 2 if interval is None else decimals((interval.high - interval.low) / 2, 2)
+    return f"{difference:+.{places}f}"
 
 
 def average(values: Sequence[float | None]) -> float | None:

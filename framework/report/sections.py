@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from framework.report import curves, gaps, modelsize, stress, tables, tradeoff
+from framework.report import capacities, curves, gaps, modelsize, stress, tables, tradeoff
 from framework.report.collect import Study
 from framework.report.document import Block, Bullets, Document, Heading, Picture, Text, table
 from framework.report.figures import chart_picture
@@ -20,7 +20,7 @@ from framework.report.outcomes import Outcomes, outcomes
 from framework.report.provenance import provenance_blocks
 from framework.report.published import PUBLISHED, SOURCE
 
-WORDS = ("Scene", "Method", "Compared with", "Parameters", "Folder")
+WORDS = ("Scene", "Method", "Compared with", "Parameters", "Folder", "Capacity")
 DEFINITIONS = (
     "PSNR, SSIM and FLIP: mean over the test views, then over seeds, from the saved 8-bit renders;"
     " ± is half the width of the 95 % interval of the mean over seeds (t). σ_PSNR: standard"
@@ -52,7 +52,7 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
         blocks += _plain(study, found)
     blocks += [*gaps.failures(study), *gaps.missing_runs(study)]
     if not panels:  # the strengths of a stress share their seeds: no independent pairs
-        blocks += [*_comparisons(found), *_stability(study, found)]
+        blocks += [*_comparisons(found), *_capacities(study), *_stability(study, found)]
     blocks += _worst(study)
     blocks += _costs(study, [] if panels else study.scenes)
     blocks += _by_tag(study, shown)
@@ -80,7 +80,14 @@ def _main_table(study: Study) -> list[Block]:
 
 def _budgets(study: Study, found: Outcomes) -> list[Block]:
     """Advice and its chart for every scene, then the table."""
+    between = capacities.contests(study)
+    plain = [contest for contest in between if contest.method == between[0].method]
     blocks: list[Block] = []
+    if plain:
+        where = study.scenes[0] if len(study.scenes) == 1 else f"{len(study.scenes)} scenes"
+        rivals = f"{plain[0].method} against {plain[0].against}"
+        blocks = [Text(f"How many Gaussians, on {where}, {rivals}:", "finding")]
+        blocks += [Bullets(tuple(capacities.sentences(plain)))]
     for scene in study.scenes:
         advice = tradeoff.advice(study, scene)
         if advice:
@@ -149,6 +156,17 @@ def _comparisons(found: Outcomes) -> list[Block]:
     )
     rows = tables.comparison_rows(found)
     return [Heading(2, "Comparisons"), table(rows, WORDS), Text(text)]
+
+
+def _capacities(study: Study) -> list[Block]:
+    rows = capacities.rows(capacities.contests(study))
+    if not rows:
+        return []
+    text = (
+        "The same method with other ways to decide the number of Gaussians, paired by scene and"
+        " seed, tests as above. Parameters and CPU time: multiples of what it is compared with."
+    )
+    return [Heading(2, "Between capacities"), table(rows, WORDS), Text(text)]
 
 
 def _stability(study: Study, found: Outcomes) -> list[Block]:

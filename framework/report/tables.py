@@ -13,17 +13,16 @@ from framework.report.document import Link
 from framework.report.labels import outside
 from framework.report.numbers import (
     ABSENT,
-    decimals,
     interval_text,
     mean_text,
     p_text,
     sigma_text,
+    signed,
     significant,
     spanned,
 )
 from framework.report.outcomes import Outcomes, seed_means
 from framework.report.robustness import failure_rate, worst_case
-from framework.report.statistics import Interval
 from framework.report.variance import MOST_SEEDS, SigmaComparison
 
 ALL_SCENES = "mean of all"
@@ -54,7 +53,7 @@ def comparison_rows(found: Outcomes) -> Rows:
             "Method": c.method,
             "Compared with": c.baseline,
             "Pairs": str(c.n),
-            "ΔPSNR (dB)": f"{c.difference:+.{_places(c.interval)}f}",
+            "ΔPSNR (dB)": signed(c.difference, c.interval),
             "95 % interval": interval_text(c.interval) if c.interval else ABSENT,
             "p": p_text(c.p) if c.p is not None else ABSENT,
             "p after Holm": p_text(c.p_holm) if c.p_holm is not None else ABSENT,
@@ -183,10 +182,6 @@ def _worst_cells(runs: list[ReportRun]) -> dict[str, str]:
         "Worst view (dB)": f"{worst.view_psnr:.2f} ({outside(worst.view)}, seed {worst.view_seed})",
         "5th percentile of views (dB)": f"{worst.percentile:.2f}",
     }
-
-
-def _places(interval: Interval | None) -> int:
-    return 2 if interval is None else decimals((interval.high - interval.low) / 2, 2)
 
 
 def _tag_mean(run: ReportRun, tag: str, metric: str) -> float | None:

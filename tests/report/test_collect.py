@@ -12,6 +12,7 @@ import yaml
 from framework.errors import UserError
 from framework.record import SceneInfo, write_failed
 from framework.report import tradeoff
+from framework.report.capacities import contests, sentences
 from framework.report.collect import collect
 from framework.report.labels import USUAL, method_labels, scene_labels
 from tests.cli.conftest import composed
@@ -302,3 +303,30 @@ def test_methods_that_did_nothing_are_told(tmp_path: Path) -> None:
         "none + none and safi + none trained to the same bits (embedded, seed 0 and 1): what tells"
         " them apart never took effect there, so nothing was learned about it.",
     )
+
+
+def test_capacities_are_compared_all_else_equal(tmp_path: Path) -> None:
+    """Each with the fixed number, under the same method and the same other budgets."""
+    for seed in range(3):
+        for reg in ("none", "uar"):
+            for name, gain in (("fixed", 0.0), ("adc", 2.0), ("budget", -3.0)):
+                run_name = f"{reg}-{name}-{seed}"
+                capacity = {"name": name, "weight": 1.0}
+                fake_run(tmp_path, "none", reg, seed, gain, run_name=run_name, capacity=capacity)
+    found = contests(collect(tmp_path))
+    assert [(c.method, c.capacity, c.against) for c in found] == [
+        (method, capacity, "capacity=fixed")
+        for method in ("none + none", "none + uar")
+        for capacity in ("capacity=adc", "capacity=budget")
+    ]
+    assert [round(c.comparison.difference) for c in found] == [2, -3, 2, -3]
+    assert all(c.comparison.n == 3 and c.parameters == 1.0 for c in found)
+    first, second = sentences(found[:2])
+    assert first.startswith("capacity=adc: 1.0 times the parameters, ")
+    assert " -2.7" in second and "n = 3, p " in second
+
+
+def test_one_capacity_makes_no_contest(tmp_path: Path) -> None:
+    for steps in (100, 400):
+        fake_run(tmp_path, trainer={"steps": steps}, run_name=f"{steps}")
+    assert contests(collect(tmp_path)) == []
