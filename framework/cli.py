@@ -32,7 +32,7 @@ from framework.complaints import USER_ERRORS, one_line
 from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, check, choices, register_config
 from framework.errors import UserError
 from framework.failures import again, conclude, kind_of
-from framework.files import MENDABLE, unwritable
+from framework.files import MENDABLE, unusable
 from framework.help import help_text
 from framework.locks import Busy
 from framework.naming import plain, register_resolvers, study_name
@@ -81,7 +81,7 @@ def main(argv: Sequence[str]) -> int:
     except OSError as error:
         if error.errno not in MENDABLE:
             raise
-        print(f"error: {unwritable(error, error.filename or 'output')}", file=sys.stderr)
+        print(f"error: {unusable(error)}", file=sys.stderr)
         return 2
     except SystemExit as end:  # Hydra ends --help and its like this way
         return end.code if isinstance(end.code, int) else int(end.code is not None)
@@ -102,7 +102,8 @@ def task(cfg: DictConfig) -> None:
         check(config)  # finds the plugins too, which a launcher's fresh process knows nothing of
         config["study"] = study_name(config)
         _run(config, run_dir, _progress(job, config["seed"], number), overrides)
-    except Exception as error:
+    except Exception as raised:
+        error = _as_bad_input(raised)
         message, kind = _failed(error, config["traceback"]), kind_of(error)
         bad_input = isinstance(error, USER_ERRORS)
         busy = isinstance(error, Busy)
@@ -222,6 +223,15 @@ def _progress(job: Any, seed: int, number: int) -> Progress:
         short = f"[{number + 1}{f'/{total}' if total else ''}] {short}"
     alone = job.mode.name == "RUN" or job.launcher._target_.endswith(".BasicLauncher")
     return Terminal(label, short, in_place=None if alone else False)
+
+
+def _as_bad_input(error: Exception) -> Exception:
+    """A file that may not be read is no bug."""
+    if not (isinstance(error, OSError) and error.errno in MENDABLE and error.filename):
+        return error
+    told = UserError(unusable(error))
+    told.__cause__ = error
+    return told
 
 
 def _failed(error: Exception, show: bool) -> str:

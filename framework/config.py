@@ -41,6 +41,7 @@ SCALARS = {
     **{"seed": int, "study": str | None, "threads": int},
     **{"force": bool, "traceback": bool, "estimate": bool},
 }
+MOST_THREADS = 1024
 METRICS = {"lpips_weights": str | None}
 
 
@@ -143,7 +144,12 @@ def check(config: Mapping[str, Any]) -> None:
 
 def _check_scalars(seed: int, threads: int, study: str | None) -> None:
     require(seed >= 0, f"seed: expected an integer >= 0, got {seed}; choose another")
+    require(seed < 2**63, f"seed: expected an integer below 2^63, got {seed}; choose another")
     require(threads >= 0, f"threads: expected an integer >= 0, got {threads}; 0 uses all cores")
+    require(
+        threads <= MOST_THREADS,
+        f"threads: expected an integer of at most {MOST_THREADS}, got {threads}; 0 uses all cores",
+    )
     require(
         study is None or re.fullmatch(r"\w[\w.-]*(/\w[\w.-]*)*", study) is not None,
         f"study: expected a folder name of letters, digits, _ . and -, got {study!r}; rename it",

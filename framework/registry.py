@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import importlib
+import math
 import pkgutil
 import sys
 import typing
@@ -183,7 +184,10 @@ def build(group: str, config: Mapping[str, Any]) -> Plugged:
         f"{group}={name}: weight multiplies a loss, and {name} has none; drop {group}.weight, or"
         f" compare it with a variant that sets it, a file conf/{group}/VARIANT.yaml",
     )
-    require(keys["weight"] >= 0, f"{group}={name}: weight must be >= 0, got {keys['weight']}")
+    require(
+        0 <= keys["weight"] < math.inf,
+        f"{group}={name}: weight must be a finite number >= 0, got {keys['weight']}",
+    )
     require(
         0 <= keys["start"] <= keys["stop"] <= 1,
         f"{group}={name}: expected 0 <= start <= stop <= 1 (shares of the training), got"

@@ -88,7 +88,7 @@ class Trainer:
         self.reg = _Running("reg", plugins.reg)
         self.capacity = _Running("capacity", plugins.capacity)
         self.near, self.extent = options.near_plane * training.near, training.extent
-        fixed = background_color(options.background, training, seed)
+        fixed = background_color(options.background, training)
         self.random_background = fixed is None
         self.background: Tensor = _mean_color(training) if fixed is None else fixed
         self.params = gaussians.clone().map(_parameter)

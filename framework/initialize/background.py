@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from framework.types import TrainingSet
 
 
-def background_color(kind: str, training: TrainingSet, seed: int = 0) -> Tensor | None:
+def background_color(kind: str, training: TrainingSet) -> Tensor | None:
     """[3] float32 of a fixed `kind`: `mean` (of the valid training pixels), `black`, `white`.
 
     None for `random`: a training step then draws `random_background`, and renders for evaluation
-    stand on `background_color("mean", ...)`, the colour they differ least from on average. The
-    fixed kinds do not depend on `seed`. Raises UserError for an unknown kind.
+    stand on `background_color("mean", ...)`, the colour they differ least from on average.
+    Raises UserError for an unknown kind.
     """
     import torch
 

@@ -80,7 +80,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
             check_pixels(path, *image.size)
             yield image
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        if isinstance(error, UserError):
+        if isinstance(error, UserError | PermissionError):
             raise
         reason = re.sub(r"<_io\.BytesIO.*?>|\s+", " ", str(error).replace(str(path), "")).strip(
             " '"

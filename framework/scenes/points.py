@@ -37,7 +37,7 @@ def colmap_tracks(
     """The points of `folder/sparse/0` with their tracks over the (sorted) images `names`; none
     without such a model. `source` names what the poses are from.
 
-    Raises UserError unless the model has the same images at the same places.
+    Raises UserError unless the model has as many images at the same places; names may differ.
     """
     from framework.scenes.colmap_model import read_model
 
@@ -45,12 +45,11 @@ def colmap_tracks(
     if not sparse.is_dir():
         return Tracks()
     model = read_model(sparse)
-    stems = [Path(name).stem for name in model.names]
-    if stems != [Path(name).stem for name in names] and len(stems) != len(names):
-        raise UserError(
-            f"{sparse}: expected the {len(names)} images of {source}, got {len(stems)};"
-            " remove the folder (then there are no sparse points) or rebuild the model"
-        )
+    require(
+        len(model.names) == len(names),
+        f"{sparse}: expected the {len(names)} images of {source}, got {len(model.names)};"
+        " remove the folder (then there are no sparse points) or rebuild the model",
+    )
     theirs = np.array([center_of(v) for v in model.viewmats])
     ours = np.array([center_of(v) for v in viewmats])
     size = np.linalg.norm(ours - ours.mean(axis=0), axis=1).max()

@@ -1,8 +1,9 @@
 """`reg=uniform`: dropout of Gaussians at random, every one with the same probability.
 
 A step's render leaves out a share p(t) of the Gaussians, so that none can rely on others to hide
-its errors. With `compensate` this is DropGaussian (Park et al., CVPR 2025): the opacities of the
-kept are multiplied by 1 / (1 - p(t)), of which no opacity changes in expectation.
+its errors. With `compensate` the opacities of the kept are multiplied by 1 / (1 - p(t)), of
+which no opacity changes in expectation: DropGaussian (Park et al., CVPR 2025), whose p and span
+`reg=dropgaussian` has.
 """
 
 from __future__ import annotations

@@ -40,6 +40,9 @@ CASES = {
     "seed=0,1.5 -m": ["seed: expected an integer, got 1.5"],
     "seed=0,null -m": ["seed: expected an integer, got None"],
     "seed=range(2,-2,-1) reg=none,uar -m": ["seed: expected an integer >= 0, got -1"],
+    "seed=9223372036854775808": ["seed: expected an integer below 2^63, got 9223372036854775808"],
+    "threads=100000": ["threads: expected an integer of at most 1024, got 100000"],
+    "augment=safi augment.weight=inf": ["augment=safi: weight must be a finite number >= 0, got"],
     "threads=-1": ["threads: expected an integer >= 0, got -1"],
     "study=../elsewhere": ["study: expected a folder name", "'../elsewhere'"],
     "scene=llff": ["scene.path: required by scene=llff, got nothing; add scene.path=VALUE"],
@@ -96,6 +99,23 @@ def test_the_traceback_of_a_run_is_there_for_the_asking(
     told = capsys.readouterr().err
     assert "Traceback" in told
     assert told.splitlines()[-1] == "error: scene: no images"
+
+
+def test_a_file_that_may_not_be_read_is_bad_input(
+    runs: FakeRuns,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    photo = tmp_path / "photo.png"
+    photo.touch()
+    monkeypatch.setattr("os.access", lambda *_: False)  # whoever runs the tests may read all
+    runs.failures[0] = PermissionError(13, "Permission denied", str(photo))
+    assert main([]) == 2
+    assert capsys.readouterr().err == (
+        f"error: {photo}: expected a file or folder that may be read, got 'Permission denied'; make"
+        " it readable and run the same again\n"
+    )
 
 
 def test_an_experiment_cannot_half_configure_another_choice(

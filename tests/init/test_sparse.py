@@ -67,22 +67,22 @@ def test_mean_background_counts_valid_pixels_of_all_sizes() -> None:
         replace(training.views[1], image=torch.full((3, 60, 80), 0.75)),
     )
     expected = (0.25 * 24 * 64 + 0.75 * 60 * 80) / (24 * 64 + 60 * 80)
-    color = background_color("mean", replace(training, views=views), seed=0)
+    color = background_color("mean", replace(training, views=views))
     assert color is not None and color.dtype == torch.float32
     torch.testing.assert_close(color, torch.full((3,), expected))
 
 
 def test_fixed_and_random_backgrounds() -> None:
     training, _ = scene([camera(0.0)])
-    black, white = (background_color(kind, training, 0) for kind in ("black", "white"))
+    black, white = (background_color(kind, training) for kind in ("black", "white"))
     assert black is not None and black.tolist() == [0, 0, 0]
     assert white is not None and white.tolist() == [1, 1, 1]
-    assert background_color("random", training, 0) is None
+    assert background_color("random", training) is None
     assert torch.equal(random_background(0, 5), random_background(0, 5))
     assert not torch.equal(random_background(0, 5), random_background(0, 6))
     assert random_background(0, 5).dtype == torch.float32
     with pytest.raises(UserError, match=r"background=maen: .*did you mean 'mean'"):
-        background_color("maen", training, 0)
+        background_color("maen", training)
 
 
 def test_registry_builds_from_defaults_and_imports_lightly() -> None:
