@@ -3,9 +3,9 @@
     python benchmarks/scaling.py [--counts N ...] [--factors F ...] [--rounds 3] [--output FILE]
 
 The step and the scene are those of `step.py` (SH of degree 3); a factor scales both sides of
-504x378. A contribution is a pair of a pixel and a Gaussian that is blended into it. A line through
-all cases, so much per contribution and so much per Gaussian, says whether cost grows faster than
-linearly: then the largest cases would lie above it. Writes a markdown table to FILE, or prints it.
+504x378. A contribution is a pair of a pixel and a Gaussian that is blended into it; more Gaussians
+in the same image are mostly hidden: projected and sorted into tiles, but not blended. The last line
+says whether time grows faster than what it is for. Writes a markdown table to FILE, or prints it.
 """
 
 from __future__ import annotations
@@ -79,13 +79,17 @@ def milliseconds(count: int, factor: float, threads: int, steps: int) -> list[fl
     return times
 
 
-def fitted(cases: list[tuple[float, int, float]]) -> tuple[float, float, list[float]]:
-    """From (contributions, Gaussians, ms) of every case: ns per contribution and per Gaussian of
-    least relative squares, and each case's time in units of the fit's."""
-    pairs, counts, times = np.array(cases, float).T
-    design = 1e-6 * np.stack([pairs, counts], 1)
-    each = np.linalg.lstsq(design / times[:, None], np.ones(len(times)), rcond=None)[0]
-    return float(each[0]), float(each[1]), list(times / (design @ each))
+def steepest(times: dict[tuple[float, int], float], axis: int) -> float:
+    """The most that time grew from a case to its larger neighbour, in units of the growth of its
+    pixels (axis 0, squared factors) or Gaussians (axis 1)."""
+    grown = []
+    for case, time_ms in times.items():
+        larger = [c for c in times if c[1 - axis] == case[1 - axis] and c[axis] > case[axis]]
+        if larger:
+            other = min(larger, key=lambda c: c[axis])
+            size = (other[axis] / case[axis]) ** (2 - axis)
+            grown.append(times[other] / time_ms / size)
+    return max(grown, default=float("nan"))
 
 
 def main() -> None:
@@ -114,22 +118,20 @@ def main() -> None:
         "| image | Gaussians | contributions (M) | 1 thread | 2 threads | speed-up | ns each |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
-    cases: list[tuple[float, int, float]] = []
+    alone: dict[tuple[float, int], float] = {}
     for factor, count in sizes:
         pairs = contributions(count, factor)
         one, two = (statistics.median(times[factor, count, threads]) for threads in (1, 2))
-        cases.append((pairs, count, one))
+        alone[factor, count] = one
         size = f"{round(504 * factor)}x{round(378 * factor)} | {count:,} | {pairs / 1e6:.1f}"
         speed = f"{one:.0f} | {two:.0f} | {one / two:.2f} | {1e6 * one / pairs:.2f}"
         lines.append(f"| {size} | {speed} |")
-    if len(cases) > 2:
-        pair, gaussian, shares = fitted(cases)
-        lines += [
-            "",
-            f"On one thread {pair:.1f} ns per contribution and {gaussian:.0f} ns per Gaussian: the"
-            f" cases take {min(shares):.2f} to {max(shares):.2f} times that, the last and largest"
-            f" one {shares[-1]:.2f} times.",
-        ]
+    lines += [
+        "",
+        "From a case to the next larger one, on one thread, time grows at most"
+        f" {steepest(alone, 1):.2f} times as much as the Gaussians and {steepest(alone, 0):.2f}"
+        " times as much as the pixels.",
+    ]
     text = "\n".join(lines) + "\n"
     print(text)
     if given.output:
