@@ -1,12 +1,12 @@
 """What one view's Fisher information costs, beside a forward and backward of the same view.
 
-    python benchmarks/fisher.py [--clock wall]
+    python benchmarks/fisher.py [--clock wall] [--output FILE]
 
 The scene is `benchmarks.scene`: 504x378, SH degree 3 stored. Render + gradient (`rasterize` and
 its backward by autograd) and `fisher_information` run in turn in one process; the table has the
 medians of the stages and of the whole. The default clock is the processor time of the process,
 which other programs disturb less than wall time; so it is one thread's work, whatever the threads.
-Writes results/fisher.md.
+Prints a markdown table, and writes it to FILE.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=50_000)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--output", type=Path, default=ROOT / "benchmarks/results/fisher.md")
+    parser.add_argument("--output", type=Path)
     options = parser.parse_args()
     import torch
 
@@ -127,8 +127,8 @@ def main() -> None:
     torch.set_num_threads(options.threads)
     text = report(options, {degree: measure(options, degree) for degree in (0, 1, 3)})
     print(text)
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(text)
+    if options.output:
+        options.output.write_text(text)
 
 
 if __name__ == "__main__":

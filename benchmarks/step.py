@@ -1,14 +1,14 @@
 """Milliseconds by stage of one training step, optionally beside the prototype's.
 
-    python benchmarks/step.py [--prototype DIR] [--clock cpu]
+    python benchmarks/step.py [--prototype DIR] [--clock cpu] [--output FILE]
 
 The step is what training runs: `rasterize` (SH degree 3), `photometric_loss`, backward by autograd,
 `Adam`, at 504x378 on `benchmarks.scene`. Stages are timed inside it; what they leave over
 (autograd, allocation) is the column `rest`. Every round runs in fresh processes, ours and the
 prototype's in turn, so that a slow minute of the machine hits both. `wall` is the median over all
 steps of all rounds; `CPU` is the processor time of the whole process per step, which other programs
-disturb less: `--clock cpu` measures the stages by it too, for a machine that is not idle. Writes a
-markdown table to results/step.md.
+disturb less: `--clock cpu` measures the stages by it too, for a machine that is not idle. Prints a
+markdown table, and writes it to FILE.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--clock", choices=sorted(CLOCKS), default="wall", help="of the stages")
     parser.add_argument("--prototype", type=Path, help="folder with the prototype's iter_full.py")
-    parser.add_argument("--output", type=Path, default=ROOT / "benchmarks/results/step.md")
+    parser.add_argument("--output", type=Path)
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.prototype is not None and not (options.prototype / "iter_full.py").is_file():
@@ -191,8 +191,8 @@ def main() -> None:
     command += f" --clock {options.clock}" + (" --prototype DIR" if options.prototype else "")
     text = report(results, command, options.clock)
     print(text)
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(text)
+    if options.output:
+        options.output.write_text(text)
 
 
 if __name__ == "__main__":
