@@ -86,7 +86,7 @@ def _warm(scene: str) -> None:
 
 
 def rows(points: list[Point]) -> list[str]:
-    """A row per training; then when the gaps to the last, longest one are closed."""
+    """A row per training; then when the gaps to the best and to the longest are closed."""
     lines = [
         f"| {p.steps} | {p.seconds:.1f} | {p.cpu_seconds:.1f} | {p.psnr:.2f} | "
         + ", ".join(f"{tag} {value:.2f}" for tag, value in sorted(p.by_tag.items()))

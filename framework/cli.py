@@ -32,7 +32,7 @@ from framework.complaints import USER_ERRORS, one_line
 from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, check, choices, register_config
 from framework.errors import UserError
 from framework.failures import again, conclude, kind_of
-from framework.files import MENDABLE, unusable
+from framework.files import MENDABLE, unwritable
 from framework.help import help_text
 from framework.locks import Busy
 from framework.naming import plain, register_resolvers, study_name
@@ -81,7 +81,7 @@ def main(argv: Sequence[str]) -> int:
     except OSError as error:
         if error.errno not in MENDABLE:
             raise
-        print(f"error: {unusable(error)}", file=sys.stderr)
+        print(f"error: {unwritable(error, error.filename or 'output')}", file=sys.stderr)
         return 2
     except SystemExit as end:  # Hydra ends --help and its like this way
         return end.code if isinstance(end.code, int) else int(end.code is not None)
@@ -226,11 +226,14 @@ def _progress(job: Any, seed: int, number: int) -> Progress:
 
 
 def _as_bad_input(error: Exception) -> Exception:
-    """A file that may not be read is no bug."""
-    if not (isinstance(error, OSError) and error.errno in MENDABLE and error.filename):
+    """A file or folder that may not be opened is no bug; readers leave it to be told here."""
+    if not isinstance(error, PermissionError):
         return error
-    told = UserError(unusable(error))
-    told.__cause__ = error
+    told = UserError(
+        f"{error.filename}: expected what may be opened, got '{error.strerror}'; change its rights"
+        " or choose another, and run the same again"
+    )
+    told.__cause__ = error  # for traceback=true
     return told
 
 

@@ -70,18 +70,6 @@ def unwritable(error: OSError, path: Path | str, n_bytes: int | None = None) -> 
     return f"{path}: expected {what}, got '{error.strerror}'; {advice} and run the same again"
 
 
-def unusable(error: OSError) -> str:
-    """One line about a file that could not be read or written; readers leave it to the command line
-    to tell that they may not open what they were given."""
-    path = error.filename or "output"
-    if error.filename and os.path.exists(path) and not os.access(path, os.R_OK):
-        return (
-            f"{path}: expected a file or folder that may be read, got '{error.strerror}'; make it"
-            " readable and run the same again"
-        )
-    return unwritable(error, path)
-
-
 def remove_temporaries(folder: Path) -> None:
     """Remove what killed processes were writing in `folder` and below. Call it only while nobody
     else writes there."""

@@ -30,8 +30,7 @@ PLAIN_SHARE = 0.1
 
 @contextlib.contextmanager
 def unwarned() -> Iterator[None]:
-    """No warnings of the package: what a method finds wrong with a trial of few steps is no
-    news."""
+    """No warnings: what a method finds wrong with a trial of few steps is no news."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)
     try:

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 from framework.report.collect import ReportRun, Study
 from framework.report.labels import MethodLabel
 from framework.report.numbers import ABSENT, interval_text, p_text, signed, significant
-from framework.report.outcomes import by_pair
-from framework.report.statistics import Comparison, compare, holm
+from framework.report.outcomes import by_pair, corrected
+from framework.report.statistics import Comparison, compare
+from framework.report.tables import tested_cells
 
 FIXED = "capacity=fixed"  # has no name among methods
 
@@ -37,13 +38,14 @@ def contests(study: Study) -> list[Contest]:
     by_method: dict[str, list[MethodLabel]] = {}
     for method in study.methods:
         by_method.setdefault(labels[method].without_capacity, []).append(labels[method])
-    found = []
+    found: dict[str, Contest] = {}
     for first, *others in by_method.values():
-        made = (_contest(study, label, first) for label in others)
-        found += [contest for contest in made if contest is not None]
-    tested = [c for c in found if c.comparison.p is not None]
-    p_holm = dict(zip(map(id, tested), holm([c.comparison.p or 0 for c in tested]), strict=True))
-    return [replace(c, comparison=replace(c.comparison, p_holm=p_holm.get(id(c)))) for c in found]
+        for label in others:
+            contest = _contest(study, label, first)
+            if contest is not None:
+                found[label.full] = contest
+    tested = corrected({method: contest.comparison for method, contest in found.items()})
+    return [replace(contest, comparison=tested[method]) for method, contest in found.items()]
 
 
 def sentences(found: Sequence[Contest]) -> list[str]:
@@ -58,12 +60,8 @@ def rows(found: Sequence[Contest]) -> list[dict[str, str]]:
             "Method": c.method,
             "Capacity": c.capacity,
             "Compared with": c.against,
-            "Pairs": str(c.comparison.n),
-            "ΔPSNR (dB)": signed(c.comparison.difference, c.comparison.interval),
-            "95 % interval": _interval(c),
-            "p": ABSENT if c.comparison.p is None else p_text(c.comparison.p),
-            "p after Holm": ABSENT if c.comparison.p_holm is None else p_text(c.comparison.p_holm),
-            "Parameters, times": f"{significant(c.parameters)}",
+            **tested_cells(c.comparison),
+            "Parameters, times": significant(c.parameters),
             "CPU, times": ABSENT if c.cpu is None else significant(c.cpu),
         }
         for c in found
@@ -107,11 +105,7 @@ def _told(c: Contest) -> str:
     if found.p_holm is None:
         return f"{size}{time}, {change} in a single run, which says nothing of chance"
     claim = "" if found.significant else "no significant difference, "
+    between = "" if found.interval is None else f"95 % interval {interval_text(found.interval)}, "
     return (
-        f"{size}{time}, {change} ({claim}95 % interval {_interval(c)}, n = {found.n},"
-        f" {p_text(found.p_holm)} after Holm)"
+        f"{size}{time}, {change} ({claim}{between}n = {found.n}, {p_text(found.p_holm)} after Holm)"
     )
-
-
-def _interval(c: Contest) -> str:
-    return ABSENT if c.comparison.interval is None else interval_text(c.comparison.interval)

@@ -18,7 +18,14 @@ from framework.errors import UserError, require
 from framework.metrics import Missing
 from framework.record import FAILED, RECORD, Run, RunRecord, read_run
 from framework.report.axes import Axis
-from framework.report.labels import MethodLabel, SceneLabel, method_labels, outside, scene_labels
+from framework.report.labels import (
+    MethodLabel,
+    SceneLabel,
+    listed,
+    method_labels,
+    outside,
+    scene_labels,
+)
 from framework.report.order import BASELINE, method_order, natural
 
 BUSY = 1.3  # wall seconds per CPU second of a training from which others shared its cores
@@ -303,17 +310,16 @@ def _equal_notes(runs: Sequence[ReportRun]) -> list[str]:
             found[tuple(methods)][scene].append(seed)
     notes = []
     for alike, scenes in found.items():
-        where = "; ".join(f"{scene}, seed {_listed(seeds)}" for scene, seeds in scenes.items())
+        where = "; ".join(f"{scene}, {_seeds(seeds)}" for scene, seeds in scenes.items())
         notes.append(
-            f"{_listed(alike)} trained to the same bits ({where}): what tells them apart never"
-            " took effect there, so nothing was learned about it."
+            f"{listed(alike, 'and')} trained to the same bits ({where}): what tells them apart"
+            " never took effect there, so nothing was learned about it."
         )
     return notes
 
 
-def _listed(items: Sequence[object]) -> str:
-    *most, last = map(str, items)
-    return f"{', '.join(most)} and {last}" if most else last
+def _seeds(seeds: Sequence[int]) -> str:
+    return f"seed{'s' if len(seeds) > 1 else ''} {listed(seeds, 'and')}"
 
 
 def _code_notes(runs: list[Run]) -> list[str]:

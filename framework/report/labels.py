@@ -33,12 +33,12 @@ Flat = Mapping[str, Any]
 @dataclass(frozen=True)
 class MethodLabel:
     """full: the name. family: the name without budgets. pair: augmenter and regularizer alone.
-    options, budget: the other two parts, "" where there is none. capacity: the end of `budget` that
-    says how the number of Gaussians is decided."""
+    options, limits, capacity: the other parts, "" where there is none; the last two, steps and
+    their like and how the number of Gaussians is decided, are its budget."""
 
     pair: str
     options: str = ""
-    budget: str = ""
+    limits: str = ""
     capacity: str = ""
 
     @property
@@ -46,8 +46,12 @@ class MethodLabel:
         return ", ".join(filter(None, (self.pair, self.options)))
 
     @property
+    def budget(self) -> str:
+        return ", ".join(filter(None, (self.limits, self.capacity)))
+
+    @property
     def without_capacity(self) -> str:
-        return self.full.removesuffix(self.capacity).removesuffix(", ")
+        return ", ".join(filter(None, (self.family, self.limits)))
 
     @property
     def full(self) -> str:
@@ -206,7 +210,7 @@ def _method_label(config: Flat, told: Sequence[str]) -> MethodLabel:
     """told: the keys to be named. A capacity's options follow its name without the group's."""
     pair = " + ".join(text_of(config.get(f"{group}.name", "none")) for group in NAMED)
     options: list[str] = []
-    budgets: list[str] = []
+    limits: list[str] = []
     capacity: list[str] = []
     for key in sorted(told, key=lambda key: (key.startswith("capacity."), key != "capacity.name")):
         group, _, option = key.partition(".")
@@ -216,10 +220,15 @@ def _method_label(config: Flat, told: Sequence[str]) -> MethodLabel:
             continue
         bare = key in BUDGETS or (group == "capacity" and capacity)
         name = group if option == "name" else option if bare else key
-        parts = capacity if group == "capacity" else budgets if key in BUDGETS else options
+        parts = capacity if group == "capacity" else limits if key in BUDGETS else options
         parts.append(f"{name}={text_of(config[key])}")
-    budget = ", ".join([*budgets, *capacity])
-    return MethodLabel(pair, ", ".join(options), budget, ", ".join(capacity))
+    return MethodLabel(pair, *(", ".join(parts) for parts in (options, limits, capacity)))
+
+
+def listed(items: Sequence[object], word: str) -> str:
+    """`a, b and c`, with `word` before the last one."""
+    *most, last = map(str, items)
+    return f"{', '.join(most)} {word} {last}" if most else last
 
 
 def slug(text: str) -> str:

@@ -41,8 +41,8 @@ def outcomes(study: Study) -> Outcomes:
     return Outcomes(
         psnr,
         _scene_sigmas(study) if len(study.scenes) > 1 else {},
-        _corrected(_comparisons(study)),
-        _corrected({m: c for m, c in sigmas.items() if c is not None}),
+        corrected(_comparisons(study)),
+        corrected({m: c for m, c in sigmas.items() if c is not None}),
     )
 
 
@@ -92,7 +92,7 @@ def _scene_sigmas(study: Study) -> dict[str, tuple[float, Interval]]:
 Tested = TypeVar("Tested", Comparison, SigmaComparison)
 
 
-def _corrected(known: dict[str, Tested]) -> dict[str, Tested]:
+def corrected(known: dict[str, Tested]) -> dict[str, Tested]:
     """With p corrected for all comparisons that have one."""
     tested = {method: c.p for method, c in known.items() if c.p is not None}
     p_holm = dict(zip(tested, holm(list(tested.values())), strict=True))

@@ -42,17 +42,18 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
     """Everything the report says; draws its figures into `study.out_dir`, with pictures of the
     `visible` scenes."""
     found, panels = outcomes(study), stress.panels(study)
+    between = [] if panels else capacities.contests(study)
     shown = stress.shown_scenes(study, panels)
     blocks: list[Block] = [Heading(1, outside(title))]
     if panels:
         blocks += _stress(study, panels)
     elif any(run.method_label.budget for run in study.runs):
-        blocks += _budgets(study, found)
+        blocks += _budgets(study, found, between)
     else:
         blocks += _plain(study, found)
     blocks += [*gaps.failures(study), *gaps.missing_runs(study)]
     if not panels:  # the strengths of a stress share their seeds: no independent pairs
-        blocks += [*_comparisons(found), *_capacities(study), *_stability(study, found)]
+        blocks += [*_comparisons(found), *_capacities(between), *_stability(study, found)]
     blocks += _worst(study)
     blocks += _costs(study, [] if panels else study.scenes)
     blocks += _by_tag(study, shown)
@@ -78,9 +79,9 @@ def _main_table(study: Study) -> list[Block]:
     return [table(rows, WORDS), Text(DEFINITIONS.format(pooled=pooled) + unmeasured)]
 
 
-def _budgets(study: Study, found: Outcomes) -> list[Block]:
-    """Advice and its chart for every scene, then the table."""
-    between = capacities.contests(study)
+def _budgets(study: Study, found: Outcomes, between: Sequence[capacities.Contest]) -> list[Block]:
+    """What the first method's capacities are worth; advice and its chart for every scene; the
+    table."""
     plain = [contest for contest in between if contest.method == between[0].method]
     blocks: list[Block] = []
     if plain:
@@ -158,15 +159,14 @@ def _comparisons(found: Outcomes) -> list[Block]:
     return [Heading(2, "Comparisons"), table(rows, WORDS), Text(text)]
 
 
-def _capacities(study: Study) -> list[Block]:
-    rows = capacities.rows(capacities.contests(study))
-    if not rows:
+def _capacities(between: Sequence[capacities.Contest]) -> list[Block]:
+    if not between:
         return []
     text = (
         "The same method with other ways to decide the number of Gaussians, paired by scene and"
         " seed, tests as above. Parameters and CPU time: multiples of what it is compared with."
     )
-    return [Heading(2, "Between capacities"), table(rows, WORDS), Text(text)]
+    return [Heading(2, "Between capacities"), table(capacities.rows(between), WORDS), Text(text)]
 
 
 def _stability(study: Study, found: Outcomes) -> list[Block]:

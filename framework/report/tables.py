@@ -23,6 +23,7 @@ from framework.report.numbers import (
 )
 from framework.report.outcomes import Outcomes, seed_means
 from framework.report.robustness import failure_rate, worst_case
+from framework.report.statistics import Comparison
 from framework.report.variance import MOST_SEEDS, SigmaComparison
 
 ALL_SCENES = "mean of all"
@@ -52,14 +53,21 @@ def comparison_rows(found: Outcomes) -> Rows:
         {
             "Method": c.method,
             "Compared with": c.baseline,
-            "Pairs": str(c.n),
-            "ΔPSNR (dB)": signed(c.difference, c.interval),
-            "95 % interval": interval_text(c.interval) if c.interval else ABSENT,
-            "p": p_text(c.p) if c.p is not None else ABSENT,
-            "p after Holm": p_text(c.p_holm) if c.p_holm is not None else ABSENT,
+            **tested_cells(c),
         }
         for c in found.comparisons.values()
     ]
+
+
+def tested_cells(c: Comparison) -> dict[str, str]:
+    """The figures of a paired comparison."""
+    return {
+        "Pairs": str(c.n),
+        "ΔPSNR (dB)": signed(c.difference, c.interval),
+        "95 % interval": interval_text(c.interval) if c.interval else ABSENT,
+        "p": p_text(c.p) if c.p is not None else ABSENT,
+        "p after Holm": p_text(c.p_holm) if c.p_holm is not None else ABSENT,
+    }
 
 
 def sigma_rows(found: Outcomes) -> Rows:

@@ -14,7 +14,7 @@ import numpy as np
 
 from framework.report.chart import Chart, Point, Series
 from framework.report.collect import ReportRun, Study
-from framework.report.labels import slug
+from framework.report.labels import listed, slug
 from framework.report.numbers import average, mean_text, p_text
 from framework.report.outcomes import by_pair
 from framework.report.palette import LIGHT
@@ -101,12 +101,7 @@ def advice(study: Study, scene: str) -> list[str]:
     for limit in LIMITS_S:
         limits.setdefault(_advice(found, limit), []).append(f"{limit:g}")
     of_cpu = " of CPU time" if study.by_cpu else ""
-    return [f"Within {_or(told)} s{of_cpu}: {answer}" for answer, told in limits.items()]
-
-
-def _or(words: Sequence[str]) -> str:
-    """`a, b or c`."""
-    return " or ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+    return [f"Within {listed(told, 'or')} s{of_cpu}: {answer}" for answer, told in limits.items()]
 
 
 def smallest(study: Study, scene: str) -> str | None:
@@ -224,8 +219,7 @@ def _chart(
 
 def _capacity(entry: Entry) -> str:
     """How the number of Gaussians is decided, where that differs; its options are budgets."""
-    parts = [part for part in entry.budget.split(", ") if part.startswith("capacity")]
-    return ", ".join(parts)
+    return entry.runs[0].method_label.capacity.partition(",")[0]
 
 
 def _point(entry: Entry, cost: Callable[[Entry], float]) -> Point:

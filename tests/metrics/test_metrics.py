@@ -114,12 +114,15 @@ def test_flip_runs_on_the_threads_of_the_run(monkeypatch: pytest.MonkeyPatch) ->
         return evaluate(*args, **kwargs)
 
     monkeypatch.setattr(flip_evaluator, "evaluate", watched)
-    parallel.set_threads(2)
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    parallel.set_threads(3)
     try:
         metrics.flip(truth, truth)
     finally:
         parallel.set_threads(0)
-    assert seen == [2]
+        torch.set_num_threads(before)
+    assert seen == [3]
 
 
 def test_metrics_read_what_is_saved() -> None:

@@ -95,18 +95,6 @@ def fake_run(
         (view, noisy(view, base + shift, f"{augment}-{reg}", seed))
         for view, base in zip(views, BASE_PSNR, strict=True)
     ]
-    history = [
-        HistoryRow(
-            step=step,
-            seconds=step * 0.02 + 0.1 * gain,
-            loss=0.2 / (1 + step / 100),
-            gaussians=12,
-            sh_degree=0,
-            test_psnr=24.0 + shift - 4.0 * 0.99 ** (step / 4) if step % 200 == 0 else None,
-            logged={"dropped": 0.1},
-        )
-        for step in range(100, 801, 100)
-    ]
     record = RunRecord(
         identity=f"{augment}{reg}{seed}",
         config=config,
@@ -124,10 +112,23 @@ def fake_run(
     )
     metrics = [evaluate_view(view, image, 0.01) for view, image in renders]
     run_dir = study_dir / "runs" / (run_name or f"{scene}-{augment}-{reg}-s{seed}")
-    gaussians = make_gaussians(12, 0)
-    if bits is None:  # those of no other run
-        gaussians.means[0, 0] = float(stream(seed, strict_json(config)).standard_normal())
-    else:
-        gaussians.means[0, 0] = bits
+    gaussians, history = make_gaussians(12, 0), _history(shift, gain)
+    own = float(stream(seed, strict_json(config)).standard_normal())
+    gaussians.means[0, 0] = own if bits is None else bits
     write_run(run_dir, record, metrics, history, gaussians, torch.zeros(3), renders)
     return run_dir
+
+
+def _history(shift: float, gain: float) -> list[HistoryRow]:
+    return [
+        HistoryRow(
+            step=step,
+            seconds=step * 0.02 + 0.1 * gain,
+            loss=0.2 / (1 + step / 100),
+            gaussians=12,
+            sh_degree=0,
+            test_psnr=24.0 + shift - 4.0 * 0.99 ** (step / 4) if step % 200 == 0 else None,
+            logged={"dropped": 0.1},
+        )
+        for step in range(100, 801, 100)
+    ]

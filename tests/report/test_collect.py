@@ -300,7 +300,7 @@ def test_methods_that_did_nothing_are_told(tmp_path: Path) -> None:
         fake_run(tmp_path, "safi", "none", seed, bits=seed if seed < 2 else 9.0)
         fake_run(tmp_path, "none", "uar", seed)
     assert collect(tmp_path).notes == (
-        "none + none and safi + none trained to the same bits (embedded, seed 0 and 1): what tells"
+        "none + none and safi + none trained to the same bits (embedded, seeds 0 and 1): what tells"
         " them apart never took effect there, so nothing was learned about it.",
     )
 

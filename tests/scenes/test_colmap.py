@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import signal
 import subprocess
@@ -59,7 +58,6 @@ def test_text_and_binary_agree(tmp_path: Path) -> None:
     assert load(folder).fingerprint == text.fingerprint
 
 
-@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGTERM to catch")
 def test_a_run_that_is_told_to_end_ends_without_a_stack_trace(tmp_path: Path) -> None:
     """pycolmap's import installs a handler that prints one."""
     code = (
