@@ -22,7 +22,6 @@ _AHEAD = 8  # Gaussians between asking for one's row and using it
 
 f4 = np.float32
 ZERO, ONE, HALF = f4(0), f4(1), f4(0.5)
-_TWO_LN2 = f4(2 * math.log(2))
 _LOG2_255 = f4(math.log2(255))
 
 
@@ -109,12 +108,10 @@ def count_tiles(
         prefetch(flat, order[min(k + _AHEAD, n - 1)] * 16)
         row = rows[i]
         u, v, rx, ry = row[0], row[1], row[10], row[11]
-        a, b, c = row[13], row[14], row[15]
         left = max(0, int(math.ceil(u - rx - HALF)))
         right = min(width - 1, int(math.floor(u + rx - HALF)))
-        level = _TWO_LN2 * (row[5] + _LOG2_255)
-        ellipse = (rx, ry, ONE / rx, b / c, level / c)
-        summit = -b / a * ry  # dx of the ellipse's lowest point on screen (largest dy)
+        ellipse = (rx, ry, ONE / rx, row[15], -(row[5] + _LOG2_255) / row[4])
+        summit = -HALF * row[3] / row[2] * ry  # dx of the ellipse's lowest point (largest dy)
         at = start[k]
         for column in range(left // 16, right // 16 + 1):
             x0 = f4(column * 16) + HALF - u

@@ -20,7 +20,6 @@ from framework.rasterize.simd import (
     greater,
     lane_sums,
     load,
-    lowest_bit,
     neg,
     prefetch,
     select,
@@ -36,11 +35,11 @@ from framework.rasterize.tiles import (
     blend_limits,
     clear_outside,
     colour,
+    first_alphas,
     listed_rows,
-    log_alpha,
     meet,
+    next_run,
     read_row,
-    row_numbers,
     seen_from,
     write_row,
 )
@@ -51,26 +50,26 @@ ZERO, ONE = f4(0), f4(1)
 
 @inlined
 def _composite(
-    rows: Any, g: int, placed: Any, todo: int, down: Any, limits: Any, with_depth: bool, tile: Any
+    rows: Any, g: int, placed: Any, todo: int, limits: Any, with_depth: bool, tile: Any
 ) -> None:
     """Blend Gaussian g over the rows `todo` of a tile; tile: its transmittance, colours, depth."""
     transmittance, red, green, blue, far = tile
-    dx, dy0, slant, shear, fall, peak = placed
     cr, cg, cb = colour(rows, g)
     cz = splat(rows[g, 9])
+    bend, longest = splat(rows[g, 13]), int(rows[g, 14])
     while todo != 0:
-        at = lowest_bit(todo) * 16
-        todo &= todo - 1
-        dy = dy0 + splat(down[at])
-        power = log_alpha(dx, dy, slant, shear, fall, peak)
-        t = load(transmittance, at)
-        _, _, weight, _, left = meet(t, power, limits)
-        store(transmittance, at, left)
-        store(red, at, fma(weight, cr, load(red, at)))
-        store(green, at, fma(weight, cg, load(green, at)))
-        store(blue, at, fma(weight, cb, load(blue, at)))
-        if with_depth:
-            store(far, at, fma(weight, cz, load(far, at)))
+        row, count, todo = next_run(todo, longest)
+        raw, ratio = first_alphas(placed, f4(row))
+        for at in range(row * 16, (row + count) * 16, 16):
+            t = load(transmittance, at)
+            _, weight, _, left = meet(t, raw, limits)
+            store(transmittance, at, left)
+            store(red, at, fma(weight, cr, load(red, at)))
+            store(green, at, fma(weight, cg, load(green, at)))
+            store(blue, at, fma(weight, cb, load(blue, at)))
+            if with_depth:
+                store(far, at, fma(weight, cz, load(far, at)))
+            raw, ratio = raw * ratio, ratio * bend
 
 
 @inlined
@@ -117,7 +116,6 @@ def blend(
     transmittance, scratch = state[:256], state[1280:]
     planes = (transmittance, state[256:512], state[512:768], state[768:1024], state[1024:1280])
     limits = blend_limits()
-    down = row_numbers()
     flat = rows.reshape(-1)
     last = len(lists) - 1
     for tile in range(block, len(offsets) - 1, blocks):
@@ -133,7 +131,7 @@ def blend(
             prefetch(flat, (lists[min(k + AHEAD, last), 0] >> 8) * 16)
             g, todo = item >> 8, listed_rows(item) & alive
             placed = seen_from(rows, g, x, y)
-            _composite(rows, g, placed, todo, down, limits, with_depth, planes)
+            _composite(rows, g, placed, todo, limits, with_depth, planes)
         _write_tile(x, y, (width, height), background, planes, scratch, (rgb, alpha, depth))
 
 
@@ -172,39 +170,41 @@ def _read_gradients(
 
 @inlined
 def _slot_sums(
-    rows: Any, g: int, placed: Any, todo: int, down: Any, limits: Any, colour_alone: bool, tile: Any
+    rows: Any, g: int, placed: Any, todo: int, limits: Any, colour_alone: bool, tile: Any
 ) -> Any:
     """What Gaussian g gets from the rows `todo` of a tile, see `project_backward`; tile: its
     transmittance, what is behind its pixels and the gradients."""
     transmittance, behind, gr_, gg_, gb_, ga_, gz_ = tile
     most, one = limits[2], splat(ONE)
-    dx, dy0, slant, shear, fall, peak = placed
+    dx, dy0 = placed[0], placed[1]
     cr, cg, cb = colour(rows, g)
     cz = splat(rows[g, 9])
+    bend, longest = splat(rows[g, 13]), int(rows[g, 14])
     m0, m1, m2 = zeros(), zeros(), zeros()
     sr, sg, sb, sz = zeros(), zeros(), zeros(), zeros()
     while todo != 0:
-        at = lowest_bit(todo) * 16
-        todo &= todo - 1
-        dy = dy0 + splat(down[at])
-        power = log_alpha(dx, dy, slant, shear, fall, peak)
-        t = load(transmittance, at)
-        raw, a, weight, goes_on, left = meet(t, power, limits)
-        store(transmittance, at, left)
-        gr, gg, gb = load(gr_, at), load(gg_, at), load(gb_, at)
-        own = fma(gr, cr, fma(gg, cg, gb * cb))
-        if not colour_alone:
-            gz = load(gz_, at)
-            own = own + fma(gz, cz, load(ga_, at))
-            sz = fma(weight, gz, sz)
-        rest = fnma(weight, own, load(behind, at))
-        store(behind, at, rest)
-        slope = fma(t, own, neg(rest / (one - a)))
-        pull = select(but_not(goes_on, greater(raw, most)), slope * a, zeros())
-        pull_y = pull * dy
-        m0, m1, m2 = m0 + pull, m1 + pull_y, fma(pull_y, dy, m2)
-        sr, sg = fma(weight, gr, sr), fma(weight, gg, sg)
-        sb = fma(weight, gb, sb)
+        row, count, todo = next_run(todo, longest)
+        raw, ratio = first_alphas(placed, f4(row))
+        dy = dy0 + splat(f4(row))
+        for at in range(row * 16, (row + count) * 16, 16):
+            t = load(transmittance, at)
+            a, weight, goes_on, left = meet(t, raw, limits)
+            store(transmittance, at, left)
+            gr, gg, gb = load(gr_, at), load(gg_, at), load(gb_, at)
+            own = fma(gr, cr, fma(gg, cg, gb * cb))
+            if not colour_alone:
+                gz = load(gz_, at)
+                own = own + fma(gz, cz, load(ga_, at))
+                sz = fma(weight, gz, sz)
+            rest = fnma(weight, own, load(behind, at))
+            store(behind, at, rest)
+            slope = fma(t, own, neg(rest / (one - a)))
+            pull = select(but_not(goes_on, greater(raw, most)), slope * a, zeros())
+            pull_y = pull * dy
+            m0, m1, m2 = m0 + pull, m1 + pull_y, fma(pull_y, dy, m2)
+            sr, sg = fma(weight, gr, sr), fma(weight, gg, sg)
+            sb = fma(weight, gb, sb)
+            raw, ratio, dy = raw * ratio, ratio * bend, dy + one
     m0x = m0 * dx
     return lane_sums((m0, m0x, m0x * dx, m1, m1 * dx, m2, sr, sg, sb, sz))
 
@@ -244,7 +244,6 @@ def blend_backward(
     of_tile = (transmittance, behind, *buffers)
     size, image, gradient = (width, height), (rgb, alpha, depth), (g_rgb, g_alpha, g_depth)
     limits = blend_limits()
-    down = row_numbers()
     flat = rows.reshape(-1)
     last = len(lists) - 1
     for tile in range(block, len(offsets) - 1, blocks):
@@ -264,5 +263,5 @@ def blend_backward(
             prefetch(flat, (lists[min(k + AHEAD, last), 0] >> 8) * 16)
             g, todo = item >> 8, listed_rows(item) & alive
             placed = seen_from(rows, g, x, y)
-            sums = _slot_sums(rows, g, placed, todo, down, limits, colour_alone, of_tile)
+            sums = _slot_sums(rows, g, placed, todo, limits, colour_alone, of_tile)
             store(slots, slot, sums)

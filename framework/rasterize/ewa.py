@@ -18,7 +18,7 @@ from framework.rasterize.simd import exp2, minimum, splat
 
 f4 = np.float32
 HALF, ONE, TWO = f4(0.5), f4(1), f4(2)
-LOG2E = f4(1.4426950408889634)
+LOG2E, LN2 = f4(1.4426950408889634), f4(0.6931471805599453)
 _DILATION = f4(DILATION)
 _LARGEST = f4(126)
 
@@ -102,6 +102,12 @@ def covariance(m: Any, s0: Any, s1: Any, s2: Any) -> tuple[Any, Any, Any, Any]:
     c01, c02, c12 = a0 * b1 - a1 * b0, a0 * b2 - a2 * b0, a1 * b2 - a2 * b1
     determinant = c01 * c01 + c02 * c02 + c12 * c12 + _DILATION * (xx + yy + _DILATION)
     return xx + _DILATION, xy, yy + _DILATION, determinant
+
+
+@inlined
+def conic_of(row: Any) -> tuple[Any, Any, Any]:
+    """A, B, C, the inverse of the 2D covariance, from a projected Gaussian; see `projection`."""
+    return -TWO * LN2 * row[2], -LN2 * row[3], -TWO * LN2 * row[4]
 
 
 @inlined

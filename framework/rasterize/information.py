@@ -25,7 +25,7 @@ import numpy as np
 
 from framework.jit import inlined, kernel
 from framework.rasterize.chunks import take1, take3, take4
-from framework.rasterize.ewa import exp
+from framework.rasterize.ewa import conic_of, exp
 from framework.rasterize.harmonics import Y0, basis_gradient, direction
 from framework.rasterize.jacobian import PARAMETERS, screen_jacobian
 from framework.rasterize.simd import (
@@ -292,7 +292,7 @@ def pull_back_moments(
             take3(means, base, count, scratch),
             take4(quats, base, count, scratch),
             take3(log_scales, base, count, scratch),
-            (row[13], row[14], row[15]),
+            conic_of(row),
             jacobian,
         )
         _through_alpha(moments, jacobian, image, values, turns)

@@ -15,7 +15,6 @@ from framework.rasterize.simd import (
     fma,
     fnma,
     greater,
-    iota,
     lane_sums,
     load,
     lowest_bit,
@@ -34,15 +33,16 @@ from framework.rasterize.tiles import (
     blend_limits,
     clear_outside,
     colour,
+    first_alphas,
     listed_rows,
-    log_alpha,
     meet,
+    next_run,
     read_row,
     seen_from,
 )
 
 f4 = np.float32
-HALF, ZERO, ONE = f4(0.5), f4(0), f4(1)
+ZERO, ONE = f4(0), f4(1)
 
 
 @inlined
@@ -102,7 +102,6 @@ def blend_moments(
     limits = blend_limits()
     most, one = limits[2], splat(ONE)
     first, second = state[1024:1280], state[1280:]  # of the two sums r
-    downs = aligned(16)  # every row's dy, as broadcasts from memory cost nothing
     flat = rows.reshape(-1)
     last = len(lists) - 1
     for tile in range(block, len(offsets) - 1, blocks):
@@ -126,10 +125,11 @@ def blend_moments(
             if directional:
                 prefetch(slopes, ahead)
             g = item >> 8
-            dx, dy0, slant, shear, fall, peak = seen_from(rows, g, x, y)
+            placed = seen_from(rows, g, x, y)
+            dx, dy0 = placed[0], placed[1]
+            bend, longest = splat(rows[g, 13]), int(rows[g, 14])
             cr, cg, cb = colour(rows, g)
-            store(downs, 0, iota() + dy0)
-            line = splat(HALF * rows[g, 3] / rows[g, 4]) * dx  # B / C dx
+            line = fma(splat(rows[g, 15]), dx, dy0)  # e in the first row
             m0, m1, m2, m3, m4, ww = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             r0, r1, r2, p0, p1, p2 = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             if directional:
@@ -140,36 +140,35 @@ def blend_moments(
                 vr, vg, vb, wr, wg, wb = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             todo = listed_rows(item) & alive
             while todo != 0:
-                row = lowest_bit(todo)
-                at = row * 16
-                todo &= todo - 1
-                dy = splat(downs[row])
-                power = log_alpha(dx, dy, slant, shear, fall, peak)
-                t = load(transmittance, at)
-                raw, a, weight, goes_on, left = meet(t, power, limits)
-                store(transmittance, at, left)
-                odds = select(but_not(goes_on, greater(raw, most)), a / (one - a), zeros())
-                sr, sg, sb = load(br, at), load(bg, at), load(bb, at)
-                jr, jg, jb = fma(t, cr, neg(sr)), fma(t, cg, neg(sg)), fma(t, cb, neg(sb))
-                store(br, at, fnma(weight, cr, sr))
-                store(bg, at, fnma(weight, cg, sg))
-                store(bb, at, fnma(weight, cb, sb))
-                q = odds * odds * fma(jr, jr, fma(jg, jg, jb * jb))
-                e = dy + line
-                e2 = e * e
-                m0, m1, m2 = m0 + q, fma(q, e, m1), fma(q, e2, m2)
-                m3, m4 = fma(q, e2 * e, m3), fma(q, e2 * e2, m4)
-                ww = fma(weight, weight, ww)
-                if directional:
-                    pull = weight * odds
-                    store(first, at, pull * fma(jr, vr, fma(jg, vg, jb * vb)))
-                    store(second, at, pull * fma(jr, wr, fma(jg, wg, jb * wb)))
+                row, count, todo = next_run(todo, longest)
+                raw, ratio = first_alphas(placed, f4(row))
+                e = line + splat(f4(row))
+                for at in range(row * 16, (row + count) * 16, 16):
+                    t = load(transmittance, at)
+                    a, weight, goes_on, left = meet(t, raw, limits)
+                    store(transmittance, at, left)
+                    odds = select(but_not(goes_on, greater(raw, most)), a / (one - a), zeros())
+                    sr, sg, sb = load(br, at), load(bg, at), load(bb, at)
+                    jr, jg, jb = fma(t, cr, neg(sr)), fma(t, cg, neg(sg)), fma(t, cb, neg(sb))
+                    store(br, at, fnma(weight, cr, sr))
+                    store(bg, at, fnma(weight, cg, sg))
+                    store(bb, at, fnma(weight, cb, sb))
+                    q = odds * odds * fma(jr, jr, fma(jg, jg, jb * jb))
+                    e2 = e * e
+                    m0, m1, m2 = m0 + q, fma(q, e, m1), fma(q, e2, m2)
+                    m3, m4 = fma(q, e2 * e, m3), fma(q, e2 * e2, m4)
+                    ww = fma(weight, weight, ww)
+                    if directional:
+                        pull = weight * odds
+                        store(first, at, pull * fma(jr, vr, fma(jg, vg, jb * vb)))
+                        store(second, at, pull * fma(jr, wr, fma(jg, wg, jb * wb)))
+                    raw, ratio, e = raw * ratio, ratio * bend, e + one
             if directional:  # another loop: all accumulators together would leave the registers
                 todo = listed_rows(item) & alive
                 while todo != 0:
                     row = lowest_bit(todo)
                     todo &= todo - 1
-                    e = splat(downs[row]) + line
+                    e = line + splat(f4(row))
                     r, p = load(first, row * 16), load(second, row * 16)
                     r0, r1, r2 = r0 + r, fma(r, e, r1), fma(r, e * e, r2)
                     p0, p1, p2 = p0 + p, fma(p, e, p1), fma(p, e * e, p2)

@@ -2,7 +2,8 @@
 
 A projected Gaussian is one row of 16 floats (a cache line): 0-1 mean u, v [px]; 2-4 -A/2, -B, -C/2
 times log2(e); 5 log2(opacity); 6-8 colour; 9 depth; 10-11 half-sides of the box that holds all
-alpha >= 1/255 [px], -1 if culled; 12 opacity; 13-15 conic A, B, C (inverse 2D covariance).
+alpha >= 1/255 [px], -1 if culled; 12 opacity; 13 2^(2 row[4]) and 14 the longest run of rows, see
+`tiles.first_alphas`; 15 B / C. A, B, C is the conic, the inverse of the 2D covariance.
 With it the blending kernels get alpha = 2^(row[5] + row[2] dx^2 + row[3] dx dy + row[4] dy^2).
 
 The mathematics is in `ewa` and `harmonics`, the camera row in `ewa`.
@@ -20,6 +21,7 @@ from framework.rasterize.chunks import put1, put2, put3, put4, take1, take2, tak
 from framework.rasterize.constants import ALPHA_MIN, FRUSTUM_MARGIN
 from framework.rasterize.ewa import (
     LOG2E,
+    conic_of,
     covariance,
     exp,
     pull_back,
@@ -36,6 +38,7 @@ from framework.rasterize.simd import (
     any_lane,
     both,
     ceil,
+    exp2,
     floor,
     greater,
     greater_equal,
@@ -51,6 +54,7 @@ from framework.rasterize.simd import (
     store_whole,
     zeros,
 )
+from framework.rasterize.tiles import SPAN
 
 f4 = np.float32
 ZERO, HALF, ONE, TWO, FOUR = f4(0), f4(0.5), f4(1), f4(2), f4(4)
@@ -153,8 +157,9 @@ def _row(centre: Any, spread: Any, colour: Any, z: Any, reach: Any, opacity: Any
     power = (-HALF * LOG2E * yy * inverse, LOG2E * xy * inverse, -HALF * LOG2E * xx * inverse)
     o = zeros()
     seen = (maximum(colour[0], o), maximum(colour[1], o), maximum(colour[2], o), z)
-    conic = (yy * inverse, -xy * inverse, xx * inverse)
-    return (*centre, *power, log2(opacity), *seen, *reach, opacity, *conic)
+    run = ONE + floor(minimum(SPAN / math.sqrt(-power[2]), splat(f4(LANES))))
+    chain = (exp2(power[2] + power[2]), run, -xy / xx)
+    return (*centre, *power, log2(opacity), *seen, *reach, opacity, *chain)
 
 
 @inlined
@@ -328,7 +333,7 @@ def project_backward(
         s = load16(total, 0)
         row = _take_row(rows, base, count, total)
         seen = greater(s[15], zeros())
-        ca, cb, cc = row[13], row[14], row[15]
+        ca, cb, cc = conic_of(row)
         gu = select(seen, ca * s[1] + cb * s[3], zeros())
         gv = select(seen, cb * s[1] + cc * s[3], zeros())
         ga, gb, gc = -HALF * s[2], -s[4], -HALF * s[5]

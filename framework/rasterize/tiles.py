@@ -8,6 +8,7 @@ finished at the last look.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from framework.jit import inlined
 from framework.rasterize.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from framework.rasterize.simd import (
+    absolute,
     any_lane,
     both,
     but_not,
@@ -25,6 +27,7 @@ from framework.rasterize.simd import (
     greater_equal,
     iota,
     load,
+    lowest_bit,
     minimum,
     neg,
     select,
@@ -35,9 +38,11 @@ from framework.rasterize.simd import (
 
 f4 = np.float32
 HALF, ZERO, ONE = f4(0.5), f4(0), f4(1)
-_CUT = f4(np.log2(ALPHA_MIN))  # in the exponent
+_MIN = f4(ALPHA_MIN)
 _MAX = f4(ALPHA_MAX)
 _STOP = f4(TRANSMITTANCE_MIN)
+_FAINTEST = f4(-100)  # log2 of an alpha that is 0
+SPAN = f4(math.sqrt(100 - 8) - math.sqrt(8))  # rows to the summit x sqrt(fall), see first_alphas
 CHECK = 16  # items between two looks at which rows are finished
 AHEAD = 6  # items between asking for a Gaussian's row and using it
 
@@ -49,15 +54,6 @@ def aligned(size: int) -> Any:
     scratch = np.empty(size + 15, np.float32)
     skip = (-(scratch.ctypes.data // 4)) % 16
     return scratch[skip : skip + size]
-
-
-@inlined
-def row_numbers() -> Any:
-    """[256], the row of every pixel of a tile."""
-    numbers = np.empty(256, np.float32)
-    for i in range(256):
-        numbers[i] = f4(i // 16)
-    return numbers
 
 
 @inlined
@@ -116,9 +112,29 @@ def seen_from(rows: Any, g: int, x: int, y: int) -> tuple[Any, Any, Any, Any, An
 
 
 @inlined
-def log_alpha(dx: Any, dy: Any, slant: Any, shear: Any, fall: Any, peak: Any) -> Any:
-    """log2(alpha) at (dx, dy) from the mean."""
-    return fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
+def next_run(todo: int, longest: int) -> tuple[int, int, int]:
+    """The first rows of `todo` that follow one another, at most `longest` of them: (first, how
+    many, the others of `todo`)."""
+    first = lowest_bit(todo)
+    count = min(lowest_bit(~(todo >> first)), longest)
+    return first, count, todo & ~(((1 << count) - 1) << first)
+
+
+@inlined
+def first_alphas(placed: Any, row: Any) -> tuple[Any, Any]:
+    """Alpha in a row of the tile, and the factor that makes it alpha in the row below.
+
+    log2(alpha) is a parabola in dy: from row to row the logarithm of that factor falls by the same,
+    so two multiplications give what an exponential would. Where alpha is below 2^-100 it is set
+    to 0 and stays so; a lane that reaches 1/255 within `longest_run` rows is above: there the
+    parabola is at most sqrt(8 / fall) rows away from its summit.
+    """
+    dx, dy0, slant, shear, fall, peak = placed
+    dy = dy0 + splat(row)
+    power = fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
+    change = fma(shear, dx, fma(fall + fall, dy, fall))
+    alpha = select(greater(power, splat(_FAINTEST)), exp2(power), zeros())
+    return alpha, exp2(minimum(change, splat(-_FAINTEST)))
 
 
 @inlined
@@ -127,20 +143,19 @@ def colour(rows: Any, g: int) -> tuple[Any, Any, Any]:
 
 
 @inlined
-def meet(t: Any, power: Any, limits: Any) -> tuple[Any, ...]:
-    """A pixel with transmittance t and a Gaussian of alpha 2^power: (alpha before and after its
-    limit, weight, whether it blends, the pixel's next t). limits: cut, stop and most of alpha."""
-    cut, stop, most = limits
-    active = both(greater_equal(power, cut), greater(t, zeros()))
-    raw = exp2(power)
+def meet(t: Any, raw: Any, limits: Any) -> tuple[Any, ...]:
+    """A pixel with transmittance t and a Gaussian of alpha `raw`: (alpha after its limit, weight,
+    whether it blends, the pixel's next t). limits: least alpha, least t, most alpha."""
+    least, stop, most = limits
+    active = greater_equal(raw, least)
     a = minimum(raw, most)
-    goes_on = both(active, greater_equal(fnma(t, a, t), stop))
+    goes_on = both(active, greater_equal(fnma(t, a, t), stop))  # false if t < 0
     weight = select(goes_on, a * t, zeros())
     kept = t - weight
-    return raw, a, weight, goes_on, select(but_not(active, goes_on), neg(kept), kept)
+    return a, weight, goes_on, select(but_not(active, goes_on), neg(absolute(kept)), kept)
 
 
 @inlined
 def blend_limits() -> tuple[Any, Any, Any]:
-    """Broadcast: log2 of the least alpha that blends, the least transmittance, the most alpha."""
-    return splat(_CUT), splat(_STOP), splat(_MAX)
+    """Broadcast: the least alpha that blends, the least transmittance, the most alpha."""
+    return splat(_MIN), splat(_STOP), splat(_MAX)
