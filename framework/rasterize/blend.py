@@ -56,10 +56,10 @@ def _composite(
     transmittance, red, green, blue, far = tile
     cr, cg, cb = colour(rows, g)
     cz = splat(rows[g, 9])
-    bend, longest = splat(rows[g, 13]), int(rows[g, 14])
+    bend, longest, lean = splat(rows[g, 13]), int(rows[g, 14]), splat(rows[g, 15])
     while todo != 0:
         row, count, todo = next_run(todo, longest)
-        raw, ratio = first_alphas(placed, f4(row))
+        raw, ratio = first_alphas(placed, lean, row, count)
         for at in range(row * 16, (row + count) * 16, 16):
             t = load(transmittance, at)
             _, weight, _, left = meet(t, raw, limits)
@@ -179,12 +179,12 @@ def _slot_sums(
     dx, dy0 = placed[0], placed[1]
     cr, cg, cb = colour(rows, g)
     cz = splat(rows[g, 9])
-    bend, longest = splat(rows[g, 13]), int(rows[g, 14])
+    bend, longest, lean = splat(rows[g, 13]), int(rows[g, 14]), splat(rows[g, 15])
     m0, m1, m2 = zeros(), zeros(), zeros()
     sr, sg, sb, sz = zeros(), zeros(), zeros(), zeros()
     while todo != 0:
         row, count, todo = next_run(todo, longest)
-        raw, ratio = first_alphas(placed, f4(row))
+        raw, ratio = first_alphas(placed, lean, row, count)
         dy = dy0 + splat(f4(row))
         for at in range(row * 16, (row + count) * 16, 16):
             t = load(transmittance, at)

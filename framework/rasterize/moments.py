@@ -127,9 +127,9 @@ def blend_moments(
             g = item >> 8
             placed = seen_from(rows, g, x, y)
             dx, dy0 = placed[0], placed[1]
-            bend, longest = splat(rows[g, 13]), int(rows[g, 14])
+            bend, longest, lean = splat(rows[g, 13]), int(rows[g, 14]), splat(rows[g, 15])
             cr, cg, cb = colour(rows, g)
-            line = fma(splat(rows[g, 15]), dx, dy0)  # e in the first row
+            line = fma(lean, dx, dy0)  # e in the first row
             m0, m1, m2, m3, m4, ww = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             r0, r1, r2, p0, p1, p2 = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             if directional:
@@ -141,7 +141,7 @@ def blend_moments(
             todo = listed_rows(item) & alive
             while todo != 0:
                 row, count, todo = next_run(todo, longest)
-                raw, ratio = first_alphas(placed, f4(row))
+                raw, ratio = first_alphas(placed, lean, row, count)
                 e = line + splat(f4(row))
                 for at in range(row * 16, (row + count) * 16, 16):
                     t = load(transmittance, at)

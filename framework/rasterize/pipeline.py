@@ -6,6 +6,7 @@ brings its gradient to the parameters. A workspace belongs to one render until i
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from framework.rasterize import binning, blend, information, moments, projection
 from framework.rasterize.constants import ROW
 from framework.types import Camera
 
+LINE = 64  # bytes that a processor loads at once
 TILE_BLOCKS = 59  # odd, so that a block's tiles do not all lie in the same columns
 
 
@@ -51,6 +53,15 @@ def camera_row(camera: Camera, near: float) -> np.ndarray:
     return np.array(row, np.float32)
 
 
+def _empty(shape: tuple[int, ...], dtype: type) -> np.ndarray:
+    """Uninitialised and on a cache line, as `np.empty` is not: a row of 16 floats that lies across
+    two lines makes the blending 1.2 times as slow (prefetched by halves, loaded twice)."""
+    count = math.prod(shape) * np.dtype(dtype).itemsize
+    buffer = np.empty(count + LINE, np.uint8)
+    skip = -buffer.ctypes.data % LINE
+    return buffer[skip : skip + count].view(dtype).reshape(shape)
+
+
 class Workspace:
     """Buffers for renders of up to some number of Gaussians and tile entries; they only grow."""
 
@@ -73,7 +84,7 @@ class Workspace:
         if n > self._capacity:
             self._capacity = n + n // 4
             size = self._capacity
-            self._rows = np.empty((size, ROW), np.float32)
+            self._rows = _empty((size, ROW), np.float32)
             self._clipped = np.empty(size, np.uint8)
             self._bound, self._start = np.empty(size, np.int32), np.empty(size + 1, np.int32)
             self._touched = np.zeros(size, np.int32)
@@ -143,7 +154,7 @@ class Workspace:
         )
         self.n_items = binning.prefix_tiles(self.touched, self.first, self.histogram, self.offsets)
         if len(self.lists) < self.n_items:
-            self.lists = np.empty((self.n_items + self.n_items // 4, 2), np.int32)
+            self.lists = _empty((self.n_items + self.n_items // 4, 2), np.int32)
         run_blocks(
             binning.fill_tiles,
             self.n_visible,
@@ -173,7 +184,7 @@ class Workspace:
 
     def _fit_slots(self) -> np.ndarray:
         if len(self.slots) < self.n_items:
-            self.slots = np.empty((self.n_items + self.n_items // 4, 16), np.float32)
+            self.slots = _empty((self.n_items + self.n_items // 4, 16), np.float32)
         return self.slots
 
     def blend_backward(self, image: Image, gradient: Image) -> None:
@@ -200,9 +211,9 @@ class Workspace:
         if self.degree == 0:
             return self.slopes[:0], self.cross[:0]
         if len(self.slopes) < len(self.rows):
-            self.slopes = np.empty((len(self._rows), 16), np.float32)
+            self.slopes = _empty((len(self._rows), 16), np.float32)
         if len(self.cross) < self.n_items:
-            self.cross = np.empty((self.n_items + self.n_items // 4, 16), np.float32)
+            self.cross = _empty((self.n_items + self.n_items // 4, 16), np.float32)
         return self.slopes, self.cross
 
     def blend_moments(self, image: Image) -> None:

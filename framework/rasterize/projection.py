@@ -54,7 +54,7 @@ from framework.rasterize.simd import (
     store_whole,
     zeros,
 )
-from framework.rasterize.tiles import SPAN
+from framework.rasterize.tiles import longest_run
 
 f4 = np.float32
 ZERO, HALF, ONE, TWO, FOUR = f4(0), f4(0.5), f4(1), f4(2), f4(4)
@@ -157,8 +157,7 @@ def _row(centre: Any, spread: Any, colour: Any, z: Any, reach: Any, opacity: Any
     power = (-HALF * LOG2E * yy * inverse, LOG2E * xy * inverse, -HALF * LOG2E * xx * inverse)
     o = zeros()
     seen = (maximum(colour[0], o), maximum(colour[1], o), maximum(colour[2], o), z)
-    run = ONE + floor(minimum(SPAN / math.sqrt(-power[2]), splat(f4(LANES))))
-    chain = (exp2(power[2] + power[2]), run, -xy / xx)
+    chain = (exp2(power[2] + power[2]), longest_run(power[2]), -xy / xx)
     return (*centre, *power, log2(opacity), *seen, *reach, opacity, *chain)
 
 

@@ -21,6 +21,7 @@ from framework.rasterize.simd import (
     both,
     but_not,
     exp2,
+    floor,
     fma,
     fnma,
     greater,
@@ -28,6 +29,7 @@ from framework.rasterize.simd import (
     iota,
     load,
     lowest_bit,
+    maximum,
     minimum,
     neg,
     select,
@@ -41,8 +43,8 @@ HALF, ZERO, ONE = f4(0.5), f4(0), f4(1)
 _MIN = f4(ALPHA_MIN)
 _MAX = f4(ALPHA_MAX)
 _STOP = f4(TRANSMITTANCE_MIN)
-_FAINTEST = f4(-100)  # log2 of an alpha that is 0
-SPAN = f4(math.sqrt(100 - 8) - math.sqrt(8))  # rows to the summit x sqrt(fall), see first_alphas
+_FAINT = f4(-9)  # log2 of an alpha that is less than ALPHA_MIN, whatever the rounding
+_SPAN = f4(math.sqrt(124) - 3)
 CHECK = 16  # items between two looks at which rows are finished
 AHEAD = 6  # items between asking for a Gaussian's row and using it
 
@@ -121,20 +123,37 @@ def next_run(todo: int, longest: int) -> tuple[int, int, int]:
 
 
 @inlined
-def first_alphas(placed: Any, row: Any) -> tuple[Any, Any]:
+def first_alphas(placed: Any, lean: Any, row: int, count: int) -> tuple[Any, Any]:
     """Alpha in a row of the tile, and the factor that makes it alpha in the row below.
 
     log2(alpha) is a parabola in dy: from row to row the logarithm of that factor falls by the same,
-    so two multiplications give what an exponential would. Where alpha is below 2^-100 it is set
-    to 0 and stays so; a lane that reaches 1/255 within `longest_run` rows is above: there the
-    parabola is at most sqrt(8 / fall) rows away from its summit.
+    so two multiplications give what an exponential would. Lanes that stay below 1/255 in all of the
+    `count` rows get 0. In the others no number leaves the normal range of float32 (one below would
+    take a hundred times as long) if count is at most `longest_run`. lean: B / C.
     """
     dx, dy0, slant, shear, fall, peak = placed
-    dy = dy0 + splat(row)
-    power = fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
-    change = fma(shear, dx, fma(fall + fall, dy, fall))
-    alpha = select(greater(power, splat(_FAINTEST)), exp2(power), zeros())
-    return alpha, exp2(minimum(change, splat(-_FAINTEST)))
+    dy = dy0 + splat(f4(row))
+    summit = minimum(maximum(neg(lean * dx), dy), dy + splat(f4(count - 1)))
+    seen = greater(log_alpha(dx, summit, slant, shear, fall, peak), splat(_FAINT))
+    alpha = exp2(log_alpha(dx, dy, slant, shear, fall, peak))
+    ratio = exp2(fma(shear, dx, fma(fall + fall, dy, fall)))
+    return select(seen, alpha, zeros()), select(seen, ratio, zeros())
+
+
+@inlined
+def log_alpha(dx: Any, dy: Any, slant: Any, shear: Any, fall: Any, peak: Any) -> Any:
+    """log2(alpha) at (dx, dy) from the mean."""
+    return fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
+
+
+@inlined
+def longest_run(fall: Any) -> Any:
+    """How many rows may follow `first_alphas`, as float32.
+
+    Where a parabola -fall x^2 reaches -9 in one of n rows, it is above -(3 + n sqrt(fall))^2 in all
+    of them and in the row below, and stays above -124.
+    """
+    return floor(minimum(_SPAN / math.sqrt(-fall), splat(f4(16))))
 
 
 @inlined
