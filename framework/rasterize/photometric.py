@@ -31,6 +31,7 @@ ZERO, ONE, TWO = f4(0), f4(1), f4(2)
 
 
 CHUNK, REACH = 16, 10  # rows that a band advances by; rows that a window of 11 reaches back
+STRIP = 8 * LANES  # columns
 BANDS = 12  # blocks of a parallel call: whole bands of each of three channels
 
 
@@ -104,22 +105,35 @@ def _keep_last(rows: Any, count: int) -> None:
 
 
 @kernel
+def _down(rows: Any, count: int, windows: Any) -> None:
+    """Vertical blurs: row i of the three planes of `windows` from rows i ... i + 10 of `rows`, by
+    strips of columns that stay in the first cache."""
+    source, target, wide = rows.reshape(-1), windows.reshape(-1), rows.shape[2]
+    for k in range(3):
+        for left in range(0, wide, STRIP):
+            for i in range(count):
+                at, to = (k * rows.shape[1] + i) * wide, (k * windows.shape[1] + i) * wide
+                for x in range(left, min(left + STRIP, wide), LANES):
+                    store(target, to + x, _window(source, at + x, wide))
+
+
+@kernel
 def _ssim_row(
     blurred: Any, i: int, mean: Any, variance: Any, values: Any, padded: Any, width: int
 ) -> None:
-    """SSIM of a row into `values`, its partial derivatives into `padded`; rows i ... i + 10 of
-    `blurred` are around it, mean and variance are the target's."""
+    """SSIM of a row into `values`, its partial derivatives into `padded`; row i of `blurred` are
+    its blurs, mean and variance are the target's."""
     flat, wide = blurred.reshape(-1), blurred.shape[2]
     plane = blurred.shape[1] * wide
     p0, p1, p2 = padded[0], padded[1], padded[2]
     for x in range(0, wide, LANES):
         at = i * wide + x
-        m1, m2 = _window(flat, at, wide), load(mean, x)
+        m1, m2 = load(flat, at), load(mean, x)
         cross, square = m1 * m2, m1 * m1
         top_l = fma(splat(TWO), cross, splat(_C1))
-        top_r = fma(splat(TWO), _window(flat, at + 2 * plane, wide) - cross, splat(_C2))
+        top_r = fma(splat(TWO), load(flat, at + 2 * plane) - cross, splat(_C2))
         over_l = ONE / (fma(m2, m2, square) + _C1)
-        over_r = ONE / (_window(flat, at + plane, wide) - square + load(variance, x) + _C2)
+        over_r = ONE / (load(flat, at + plane) - square + load(variance, x) + _C2)
         d_top_l, d_top_r = top_r * (over_l * over_r), top_l * (over_l * over_r)
         value = top_l * d_top_l
         store(values, x, value)
@@ -140,6 +154,7 @@ def _partial_rows(
     own: Any,
     target: Any,
     width: int,
+    windows: Any,
     derived: Any,
     values: Any,
     partials: Any,
@@ -148,34 +163,28 @@ def _partial_rows(
 ) -> None:
     """Partial derivatives of rows first ... first + count - 1, horizontally blurred into `partials`
     from row `to` on, and SSIM summed per row, of the band's own rows alone. target: its mean and
-    variance [H, S]. derived, values: scratch."""
+    variance [H, S]. windows, derived, values: scratch."""
     mean, variance = target
+    _down(blurred, count, windows)
     for i in range(count):
         y = first + i
         if y < 0 or y >= len(mean):
             partials[:, to + i] = ZERO
             continue
-        _ssim_row(blurred, i, mean[y], variance[y], values, derived, width)
+        _ssim_row(windows, i, mean[y], variance[y], values, derived, width)
         if y >= own[0] and y < own[1]:
             sums[y] = _sum(values)
         _across(derived, partials, to + i)
 
 
 @kernel
-def _gradient_row(
-    partials: Any, i: int, near: Any, pulls: Any, windows: Any, values: Any, gradient: Any
-) -> None:
-    """|mask a - b| of a row into `values`, and its gradient; rows i ... i + 10 of `partials` are
-    around it. near: the row of a, b and mask; pulls: of L1 and of SSIM."""
+def _gradient_row(windows: Any, i: int, near: Any, pulls: Any, values: Any, gradient: Any) -> None:
+    """|mask a - b| of a row into `values`, and its gradient; row i of `windows` are the blurs of
+    its partial derivatives. near: the row of a, b and mask; pulls: of L1 and of SSIM."""
     a, b, mask = near
     keep, pull = pulls
-    flat, wide, width = partials.reshape(-1), partials.shape[2], len(a)
-    mu, q, r = windows[0], windows[1], windows[2]
-    for k in range(3):
-        at = (k * partials.shape[1] + i) * wide
-        for x in range(0, wide, LANES):
-            store(windows[k], x, _window(flat, at + x, wide))
-    for x in range(width):
+    mu, q, r = windows[0, i], windows[1, i], windows[2, i]
+    for x in range(len(a)):
         value = a[x] * mask[x]
         difference = value - b[x]
         values[x] = abs(difference)
@@ -237,7 +246,7 @@ def loss_and_gradient(
     partials = np.empty((3, CHUNK + REACH, wide), np.float32)
     padded = np.zeros((3, wide + LANES), np.float32)  # of the image
     derived = np.zeros((3, wide + LANES), np.float32)  # of the partials
-    windows, values = np.empty((3, wide), np.float32), np.zeros(wide, np.float32)
+    windows, values = np.empty((3, CHUNK, wide), np.float32), np.zeros(wide, np.float32)
     pulls = ((ONE - ssim_weight) * scale, ssim_weight * scale)
     start, end = channels * height * block // blocks, channels * height * (block + 1) // blocks
     while start < end:
@@ -250,13 +259,25 @@ def loss_and_gradient(
         n, y, to = REACH, y0 - REACH, 0
         while True:
             _partial_rows(
-                blurred, y + 5, n, (y0, y1), of_target, width, derived, values, partials, to, ssim
+                blurred,
+                y + 5,
+                n,
+                (y0, y1),
+                of_target,
+                width,
+                windows,
+                derived,
+                values,
+                partials,
+                to,
+                ssim,
             )
             _keep_last(blurred, n)
             if to > 0:
+                _down(partials, n, windows)
                 for i in range(n):
                     near = (image[y + i], target[y + i], mask[y + i])
-                    _gradient_row(partials, i, near, pulls, windows, values, out[y + i])
+                    _gradient_row(windows, i, near, pulls, values, out[y + i])
                     l1_sums[c, y + i] = _sum(values)
                 _keep_last(partials, n)
             y, to = y + n, REACH
