@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
@@ -33,26 +33,33 @@ def threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run_blocks(kernel: Callable[..., Any], *args: Any, blocks: int = BLOCKS) -> None:
-    """Call `kernel(block, blocks, *args)` for every block; returns when all are done.
+def run_blocks(
+    kernel: Callable[..., Any],
+    *args: Any,
+    blocks: int = BLOCKS,
+    own: Sequence[tuple[Any, ...]] = (),
+) -> None:
+    """Call `kernel(block, blocks, *own[thread], *args)` for every block; returns when all are done.
 
-    Threads take the next block when they finish one; the caller is one of them. Raises whatever a
-    block raised. The pool is rebuilt after a fork or a change of thread count.
+    Threads take the next block when they finish one; the caller is one of them. own: what every
+    thread has for itself, scratch of which nothing is left after a block; none: no such arguments.
+    Raises whatever a block raised. The pool is rebuilt after a fork or a change of thread count.
     """
     n = threads()
+    scratch = own or ((),) * n
     if n == 1:
         for block in range(blocks):
-            kernel(block, blocks, *args)
+            kernel(block, blocks, *scratch[0], *args)
         return
     numbers = itertools.count()  # its next() is atomic
 
-    def work() -> None:
+    def work(thread: int) -> None:
         while (block := next(numbers)) < blocks:
-            kernel(block, blocks, *args)
+            kernel(block, blocks, *scratch[thread], *args)
 
-    helpers = [_executor(n - 1).submit(work) for _ in range(n - 1)]
+    helpers = [_executor(n - 1).submit(work, thread) for thread in range(1, n)]
     try:
-        work()
+        work(0)
     finally:
         wait(helpers)  # nobody may still write when the caller's buffers are reused
     for helper in helpers:

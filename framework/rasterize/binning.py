@@ -4,6 +4,10 @@ Only the rows that the ellipse alpha >= 1/255 reaches inside a tile's columns ar
 blending loops need no test per row. A list item is two int32: (Gaussian << 8 | last row << 4 |
 first row) and the Gaussian's slot for this tile. Blocks are over the depth order; a tile's list is
 ordered by depth whatever the number of blocks.
+
+The image is cut into strips of whole columns of tiles, each of which one thread differentiates in a
+buffer of slots of its own, small enough for the cache. What a strip's slots hold of a Gaussian are
+consecutive there, and leave it as one sum: a part. A Gaussian's parts are consecutive among all.
 """
 
 from __future__ import annotations
@@ -14,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from framework.jit import inlined, kernel
-from framework.rasterize.simd import prefetch
+from framework.rasterize.simd import load, prefetch, store, zeros
 
+STRIPS = 16  # at most; fixed, so that no sum can depend on the thread count
 MAX_GAUSSIANS = 1 << 23  # what fits beside two rows in an int32
 
 _AHEAD = 8  # Gaussians between asking for one's row and using it
@@ -93,15 +98,20 @@ def count_tiles(
     start: Any,
     width: int,
     height: int,
+    strips: Any,
     items: Any,
     touched: Any,
+    parts: Any,
     histogram: Any,
+    strip_items: Any,
+    strip_parts: Any,
 ) -> None:
     """List the tiles of the Gaussian order[k], for the k of this block, into items[start[k]...] as
-    (tile << 8 | last row << 4 | first row); touched[order[k]] = how many; histogram[block, tile] is
-    the number of items."""
+    (tile << 8 | last row << 4 | first row); touched[order[k]] = how many, parts[order[k]] = in how
+    many strips; histogram[block, tile], strip_items[block, strip] and strip_parts[block, strip] are
+    the numbers of items and parts. strips: of every tile."""
     columns = (width + 15) // 16
-    histogram[block, :] = 0
+    histogram[block, :], strip_items[block, :], strip_parts[block, :] = 0, 0, 0
     flat = rows.reshape(-1)
     for k in range(n * block // blocks, n * (block + 1) // blocks):
         i = order[k]
@@ -112,7 +122,7 @@ def count_tiles(
         right = min(width - 1, int(math.floor(u + rx - HALF)))
         ellipse = (rx, ry, ONE / rx, row[15], -(row[5] + _LOG2_255) / row[4])
         summit = -HALF * row[3] / row[2] * ry  # dx of the ellipse's lowest point (largest dy)
-        at = start[k]
+        at, strip, n_parts = start[k], -1, 0
         for column in range(left // 16, right // 16 + 1):
             x0 = f4(column * 16) + HALF - u
             x1 = x0 + f4(15)
@@ -121,6 +131,11 @@ def count_tiles(
             bottom = min(height - 1, low)
             if top > bottom:
                 continue
+            if strips[column] != strip:
+                strip = strips[column]
+                strip_parts[block, strip] += 1
+                n_parts += 1
+            strip_items[block, strip] += bottom // 16 - top // 16 + 1
             for band in range(top // 16, bottom // 16 + 1):
                 tile = band * columns + column
                 first = max(0, top - band * 16)
@@ -128,27 +143,43 @@ def count_tiles(
                 items[at] = tile << 8 | last << 4 | first
                 histogram[block, tile] += 1
                 at += 1
-        touched[i] = at - start[k]
+        touched[i], parts[i] = at - start[k], n_parts
+
+
+@inlined
+def _places(counts: Any, offsets: Any) -> None:
+    """counts [block, list] becomes every block's first place in each of the lists, which follow one
+    another; offsets [lists + 1]: where they begin."""
+    place = 0
+    for i in range(counts.shape[1]):
+        offsets[i] = place
+        for block in range(counts.shape[0]):
+            count = counts[block, i]
+            counts[block, i] = place
+            place += count
+    offsets[counts.shape[1]] = place
 
 
 @kernel
-def prefix_tiles(touched: Any, first: Any, histogram: Any, offsets: Any) -> int:
-    """first [N+1]: a Gaussian's first slot; histogram becomes every block's first place in each
-    tile's list; offsets [tiles+1]: where a tile's list begins. Returns the number of items."""
+def prefix_tiles(
+    parts: Any, first: Any, histogram: Any, offsets: Any, lists: Any, bounds: Any, slots: Any
+) -> None:
+    """first [N + 1]: a Gaussian's first part; histogram, `lists` and `slots` (strip_parts and
+    strip_items of `count_tiles`) become every block's first place: in the tiles' lists and in the
+    strips' lists of parts, which begin at offsets and bounds, and among a strip's own slots."""
     total = 0
-    for i in range(len(touched)):
+    for i in range(len(parts)):
         first[i] = total
-        total += touched[i]
-    first[len(touched)] = total
-    place = 0
-    for tile in range(histogram.shape[1]):
-        offsets[tile] = place
-        for block in range(histogram.shape[0]):
-            count = histogram[block, tile]
-            histogram[block, tile] = place
+        total += parts[i]
+    first[len(parts)] = total
+    _places(histogram, offsets)
+    _places(lists, bounds)
+    for strip in range(slots.shape[1]):
+        place = 0
+        for block in range(slots.shape[0]):
+            count = slots[block, strip]
+            slots[block, strip] = place
             place += count
-    offsets[histogram.shape[1]] = place
-    return total
 
 
 @kernel
@@ -158,19 +189,43 @@ def fill_tiles(
     n: int,
     order: Any,
     start: Any,
+    strips: Any,
     items: Any,
+    touched: Any,
     first: Any,
     histogram: Any,
+    strip_items: Any,
+    strip_parts: Any,
     lists: Any,
+    parts: Any,
 ) -> None:
-    """Write this block's items into the tiles' lists [items, 2]."""
-    places = histogram[block]
+    """Write this block's items into the tiles' lists [items, 2], and its parts into the strips'
+    lists [parts, 2]: which part it is, and its first slot. At the end of the last block,
+    strip_items[-1] are the numbers of slots."""
+    places, slots, next_part = histogram[block], strip_items[block], strip_parts[block]
     for k in range(n * block // blocks, n * (block + 1) // blocks):
         i = order[k]
-        for j in range(first[i + 1] - first[i]):
-            item = items[start[k] + j]
+        strip, part = -1, first[i]
+        for j in range(start[k], start[k] + touched[i]):
+            item = items[j]
             tile = item >> 8
-            place = places[tile]
-            places[tile] = place + 1
-            lists[place, 0] = i << 8 | (item & 255)
-            lists[place, 1] = first[i] + j
+            if strips[tile] != strip:
+                strip = strips[tile]
+                place = next_part[strip]
+                next_part[strip] = place + 1
+                parts[place, 0], parts[place, 1] = part, slots[strip]
+                part += 1
+            place, slot = places[tile], slots[strip]
+            places[tile], slots[strip] = place + 1, slot + 1
+            lists[place, 0], lists[place, 1] = i << 8 | (item & 255), slot
+
+
+@inlined
+def gather(strip: int, bounds: Any, parts: Any, count: int, slots: Any, sums: Any) -> None:
+    """Sum a strip's slots (flat [count 16]) into its parts (flat [parts 16]), in their order."""
+    for k in range(bounds[strip], bounds[strip + 1]):
+        end = parts[k + 1, 1] if k + 1 < bounds[strip + 1] else count
+        total = zeros()
+        for j in range(parts[k, 1], end):
+            total = total + load(slots, j * 16)
+        store(sums, parts[k, 0] * 16, total)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from framework.jit import inlined, kernel
+from framework.rasterize.binning import gather
 from framework.rasterize.simd import (
     absolute,
     but_not,
@@ -213,22 +214,29 @@ def _slot_sums(
 def blend_backward(
     block: int,
     blocks: int,
+    slots: Any,
     width: int,
     height: int,
     rows: Any,
     offsets: Any,
     lists: Any,
+    strips: Any,
+    bounds: Any,
+    parts: Any,
+    n_slots: Any,
     rgb: Any,
     depth: Any,
     alpha: Any,
     g_rgb: Any,
     g_alpha: Any,
     g_depth: Any,
-    slots: Any,
+    sums: Any,
 ) -> None:
-    """Fill every (tile, Gaussian) slot [16] with the sums described in `project_backward`.
+    """Fill every (Gaussian, strip) part of strip `block` (flat [parts 16]) with the sums described
+    in `project_backward`; see `binning`.
 
-    slots is flat. g_alpha, g_depth: flat [H W], or both empty, for a loss of the colours alone.
+    slots: scratch, flat [at least n_slots[block] 16]. g_alpha, g_depth: flat [H W], or both empty,
+    for a loss of the colours alone.
     """
     colour_alone = len(g_alpha) == 0
     columns = (width + 15) // 16
@@ -246,7 +254,9 @@ def blend_backward(
     limits = blend_limits()
     flat = rows.reshape(-1)
     last = len(lists) - 1
-    for tile in range(block, len(offsets) - 1, blocks):
+    for tile in range(len(offsets) - 1):
+        if strips[tile] != block:
+            continue
         x, y = (tile % columns) * 16, (tile // columns) * 16
         clear_outside(transmittance, x, y, width, height)
         state[256:] = ZERO
@@ -263,5 +273,6 @@ def blend_backward(
             prefetch(flat, (lists[min(k + AHEAD, last), 0] >> 8) * 16)
             g, todo = item >> 8, listed_rows(item) & alive
             placed = seen_from(rows, g, x, y)
-            sums = _slot_sums(rows, g, placed, todo, limits, colour_alone, of_tile)
-            store(slots, slot, sums)
+            own = _slot_sums(rows, g, placed, todo, limits, colour_alone, of_tile)
+            store(slots, slot, own)
+    gather(block, bounds, parts, n_slots[block], slots, sums)

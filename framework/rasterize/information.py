@@ -141,12 +141,12 @@ def _columns(flat: Any, base: int, count: int, scratch: Any) -> Any:
 
 
 @inlined
-def _sums(first: Any, slots: Any, base: int, count: int, rows: Any, columns: Any) -> None:
-    """columns (flat [16, 16]): the sums of every Gaussian's slots in their order, a lane each."""
+def _sums(first: Any, parts: Any, base: int, count: int, rows: Any, columns: Any) -> None:
+    """columns (flat [16, 16]): the sums of every Gaussian's parts in their order, a lane each."""
     for lane in range(count):
         total = zeros()
         for j in range(first[base + lane], first[base + lane + 1]):
-            total = total + load(slots, j * LANES)
+            total = total + load(parts, j * LANES)
         store(rows, lane * LANES, total)
     found = load16(rows, 0)
     for k in range(LANES):
@@ -261,7 +261,7 @@ def pull_back_moments(
     rows: Any,
     clipped: Any,
     first: Any,
-    slots: Any,
+    parts: Any,
     slopes: Any,
     cross: Any,
     fisher: Any,
@@ -285,7 +285,7 @@ def pull_back_moments(
             fisher[base : base + count] = ZERO
             diagonal[base : base + count] = ZERO
             continue
-        _sums(first, slots, base, count, square, moments)
+        _sums(first, parts, base, count, square, moments)
         row = _columns(rows, base, count, square)
         screen_jacobian(
             camera,

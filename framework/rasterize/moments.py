@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from framework.jit import inlined, kernel
+from framework.rasterize.binning import gather
 from framework.rasterize.simd import (
     but_not,
     fma,
@@ -70,25 +71,31 @@ def _read_colours(x: int, y: int, width: int, height: int, rgb: Any, behind: Any
 def blend_moments(
     block: int,
     blocks: int,
+    slots: Any,
+    mixed: Any,
     width: int,
     height: int,
     rows: Any,
     offsets: Any,
     lists: Any,
+    strips: Any,
+    bounds: Any,
+    parts: Any,
+    n_slots: Any,
     rgb: Any,
-    slots: Any,
+    sums: Any,
     slopes: Any,
     cross: Any,
 ) -> None:
     """Second moments of the image's derivatives: the Fisher information in screen coordinates.
 
     With q = sum over channels of (alpha d C / d alpha)^2 and e = dy + (B / C) dx, the offset from
-    the line on which a needle lies (A, B, C: the conic), slot lanes 0-14 are the sums over pixels
-    of q times dx^i e^j, ordered 1; dx, e; dx^2, dx e, e^2; dx^3 ... e^3; dx^4 ... e^4, and lane 15
-    is the sum of weight^2 (the information on each colour channel). With dy in the place of e, what
-    a long thin Gaussian tells about its width would be lost in rounding.
+    the line on which a needle lies (A, B, C: the conic), lanes 0-14 of `sums` are those over
+    pixels of q times dx^i e^j, ordered 1; dx, e; dx^2, dx e, e^2; dx^3 ... e^3; dx^4 ... e^4, and
+    lane 15 is that of weight^2 (the information on each colour channel). With dy in the place of e,
+    what a long thin Gaussian tells about its width would be lost in rounding.
 
-    With view-dependent colour (`slopes` flat [N, 16], `cross` like slots; both else empty) lanes
+    With view-dependent colour (`slopes` flat [N, 16], `cross` like `sums`; both else empty) lanes
     0-4 of `cross` are the sums of r times dx, e, dx^2, dx e, e^2, where r is the sum over the
     channels of weight x slope x alpha d C / d alpha, slopes 0, 2, 4; lanes 5-9 with 1, 3, 5.
     """
@@ -104,7 +111,9 @@ def blend_moments(
     first, second = state[1024:1280], state[1280:]  # of the two sums r
     flat = rows.reshape(-1)
     last = len(lists) - 1
-    for tile in range(block, len(offsets) - 1, blocks):
+    for tile in range(len(offsets) - 1):
+        if strips[tile] != block:
+            continue
         x, y = (tile % columns) * 16, (tile // columns) * 16
         clear_outside(transmittance, x, y, width, height)
         state[256:] = ZERO
@@ -117,7 +126,7 @@ def blend_moments(
             if alive == 0:
                 store(slots, slot, zeros())
                 if directional:
-                    store(cross, slot, zeros())
+                    store(mixed, slot, zeros())
                 continue
             item = lists[k, 0]
             ahead = (lists[min(k + AHEAD, last), 0] >> 8) * 16
@@ -177,4 +186,7 @@ def blend_moments(
                 r0x, p0x = r0 * dx, p0 * dx
                 rs = (r0x, r1, r0x * dx, r1 * dx, r2)
                 ps = (p0x, p1, p0x * dx, p1 * dx, p2)
-                store(cross, slot, lane_sums(rs + ps))
+                store(mixed, slot, lane_sums(rs + ps))
+    gather(block, bounds, parts, n_slots[block], slots, sums)
+    if directional:
+        gather(block, bounds, parts, n_slots[block], mixed, cross)

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from framework.errors import UserError
-from framework.parallel import BLOCKS, run_blocks
+from framework.parallel import BLOCKS, run_blocks, threads
 from framework.rasterize import binning, blend, information, moments, projection
 from framework.rasterize.constants import ROW
 from framework.types import Camera
@@ -53,13 +54,18 @@ def camera_row(camera: Camera, near: float) -> np.ndarray:
     return np.array(row, np.float32)
 
 
-def _empty(shape: tuple[int, ...], dtype: type) -> np.ndarray:
+def _empty(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
     """Uninitialised and on a cache line, as `np.empty` is not: a row of 16 floats that lies across
     two lines makes the blending 1.2 times as slow (prefetched by halves, loaded twice)."""
     count = math.prod(shape) * np.dtype(dtype).itemsize
     buffer = np.empty(count + LINE, np.uint8)
     skip = -buffer.ctypes.data % LINE
     return buffer[skip : skip + count].view(dtype).reshape(shape)
+
+
+def _grown(buffer: np.ndarray, n: int) -> np.ndarray:
+    """The buffer itself, or one of at least n rows in its place."""
+    return buffer if len(buffer) >= n else _empty((n + n // 4, *buffer.shape[1:]), buffer.dtype)
 
 
 class Workspace:
@@ -69,13 +75,27 @@ class Workspace:
         self._capacity = -1
         self.items = np.empty(0, np.int32)
         self.lists = np.empty((0, 2), np.int32)
-        self.slots = np.empty((0, 16), np.float32)
+        self.parts = np.empty((0, 2), np.int32)
+        self.sums = np.empty((0, 16), np.float32)
         self.cross = np.empty((0, 16), np.float32)
         self.slopes = np.empty((0, 16), np.float32)
-        self.histogram = np.empty((BLOCKS, 0), np.int32)
-        self.offsets = np.empty(1, np.int32)
+        self.slots: list[np.ndarray] = []
+        self.mixed: list[np.ndarray] = []
+        self._tiles = (0, 0)
 
-    def _fit(self, n: int, n_tiles: int) -> None:
+    def _fit_image(self, columns: int, bands: int) -> None:
+        if self._tiles == (columns, bands):
+            return
+        self._tiles = columns, bands
+        n_strips = min(binning.STRIPS, columns)
+        self.strips = np.tile(np.arange(columns, dtype=np.int32) * n_strips // columns, bands)
+        self.histogram = np.empty((BLOCKS, columns * bands), np.int32)
+        self.offsets = np.empty(columns * bands + 1, np.int32)
+        self.strip_items = np.empty((BLOCKS, n_strips), np.int32)
+        self.strip_parts = np.empty((BLOCKS, n_strips), np.int32)
+        self.bounds = np.empty(n_strips + 1, np.int32)
+
+    def _fit(self, n: int) -> None:
         if n > binning.MAX_GAUSSIANS:
             raise UserError(
                 f"rasterize: expected at most {binning.MAX_GAUSSIANS} Gaussians, got {n}; lower"
@@ -88,15 +108,14 @@ class Workspace:
             self._clipped = np.empty(size, np.uint8)
             self._bound, self._start = np.empty(size, np.int32), np.empty(size + 1, np.int32)
             self._touched = np.zeros(size, np.int32)
+            self._n_parts = np.zeros(size, np.int32)
             self._first = np.empty(size + 1, np.int32)
             self._order = np.empty(size, np.int32)
             self._keys, self._spare = np.empty(size, np.uint64), np.empty(size, np.uint64)
-        if self.histogram.shape[1] != n_tiles:
-            self.histogram = np.empty((BLOCKS, n_tiles), np.int32)
-            self.offsets = np.empty(n_tiles + 1, np.int32)
         self.rows, self.clipped = self._rows[:n], self._clipped[:n]
         self.bound, self.start = self._bound[:n], self._start[: n + 1]
         self.touched, self.first = self._touched[:n], self._first[: n + 1]
+        self.n_parts = self._n_parts[:n]
         self.order, self.keys, self.spare = self._order[:n], self._keys[:n], self._spare[:n]
 
     def project(
@@ -106,8 +125,8 @@ class Workspace:
         self.arrays, self.degree, self.near = arrays, degree, near
         self.width, self.height = camera.width, camera.height
         self.camera = camera_row(camera, near)
-        columns, bands = (camera.width + 15) // 16, (camera.height + 15) // 16
-        self._fit(len(arrays.means), columns * bands)
+        self._fit_image((camera.width + 15) // 16, (camera.height + 15) // 16)
+        self._fit(len(arrays.means))
         run_blocks(
             projection.project,
             arrays.means.reshape(-1),
@@ -135,11 +154,11 @@ class Workspace:
         )
 
     def bin(self) -> None:
-        """The tiles' lists, front to back."""
+        """The tiles' lists, front to back, and the strips' lists of parts."""
         entries = int(self.start[self.n_visible])
         if len(self.items) < entries:
             self.items = np.empty(entries + entries // 4, np.int32)
-        self.touched[:] = 0
+        self.touched[:], self.n_parts[:] = 0, 0
         run_blocks(
             binning.count_tiles,
             self.n_visible,
@@ -148,22 +167,39 @@ class Workspace:
             self.start,
             self.width,
             self.height,
+            self.strips,
             self.items,
             self.touched,
+            self.n_parts,
             self.histogram,
+            self.strip_items,
+            self.strip_parts,
         )
-        self.n_items = binning.prefix_tiles(self.touched, self.first, self.histogram, self.offsets)
-        if len(self.lists) < self.n_items:
-            self.lists = _empty((self.n_items + self.n_items // 4, 2), np.int32)
+        binning.prefix_tiles(
+            self.n_parts,
+            self.first,
+            self.histogram,
+            self.offsets,
+            self.strip_parts,
+            self.bounds,
+            self.strip_items,
+        )
+        self.lists = _grown(self.lists, int(self.offsets[-1]))
+        self.parts = _grown(self.parts, int(self.bounds[-1]))
         run_blocks(
             binning.fill_tiles,
             self.n_visible,
             self.order,
             self.start,
+            self.strips,
             self.items,
+            self.touched,
             self.first,
             self.histogram,
+            self.strip_items,
+            self.strip_parts,
             self.lists,
+            self.parts,
         )
 
     def blend(self, background: np.ndarray, image: Image) -> None:
@@ -182,13 +218,16 @@ class Workspace:
             blocks=TILE_BLOCKS,
         )
 
-    def _fit_slots(self) -> np.ndarray:
-        if len(self.slots) < self.n_items:
-            self.slots = _empty((self.n_items + self.n_items // 4, 16), np.float32)
-        return self.slots
+    def _scratch(self, kept: list[np.ndarray], wanted: bool = True) -> list[np.ndarray]:
+        """Slots [of the fullest strip, 16] for every thread; none of them if not wanted."""
+        size = int(self.strip_items[-1].max()) if wanted else 0
+        kept[:] = [_grown(slots, size) for slots in kept[: threads()]]
+        kept += [_empty((size + size // 4, 16), np.float32) for _ in range(threads() - len(kept))]
+        return [slots.reshape(-1) for slots in kept]
 
     def blend_backward(self, image: Image, gradient: Image) -> None:
-        """Gradient in the image -> per (tile, Gaussian) sums in `slots`."""
+        """Gradient in the image -> per (Gaussian, strip) sums in `sums`."""
+        self.sums = _grown(self.sums, int(self.bounds[-1]))
         run_blocks(
             blend.blend_backward,
             self.width,
@@ -196,30 +235,35 @@ class Workspace:
             self.rows,
             self.offsets,
             self.lists,
+            self.strips,
+            self.bounds,
+            self.parts,
+            self.strip_items[-1],
             image.rgb.reshape(-1),
             image.depth.reshape(-1),
             image.alpha.reshape(-1),
             gradient.rgb.reshape(-1),
             gradient.alpha.reshape(-1),
             gradient.depth.reshape(-1),
-            self._fit_slots().reshape(-1),
-            blocks=TILE_BLOCKS,
+            self.sums.reshape(-1),
+            blocks=len(self.bounds) - 1,
+            own=[(slots,) for slots in self._scratch(self.slots)],
         )
 
     def _direction_buffers(self) -> tuple[np.ndarray, np.ndarray]:
         """slopes and cross of `moments.blend_moments`; empty at SH degree 0."""
         if self.degree == 0:
             return self.slopes[:0], self.cross[:0]
-        if len(self.slopes) < len(self.rows):
-            self.slopes = _empty((len(self._rows), 16), np.float32)
-        if len(self.cross) < self.n_items:
-            self.cross = _empty((self.n_items + self.n_items // 4, 16), np.float32)
+        self.slopes = _grown(self.slopes, len(self.rows))
+        self.cross = _grown(self.cross, int(self.bounds[-1]))
         return self.slopes, self.cross
 
     def blend_moments(self, image: Image) -> None:
-        """Second moments of the image's derivatives -> `slots`, and with view-dependent colour
+        """Second moments of the image's derivatives -> `sums`, and with view-dependent colour
         `slopes` and `cross`; see `moments.blend_moments` and `information`."""
+        self.sums = _grown(self.sums, int(self.bounds[-1]))
         slopes, cross = self._direction_buffers()
+        mixed = self._scratch(self.mixed, wanted=self.degree > 0)
         if self.degree > 0:
             arrays = self.arrays
             run_blocks(
@@ -238,15 +282,20 @@ class Workspace:
             self.rows,
             self.offsets,
             self.lists,
+            self.strips,
+            self.bounds,
+            self.parts,
+            self.strip_items[-1],
             image.rgb.reshape(-1),
-            self._fit_slots().reshape(-1),
+            self.sums.reshape(-1),
             slopes.reshape(-1),
             cross.reshape(-1),
-            blocks=TILE_BLOCKS,
+            blocks=len(self.bounds) - 1,
+            own=list(zip(self._scratch(self.slots), mixed, strict=True)),
         )
 
     def project_backward(self, gradient: Arrays) -> None:
-        """Sums in `slots` -> gradients of every parameter (all of `gradient` is overwritten)."""
+        """Sums in `sums` -> gradients of every parameter (all of `gradient` is overwritten)."""
         arrays = self.arrays
         run_blocks(
             projection.project_backward,
@@ -261,7 +310,7 @@ class Workspace:
             self.rows.reshape(-1),
             self.clipped,
             self.first,
-            self.slots.reshape(-1),
+            self.sums.reshape(-1),
             gradient.means.reshape(-1),
             gradient.quats.reshape(-1),
             gradient.log_scales.reshape(-1),
@@ -273,7 +322,7 @@ class Workspace:
         )
 
     def information(self, block: np.ndarray, diagonal: np.ndarray) -> None:
-        """Moments in `slots` -> Fisher block [N, 6, 6] and diagonal [N, 14]; see `information`."""
+        """Moments in `sums` -> Fisher block [N, 6, 6] and diagonal [N, 14]; see `information`."""
         arrays = self.arrays
         slopes, cross = self._direction_buffers()
         run_blocks(
@@ -286,7 +335,7 @@ class Workspace:
             self.rows.reshape(-1),
             self.clipped,
             self.first,
-            self.slots.reshape(-1),
+            self.sums.reshape(-1),
             slopes.reshape(-1),
             cross.reshape(-1),
             block,

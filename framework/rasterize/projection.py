@@ -229,14 +229,14 @@ def project(
 
 
 @inlined
-def _sum_slots(first: Any, slots: Any, base: int, count: int, total: Any) -> int:
-    """The sums of every Gaussian's slots, in their order, into total (flat [16 16]), row 15 of
-    which counts them; returns the number of slots."""
+def _sum_parts(first: Any, parts: Any, base: int, count: int, total: Any) -> int:
+    """The sums of every Gaussian's parts, in their order, into total (flat [16 16]), row 15 of
+    which counts them; returns the number of parts."""
     for lane in range(count):
         begin, end = first[base + lane], first[base + lane + 1]
         sums = zeros()
         for j in range(begin, end):
-            sums = sums + load(slots, j * LANES)
+            sums = sums + load(parts, j * LANES)
         store(total, lane * LANES, sums)
         total[lane * LANES + 15] = f4(end - begin)
     return first[base + count] - first[base]
@@ -303,7 +303,7 @@ def project_backward(
     rows: Any,
     clipped: Any,
     first: Any,
-    slots: Any,
+    parts: Any,
     g_means: Any,
     g_quats: Any,
     g_log_scales: Any,
@@ -313,11 +313,11 @@ def project_backward(
     g_factors: Any,
     g_offset: Any,
 ) -> None:
-    """Sum every Gaussian's slots in their order, then pull the sums back to the parameters.
+    """Sum every Gaussian's parts in their order, then pull the sums back to the parameters.
 
-    Slot lanes: sums over pixels of a = (d loss / d alpha) alpha times 1, dx, dx^2, dy, dx dy, dy^2,
-    then of weight times d loss / d (r, g, b, depth); see `blend.blend_backward`. All but shN and
-    g_shN [M, K, 3] are flat.
+    Lanes of a part: sums over pixels of a = (d loss / d alpha) alpha times 1, dx, dx^2, dy, dx dy,
+    dy^2, then of weight times d loss / d (r, g, b, depth); see `blend.blend_backward`. All but shN
+    and g_shN [M, K, 3] are flat.
     """
     n = len(logits)
     scratch, total = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)
@@ -326,7 +326,7 @@ def project_backward(
     terms = (degree + 1) * (degree + 1) - 1
     for base in range(n * block // blocks, n * (block + 1) // blocks, LANES):
         count = min(LANES, n * (block + 1) // blocks - base)
-        if _sum_slots(first, slots, base, count, total) == 0:
+        if _sum_parts(first, parts, base, count, total) == 0:
             _zero(gradients, base, count)
             continue
         s = load16(total, 0)
