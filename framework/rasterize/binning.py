@@ -107,9 +107,9 @@ def count_tiles(
     strip_parts: Any,
 ) -> None:
     """List the tiles of the Gaussian order[k], for the k of this block, into items[start[k]...] as
-    (tile << 8 | last row << 4 | first row); touched[order[k]] = how many, parts[order[k]] = in how
-    many strips; histogram[block, tile], strip_items[block, strip] and strip_parts[block, strip] are
-    the numbers of items and parts. strips: of every tile."""
+    (tile << 9 | 256 where a part begins | last row << 4 | first row); touched[order[k]] = how many,
+    parts[order[k]] = in how many strips; histogram[block, tile], strip_items[block, strip] and
+    strip_parts[block, strip] are the numbers of items and parts. strips: of every tile."""
     columns = (width + 15) // 16
     histogram[block, :], strip_items[block, :], strip_parts[block, :] = 0, 0, 0
     flat = rows.reshape(-1)
@@ -131,8 +131,9 @@ def count_tiles(
             bottom = min(height - 1, low)
             if top > bottom:
                 continue
+            begins = 0
             if strips[column] != strip:
-                strip = strips[column]
+                strip, begins = strips[column], 256
                 strip_parts[block, strip] += 1
                 n_parts += 1
             strip_items[block, strip] += bottom // 16 - top // 16 + 1
@@ -140,8 +141,9 @@ def count_tiles(
                 tile = band * columns + column
                 first = max(0, top - band * 16)
                 last = min(15, bottom - band * 16)
-                items[at] = tile << 8 | last << 4 | first
+                items[at] = tile << 9 | begins | last << 4 | first
                 histogram[block, tile] += 1
+                begins = 0
                 at += 1
         touched[i], parts[i] = at - start[k], n_parts
 
@@ -203,21 +205,25 @@ def fill_tiles(
     lists [parts, 2]: which part it is, and its first slot. At the end of the last block,
     strip_items[-1] are the numbers of slots."""
     places, slots, next_part = histogram[block], strip_items[block], strip_parts[block]
+    flat, flat_parts = lists.reshape(-1), parts.reshape(-1)
     for k in range(n * block // blocks, n * (block + 1) // blocks):
         i = order[k]
-        strip, part = -1, first[i]
+        strip, slot, part = 0, slots[0], first[i]  # the first item begins a part
         for j in range(start[k], start[k] + touched[i]):
             item = items[j]
-            tile = item >> 8
-            if strips[tile] != strip:
+            tile = item >> 9
+            if item & 256:
+                slots[strip] = slot
                 strip = strips[tile]
-                place = next_part[strip]
+                slot, place = slots[strip], next_part[strip]
                 next_part[strip] = place + 1
-                parts[place, 0], parts[place, 1] = part, slots[strip]
+                flat_parts[2 * place], flat_parts[2 * place + 1] = part, slot
                 part += 1
-            place, slot = places[tile], slots[strip]
-            places[tile], slots[strip] = place + 1, slot + 1
-            lists[place, 0], lists[place, 1] = i << 8 | (item & 255), slot
+            place = places[tile]
+            places[tile] = place + 1
+            flat[2 * place], flat[2 * place + 1] = i << 8 | (item & 255), slot
+            slot += 1
+        slots[strip] = slot
 
 
 @inlined
