@@ -29,6 +29,14 @@ def _copy(source: Any, at: int, target: Any, place: int, n: int) -> None:
 
 
 @inlined
+def span(n: int, block: int, blocks: int) -> tuple[int, int]:
+    """Which of n Gaussians a block has: whole chunks, as a vector that does not begin on a cache
+    line is loaded in two halves."""
+    chunks = (n + LANES - 1) // LANES
+    return chunks * block // blocks * LANES, min(n, chunks * (block + 1) // blocks * LANES)
+
+
+@inlined
 def take1(flat: Any, base: int, count: int, scratch: Any) -> Any:
     """A vector of one number per Gaussian."""
     if count == LANES:

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from framework.jit import inlined, kernel
-from framework.rasterize.chunks import take1, take3, take4
+from framework.rasterize.chunks import span, take1, take3, take4
 from framework.rasterize.ewa import conic_of, exp
 from framework.rasterize.harmonics import Y0, basis_gradient, direction
 from framework.rasterize.jacobian import PARAMETERS, screen_jacobian
@@ -84,8 +84,9 @@ def colour_slopes(
     n = len(means) // 3
     terms = (degree + 1) * (degree + 1) - 1
     scratch, sh = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)
-    for base in range(n * block // blocks, n * (block + 1) // blocks, LANES):
-        count = min(LANES, n * (block + 1) // blocks - base)
+    start, end = span(n, block, blocks)
+    for base in range(start, end, LANES):
+        count = min(LANES, end - base)
         x, y, z, inverse = direction(camera, take3(means, base, count, scratch))
         e = _tangents(x, y, z)
         tail = (*e, zeros(), zeros(), zeros(), zeros())
@@ -279,8 +280,9 @@ def pull_back_moments(
     image, h = np.empty(5 * LANES, np.float32), np.empty(12 * LANES, np.float32)
     values, turns = np.empty(36 * LANES, np.float32), np.empty(4 * LANES, np.float32)
     transparency = np.empty(LANES, np.float32)
-    for base in range(n * block // blocks, n * (block + 1) // blocks, LANES):
-        count = min(LANES, n * (block + 1) // blocks - base)
+    start, end = span(n, block, blocks)
+    for base in range(start, end, LANES):
+        count = min(LANES, end - base)
         if first[base] == first[base + count]:
             fisher[base : base + count] = ZERO
             diagonal[base : base + count] = ZERO

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from framework.jit import inlined, kernel
-from framework.rasterize.chunks import put1, put2, put3, put4, take1, take2, take3, take4
+from framework.rasterize.chunks import put1, put2, put3, put4, span, take1, take2, take3, take4
 from framework.rasterize.constants import ALPHA_MIN, FRUSTUM_MARGIN
 from framework.rasterize.ewa import (
     LOG2E,
@@ -197,8 +197,9 @@ def project(
     scratch, sh = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)
     w, h = f4(width), f4(height)
     whole, flags = np.empty(LANES, np.int32), np.empty(LANES, np.uint8)
-    for base in range(n * block // blocks, n * (block + 1) // blocks, LANES):
-        count = min(LANES, n * (block + 1) // blocks - base)
+    start, end = span(n, block, blocks)
+    for base in range(start, end, LANES):
+        count = min(LANES, end - base)
         mean = take3(means, base, count, scratch)
         x, y, z = to_camera(camera, mean)
         logit = take1(logits, base, count, scratch)
@@ -324,8 +325,9 @@ def project_backward(
     sh, flags = np.zeros((2, 256), np.float32), np.zeros((3, LANES), np.float32)
     gradients = (g_means, g_quats, g_log_scales, g_logits, g_sh0, g_shN, g_factors, g_offset)
     terms = (degree + 1) * (degree + 1) - 1
-    for base in range(n * block // blocks, n * (block + 1) // blocks, LANES):
-        count = min(LANES, n * (block + 1) // blocks - base)
+    start, end = span(n, block, blocks)
+    for base in range(start, end, LANES):
+        count = min(LANES, end - base)
         if _sum_parts(first, parts, base, count, total) == 0:
             _zero(gradients, base, count)
             continue
