@@ -375,7 +375,7 @@ _EXP2 = (0.00132647005, 0.00967151485, 0.0555073395, 0.240222424, 0.693147004, 1
 
 
 def _exp2(builder: Any, x: Any) -> Any:
-    bounded = builder.select(builder.fcmp_ordered(">", x, _constant(-100)), x, _constant(-100))
+    bounded = builder.select(builder.fcmp_ordered(">", x, _constant(-125)), x, _constant(-125))
     whole = _call(builder, "llvm.rint.v16f32", _vector, [bounded])
     fraction = builder.fsub(bounded, whole)
     power = _constant(_EXP2[0])
@@ -386,7 +386,7 @@ def _exp2(builder: Any, x: Any) -> Any:
     return builder.bitcast(builder.add(builder.bitcast(power, _ints), exponent), _vector)
 
 
-exp2 = _elementwise(1, V, _exp2)  # for x < 127; x below -100 gives 2^-100
+exp2 = _elementwise(1, V, _exp2)  # for x < 127; x below -125 gives 2^-125
 
 # log2(m) = s (c0 + c1 s^2 + ...), s = (m - 1) / (m + 1): the series of 2 artanh(s) / ln 2
 _LOG2 = tuple(2 / math.log(2) / (2 * k + 1) for k in range(5))

@@ -30,17 +30,24 @@ class Case:
     sh_degree: int
 
 
-def random_case(seed: int, n: int = 80, spread: float = 0.6, margin: float = 0.3) -> Case:
+def random_case(
+    seed: int,
+    n: int = 80,
+    spread: float = 0.6,
+    margin: float = 0.3,
+    size: tuple[int, int] | None = None,
+    footprint: float = 2.5,
+) -> Case:
     """Scene number `seed`: fx != fy, principal point off the centre, SH degree seed % 4.
 
-    spread: log-normal sigma of the footprint sizes, around 2.5 px. margin: means lie up to this
-    share of the image size outside it; one in ten is beyond the frustum or behind the camera.
+    spread: log-normal sigma of the footprint sizes, around `footprint` [px]. margin: means lie up
+    to this share of the image size outside it; one in ten is beyond the frustum or behind the
+    camera. size: (width, height); without, one of SIZES.
     """
     rng = stream(seed, "test-scene")
-    width, height = SIZES[seed % len(SIZES)]
+    width, height = size or SIZES[seed % len(SIZES)]
     camera = random_camera(rng, width, height)
-    size = np.array([width, height])
-    pixels = rng.uniform(-margin, 1 + margin, (n, 2)) * size
+    pixels = rng.uniform(-margin, 1 + margin, (n, 2)) * [width, height]
     z = rng.uniform(1.5, 6.0, n)
     z[rng.random(n) < 0.05] *= -1
     pixels[rng.random(n) < 0.05] *= 4
@@ -48,7 +55,7 @@ def random_case(seed: int, n: int = 80, spread: float = 0.6, margin: float = 0.3
     points = np.column_stack([(pixels - principal) / focal * z[:, None], z])
     viewmat = camera.viewmat.numpy()
     means = (points - viewmat[:3, 3]) @ viewmat[:3, :3]
-    sigma_px = 2.5 * np.exp(spread * rng.standard_normal((n, 3)))
+    sigma_px = footprint * np.exp(spread * rng.standard_normal((n, 3)))
     degree = seed % 4
     gaussians = Gaussians(
         means=_tensor(means),
@@ -68,6 +75,11 @@ def crowded_case(seed: int) -> Case:
     case = random_case(seed, n=500, spread=0.9)
     opaque = case.gaussians.replace(opacity_logits=case.gaussians.opacity_logits + 2.0)
     return replace(case, gaussians=opaque, factors=(case.factors > 0).float())
+
+
+def wide_case(seed: int) -> Case:
+    """An image of 21 columns of tiles: more than there are strips, which large ones span."""
+    return random_case(seed, n=150, spread=1.2, size=(330, 24), footprint=8.0)
 
 
 def random_camera(rng: np.random.Generator, width: int, height: int) -> Camera:

@@ -1,4 +1,4 @@
-"""The kernels (float32) against the reference (float64) on 20 random and 4 crowded scenes.
+"""The kernels (float32) against the reference (float64) on 20 random, 4 crowded and 2 wide scenes.
 
 Pixels that come within a relative BAND of a blending threshold are left out, in the image and in
 the loss whose gradient is compared: there the two may lawfully decide differently.
@@ -16,12 +16,13 @@ from framework.rasterize import rasterize
 from framework.rasterize.reference import cutoff_margin, project, rasterize_reference
 from framework.rng import stream
 from framework.types import Gaussians, Render
-from tests.numerics.scenes import Case, crowded_case, random_case
+from tests.numerics.scenes import Case, crowded_case, random_case, wide_case
 
 BAND = 1e-4  # float32 exponents here are off by up to about 1e-5
 IMAGE_TOLERANCE = 1e-5
 RANDOM = [random_case(seed) for seed in range(20)]
 CROWDED = [crowded_case(seed) for seed in range(100, 104)]
+WIDE = [wide_case(seed) for seed in (200, 201)]
 
 Rasterizer = Callable[..., Render]
 Inputs = dict[str, Tensor]
@@ -67,7 +68,7 @@ def _gradients(rasterizer: Rasterizer, case: Case, dtype: torch.dtype, used: Ten
     return {name: g.double() for name, g in gradients.items() if g is not None}
 
 
-@pytest.mark.parametrize("case", RANDOM + CROWDED)
+@pytest.mark.parametrize("case", RANDOM + CROWDED + WIDE)
 def test_images(case: Case) -> None:
     used = _off_cutoffs(case)
     kernel = _render(rasterize, case, _inputs(case, torch.float32))
@@ -81,7 +82,7 @@ def test_images(case: Case) -> None:
     torch.testing.assert_close(kernel.radii, exact.radii, rtol=1e-5, atol=1e-5)
 
 
-@pytest.mark.parametrize("case", RANDOM + CROWDED)
+@pytest.mark.parametrize("case", RANDOM + CROWDED + WIDE)
 def test_gradients(case: Case) -> None:
     used = _off_cutoffs(case)
     kernel = _gradients(rasterize, case, torch.float32, used)

@@ -1,0 +1,31 @@
+"""What `run_blocks` gives every block."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from framework.parallel import run_blocks, set_threads
+
+
+@pytest.fixture(params=[1, 3])
+def threads(request: pytest.FixtureRequest) -> Iterator[int]:
+    set_threads(request.param)
+    yield request.param
+    set_threads(0)
+
+
+def test_every_block_runs_once_and_no_two_threads_share_what_is_their_own(threads: int) -> None:
+    own: list[tuple[set[int]]] = [(set(),) for _ in range(threads)]
+    seen: list[int] = []
+
+    def kernel(block: int, blocks: int, mine: set[int], word: str) -> None:
+        assert (blocks, word) == (40, "word")
+        mine.add(threading.get_ident())
+        seen.append(block)
+
+    run_blocks(kernel, "word", blocks=40, own=own)
+    assert sorted(seen) == list(range(40))
+    assert all(len(mine) <= 1 for (mine,) in own)

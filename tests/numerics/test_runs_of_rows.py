@@ -1,0 +1,84 @@
+"""Alpha from row to row by multiplications (`tiles.first_alphas`), beside the exponential."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from framework.jit import kernel
+from framework.rasterize import Arrays, Workspace
+from framework.rasterize.constants import ALPHA_MIN
+from framework.rasterize.simd import splat, store
+from framework.rasterize.tiles import first_alphas, next_run, seen_from
+from framework.rng import stream
+from framework.types import Camera
+
+N = 3000
+TILES = ((0, 0), (16, 0), (0, 16), (16, 16))
+
+
+@kernel
+def _alphas(rows: Any, g: int, x: int, y: int, out: Any) -> int:
+    """Gaussian g in the tile at (x, y), into out (flat [16 16]); returns the longest run."""
+    placed = seen_from(rows, g, x, y)
+    bend, longest, lean = splat(rows[g, 13]), int(rows[g, 14]), splat(rows[g, 15])
+    todo = 65535
+    while todo != 0:
+        row, count, todo = next_run(todo, longest)
+        alpha, ratio = first_alphas(placed, lean, row, count)
+        for at in range(row * 16, (row + count) * 16, 16):
+            store(out, at, alpha)
+            alpha, ratio = alpha * ratio, ratio * bend
+    return longest
+
+
+def _projected() -> np.ndarray:
+    """Rows [N, 16] of Gaussians over 32x32 pixels: from a hundredth of a pixel to a hundred of them
+    long and wide, at all angles."""
+    rng = stream(0, "test-runs")
+    pixel = 1 / 100  # at depth 1
+    means = np.column_stack([rng.uniform(-0.2, 0.2, (N, 2)), np.ones(N)])
+    turn = rng.uniform(0, np.pi, N)
+    quats = np.column_stack([np.cos(turn / 2), 0 * turn, 0 * turn, np.sin(turn / 2)])
+    scales = np.log(10 ** rng.uniform(-2, 2, (N, 3)) * pixel)
+    shapes = (means, quats, scales, rng.uniform(-5, 6, N), np.zeros((N, 1, 3)))
+    arrays = [np.ascontiguousarray(values, np.float32) for values in shapes]
+    arrays += [
+        np.zeros((0, 0, 3), np.float32),
+        np.ones(N, np.float32),
+        np.zeros((N, 2), np.float32),
+    ]
+    K = torch.tensor([[100.0, 0, 16], [0, 100, 16], [0, 0, 1]])
+    work = Workspace()
+    work.project(Arrays(*arrays), Camera(torch.eye(4), K, 32, 32), 0, 0.01, np.empty(N, np.float32))
+    return work.rows[work.bound > 0]
+
+
+def _exact(row: np.ndarray, x: int, y: int) -> np.ndarray:
+    """[16, 16] of the same numbers in float64."""
+    u, v, a, b, c, peak = row[:6].astype(np.float64)
+    dx = x + np.arange(16) + 0.5 - u
+    dy = (y + np.arange(16) + 0.5 - v)[:, None]
+    return np.exp2(peak + a * dx * dx + b * dx * dy + c * dy * dy)
+
+
+def test_rows_of_any_gaussian_follow_the_exponential() -> None:
+    """Where a pixel blends, alpha is right; elsewhere it is too small to blend; and nowhere is it
+    below float32's normal range, where a multiplication takes a hundred times as long."""
+    rows, out = _projected(), np.empty(256, np.float32)
+    assert len(rows) > 2000
+    runs, blended = set(), 0
+    for g, row in enumerate(rows):
+        for x, y in TILES:
+            runs.add(_alphas(rows, g, x, y, out))
+            ours, exact = out.reshape(16, 16).astype(np.float64), _exact(row, x, y)
+            near = exact >= ALPHA_MIN
+            blended += near.sum()
+            # the exponent's terms cancel along needles: up to 540 in float32
+            np.testing.assert_allclose(ours[near], exact[near], rtol=1e-3)
+            assert (ours[~near] < ALPHA_MIN * (1 + 1e-3)).all()
+            assert ((ours == 0) | (ours >= np.finfo(np.float32).tiny)).all()
+    assert {5, 16} <= runs <= set(range(5, 17))  # from the narrowest, dilated, to the widest
+    assert blended > 100_000
