@@ -72,6 +72,19 @@ def depth_order(rows: Any, bound: Any, keys: Any, spare: Any, order: Any, start:
 
 
 @inlined
+def _ceil(x: Any) -> int:
+    """As math.ceil, which would call a function, for which all registers are saved."""
+    whole = int(x)
+    return whole + (x > f4(whole))
+
+
+@inlined
+def _floor(x: Any) -> int:
+    whole = int(x)
+    return whole - (x < f4(whole))
+
+
+@inlined
 def _edge(at: Any, x0: Any, x1: Any, ellipse: Any, sign: Any) -> Any:
     """dy of the ellipse's upper (sign -1) or lower branch where it is farthest from dy = 0 in the
     columns x0 ... x1 of dx; its extreme point lies at dx = at.
@@ -118,16 +131,16 @@ def count_tiles(
         prefetch(flat, order[min(k + _AHEAD, n - 1)] * 16)
         row = rows[i]
         u, v, rx, ry = row[0], row[1], row[10], row[11]
-        left = max(0, int(math.ceil(u - rx - HALF)))
-        right = min(width - 1, int(math.floor(u + rx - HALF)))
+        left = max(0, _ceil(u - rx - HALF))
+        right = min(width - 1, _floor(u + rx - HALF))
         ellipse = (rx, ry, ONE / rx, row[15], -(row[5] + _LOG2_255) / row[4])
         summit = -HALF * row[3] / row[2] * ry  # dx of the ellipse's lowest point (largest dy)
         at, strip, n_parts = start[k], -1, 0
         for column in range(left // 16, right // 16 + 1):
             x0 = f4(column * 16) + HALF - u
             x1 = x0 + f4(15)
-            top = max(0, int(math.ceil(v + _edge(-summit, x0, x1, ellipse, -ONE) - HALF)))
-            low = int(math.floor(v + _edge(summit, x0, x1, ellipse, ONE) - HALF))
+            top = max(0, _ceil(v + _edge(-summit, x0, x1, ellipse, -ONE) - HALF))
+            low = _floor(v + _edge(summit, x0, x1, ellipse, ONE) - HALF)
             bottom = min(height - 1, low)
             if top > bottom:
                 continue
