@@ -93,8 +93,6 @@ def _edge(at: Any, x0: Any, x1: Any, ellipse: Any, sign: Any) -> Any:
     c (dy + b/c dx)^2 = level (1 - (dx/rx)^2): nothing cancels.
     """
     rx, ry, over_rx, shear, height = ellipse
-    if x0 <= at and at <= x1:
-        return sign * ry
     dx = max(-rx, min(rx, max(x0, min(x1, at))))
     share = dx * over_rx
     root = math.sqrt(max(ZERO, height * (ONE - share * share)))
