@@ -151,9 +151,9 @@ def longest_run(fall: Any) -> Any:
     """How many rows may follow `first_alphas`, as float32.
 
     Where a parabola -fall x^2 reaches -9 in one of n rows, it is above -(3 + n sqrt(fall))^2 in all
-    of them and in the row below, and stays above -124.
+    of them and in the row below, and stays above -124. Not less than 5: the dilation bounds fall.
     """
-    return floor(minimum(_SPAN / math.sqrt(-fall), splat(f4(16))))
+    return maximum(floor(minimum(_SPAN / math.sqrt(-fall), splat(f4(16)))), splat(ONE))
 
 
 @inlined
