@@ -48,7 +48,7 @@ def fisher_information(
     work.blend_moments(image)
     block, diagonal = torch.empty(n, 6, 6), torch.empty(n, 14)
     work.information(block.numpy(), diagonal.numpy())
-    visible = torch.from_numpy(work.touched > 0)
+    visible = torch.from_numpy(work.n_parts > 0)
     give_back(work)
     return FisherInformation(block, diagonal, visible)
 

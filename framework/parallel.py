@@ -41,11 +41,13 @@ def run_blocks(
 ) -> None:
     """Call `kernel(block, blocks, *own[thread], *args)` for every block; returns when all are done.
 
-    Threads take the next block when they finish one; the caller is one of them. own: what every
-    thread has for itself, scratch of which nothing is left after a block; none: no such arguments.
+    Threads take the next block when they finish one; the caller is one of them. own: scratch that a
+    thread has for itself, of which nothing is left after a block; as many threads as there are of
+    it take part, at most. None: no such arguments.
     Raises whatever a block raised. The pool is rebuilt after a fork or a change of thread count.
     """
-    n = threads()
+    pool = threads()
+    n = min(pool, len(own)) if own else pool
     scratch = own or ((),) * n
     if n == 1:
         for block in range(blocks):
@@ -57,7 +59,7 @@ def run_blocks(
         while (block := next(numbers)) < blocks:
             kernel(block, blocks, *scratch[thread], *args)
 
-    helpers = [_executor(n - 1).submit(work, thread) for thread in range(1, n)]
+    helpers = [_executor(pool - 1).submit(work, thread) for thread in range(1, n)]
     try:
         work(0)
     finally:

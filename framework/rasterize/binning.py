@@ -2,12 +2,13 @@
 
 Only the rows that the ellipse alpha >= 1/255 reaches inside a tile's columns are listed, so the
 blending loops need no test per row. A list item is two int32: (Gaussian << 8 | last row << 4 |
-first row) and the Gaussian's slot for this tile. Blocks are over the depth order; a tile's list is
-ordered by depth whatever the number of blocks.
+first row) and the Gaussian's slot for this tile among those of the tile's strip. Blocks are over
+the depth order; a tile's list is ordered by depth whatever the number of blocks.
 
 The image is cut into strips of whole columns of tiles, each of which one thread differentiates in a
 buffer of slots of its own, small enough for the cache. What a strip's slots hold of a Gaussian are
 consecutive there, and leave it as one sum: a part. A Gaussian's parts are consecutive among all.
+More threads than strips have nothing to do then.
 """
 
 from __future__ import annotations
@@ -31,9 +32,11 @@ _LOG2_255 = f4(math.log2(255))
 
 
 @kernel
-def depth_order(rows: Any, bound: Any, keys: Any, spare: Any, order: Any, start: Any) -> int:
+def depth_order(
+    rows: Any, bound: Any, keys: Any, spare: Any, order: Any, start: Any
+) -> tuple[int, int]:
     """Indices of the visible Gaussians (bound > 0) by depth into order[:n]; start[:n + 1] = prefix
-    sums of bound in that order. Returns n.
+    sums of bound in that order. Returns n and the sum, which start can hold if it is below 2^31.
 
     Stable radix sort of the float bits (depths are positive); keys and spare are uint64 scratch of
     the same length: a key beside its index is read in sequence, where the row would be a miss.
@@ -68,7 +71,7 @@ def depth_order(rows: Any, bound: Any, keys: Any, spare: Any, order: Any, start:
         start[k] = total
         total += bound[i]
     start[n] = total
-    return n
+    return n, total
 
 
 @inlined
@@ -112,14 +115,14 @@ def count_tiles(
     strips: Any,
     items: Any,
     touched: Any,
-    parts: Any,
+    n_parts: Any,
     histogram: Any,
     strip_items: Any,
     strip_parts: Any,
 ) -> None:
     """List the tiles of the Gaussian order[k], for the k of this block, into items[start[k]...] as
-    (tile << 9 | 256 where a part begins | last row << 4 | first row); touched[order[k]] = how many,
-    parts[order[k]] = in how many strips; histogram[block, tile], strip_items[block, strip] and
+    (tile << 9 | 256 where a part begins | last row << 4 | first row); touched[k] = how many,
+    n_parts[order[k]] = in how many strips; histogram[block, tile], strip_items[block, strip] and
     strip_parts[block, strip] are the numbers of items and parts. strips: of every tile."""
     columns = (width + 15) // 16
     histogram[block, :], strip_items[block, :], strip_parts[block, :] = 0, 0, 0
@@ -133,7 +136,7 @@ def count_tiles(
         right = min(width - 1, _floor(u + rx - HALF))
         ellipse = (rx, ry, ONE / rx, row[15], -(row[5] + _LOG2_255) / row[4])
         summit = -HALF * row[3] / row[2] * ry  # dx of the ellipse's lowest point (largest dy)
-        at, strip, n_parts = start[k], -1, 0
+        at, strip, count = start[k], -1, 0
         for column in range(left // 16, right // 16 + 1):
             x0 = f4(column * 16) + HALF - u
             x1 = x0 + f4(15)
@@ -146,7 +149,7 @@ def count_tiles(
             if strips[column] != strip:
                 strip, begins = strips[column], 256
                 strip_parts[block, strip] += 1
-                n_parts += 1
+                count += 1
             strip_items[block, strip] += bottom // 16 - top // 16 + 1
             for band in range(top // 16, bottom // 16 + 1):
                 tile = band * columns + column
@@ -156,7 +159,7 @@ def count_tiles(
                 histogram[block, tile] += 1
                 begins = 0
                 at += 1
-        touched[i], parts[i] = at - start[k], n_parts
+        touched[k], n_parts[i] = at - start[k], count
 
 
 @inlined
@@ -175,24 +178,32 @@ def _places(counts: Any, offsets: Any) -> None:
 
 @kernel
 def prefix_tiles(
-    parts: Any, first: Any, histogram: Any, offsets: Any, lists: Any, bounds: Any, slots: Any
+    n_parts: Any,
+    first: Any,
+    histogram: Any,
+    offsets: Any,
+    strip_parts: Any,
+    bounds: Any,
+    strip_items: Any,
+    n_slots: Any,
 ) -> None:
-    """first [N + 1]: a Gaussian's first part; histogram, `lists` and `slots` (strip_parts and
-    strip_items of `count_tiles`) become every block's first place: in the tiles' lists and in the
-    strips' lists of parts, which begin at offsets and bounds, and among a strip's own slots."""
+    """first [N + 1]: a Gaussian's first part; histogram, strip_parts and strip_items become every
+    block's first place: in the tiles' lists, which begin at offsets, in the strips' lists of parts,
+    which begin at bounds, and among a strip's own slots, of which there are n_slots."""
     total = 0
-    for i in range(len(parts)):
+    for i in range(len(n_parts)):
         first[i] = total
-        total += parts[i]
-    first[len(parts)] = total
+        total += n_parts[i]
+    first[len(n_parts)] = total
     _places(histogram, offsets)
-    _places(lists, bounds)
-    for strip in range(slots.shape[1]):
+    _places(strip_parts, bounds)
+    for strip in range(strip_items.shape[1]):
         place = 0
-        for block in range(slots.shape[0]):
-            count = slots[block, strip]
-            slots[block, strip] = place
+        for block in range(strip_items.shape[0]):
+            count = strip_items[block, strip]
+            strip_items[block, strip] = place
             place += count
+        n_slots[strip] = place
 
 
 @kernel
@@ -213,20 +224,19 @@ def fill_tiles(
     parts: Any,
 ) -> None:
     """Write this block's items into the tiles' lists [items, 2], and its parts into the strips'
-    lists [parts, 2]: which part it is, and its first slot. At the end of the last block,
-    strip_items[-1] are the numbers of slots."""
-    places, slots, next_part = histogram[block], strip_items[block], strip_parts[block]
+    lists [parts, 2]: which part it is, and its first slot."""
+    places, next_slot, next_part = histogram[block], strip_items[block], strip_parts[block]
     flat, flat_parts = lists.reshape(-1), parts.reshape(-1)
     for k in range(n * block // blocks, n * (block + 1) // blocks):
         i = order[k]
-        strip, slot, part = 0, slots[0], first[i]  # the first item begins a part
-        for j in range(start[k], start[k] + touched[i]):
+        strip, slot, part = 0, next_slot[0], first[i]  # the first item begins a part
+        for j in range(start[k], start[k] + touched[k]):
             item = items[j]
             tile = item >> 9
             if item & 256:
-                slots[strip] = slot
+                next_slot[strip] = slot
                 strip = strips[tile]
-                slot, place = slots[strip], next_part[strip]
+                slot, place = next_slot[strip], next_part[strip]
                 next_part[strip] = place + 1
                 flat_parts[2 * place], flat_parts[2 * place + 1] = part, slot
                 part += 1
@@ -234,7 +244,7 @@ def fill_tiles(
             places[tile] = place + 1
             flat[2 * place], flat[2 * place + 1] = i << 8 | (item & 255), slot
             slot += 1
-        slots[strip] = slot
+        next_slot[strip] = slot
 
 
 @inlined

@@ -142,12 +142,12 @@ def _columns(flat: Any, base: int, count: int, scratch: Any) -> Any:
 
 
 @inlined
-def _sums(first: Any, parts: Any, base: int, count: int, rows: Any, columns: Any) -> None:
-    """columns (flat [16, 16]): the sums of every Gaussian's parts in their order, a lane each."""
+def _sums(first: Any, sums: Any, base: int, count: int, rows: Any, columns: Any) -> None:
+    """columns (flat [16, 16]): the sum of every Gaussian's parts in their order, a lane each."""
     for lane in range(count):
         total = zeros()
         for j in range(first[base + lane], first[base + lane + 1]):
-            total = total + load(parts, j * LANES)
+            total = total + load(sums, j * LANES)
         store(rows, lane * LANES, total)
     found = load16(rows, 0)
     for k in range(LANES):
@@ -262,7 +262,7 @@ def pull_back_moments(
     rows: Any,
     clipped: Any,
     first: Any,
-    parts: Any,
+    sums: Any,
     slopes: Any,
     cross: Any,
     fisher: Any,
@@ -287,7 +287,7 @@ def pull_back_moments(
             fisher[base : base + count] = ZERO
             diagonal[base : base + count] = ZERO
             continue
-        _sums(first, parts, base, count, square, moments)
+        _sums(first, sums, base, count, square, moments)
         row = _columns(rows, base, count, square)
         screen_jacobian(
             camera,

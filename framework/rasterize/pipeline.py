@@ -69,7 +69,7 @@ def _grown(buffer: np.ndarray, n: int) -> np.ndarray:
 
 
 class Workspace:
-    """Buffers for renders of up to some number of Gaussians and tile entries; they only grow."""
+    """Buffers for renders of up to some number of Gaussians and tile entries."""
 
     def __init__(self) -> None:
         self._capacity = -1
@@ -94,6 +94,7 @@ class Workspace:
         self.strip_items = np.empty((BLOCKS, n_strips), np.int32)
         self.strip_parts = np.empty((BLOCKS, n_strips), np.int32)
         self.bounds = np.empty(n_strips + 1, np.int32)
+        self.n_slots = np.empty(n_strips, np.int32)
 
     def _fit(self, n: int) -> None:
         if n > binning.MAX_GAUSSIANS:
@@ -107,8 +108,7 @@ class Workspace:
             self._rows = _empty((size, ROW), np.float32)
             self._clipped = np.empty(size, np.uint8)
             self._bound, self._start = np.empty(size, np.int32), np.empty(size + 1, np.int32)
-            self._touched = np.zeros(size, np.int32)
-            self._n_parts = np.zeros(size, np.int32)
+            self._touched, self._n_parts = np.empty(size, np.int32), np.empty(size, np.int32)
             self._first = np.empty(size + 1, np.int32)
             self._order = np.empty(size, np.int32)
             self._keys, self._spare = np.empty(size, np.uint64), np.empty(size, np.uint64)
@@ -149,16 +149,22 @@ class Workspace:
 
     def sort(self) -> None:
         """Depth order of the visible Gaussians."""
-        self.n_visible = binning.depth_order(
+        self.n_visible, entries = binning.depth_order(
             self.rows, self.bound, self.keys, self.spare, self.order, self.start
         )
+        if entries > np.iinfo(np.int32).max:
+            raise UserError(
+                f"rasterize: expected Gaussians that cover at most 2147483647 tiles, got {entries}"
+                f" on {self.width}x{self.height} pixels; they are too large, as after a training"
+                " that diverged: lower trainer.lr_scales, or the size of the images"
+            )
 
     def bin(self) -> None:
         """The tiles' lists, front to back, and the strips' lists of parts."""
         entries = int(self.start[self.n_visible])
         if len(self.items) < entries:
             self.items = np.empty(entries + entries // 4, np.int32)
-        self.touched[:], self.n_parts[:] = 0, 0
+        self.n_parts[:] = 0
         run_blocks(
             binning.count_tiles,
             self.n_visible,
@@ -183,6 +189,7 @@ class Workspace:
             self.strip_parts,
             self.bounds,
             self.strip_items,
+            self.n_slots,
         )
         self.lists = _grown(self.lists, int(self.offsets[-1]))
         self.parts = _grown(self.parts, int(self.bounds[-1]))
@@ -218,11 +225,11 @@ class Workspace:
             blocks=TILE_BLOCKS,
         )
 
-    def _scratch(self, kept: list[np.ndarray], wanted: bool = True) -> list[np.ndarray]:
-        """Slots [of the fullest strip, 16] for every thread; none of them if not wanted."""
-        size = int(self.strip_items[-1].max()) if wanted else 0
-        kept[:] = [_grown(slots, size) for slots in kept[: threads()]]
-        kept += [_empty((size + size // 4, 16), np.float32) for _ in range(threads() - len(kept))]
+    def _scratch(self, kept: list[np.ndarray]) -> list[np.ndarray]:
+        """Slots for every thread that works on a strip, as many as the fullest has."""
+        n, size = min(threads(), len(self.n_slots)), int(self.n_slots.max())
+        kept[:] = [_grown(slots, size) for slots in kept[:n]]
+        kept += [_empty((size + size // 4, 16), np.float32) for _ in range(n - len(kept))]
         return [slots.reshape(-1) for slots in kept]
 
     def blend_backward(self, image: Image, gradient: Image) -> None:
@@ -238,7 +245,7 @@ class Workspace:
             self.strips,
             self.bounds,
             self.parts,
-            self.strip_items[-1],
+            self.n_slots,
             image.rgb.reshape(-1),
             image.depth.reshape(-1),
             image.alpha.reshape(-1),
@@ -246,7 +253,7 @@ class Workspace:
             gradient.alpha.reshape(-1),
             gradient.depth.reshape(-1),
             self.sums.reshape(-1),
-            blocks=len(self.bounds) - 1,
+            blocks=len(self.n_slots),
             own=[(slots,) for slots in self._scratch(self.slots)],
         )
 
@@ -263,7 +270,8 @@ class Workspace:
         `slopes` and `cross`; see `moments.blend_moments` and `information`."""
         self.sums = _grown(self.sums, int(self.bounds[-1]))
         slopes, cross = self._direction_buffers()
-        mixed = self._scratch(self.mixed, wanted=self.degree > 0)
+        slots = self._scratch(self.slots)
+        mixed = self._scratch(self.mixed) if self.degree > 0 else [cross.reshape(-1)] * len(slots)
         if self.degree > 0:
             arrays = self.arrays
             run_blocks(
@@ -285,13 +293,13 @@ class Workspace:
             self.strips,
             self.bounds,
             self.parts,
-            self.strip_items[-1],
+            self.n_slots,
             image.rgb.reshape(-1),
             self.sums.reshape(-1),
             slopes.reshape(-1),
             cross.reshape(-1),
-            blocks=len(self.bounds) - 1,
-            own=list(zip(self._scratch(self.slots), mixed, strict=True)),
+            blocks=len(self.n_slots),
+            own=list(zip(slots, mixed, strict=True)),
         )
 
     def project_backward(self, gradient: Arrays) -> None:

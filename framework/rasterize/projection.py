@@ -2,7 +2,7 @@
 
 A projected Gaussian is one row of 16 floats (a cache line): 0-1 mean u, v [px]; 2-4 -A/2, -B, -C/2
 times log2(e); 5 log2(opacity); 6-8 colour; 9 depth; 10-11 half-sides of the box that holds all
-alpha >= 1/255 [px], -1 if culled; 12 opacity; 13 2^(2 row[4]) and 14 the longest run of rows, see
+alpha >= 1/255 [px]; 12 opacity; 13 2^(2 row[4]) and 14 the longest run of rows, see
 `tiles.first_alphas`; 15 B / C. A, B, C is the conic, the inverse of the 2D covariance.
 With it the blending kernels get alpha = 2^(row[5] + row[2] dx^2 + row[3] dx dy + row[4] dy^2).
 
@@ -157,8 +157,9 @@ def _row(centre: Any, spread: Any, colour: Any, z: Any, reach: Any, opacity: Any
     power = (-HALF * LOG2E * yy * inverse, LOG2E * xy * inverse, -HALF * LOG2E * xx * inverse)
     o = zeros()
     seen = (maximum(colour[0], o), maximum(colour[1], o), maximum(colour[2], o), z)
-    chain = (exp2(power[2] + power[2]), longest_run(power[2]), -xy / xx)
-    return (*centre, *power, log2(opacity), *seen, *reach, opacity, *chain)
+    peak = log2(opacity)
+    chain = (exp2(power[2] + power[2]), longest_run(power[2], peak), -xy / xx)
+    return (*centre, *power, peak, *seen, *reach, opacity, *chain)
 
 
 @inlined
@@ -230,15 +231,15 @@ def project(
 
 
 @inlined
-def _sum_parts(first: Any, parts: Any, base: int, count: int, total: Any) -> int:
-    """The sums of every Gaussian's parts, in their order, into total (flat [16 16]), row 15 of
+def _sum_parts(first: Any, sums: Any, base: int, count: int, total: Any) -> int:
+    """The sum of every Gaussian's parts, in their order, into total (flat [16 16]), row 15 of
     which counts them; returns the number of parts."""
     for lane in range(count):
         begin, end = first[base + lane], first[base + lane + 1]
-        sums = zeros()
+        own = zeros()
         for j in range(begin, end):
-            sums = sums + load(parts, j * LANES)
-        store(total, lane * LANES, sums)
+            own = own + load(sums, j * LANES)
+        store(total, lane * LANES, own)
         total[lane * LANES + 15] = f4(end - begin)
     return first[base + count] - first[base]
 
@@ -304,7 +305,7 @@ def project_backward(
     rows: Any,
     clipped: Any,
     first: Any,
-    parts: Any,
+    sums: Any,
     g_means: Any,
     g_quats: Any,
     g_log_scales: Any,
@@ -328,7 +329,7 @@ def project_backward(
     start, end = span(n, block, blocks)
     for base in range(start, end, LANES):
         count = min(LANES, end - base)
-        if _sum_parts(first, parts, base, count, total) == 0:
+        if _sum_parts(first, sums, base, count, total) == 0:
             _zero(gradients, base, count)
             continue
         s = load16(total, 0)

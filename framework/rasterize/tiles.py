@@ -3,7 +3,8 @@
 A tile is 16 rows of 16 lanes; per row the state is the transmittance T and what else a pass keeps.
 A finished pixel keeps its T with a minus sign, so that it blends nothing more. The loops
 over rows have no branch, only masks; they visit the rows that an item reaches and that were not
-finished at the last look.
+finished at the last look. Which rows these are decides from where alpha is carried on
+(`first_alphas`), alike in every pass; so the last bits of a pixel depend on its tile.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ _MIN = f4(ALPHA_MIN)
 _MAX = f4(ALPHA_MAX)
 _STOP = f4(TRANSMITTANCE_MIN)
 _FAINT = f4(-9)  # log2 of an alpha that is less than ALPHA_MIN, whatever the rounding
-_SPAN = f4(math.sqrt(124) - 3)
+_LOWEST = f4(124)  # minus the log2 of the least alpha that is kept
 CHECK = 16  # items between two looks at which rows are finished
 AHEAD = 6  # items between asking for a Gaussian's row and using it
 
@@ -128,8 +129,9 @@ def first_alphas(placed: Any, lean: Any, row: int, count: int) -> tuple[Any, Any
 
     log2(alpha) is a parabola in dy: from row to row the logarithm of that factor falls by the same,
     so two multiplications give what an exponential would. Lanes that stay below 1/255 in all of the
-    `count` rows get 0. In the others no number leaves the normal range of float32 (one below would
-    take a hundred times as long) if count is at most `longest_run`. lean: B / C.
+    `count` rows get 0. In the others neither leaves the normal range of float32 (below it a product
+    takes a hundred times as long, and above 2^-125 `exp2` ends) if count is at most `longest_run`.
+    lean: B / C.
     """
     dx, dy0, slant, shear, fall, peak = placed
     dy = dy0 + splat(f4(row))
@@ -147,13 +149,16 @@ def log_alpha(dx: Any, dy: Any, slant: Any, shear: Any, fall: Any, peak: Any) ->
 
 
 @inlined
-def longest_run(fall: Any) -> Any:
-    """How many rows may follow `first_alphas`, as float32.
+def longest_run(fall: Any, peak: Any) -> Any:
+    """How many rows may follow `first_alphas`, as float32; of vectors.
 
-    Where a parabola -fall x^2 reaches -9 in one of n rows, it is above -(3 + n sqrt(fall))^2 in all
-    of them and in the row below, and stays above -124. Not less than 5: the dilation bounds fall.
+    With d = sqrt(-fall), p the peak or 0 if that is more: a parabola below p that reaches -9 in one
+    of n rows is above p - (sqrt(9 + p) + n d)^2 in all of them and in the row below, which is to
+    stay above -124. At least 5 where p = 0, as the dilation of the covariance bounds d.
     """
-    return maximum(floor(minimum(_SPAN / math.sqrt(-fall), splat(f4(16)))), splat(ONE))
+    p = maximum(peak, zeros())
+    span = math.sqrt(_LOWEST + p) - math.sqrt(p - _FAINT)
+    return maximum(floor(minimum(span / math.sqrt(-fall), splat(f4(16)))), splat(ONE))
 
 
 @inlined

@@ -1,37 +1,47 @@
-"""SHA-256 of a render, its loss and all gradients; `python -m tests.laws.render_bits THREADS`."""
+"""SHA-256 of what steps compute and of Fisher information; `python -m tests.laws.render_bits N`."""
 
 from __future__ import annotations
 
 import hashlib
 import sys
+from dataclasses import replace
 
 import torch
+from torch import Tensor
 
+from framework.fisher import fisher_information
 from framework.losses import Target, photometric_loss
 from framework.parallel import set_threads
 from framework.rasterize import rasterize
 from framework.types import Camera, Gaussians
-from tests.numerics.scenes import random_case
+from tests.numerics.scenes import Case, random_case, wide_case
 
 
 def render_bits(threads: int) -> str:
     """Digest of what a training step computes with `threads` kernel threads."""
     set_threads(threads)
     try:
-        return _digest()
+        tensors = [*_step(_large(random_case(3, n=600))), *_step(wide_case(201))]
     finally:
         set_threads(0)
+    sha = hashlib.sha256()
+    for tensor in tensors:
+        sha.update(tensor.detach().contiguous().numpy().tobytes())
+    return sha.hexdigest()
 
 
-def _digest() -> str:
-    case = random_case(3, n=600)
+def _large(case: Case) -> Case:
     small = case.camera
     camera = Camera(small.viewmat, small.K * 1.0, small.width * 3, small.height * 3)
+    return replace(case, camera=camera)
+
+
+def _step(case: Case) -> list[Tensor]:
     gaussians = case.gaussians.map(lambda t: t.clone().requires_grad_())
     offset = case.offset.clone().requires_grad_()
     render = rasterize(
         Gaussians(**dict(gaussians.items())),
-        camera,
+        case.camera,
         background=case.background,
         opacity_factors=case.factors,
         means2d_offset=offset,
@@ -39,13 +49,12 @@ def _digest() -> str:
     target = Target.of(torch.full_like(render.rgb.detach(), 0.4))
     loss = photometric_loss(render.rgb, target, 0.2) + 0.01 * render.depth.mean()
     loss.backward()
+    fisher = fisher_information(case.gaussians, case.camera)
     tensors = [render.rgb, render.alpha, render.depth, render.radii, loss, offset.grad]
     tensors += [tensor.grad for _, tensor in gaussians.items()]
-    sha = hashlib.sha256()
-    for tensor in tensors:
-        assert tensor is not None
-        sha.update(tensor.detach().contiguous().numpy().tobytes())
-    return sha.hexdigest()
+    tensors += [fisher.block, fisher.diagonal]
+    assert all(tensor is not None for tensor in tensors)
+    return [tensor for tensor in tensors if tensor is not None]
 
 
 if __name__ == "__main__":

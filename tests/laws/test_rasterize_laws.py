@@ -250,6 +250,23 @@ def test_needles_near_the_camera_stay_finite() -> None:
         assert parameter.grad is not None and torch.isfinite(parameter.grad).all(), name
 
 
+def test_more_tiles_than_can_be_counted_are_refused() -> None:
+    """Their lists would be addressed by a negative number."""
+    n, size = 140_000, 2000
+    means = torch.tensor([[0.0, 0, 1]]).repeat(n, 1)
+    vast = Gaussians(
+        means,
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(n, 1),
+        torch.full((n, 3), 3.0),
+        torch.full((n,), 5.0),
+        torch.zeros(n, 1, 3),
+        torch.zeros(0, 0, 3),
+    )
+    K = torch.tensor([[1000.0, 0, size / 2], [0, 1000, size / 2], [0, 0, 1]])
+    with pytest.raises(UserError, match="at most 2147483647 tiles, got 2187500000"):
+        rasterize(vast, Camera(torch.eye(4), K, size, size))
+
+
 def test_wrong_shapes_are_refused() -> None:
     """The kernels read without checking bounds."""
     n = 5
