@@ -68,9 +68,12 @@ class Stopwatch:
 
 def measure(count: int, threads: int, steps: int, clock: str) -> Steps:
     """Run `steps` training steps after WARM_UP ones, in this process."""
+    import torch
+
     from framework.parallel import set_threads
     from framework.rasterize import Workspace
 
+    torch.set_num_threads(1)  # as a run does: its idle threads would spin on the other core
     set_threads(threads)
     watch = Stopwatch(CLOCKS[clock])
     step = training_step(count, watch)
