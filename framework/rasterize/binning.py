@@ -6,8 +6,9 @@ first row) and the Gaussian's slot for this tile among those of the tile's strip
 the depth order; a tile's list is ordered by depth whatever the number of blocks.
 
 The image is cut into strips of whole columns of tiles, each of which one thread differentiates in a
-buffer of slots of its own, small enough for the cache. What a strip's slots hold of a Gaussian are
-consecutive there, and leave it as one sum: a part. A Gaussian's parts are consecutive among all.
+buffer of slots of its own, a fraction of what all slots would take. What a strip's slots hold of a
+Gaussian are consecutive there, and leave it as one sum: a part. A Gaussian's parts are consecutive
+among all.
 More threads than strips have nothing to do then.
 """
 

@@ -41,6 +41,7 @@ from framework.rasterize.tiles import (
     meet,
     next_run,
     read_row,
+    run_of,
     seen_from,
     write_row,
 )
@@ -57,7 +58,7 @@ def _composite(
     transmittance, red, green, blue, far = tile
     cr, cg, cb = colour(rows, g)
     cz = splat(rows[g, 9])
-    bend, longest, lean = splat(rows[g, 13]), int(rows[g, 14]), splat(rows[g, 15])
+    bend, longest, lean = run_of(rows, g)
     while todo != 0:
         row, count, todo = next_run(todo, longest)
         raw, ratio = first_alphas(placed, lean, row, count)
@@ -180,7 +181,7 @@ def _slot_sums(
     dx, dy0 = placed[0], placed[1]
     cr, cg, cb = colour(rows, g)
     cz = splat(rows[g, 9])
-    bend, longest, lean = splat(rows[g, 13]), int(rows[g, 14]), splat(rows[g, 15])
+    bend, longest, lean = run_of(rows, g)
     m0, m1, m2 = zeros(), zeros(), zeros()
     sr, sg, sb, sz = zeros(), zeros(), zeros(), zeros()
     while todo != 0:

@@ -39,6 +39,7 @@ from framework.rasterize.tiles import (
     meet,
     next_run,
     read_row,
+    run_of,
     seen_from,
 )
 
@@ -136,7 +137,7 @@ def blend_moments(
             g = item >> 8
             placed = seen_from(rows, g, x, y)
             dx, dy0 = placed[0], placed[1]
-            bend, longest, lean = splat(rows[g, 13]), int(rows[g, 14]), splat(rows[g, 15])
+            bend, longest, lean = run_of(rows, g)
             cr, cg, cb = colour(rows, g)
             line = fma(lean, dx, dy0)  # e in the first row
             m0, m1, m2, m3, m4, ww = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()

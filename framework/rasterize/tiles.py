@@ -115,6 +115,12 @@ def seen_from(rows: Any, g: int, x: int, y: int) -> tuple[Any, Any, Any, Any, An
 
 
 @inlined
+def run_of(rows: Any, g: int) -> tuple[Any, int, Any]:
+    """How alpha goes on from row to row: (the factor of its factor, the longest run, B / C)."""
+    return splat(rows[g, 13]), int(rows[g, 14]), splat(rows[g, 15])
+
+
+@inlined
 def next_run(todo: int, longest: int) -> tuple[int, int, int]:
     """The first rows of `todo` that follow one another, at most `longest` of them: (first, how
     many, the others of `todo`)."""
@@ -129,8 +135,8 @@ def first_alphas(placed: Any, lean: Any, row: int, count: int) -> tuple[Any, Any
 
     log2(alpha) is a parabola in dy: from row to row the logarithm of that factor falls by the same,
     so two multiplications give what an exponential would. Lanes that stay below 1/255 in all of the
-    `count` rows get 0. In the others neither leaves the normal range of float32 (below it a product
-    takes a hundred times as long, and above 2^-125 `exp2` ends) if count is at most `longest_run`.
+    `count` rows get 0. In the others neither falls below 2^-125, where `exp2` ends and float32 soon
+    has no normal numbers (products with others are slow), if count is at most `longest_run`.
     lean: B / C.
     """
     dx, dy0, slant, shear, fall, peak = placed

@@ -29,3 +29,9 @@ def test_every_block_runs_once_and_no_two_threads_share_what_is_their_own(thread
     run_blocks(kernel, "word", blocks=40, own=own)
     assert sorted(seen) == list(range(40))
     assert all(len(mine) <= 1 for (mine,) in own)
+
+
+def test_no_more_threads_take_part_than_there_is_scratch(threads: int) -> None:
+    own: list[tuple[list[int]]] = [([],)]
+    run_blocks(lambda block, blocks, mine: mine.append(block), blocks=40, own=own)
+    assert own == [(list(range(40)),)]
