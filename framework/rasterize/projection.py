@@ -290,6 +290,23 @@ def _through_direction(vx: Any, vy: Any, vz: Any, way: Any) -> tuple[Any, Any, A
     )
 
 
+@inlined
+def _to_ellipse(sums: Any, conic: Any, seen: Any) -> tuple[Any, ...]:
+    """Gradients in u, v, A, B, C from the sums of a = (d loss / d alpha) alpha, see
+    `project_backward`: log(alpha) falls by (A dx^2 + 2 B dx dy + C dy^2) / 2 from the mean."""
+    ca, cb, cc = conic
+    gu = select(seen, ca * sums[1] + cb * sums[3], zeros())
+    gv = select(seen, cb * sums[1] + cc * sums[3], zeros())
+    return gu, gv, -HALF * sums[2], -sums[4], -HALF * sums[5]
+
+
+@inlined
+def _to_opacity(g_opacity: Any, logit: Any, factor: Any) -> tuple[Any, Any]:
+    """Gradients in factor and logit of the opacity: factor x sigmoid(logit)."""
+    opacity = ONE / (ONE + exp(-logit))
+    return g_opacity * opacity, g_opacity * factor * opacity * (ONE - opacity)
+
+
 @kernel
 def project_backward(
     block: int,
@@ -335,10 +352,8 @@ def project_backward(
         s = load16(total, 0)
         row = _take_row(rows, base, count, total)
         seen = greater(s[15], zeros())
-        ca, cb, cc = conic_of(row)
-        gu = select(seen, ca * s[1] + cb * s[3], zeros())
-        gv = select(seen, cb * s[1] + cc * s[3], zeros())
-        ga, gb, gc = -HALF * s[2], -s[4], -HALF * s[5]
+        conic = conic_of(row)
+        gu, gv, ga, gb, gc = _to_ellipse(s, conic, seen)
         mean = take3(means, base, count, scratch)
         x, y, z = to_camera(camera, mean)
         t = screen_axes(camera, x, y, z)
@@ -347,9 +362,7 @@ def project_backward(
         m = times_rotation(t, r)
         log_scale = take3(log_scales, base, count, scratch)
         scales = (exp(log_scale[0]), exp(log_scale[1]), exp(log_scale[2]))
-        g = pull_back(
-            camera, x, y, z, t, r, m, scales, quat, (ca, cb, cc), gu, gv, ga, gb, gc, s[9]
-        )
+        g = pull_back(camera, x, y, z, t, r, m, scales, quat, conic, gu, gv, ga, gb, gc, s[9])
         gr, gg, gl = _unclamped(seen, clipped, base, count, s, flags)
         mx, my, mz = g[0], g[1], g[2]
         put3(g_sh0, base, count, scratch, (Y0 * gr, Y0 * gg, Y0 * gl))
@@ -363,9 +376,9 @@ def project_backward(
         put3(g_log_scales, base, count, scratch, _only3(seen, g[3], g[4], g[5]))
         turn = _only3(seen, g[7], g[8], g[9])
         put4(g_quats, base, count, scratch, (select(seen, g[6], zeros()), *turn))
-        opacity = ONE / (ONE + exp(-take1(logits, base, count, scratch)))
         g_opacity = select(seen, s[0] / row[12], zeros())
-        factor = take1(factors, base, count, scratch)
-        put1(g_factors, base, count, scratch, g_opacity * opacity)
-        put1(g_logits, base, count, scratch, g_opacity * factor * opacity * (ONE - opacity))
+        logit, factor = take1(logits, base, count, scratch), take1(factors, base, count, scratch)
+        g_factor, g_logit = _to_opacity(g_opacity, logit, factor)
+        put1(g_factors, base, count, scratch, g_factor)
+        put1(g_logits, base, count, scratch, g_logit)
         put2(g_offset, base, count, scratch, (gu, gv))
