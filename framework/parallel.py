@@ -7,7 +7,6 @@ outputs, hence results do not depend on the number of threads.
 
 from __future__ import annotations
 
-import itertools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -41,9 +40,10 @@ def run_blocks(
 ) -> None:
     """Call `kernel(block, blocks, *own[thread], *args)` for every block; returns when all are done.
 
-    Threads take the next block when they finish one; the caller is one of them. own: scratch that a
-    thread has for itself, of which nothing is left after a block; as many threads as there are of
-    it take part, at most. None: no such arguments.
+    Every thread, the caller is one, has a range of blocks of its own, as neighbours share cache
+    lines, and then helps others with theirs. own: scratch that a thread has for itself, of which
+    nothing is left after a block; as many threads as there are of it take part, at most. None: no
+    such arguments.
     Raises whatever a block raised. The pool is rebuilt after a fork or a change of thread count.
     """
     pool = threads()
@@ -53,11 +53,13 @@ def run_blocks(
         for block in range(blocks):
             kernel(block, blocks, *scratch[0], *args)
         return
-    numbers = itertools.count()  # its next() is atomic
+    # a block is taken once, as a range iterator's next() is atomic
+    shares = [iter(range(blocks * thread // n, blocks * (thread + 1) // n)) for thread in range(n)]
 
     def work(thread: int) -> None:
-        while (block := next(numbers)) < blocks:
-            kernel(block, blocks, *scratch[thread], *args)
+        for share in shares[thread:] + shares[:thread]:
+            for block in share:
+                kernel(block, blocks, *scratch[thread], *args)
 
     helpers = [_executor(pool - 1).submit(work, thread) for thread in range(1, n)]
     try:
