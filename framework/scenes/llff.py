@@ -6,6 +6,9 @@ focal) in pixels of the full-size photo (Mildenhall et al. 2019, LLFF's `poses/p
 i belongs to the i-th image in sorted order. The principal point is the image's middle. Photos may
 be of that size or over an integer, rounded (`images_4`, `images_8`).
 
+The poses were found with a lens (COLMAP's SIMPLE_RADIAL) whose distortion the layout does not hold
+and the usual evaluation ignores; `k1` removes it from the photos, test photos included.
+
 Sparse points come from the COLMAP model `sparse/0` where there is one (else there are none); it
 must have the same poses. Near and far are the bounds of the training rows.
 """
@@ -39,11 +42,17 @@ class Llff:
     n_views: int = 3
     images: str = "auto"  # folder of the photos; auto = images_8 where there is one, else images
     downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
+    k1: float = 0.0  # radial distortion, see `lens`; 0 = photos as they are, the usual protocol
     split: str = "llff"
 
     def __post_init__(self) -> None:
         check_folder_options("llff", self.path, self.n_views, self.split, self.downscale)
         check_images("llff", self.images)
+        require(
+            -1 < self.k1 < 1,
+            f"scene=llff: expected a radial distortion k1 in (-1, 1), got {self.k1:g}; it is that"
+            " of COLMAP's SIMPLE_RADIAL, 0 for none",
+        )
 
     def load(self) -> Scene:
         """The scene. Raises UserError where the folder does not hold what the layout asks for."""
@@ -60,7 +69,7 @@ class Llff:
         check_memory([files[i] for i in (*split.train, *split.test)], self.downscale)
         train, test = (
             [
-                photo_shot(files[i], names[i], _lens(rows[i]), viewmats[i], self.downscale)
+                photo_shot(files[i], names[i], _lens(rows[i], self.k1), viewmats[i], self.downscale)
                 for i in part
             ]
             for part in (split.train, split.test)
@@ -123,9 +132,9 @@ def _viewmat(row: NDArray[np.float64]) -> NDArray[np.float64]:
     return viewmat
 
 
-def _lens(row: NDArray[np.float64]) -> Lens:
+def _lens(row: NDArray[np.float64], k1: float) -> Lens:
     """The camera of a full-size photo."""
-    from framework.scenes.lens import Lens
+    from framework.scenes.lens import Distortion, Lens
 
     height, width, focal = round(row[4]), round(row[9]), float(row[14])
-    return Lens(width, height, focal, focal, width / 2, height / 2)
+    return Lens(width, height, focal, focal, width / 2, height / 2, Distortion(k1))

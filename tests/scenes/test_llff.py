@@ -12,6 +12,7 @@ from PIL import Image
 
 from framework.errors import UserError
 from framework.scenes import load_scene
+from framework.scenes.lens import Distortion, undistort
 from framework.types import Scene
 from tests.data import open_scene
 from tests.scenes.synthetic import (
@@ -51,6 +52,18 @@ def test_pixels_are_the_files(tmp_path: Path) -> None:
     stored = np.asarray(Image.open(tmp_path / "images_8" / "im01.png"))
     assert view.image.dtype == torch.float32
     assert np.array_equal((view.image.numpy() * 255).round().transpose(1, 2, 0), stored)
+
+
+def test_k1_straightens_every_photo(tmp_path: Path) -> None:
+    scene = load(write_llff(tmp_path), k1=-0.3)
+    for view in (scene.training.views[0], scene.test[0]):
+        stored = np.asarray(Image.open(tmp_path / "images_8" / view.name))
+        straight, mask = undistort(stored, view.camera.K.numpy(), Distortion(k1=-0.3))
+        assert np.array_equal((view.image.numpy() * 255).round().transpose(1, 2, 0), straight)
+        assert mask is None and view.mask is None  # the corners bulge outwards
+        assert not np.array_equal(straight, stored)
+    with pytest.raises(UserError, match=r"expected a radial distortion k1 in \(-1, 1\), got nan"):
+        load(tmp_path, k1=float("nan"))
 
 
 def test_points_need_two_training_views(tmp_path: Path) -> None:
