@@ -12,10 +12,12 @@ import textwrap
 from collections.abc import Iterator, Sequence
 
 from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from framework import registry
 from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, SWEEPS_DIR, choices, tables
+from framework.meanings import from_yaml, meanings
+from framework.options import TrainerOptions
 
 WIDTH = 80  # characters of a summary
 
@@ -36,9 +38,30 @@ def help_text(overrides: Sequence[str]) -> str:
     """The help for a command line with `overrides`, whose values it shows."""
     lines = [line for group in GROUPS for line in _group_lines(group, _names(group))]
     with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
-        options = OmegaConf.to_yaml(compose("config", list(overrides)))
+        options = "\n".join(_explained(compose("config", list(overrides))))
     chosen = "\n".join(lines)
-    return f"{HEADER}\nChoices, GROUP=NAME:\n{chosen}\n\nOptions, KEY=VALUE:\n\n{options}"
+    return f"{HEADER}\nChoices, GROUP=NAME:\n{chosen}\n\nOptions, KEY=VALUE:\n\n{options}\n"
+
+
+def _explained(config: DictConfig) -> Iterator[str]:
+    """The lines of the configuration, each with what it means."""
+    top = from_yaml((CONF_DIR / "config.yaml").read_text(encoding="utf-8"))
+    means = top
+    for line in OmegaConf.to_yaml(config).splitlines():
+        key = line.split(":")[0]
+        if not line.startswith(" ") and line == f"{key}:":
+            means = top if key == "metrics" else option_meanings(key, config[key].get("name", ""))
+        meaning = means.get(key.strip())
+        yield f"{line:<28}# {meaning}" if meaning else line
+
+
+def option_meanings(group: str, name: str) -> dict[str, str]:
+    """option -> its meaning, for the options of `group=name` or of `trainer`."""
+    if group == "trainer":
+        return meanings(TrainerOptions)
+    if group in registry.GROUPS:
+        return registry.MEANINGS | meanings(registry.lookup(group, name))
+    return meanings(tables()[group][name])
 
 
 def _names(group: str) -> list[str]:

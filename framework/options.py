@@ -16,28 +16,26 @@ class TrainerOptions:
     A few hundred steps want larger rates than the 30,000 of 3DGS (Kerbl et al. 2023,
     `arguments/__init__.py`; `preset=paper` has its rates): those of the shapes 30 times as large,
     of the colours 5 times, of the opacities 2.5 times, see benchmarks/results/held_out.md.
-    `lr_scale` multiplies all of them; `lr_final` is what all but the means' have decayed to at the
-    end, as a share. `lr_means` is in units of the scene extent.
     """
 
-    steps: int = 300
+    steps: int = 300  # of training, each on one real view
     sh_degree: int = 0  # stored degree; the active one grows by one every `sh_every` steps
     sh_every: int = 0  # 0 = evenly over the first half of the training (3DGS: 1000 of 30k steps)
     ssim_weight: float = 0.2  # loss = (1 - w) L1 + w (1 - SSIM)
-    lr_scale: float = 5.0
-    lr_means: float = 9.6e-4
-    lr_means_final: float = 0.01
-    lr_sh0: float = 2.5e-3
-    lr_shN_ratio: float = 0.05
-    lr_opacities: float = 0.025
-    lr_scales: float = 0.03
-    lr_quats: float = 6e-3
-    lr_final: float = 0.1
+    lr_scale: float = 5.0  # multiplies all learning rates
+    lr_means: float = 9.6e-4  # in units of the scene extent
+    lr_means_final: float = 0.01  # share of lr_means that is left at the end
+    lr_sh0: float = 2.5e-3  # of the colours
+    lr_shN_ratio: float = 0.05  # of the higher SH bands, as a share of lr_sh0
+    lr_opacities: float = 0.025  # of their logits
+    lr_scales: float = 0.03  # of their logarithms
+    lr_quats: float = 6e-3  # of the rotations
+    lr_final: float = 0.1  # share of the other rates that is left at the end
     opacity_decay: float = 0.99  # opacities are multiplied by it after every step; 1 = off
-    coarse_factor: int = 2  # images are box-downsampled by it ...
-    coarse_until: float = 0.25  # ... for this share of the steps
-    background: str = "mean"
-    near_plane: float = 0.05  # in units of the scene's near bound
+    coarse_factor: int = 2  # images are box-downsampled by it at the beginning
+    coarse_until: float = 0.25  # share of the steps that take images smaller by coarse_factor
+    background: str = "mean"  # colour: mean of the training photos, black, white, random
+    near_plane: float = 0.05  # Gaussians nearer are not drawn; in units of the near bound
     evaluations: int = 6  # of the test views, evenly spaced, the last after the last step
 
     def __post_init__(self) -> None:

@@ -25,6 +25,11 @@ from framework.errors import UserError, nearest_hint, require
 GROUPS = {"augment": "plugins.augment", "reg": "plugins.regularize", "capacity": "plugins.capacity"}
 FOLDER = Path(__file__).resolve().parent.parent / "plugins"
 FRAMEWORK_KEYS = {"weight": 1.0, "start": 0.0, "stop": 1.0}
+MEANINGS = {
+    "weight": "of the losses it adds",
+    "start": "share of the training before which it rests",
+    "stop": "share of the training after which it rests",
+}
 OPTION_TYPES = (bool, int, float, str, type(None))
 UNIONS = (typing.Union, UnionType)
 

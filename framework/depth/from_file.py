@@ -22,8 +22,8 @@ class DepthFile(DepthProvider):
     included: `.npy`, `.npz` (key `depth`) or 16-bit `.png`. 0 = unknown; maps are resampled to the
     image's size."""
 
-    path: str = ""
-    kind: str = "depth"  # or inverse_depth
+    path: str = ""  # folder of the depth maps
+    kind: str = "depth"  # what the maps hold: depth or inverse_depth
     align: str = "scale"  # to the sparse points: scale, scale_shift or none (already scene units)
     invalid: str = "error"  # NaN, infinity and negative values: error, or mask (unknown)
     png_scale: float = 1000.0  # png values are divided by it

@@ -24,14 +24,14 @@ LARGEST_BUDGET = 100_000  # of those that are not set by hand
 class Stereo:
     """How the depth maps become Gaussians.
 
-    budget: number of Gaussians (fewer when fewer pixels are left after fusion); 0 = `per_pixel`
-    times the number of training pixels, so that a scene gets what its photos can support (0.07
-    gives 40,000 for three photos of 504x378), at most 100,000: more photos of one scene repeat
-    much of it. detail: exponent
-    of the local image gradient in the sampling density; 0 = uniform. tolerance: relative depth
-    difference up to which two views show the same surface. scale_factor: standard deviation in
-    units of the mean spacing of the samples. opacity: of every Gaussian. completion: sampling
-    density of pixels whose depth is a guess, in units of that of consistent ones; 0 = none.
+    budget: number of Gaussians; 0 = `per_pixel` times the training pixels. It is smaller when fewer
+    pixels are left after fusion. per_pixel: Gaussians per training pixel without a budget, at most
+    100,000. So a scene gets what its photos can support (0.07 gives 40,000 for three photos of
+    504x378), but more photos of one scene repeat much of it. detail: exponent of the local image
+    gradient in the sampling density; 0 = uniform. tolerance: relative depth difference up to which
+    two views show the same surface. scale_factor: standard deviation in units of the mean spacing
+    of the samples. opacity: of every Gaussian. completion: sampling density of pixels whose depth
+    is a guess, in units of that of consistent ones; 0 = none.
     """
 
     budget: int = 0

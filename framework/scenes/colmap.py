@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 class Colmap:
     """Options of `scene=colmap`."""
 
-    path: str
-    n_views: int = 12
+    path: str  # folder of the scene
+    n_views: int = 12  # training views
     images: str = "images"  # folder of the photos inside path
     downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
-    split: str = "llff"
+    split: str = "llff"  # which views train and which test: llff, mip360 or dtu
 
     def __post_init__(self) -> None:
         check_folder_options("colmap", self.path, self.n_views, self.split, self.downscale)

@@ -46,13 +46,13 @@ DARK_RUN = 50  # pixels: a background pixel and those above it
 class Dtu:
     """Options of `scene=dtu`."""
 
-    path: str
-    n_views: int = 3
+    path: str  # folder of the scene
+    n_views: int = 3  # training views
     scan: int | None = None  # then path is a folder of scans: dtu_scan65 or scan65 in it is taken
     images: str = "auto"  # folder of the photos; auto = images where there is one, else image
     downscale: int | None = None  # photos are reduced by it; null = to 400 x 300
     train_mask: str = "background"  # what of the training photos counts: background, full, object
-    split: str = "dtu"
+    split: str = "dtu"  # which views train and which test: llff, mip360 or dtu
 
     def __post_init__(self) -> None:
         downscale = 1 if self.downscale is None else self.downscale

@@ -38,12 +38,12 @@ NOT_ROTATION = 1e-3  # largest deviation of an axis' products from those of a ro
 class Llff:
     """Options of `scene=llff`."""
 
-    path: str
-    n_views: int = 3
+    path: str  # folder of the scene
+    n_views: int = 3  # training views
     images: str = "auto"  # folder of the photos; auto = images_8 where there is one, else images
     downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
     k1: float = 0.0  # radial distortion, see `lens`; 0 = photos as they are, the usual protocol
-    split: str = "llff"
+    split: str = "llff"  # which views train and which test: llff, mip360 or dtu
 
     def __post_init__(self) -> None:
         check_folder_options("llff", self.path, self.n_views, self.split, self.downscale)

@@ -40,15 +40,15 @@ class Transforms:
     near, far: depth bounds in scene units; null = from the points.
     """
 
-    path: str
-    n_views: int = 12
-    file: str = "transforms.json"  # inside path
+    path: str  # folder of the scene
+    n_views: int = 12  # training views
+    file: str = "transforms.json"  # of cameras and photos, inside path
     downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
     paper: str = "white"  # what transparent photos are laid on: white, black
     points: str = "auto"
     near: float | None = None
     far: float | None = None
-    split: str = "llff"
+    split: str = "llff"  # which views train and which test: llff, mip360 or dtu
 
     def __post_init__(self) -> None:
         check_folder_options("transforms", self.path, self.n_views, self.split, self.downscale)

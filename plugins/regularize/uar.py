@@ -39,13 +39,14 @@ class Ranking:
 class Uar(DropoutRegularizer):
     """Options, with the paper's symbols.
 
-    mode: a dropped opacity is multiplied by 0 ("hard") or by `soft_scale`, lambda ("soft"). p: drop
-    rate. schedule: "linear" gives p(t) = p x progress of the whole training (as DropGaussian's),
-    "constant" keeps p. C = candidate_factor: the candidates are C times the dropped. refresh: steps
-    between rankings. form: "block" is log det of the 6x6 block, "diagonal" the sum of the logs of
-    its diagonal, blind to what only a combination of parameters tells. regulariser: prior precision
-    as a share of the median diagonal of F. compensate: scale the kept candidates by
-    (1 - s/C) / (1 - 1/C), s the factor of the dropped, so that every opacity keeps its expectation.
+    mode: a dropped opacity is multiplied by 0 ("hard") or by `soft_scale` ("soft"). soft_scale: the
+    paper's lambda. p: drop rate. schedule: "linear" gives p(t) = p x progress of the whole training
+    (as DropGaussian's), "constant" keeps p. C = candidate_factor: the candidates are C times the
+    dropped. refresh: steps between rankings. form: "block" is log det of the 6x6 block, "diagonal"
+    the sum of the logs of its diagonal, blind to what only a combination of parameters tells.
+    regulariser: prior precision as a share of the median diagonal of F. compensate: scale the kept
+    candidates by (1 - s/C) / (1 - 1/C), s the factor of the dropped, so that every opacity keeps
+    its expectation.
     """
 
     mode: str = "soft"

@@ -25,9 +25,9 @@ class Embedded:
     `interpolating` (inside the training cameras' hull) or `extrapolating`, are always the same.
     """
 
-    n_views: int = 3
+    n_views: int = 3  # training views
     width: int = 320  # pixels
-    height: int = 240
+    height: int = 240  # pixels
     supersampling: int = 3  # rays per pixel along each axis
     spread: float = 0.35  # metres from the middle of the rig to its outer cameras
     texture: float = 1.0  # factor of all texture contrasts; 0 = textureless

@@ -1,0 +1,51 @@
+"""What an option means, in a line, from where its class says it: for `--help`.
+
+Either the comment behind the field, `eta: float = 1.5  # ...`, or the class' docstring, as in
+`eta: what it is. every, until: what both are.` A class speaks for those that inherit from it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import inspect
+import re
+import textwrap
+
+WIDTH = 100  # characters of a meaning
+
+
+def meanings(cls: type) -> dict[str, str]:
+    """option -> meaning, of the options of a dataclass; without those that have none."""
+    found: dict[str, str] = {}
+    options = {option.name for option in dataclasses.fields(cls)}
+    for base in reversed([b for b in cls.__mro__ if dataclasses.is_dataclass(b)]):
+        found |= _from_docstring(vars(base).get("__doc__") or "", options)
+        with contextlib.suppress(OSError):  # an installed plugin may come without its source
+            found |= _from_comments(inspect.getsource(base), options)
+    return found
+
+
+def from_yaml(text: str) -> dict[str, str]:
+    """key -> the comment behind it, for the keys of a YAML file."""
+    lines = re.findall(r"^ *(\w+):[^#\n]* # (.+)$", text, re.MULTILINE)
+    return {name: _line(comment) for name, comment in lines}
+
+
+def _from_comments(source: str, options: set[str]) -> dict[str, str]:
+    lines = re.findall(r"^    (\w+): [^#\n]*  # (.+)$", source, re.MULTILINE)
+    return {name: _line(comment) for name, comment in lines if name in options}
+
+
+def _from_docstring(text: str, options: set[str]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    name = f"(?:{'|'.join(map(re.escape, sorted(options)))})" if options else "(?!)"
+    parts = re.split(rf"(?:^|(?<=\s))({name}(?:, {name})*): ", " ".join(text.split()))
+    for names, said in zip(parts[1::2], parts[2::2], strict=True):
+        sentence = re.split(r"\.(?=\s+[A-Z])", said)[0]
+        found |= dict.fromkeys(names.split(", "), _line(sentence))
+    return found
+
+
+def _line(text: str) -> str:
+    return textwrap.shorten(text.replace("`", "").rstrip(" .;"), WIDTH, placeholder=" ...")

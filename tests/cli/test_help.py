@@ -1,0 +1,70 @@
+"""`--help` says what every option means."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+
+from framework.cli import main
+from framework.config import OBJECT_GROUPS, choices, rows
+from framework.help import option_meanings
+from framework.meanings import from_yaml, meanings
+from framework.options import TrainerOptions
+
+
+@dataclass(frozen=True)
+class Base:
+    """Of both. eta: how near, e.g. 1.5; more is farther. And more: nothing.
+
+    low, high: the ends of it.
+    """
+
+    eta: float = 1.5
+    low: int = 0
+    high: int = 9
+    more: int = 0
+
+
+@dataclass(frozen=True)
+class Child(Base):
+    """every: how often."""
+
+    low: int = 1  # another low end
+    every: int = 2
+    quiet: str = "# nothing"
+
+
+def test_meanings_come_from_docstrings_and_comments() -> None:
+    assert meanings(Child) == {
+        "eta": "how near, e.g. 1.5; more is farther",
+        "high": "the ends of it",
+        "low": "another low end",
+        "every": "how often",
+        "more": "nothing",
+    }
+
+
+def test_a_long_meaning_is_cut() -> None:
+    text = from_yaml(f"a:\n  key: 1 # {'word ' * 50}\n  other: 2\n")
+    assert list(text) == ["key"] and len(text["key"]) <= 100 and text["key"].endswith("word ...")
+
+
+@pytest.mark.parametrize("group", [*OBJECT_GROUPS, "trainer"])
+def test_every_option_has_a_meaning(group: str) -> None:
+    if group == "trainer":
+        assert set(option_meanings(group, "")) == set(TrainerOptions.__dataclass_fields__)
+        return
+    for name in choices(group):
+        silent = {option[0] for option in rows(group, name)} - set(option_meanings(group, name))
+        assert not silent, f"{group}={name}: what do {silent} mean?"
+
+
+def test_the_help_shows_them(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help", "augment=safi"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    told = [line.split("#")[1] for line in lines if line.startswith("  eta: 1.5 ")]
+    assert told == [" a view supports if I_k is at most eta x the smallest"]
+    options = lines[lines.index("trainer:") :]
+    unexplained = [line for line in options if line.startswith("  ") and "# " not in line]
+    assert len(options) > 50 and all("name: " in line for line in unexplained)
