@@ -32,7 +32,7 @@ METRICS_CSV, HISTORY_CSV, RENDERS = "metrics.csv", "history.csv", "renders"
 METRIC_COLUMNS = ("view", "tags", *METRICS, "render_s", "file", "missing")
 TEXT_COLUMNS = ("view", "tags", "file", "missing")
 COUNT_COLUMNS = ("step", "gaussians", "sh_degree")
-HISTORY_COLUMNS = ("step", "seconds", "loss", "train_psnr", "test_psnr", "gaussians", "sh_degree")
+HISTORY_COLUMNS = ("step", "seconds", "loss", "test_psnr", "gaussians", "sh_degree")
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,6 @@ class HistoryRow:
     loss: float
     gaussians: int
     sh_degree: int
-    train_psnr: float | None = None
     test_psnr: float | None = None
     logged: Mapping[str, float] = field(default_factory=dict)
 

@@ -76,8 +76,7 @@ def _check_history(state: TrainerState) -> None:
             check_count(f"history.{name}", getattr(row, name))
         for name in ("seconds", "loss"):
             check_number(f"history.{name}", getattr(row, name))
-        for name in ("train_psnr", "test_psnr"):
-            _check_psnr(f"history.{name}", getattr(row, name))
+        _check_psnr("history.test_psnr", row.test_psnr)
         _check_logged("history.logged", row.logged)
     _check_logged("logged", state.logged)
     _check_psnr("psnr", state.psnr)
