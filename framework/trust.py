@@ -65,7 +65,9 @@ def check_command(flags: Any) -> None:
             "config", flags.overrides, run_mode=RunMode.MULTIRUN, validate_sweep_overrides=False
         )
     check_composed(composed)
-    check_run_count(overrides, composed.hydra.sweeper.params or {})
+    params = composed.hydra.sweeper.params or {}
+    check_run_count(overrides, params)
+    check_method(overrides, params)
 
 
 def check_composed(config: DictConfig) -> None:
@@ -99,6 +101,18 @@ def check_run_count(overrides: Sequence[Override], params: Mapping[Any, Any]) ->
         count <= limits.RUNS,
         f"multirun: expected at most {limits.RUNS:,} runs, got {count:,}; sweep fewer values",
     )
+
+
+def check_method(overrides: Sequence[Override], params: Mapping[Any, Any]) -> None:
+    """Raise UserError for a method beside a sweep that replaces both its choices without a word.
+    params: as in `check_run_count`."""
+    given = {override.get_key_element(): override.input_line for override in overrides}
+    if "method" in given and {"augment", "reg"} <= params.keys() - given.keys():
+        raise UserError(
+            f"{given['method']}: expected no method beside a sweep that chooses augment and reg"
+            " itself, got one, which would change nothing; leave it out, or give augment=NAME and"
+            " reg=NAME in its place"
+        )
 
 
 def check_config_files(folder: Path) -> None:

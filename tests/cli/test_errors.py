@@ -16,6 +16,7 @@ CASES = {
     "reg=none,uarr -m": ["reg=uarr: unknown reg", "did you mean 'uar'?"],
     "scene=lff": ["scene=lff: unknown scene", "did you mean 'llff'?"],
     "depth=planesweep": ["depth=planesweep", "did you mean 'plane_sweep'?"],
+    "sweep=demo method=safi": ["method=safi: expected no method beside a sweep that chooses"],
     "sweep=dem": ["sweep=dem", "did you mean 'demo'?"],
     "trainer.stepz=3": ["trainer.stepz: unknown option", "did you mean 'steps'?"],
     "+trainer.stepz=3": ["trainer.stepz: unknown option", "did you mean 'steps'?"],
