@@ -1,6 +1,6 @@
 """What each method costs: seconds per training step relative to `augment=none reg=none`.
 
-    python benchmarks/cost.py [--chunk N] [--out FILE] [OVERRIDE ...]
+    python benchmarks/cost.py [--chunk N] [--output FILE] [OVERRIDE ...]
 
 Whole trainings on one thread without evaluations, by default on the embedded scene; overrides are
 those of `run.py`, for instance `scene=llff scene.path=DIR` or `trainer.steps=200`. Every method
@@ -8,8 +8,8 @@ trains in a process of its own, and the processes take turns of `--chunk` steps,
 so that a slow minute of the machine hits all alike. CPU is the processor time of the process, which
 other programs disturb less than wall time, though their use of caches and of a core's second
 hardware thread still shows. Kernels are compiled, scene and depth loaded before. While it acts a
-method costs more than this mean over the training: its `start` and `stop` leave a part out. Writes
-a markdown table to results/cost.md.
+method costs more than this mean over the training: its `start` and `stop` leave a part out. Prints
+a markdown table, and writes it to FILE.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", default=[])
     parser.add_argument("--chunk", type=int, default=10, help="steps per turn")
-    parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "results" / "cost.md")
+    parser.add_argument("--output", type=Path)
     parser.add_argument("--method", help=argparse.SUPPRESS)  # AUGMENT,REG: be one of the processes
     args = parser.parse_intermixed_args()
     if args.method is not None:
@@ -184,8 +184,9 @@ def main() -> None:
         return
     words = ["python benchmarks/cost.py", *args.overrides]
     text = report(compared(args.overrides, args.chunk), " ".join(words))
-    args.out.write_text(text, encoding="utf-8")
     print(text)
+    if args.output is not None:
+        args.output.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

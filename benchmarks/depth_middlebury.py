@@ -1,10 +1,11 @@
 """Plane sweep beside OpenCV's semi-global matcher on a rectified pair with measured depth.
 
-    python benchmarks/depth_middlebury.py DIR
+    python benchmarks/depth_middlebury.py DIR [--output benchmarks/results/depth_middlebury.md]
 
 DIR holds `images/left.png`, `images/right.png`, `depth_left.npz` (key `depth_mm`, 0 = unknown) and
 a COLMAP model in `sparse/0`. Its 3D points are drawn from the measured depth, so they are not used:
-both methods search the disparities from 0 to 80 pixels. Writes results/depth_middlebury.md.
+both methods search the disparities from 0 to 80 pixels. Prints a table, and writes it
+to the file of `--output`.
 """
 
 from __future__ import annotations
@@ -30,7 +31,6 @@ from framework.depth.bounds import FARTHER, NEARER
 from framework.parallel import threads
 from framework.types import Camera, SparsePoints, TrainingSet, View
 
-RESULT = Path(__file__).parent / "results" / "depth_middlebury.md"
 DISPARITIES = 80
 TOLERANCES = (0.01, 0.03)
 Map = NDArray[np.float32]
@@ -147,7 +147,9 @@ def row(outcome: Outcome, truth: Map) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Plane sweep beside StereoSGBM on one pair.")
     parser.add_argument("folder", type=Path, metavar="DIR")
-    folder = parser.parse_args().folder
+    parser.add_argument("--output", type=Path)
+    options = parser.parse_args()
+    folder = options.folder
     pair = load_pair(folder)
     truth: Map = np.load(folder / "depth_left.npz")["depth_mm"]
     outcomes = [run_plane_sweep(pair), run_sgbm(pair, False), run_sgbm(pair, True)]
@@ -159,8 +161,7 @@ def main() -> None:
         ]
     )
     width, height = pair.views[0].camera.width, pair.views[0].camera.height
-    RESULT.parent.mkdir(exist_ok=True)
-    RESULT.write_text(
+    text = (
         f"# Depth of `{folder.name}`, left view\n\n"
         f"`python benchmarks/depth_middlebury.py DIR`, {width}x{height}, disparities 0 to"
         f" {DISPARITIES}, OpenCV {cv2.__version__}, {platform.machine()}, {threads()} threads.\n"
@@ -169,7 +170,9 @@ def main() -> None:
         " wrong under `all`.\n\n"
         f"{table}\n"
     )
-    print(table)
+    print(text)
+    if options.output is not None:
+        options.output.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

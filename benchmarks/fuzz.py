@@ -1,9 +1,10 @@
 """Mutated inputs of every reader, for as long as you like; the test suite does a few hundred.
 
-    python benchmarks/fuzz.py --cases 1000 --seed 1
+    python benchmarks/fuzz.py --cases 1000 --seed 1 [--output benchmarks/results/fuzz.md]
 
-Writes `benchmarks/results/fuzz.md`; exits with 1 and prints the cases if there is a bug: anything
-but a read or the documented one-line error, a crash, 5 s of CPU time, or 1 GiB of memory.
+Prints a summary, and writes it to the file of `--output`; exits with 1 and prints the cases if
+there is a bug: anything but a read or the documented one-line error, a crash, 5 s of CPU time, or
+1 GiB of memory.
 """
 
 from __future__ import annotations
@@ -20,20 +21,21 @@ sys.path.insert(0, str(ROOT))
 from tests.fuzz.drive import Tally, fuzz  # noqa: E402
 from tests.fuzz.readers import READERS  # noqa: E402
 
-RESULT = ROOT / "benchmarks" / "results" / "fuzz.md"
-
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=int, default=200, help="of each reader")
     parser.add_argument("--seed", type=int, default=0, help="other mutations")
+    parser.add_argument("--output", type=Path)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         tally = fuzz(Path(folder) / "results", list(READERS), options.cases, options.seed)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     command = f"python benchmarks/fuzz.py --cases {options.cases} --seed {options.seed}"
-    RESULT.write_text(_report(tally, command, used.ru_utime + used.ru_stime), encoding="utf-8")
-    print(*tally.bugs, f"{tally.cases} cases, {len(tally.bugs)} bugs: {RESULT}", sep="\n")
+    text = _report(tally, command, used.ru_utime + used.ru_stime)
+    print(*tally.bugs, text, sep="\n")
+    if options.output is not None:
+        options.output.write_text(text, encoding="utf-8")
     return 1 if tally.bugs else 0
 
 
