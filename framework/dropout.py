@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from framework.errors import require
 from framework.plugin import Regularizer
 
 SCHEDULES = ("linear", "constant")
@@ -35,10 +34,6 @@ class DropoutRegularizer(Regularizer):
     def __post_init__(self) -> None:
         self.check("p", 0 < self.p < 1, "a number in (0, 1)")
         self.check("schedule", self.schedule in SCHEDULES, f"one of {', '.join(SCHEDULES)}")
-
-    def check(self, option: str, ok: bool, expected: str) -> None:
-        """Raise UserError unless `ok`."""
-        require(ok, f"reg.{option}: expected {expected}, got {getattr(self, option)} ({self.name})")
 
     def drop_rate(self, progress: float) -> float:
         """p(t), the expected share of Gaussians dropped at `progress` in [0, 1)."""

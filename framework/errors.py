@@ -45,3 +45,10 @@ def require(condition: bool, message: str) -> None:
     """Raise `UserError(message)` unless `condition` holds."""
     if not condition:
         raise UserError(message)
+
+
+def check_option(options: object, group: str, name: str, ok: bool, expected: str) -> None:
+    """Raise UserError, with what `group.name` of `options` is and should be, unless `ok`."""
+    got = getattr(options, name)
+    told = "nothing" if got == "" else got
+    require(ok, f"{group}.{name}: expected {expected}, got {told}")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
-from framework.errors import require
+from framework.errors import check_option
 
 BACKGROUNDS = ("mean", "black", "white", "random")
 
@@ -39,9 +40,7 @@ class TrainerOptions:
     evaluations: int = 6  # of the test views, evenly spaced, the last after the last step
 
     def __post_init__(self) -> None:
-        def check(name: str, ok: bool, expected: str) -> None:
-            require(ok, f"trainer.{name}: expected {expected}, got {getattr(self, name)}")
-
+        check = functools.partial(check_option, self, "trainer")
         check("steps", self.steps >= 1, "an integer >= 1")
         check("sh_degree", 0 <= self.sh_degree <= 3, "0, 1, 2 or 3")
         check("sh_every", self.sh_every >= 0, "an integer >= 0")

@@ -9,7 +9,7 @@ A plugin is one file with one frozen dataclass whose typed fields are its option
 
 `name` chooses it; `weight`, `start` and `stop` are framework keys every plugin has. State is
 explicit: `init_state` makes it, every hook gets it and returns the next one, checkpoints hold it.
-A plugin validates its options in `__post_init__` with `framework.errors.require`.
+A plugin validates its options in `__post_init__` with `check`.
 
 This module, and so every plugin module, is imported to list options: heavy libraries are imported
 inside the methods that need them.
@@ -21,6 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from framework.errors import check_option
 from framework.registry import register
 
 if TYPE_CHECKING:
@@ -85,6 +86,10 @@ class Plugin:
         """Whether `weight` acts; a value for it is refused otherwise."""
         return True
 
+    def check(self, option: str, ok: bool, expected: str) -> None:
+        """Raise UserError, with the option's value and what it should be, unless `ok`."""
+        check_option(self, self.group, option, ok, expected)
+
     def check_span(self, start: float, stop: float) -> None:
         """Raise UserError where the plugin cannot do its work in this share of the training."""
 
@@ -106,6 +111,8 @@ class Augmenter(Plugin):
     and adds its loss times `weight`; before `start` and after `stop` (shares of the training) none
     is asked for."""
 
+    group: ClassVar[str] = "augment"
+
     def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[View], Any]:
         """Called at each epoch's start: its pseudo views (rebuilt, not accumulated)."""
         raise NotImplementedError
@@ -113,6 +120,8 @@ class Augmenter(Plugin):
 
 class Regularizer(Plugin):
     """Acts on a training step; evaluation never sees it."""
+
+    group: ClassVar[str] = "reg"
 
     @classmethod
     def weighted(cls) -> bool:
@@ -163,6 +172,8 @@ class Edits:
 
 class Capacity(Plugin):
     """Decides how many Gaussians there are; the only code that changes N."""
+
+    group: ClassVar[str] = "capacity"
 
     @classmethod
     def weighted(cls) -> bool:

@@ -73,10 +73,6 @@ class RoundsCapacity(PullCapacity):
             " set capacity.until or capacity.stop",
         )
 
-    def check(self, option: str, ok: bool, expected: str) -> None:
-        """Raise UserError unless `ok`."""
-        require(ok, f"capacity.{option}: expected {expected}, got {getattr(self, option)}")
-
     def selected(self, ctx: StepContext, known: TrainingInformation) -> Selection:
         """What a round keeps and splits, given what the training views know."""
         raise NotImplementedError

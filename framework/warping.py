@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.errors import require
 from framework.plugin import Augmenter, StepContext
 
 if TYPE_CHECKING:
@@ -63,12 +62,6 @@ class WarpingAugmenter(Augmenter):
         self.check("sigma_rotation", 0 <= self.sigma_rotation <= 90, "degrees in [0, 90]")
         self.check("temperature", 0 < self.temperature <= 1, "a number in (0, 1]")
         self.check("min_coverage", 0 <= self.min_coverage <= 1, "a share in [0, 1]")
-
-    def check(self, option: str, ok: bool, expected: str) -> None:
-        """Raise UserError unless `ok`."""
-        require(
-            ok, f"augment.{option}: expected {expected}, got {getattr(self, option)} ({self.name})"
-        )
 
     def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
         """Indices of the training views to warp into `camera`, and the next `selection`."""

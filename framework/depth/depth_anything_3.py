@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from framework.depth.provider import DepthProvider
-from framework.errors import require
+from framework.errors import check_option
 
 if TYPE_CHECKING:
     from framework.types import DepthMap, TrainingSet
@@ -32,17 +33,13 @@ class DepthAnything3(DepthProvider):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-
-        def check(name: str, ok: bool, expected: str) -> None:
-            got = getattr(self, name)
-            require(ok, f"depth=depth_anything_3: expected {name} {expected}, got {got!r}")
-
+        check = functools.partial(check_option, self, "depth")
         check("weights", self.weights != "", "a name on the hub or a folder")
         check("revision", self.revision != "", "a branch, tag or commit of the hub")
         check("align", self.align in ALIGNMENTS, f"one of {', '.join(ALIGNMENTS)}")
-        check("process_res", self.process_res >= PATCH, f"of at least {PATCH} pixels")
+        check("process_res", self.process_res >= PATCH, f"at least {PATCH} pixels")
         check("device", self.device != "", "a torch device (cpu, cuda)")
-        check("tolerance", 0 <= self.tolerance < 1, "in [0, 1)")
+        check("tolerance", 0 <= self.tolerance < 1, "a share in [0, 1)")
 
     def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
         """Depth in scene units; confidence from the network's own, 0 in its sky and where no other

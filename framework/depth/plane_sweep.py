@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from framework.depth.provider import DepthProvider
-from framework.errors import require
+from framework.errors import check_option
 
 if TYPE_CHECKING:
     from framework.types import DepthMap, TrainingSet
@@ -27,21 +28,18 @@ class PlaneSweep(DepthProvider):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-
-        def check(name: str, ok: bool, expected: str) -> None:
-            require(ok, f"depth=plane_sweep: expected {name} {expected}, got {getattr(self, name)}")
-
-        check("planes", 3 <= self.planes <= 2048, "from 3 to 2048")
-        check("radius", 1 <= self.radius <= 15, "from 1 to 15 pixels")
-        check("neighbours", self.neighbours >= 1, ">= 1")
-        check("penalty_small", 0 <= self.penalty_small <= 1, "in [0, 1]")
+        check = functools.partial(check_option, self, "depth")
+        check("planes", 3 <= self.planes <= 2048, "3 to 2048")
+        check("radius", 1 <= self.radius <= 15, "1 to 15 pixels")
+        check("neighbours", self.neighbours >= 1, "an integer >= 1")
+        check("penalty_small", 0 <= self.penalty_small <= 1, "a number in [0, 1]")
         check(
             "penalty_large",
             self.penalty_small <= self.penalty_large <= 1,
-            f"from penalty_small = {self.penalty_small} to 1",
+            f"a number from penalty_small = {self.penalty_small} to 1",
         )
-        check("edge", self.edge >= 0, ">= 0")
-        check("tolerance", 0 < self.tolerance < 1, "in (0, 1)")
+        check("edge", self.edge >= 0, "a number >= 0")
+        check("tolerance", 0 < self.tolerance < 1, "a share in (0, 1)")
 
     def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
         """Dense depth of every training view; confidence > 0 only where another view agrees.

@@ -7,10 +7,11 @@ have detail, and each is as large as the patch of pixels it stands for.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from framework.errors import require
+from framework.errors import check_option, require
 
 if TYPE_CHECKING:
     from framework.initialize.fusion import SurfacePixels
@@ -43,9 +44,7 @@ class Stereo:
     completion: float = 0.1
 
     def __post_init__(self) -> None:
-        def check(name: str, ok: bool, expected: str) -> None:
-            require(ok, f"init.{name}: expected {expected}, got {getattr(self, name)}")
-
+        check = functools.partial(check_option, self, "init")
         check("budget", self.budget >= 0, "an integer >= 0")
         check("per_pixel", 0 < self.per_pixel <= 1, "a number in (0, 1]")
         check("detail", 0 <= self.detail <= 4, "a number in [0, 4]")

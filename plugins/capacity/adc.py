@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from framework.errors import require
 from framework.plugin import Edits, StepContext, StepStats, register
 from framework.pull import Pull, PullCapacity
 
@@ -51,17 +50,14 @@ class AdaptiveDensityControl(PullCapacity):
     max_gaussians: int = 0
 
     def __post_init__(self) -> None:
-        def check(name: str, ok: bool, expected: str) -> None:
-            require(ok, f"capacity.{name}: expected {expected}, got {getattr(self, name)}")
-
-        check("every", self.every >= 1, "an integer >= 1")
-        check("from_step", self.from_step >= 0, "an integer >= 0")
-        check("grad_threshold", self.grad_threshold > 0, "a number > 0")
-        check("percent_dense", self.percent_dense > 0, "a number > 0")
-        check("min_opacity", 0 <= self.min_opacity < 1, "a number in [0, 1)")
-        check("reset_every", self.reset_every >= 0, "an integer >= 0")
-        check("max_gaussians", self.max_gaussians >= 0, "an integer >= 0")
-        check(
+        self.check("every", self.every >= 1, "an integer >= 1")
+        self.check("from_step", self.from_step >= 0, "an integer >= 0")
+        self.check("grad_threshold", self.grad_threshold > 0, "a number > 0")
+        self.check("percent_dense", self.percent_dense > 0, "a number > 0")
+        self.check("min_opacity", 0 <= self.min_opacity < 1, "a number in [0, 1)")
+        self.check("reset_every", self.reset_every >= 0, "an integer >= 0")
+        self.check("max_gaussians", self.max_gaussians >= 0, "an integer >= 0")
+        self.check(
             "reset_opacity",
             self.min_opacity < self.reset_opacity < 1,
             f"a number in (min_opacity, 1) = ({self.min_opacity}, 1), or all would be removed",

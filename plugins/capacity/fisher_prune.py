@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from framework.errors import require
 from framework.plugin import Capacity, Edits, StepContext, StepStats, register
 
 if TYPE_CHECKING:
@@ -37,14 +36,11 @@ class FisherPrune(Capacity):
     regulariser: float = 1e-4
 
     def __post_init__(self) -> None:
-        def check(name: str, ok: bool, expected: str) -> None:
-            require(ok, f"capacity.{name}: expected {expected}, got {getattr(self, name)}")
-
-        check("first", 0 <= self.first < 1, "a share in [0, 1)")
-        check("again", 0 <= self.again < 1, "a share in [0, 1)")
-        check("rounds", self.rounds >= 1, "an integer >= 1")
-        check("begin", 0 <= self.begin < 1, "a share in [0, 1)")
-        check("regulariser", 0 < self.regulariser <= 1e3, "a number in (0, 1000]")
+        self.check("first", 0 <= self.first < 1, "a share in [0, 1)")
+        self.check("again", 0 <= self.again < 1, "a share in [0, 1)")
+        self.check("rounds", self.rounds >= 1, "an integer >= 1")
+        self.check("begin", 0 <= self.begin < 1, "a share in [0, 1)")
+        self.check("regulariser", 0 < self.regulariser <= 1e3, "a number in (0, 1000]")
 
     def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
         """At a round's step, drop the least sensitive; at least one Gaussian stays."""

@@ -299,11 +299,11 @@ def test_the_command_line_refuses_before_training(weights: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"align": "point"}, "align one of points, plane_sweep, none"),
-        ({"process_res": 13}, "process_res of at least 14"),
-        ({"weights": ""}, "weights a name"),
-        ({"tolerance": 1.0}, r"tolerance in \[0, 1\)"),
-        ({"device": ""}, "device a torch device"),
+        ({"align": "point"}, "align: expected one of points, plane_sweep, none"),
+        ({"process_res": 13}, "process_res: expected at least 14"),
+        ({"weights": ""}, "weights: expected a name on the hub or a folder, got nothing"),
+        ({"tolerance": 1.0}, r"tolerance: expected a share in \[0, 1\)"),
+        ({"device": ""}, "device: expected a torch device"),
     ],
 )
 def test_bad_options_are_named(options: dict[str, object], message: str) -> None:

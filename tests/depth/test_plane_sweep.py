@@ -110,10 +110,13 @@ def test_views_without_any_overlap_are_refused() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"planes": 2}, "planes from 3"),
-        ({"radius": 0}, "radius from 1"),
-        ({"penalty_small": 0.9, "penalty_large": 0.5}, "penalty_large from penalty_small"),
-        ({"tolerance": 1.5}, r"tolerance in \(0, 1\)"),
+        ({"planes": 2}, "depth.planes: expected 3 to 2048, got 2"),
+        ({"radius": 0}, "radius: expected 1 to 15 pixels"),
+        (
+            {"penalty_small": 0.9, "penalty_large": 0.5},
+            "penalty_large: expected a number from",
+        ),
+        ({"tolerance": 1.5}, r"tolerance: expected a share in \(0, 1\)"),
         ({"plane": 64}, "did you mean 'planes'"),
     ],
 )

@@ -208,7 +208,7 @@ def test_poses_are_rotations_that_look_ahead(scene: Scene) -> None:
     ],
 )
 def test_options_out_of_range(option: str, value: float) -> None:
-    with pytest.raises(UserError, match=rf"scene=embedded: expected {option} .*, got {value}"):
+    with pytest.raises(UserError, match=rf"scene.{option}: expected .*, got {value}"):
         dataclasses.replace(Embedded(), **{option: value})
 
 

@@ -7,10 +7,11 @@ with the same bits on every machine. Poses, intrinsics and depth are exact.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from framework.errors import require
+from framework.errors import check_option
 from framework.scenes.options import check_n_views
 
 if TYPE_CHECKING:
@@ -35,19 +36,16 @@ class Embedded:
     pose_noise: float = 0.0  # pixels by which the training cameras' poses are wrong, see `rig`
 
     def __post_init__(self) -> None:
-        def check(name: str, ok: bool, expected: str) -> None:
-            got = getattr(self, name)
-            require(ok, f"scene=embedded: expected {name} {expected}, got {got}; set scene.{name}")
-
+        check = functools.partial(check_option, self, "scene")
         check_n_views("embedded", self.n_views)
-        check("n_views", self.n_views <= 64, "of at most 64")
-        check("width", 32 <= self.width <= 2048, "from 32 to 2048 pixels")
-        check("height", 32 <= self.height <= 2048, "from 32 to 2048 pixels")
-        check("supersampling", 1 <= self.supersampling <= 6, "from 1 to 6")
-        check("spread", 0 < self.spread <= 1, "in (0, 1] metres")
-        check("texture", 0 <= self.texture <= 2, "in [0, 2]")
-        check("gloss", 0 <= self.gloss <= 1.3, "in [0, 1.3]")
-        check("pose_noise", 0 <= self.pose_noise <= 20, "from 0 to 20 pixels")
+        check("n_views", self.n_views <= 64, "at most 64")
+        check("width", 32 <= self.width <= 2048, "32 to 2048 pixels")
+        check("height", 32 <= self.height <= 2048, "32 to 2048 pixels")
+        check("supersampling", 1 <= self.supersampling <= 6, "1 to 6")
+        check("spread", 0 < self.spread <= 1, "a number in (0, 1], metres")
+        check("texture", 0 <= self.texture <= 2, "a number in [0, 2]")
+        check("gloss", 0 <= self.gloss <= 1.3, "a number in [0, 1.3]")
+        check("pose_noise", 0 <= self.pose_noise <= 20, "0 to 20 pixels")
 
     def load(self) -> Scene:
         """The scene, from the cache or generated (a few seconds, once)."""
