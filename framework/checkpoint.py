@@ -67,14 +67,18 @@ def pack(value: Any, classes: Iterable[type], identity: str, owner: str) -> byte
     return save(tensors, {KEY: json.dumps({"identity": identity, "tree": tree})})
 
 
-def unpack(path: Path, classes: Iterable[type]) -> tuple[str, Any]:
-    """(identity, value) of a file of `pack`. Raises ValueError, also when it is damaged."""
+def unpack(path: Path, classes: Iterable[type], wanted: str | None = None) -> tuple[str, Any]:
+    """(identity, value) of a file of `pack`; of one with another identity than the wanted the value
+    is None: it may hold what these classes never were. Raises ValueError, also when it is damaged.
+    """
     try:
         with safe_open(path, framework="pt") as file:
             told = json.loads((file.metadata() or {})[KEY])
+            identity = str(told["identity"])
+            if wanted not in (None, identity):
+                return identity, None
             tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118
         value = decode(told["tree"], tensors, classes)
-        identity = str(told["identity"])
     except (SafetensorError, KeyError, TypeError, AttributeError, RuntimeError) as error:
         raise ValueError(f"{path}: not a checkpoint ({type(error).__name__}: {error})") from error
     return identity, value
@@ -131,7 +135,7 @@ class Checkpoints:
             digest = hashlib.sha256(path.read_bytes()).hexdigest()[:32]
             if not path.stem.endswith(f"-{digest}"):
                 raise ValueError("its content does not match the checksum in its name")
-            identity, state = unpack(path, self.classes)
+            identity, state = unpack(path, self.classes, self.identity)
             if identity != self.identity:
                 return None
             if not isinstance(state, TrainerState):

@@ -1,8 +1,8 @@
 """The one exception a user meets.
 
 Every bad input (file, option, data) is raised as `UserError` whose text says where, what was
-expected, what came and how to fix it, in one line. `run.py` prints that line and exits with 2.
-It derives from `ValueError`, so library callers may catch either.
+expected, what came and, unless that says it, how to fix it, in one line. `run.py` prints that line
+and exits with 2. It derives from `ValueError`, so library callers may catch either.
 """
 
 from __future__ import annotations

@@ -6,16 +6,19 @@ than the promised 1.5 s; the names are read from the registry and the folders he
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
+from typing import Any
 
+import yaml
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
 from framework import registry
-from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, SWEEPS_DIR, choices, tables
+from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, SWEEPS_DIR, choices, rows, tables
 from framework.meanings import from_yaml, meanings
 from framework.options import TrainerOptions
 
@@ -45,23 +48,25 @@ def help_text(overrides: Sequence[str]) -> str:
 
 def _explained(config: DictConfig) -> Iterator[str]:
     """The lines of the configuration, each with what it means."""
-    top = from_yaml((CONF_DIR / "config.yaml").read_text(encoding="utf-8"))
-    means = top
-    for line in OmegaConf.to_yaml(config).splitlines():
+    means = top = from_yaml((CONF_DIR / "config.yaml").read_text(encoding="utf-8"))
+    plain: Any = OmegaConf.to_container(config)
+    for line in yaml.safe_dump(plain, sort_keys=False, width=math.inf).splitlines():
         key = line.split(":")[0]
-        if not line.startswith(" ") and line == f"{key}:":
-            means = top if key == "metrics" else option_meanings(key, config[key].get("name", ""))
+        if line == f"{key}:" and not line.startswith(" "):
+            means = option_meanings(key, plain[key]["name"]) if key in OBJECT_GROUPS else {}
+            means = {"trainer": meanings(TrainerOptions), "metrics": top}.get(key, means)
         meaning = means.get(key.strip())
-        yield f"{line:<28}# {meaning}" if meaning else line
+        yield f"{line:<27} # {meaning}" if meaning else line
 
 
 def option_meanings(group: str, name: str) -> dict[str, str]:
-    """option -> its meaning, for the options of `group=name` or of `trainer`."""
-    if group == "trainer":
-        return meanings(TrainerOptions)
-    if group in registry.GROUPS:
-        return registry.MEANINGS | meanings(registry.lookup(group, name))
-    return meanings(tables()[group][name])
+    """option -> its meaning, of the options of `group=name`. UserError for an unknown one."""
+    if group not in registry.GROUPS:
+        rows(group, name)
+        return meanings(tables()[group][name])
+    cls: Any = registry.lookup(group, name)
+    weight = {} if cls.weighted() else {"weight": "has no effect and is refused: no loss is added"}
+    return registry.MEANINGS | weight | meanings(cls)
 
 
 def _names(group: str) -> list[str]:

@@ -21,7 +21,7 @@ def meanings(cls: type) -> dict[str, str]:
     options = {option.name for option in dataclasses.fields(cls)}
     for base in reversed([b for b in cls.__mro__ if dataclasses.is_dataclass(b)]):
         found |= _from_docstring(vars(base).get("__doc__") or "", options)
-        with contextlib.suppress(OSError):  # an installed plugin may come without its source
+        with contextlib.suppress(OSError, TypeError, SyntaxError):  # a plugin without its source
             found |= _from_comments(inspect.getsource(base), options)
     return found
 

@@ -28,8 +28,8 @@ class TrainerOptions:
     lr_means_final: float = 0.01  # share of lr_means that is left at the end
     lr_sh0: float = 2.5e-3  # of the colours
     lr_shN_ratio: float = 0.05  # of the higher SH bands, as a share of lr_sh0
-    lr_opacities: float = 0.025  # of their logits
-    lr_scales: float = 0.03  # of their logarithms
+    lr_opacities: float = 0.025  # of the logits of the opacities
+    lr_scales: float = 0.03  # of the logarithms of the scales
     lr_quats: float = 6e-3  # of the rotations
     lr_final: float = 0.1  # share of the other rates that is left at the end
     opacity_decay: float = 0.99  # opacities are multiplied by it after every step; 1 = off

@@ -53,7 +53,7 @@ def run_blocks(
         for block in range(blocks):
             kernel(block, blocks, *scratch[0], *args)
         return
-    # a block is taken once, as a range iterator's next() is atomic
+    # a block is taken once, as a range iterator's next() is atomic (under the GIL)
     shares = [iter(range(blocks * thread // n, blocks * (thread + 1) // n)) for thread in range(n)]
 
     def work(thread: int) -> None:

@@ -26,7 +26,7 @@ GROUPS = {"augment": "plugins.augment", "reg": "plugins.regularize", "capacity":
 FOLDER = Path(__file__).resolve().parent.parent / "plugins"
 FRAMEWORK_KEYS = {"weight": 1.0, "start": 0.0, "stop": 1.0}
 MEANINGS = {
-    "weight": "of the losses it adds",
+    "weight": "factor of the loss it adds",
     "start": "share of the training before which it rests",
     "stop": "share of the training after which it rests",
 }

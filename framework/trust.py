@@ -67,7 +67,8 @@ def check_command(flags: Any) -> None:
     check_composed(composed)
     params = composed.hydra.sweeper.params or {}
     check_run_count(overrides, params)
-    check_method(overrides, params)
+    multirun = flags.multirun or composed.hydra.mode is RunMode.MULTIRUN
+    check_method(overrides, params if multirun else ())
 
 
 def check_composed(config: DictConfig) -> None:
@@ -103,15 +104,15 @@ def check_run_count(overrides: Sequence[Override], params: Mapping[Any, Any]) ->
     )
 
 
-def check_method(overrides: Sequence[Override], params: Mapping[Any, Any]) -> None:
-    """Raise UserError for a method beside a sweep that replaces both its choices without a word.
-    params: as in `check_run_count`."""
+def check_method(overrides: Sequence[Override], swept: Iterable[Any]) -> None:
+    """Raise UserError for a method both of whose choices are replaced without a word: by others on
+    the command line, or by those that a sweep has for each of its runs (swept)."""
     given = {override.get_key_element(): override.input_line for override in overrides}
-    if "method" in given and {"augment", "reg"} <= params.keys() - given.keys():
+    if "method" in given and {"augment", "reg"} <= {*given, *swept}:
         raise UserError(
-            f"{given['method']}: expected no method beside a sweep that chooses augment and reg"
-            " itself, got one, which would change nothing; leave it out, or give augment=NAME and"
-            " reg=NAME in its place"
+            f"{given['method']}: expected no method where augment and reg are chosen by themselves,"
+            " here or by a sweep, got one, which would change nothing; leave it out, or give"
+            " augment=NAME and reg=NAME in its place"
         )
 
 

@@ -39,12 +39,11 @@ class WarpingAugmenter(Augmenter):
     """One pseudo view at a perturbed training camera, warped from the views `select` chooses.
 
     every: epochs that a pseudo view lives (a new one costs about as much as two training steps).
-    sigma_center: the paper's sigma_C, jitter of the camera centre per axis, in mean
-    nearest-neighbour distances of the training cameras (extents for a single camera).
-    sigma_rotation: the paper's sigma_theta, jitter of the orientation in degrees, about a random
-    axis. temperature: softness of the z-buffer as a share of depth. min_coverage: share of the
-    frame that must be warped; below it there is no pseudo view. The warm-up is the framework key
-    `start`.
+    sigma_center: the paper's sigma_C, jitter of the centre per axis, in mean distances to the next
+    camera. Those are of the training cameras (extents for a single one). sigma_rotation: the
+    paper's sigma_theta, jitter of the orientation in degrees, about a random axis. temperature:
+    softness of the z-buffer as a share of depth. min_coverage: share of the frame that must be
+    warped; below it there is no pseudo view. The warm-up is the framework key `start`.
     """
 
     every: int = 2

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from framework.depth.provider import DepthProvider
-from framework.errors import require
+from framework.errors import check_option
 
 if TYPE_CHECKING:
     from framework.types import DepthMap, TrainingSet
@@ -32,21 +33,13 @@ class DepthFile(DepthProvider):
     def __post_init__(self) -> None:
         super().__post_init__()
 
-        def choice(name: str, known: tuple[str, ...]) -> None:
-            got = getattr(self, name)
-            require(
-                got in known, f"depth=file: expected {name} one of {', '.join(known)}, got '{got}'"
-            )
-
-        require(self.path != "", "depth=file: expected a folder, got none; set depth.path=DIR")
-        choice("kind", KINDS)
-        choice("align", ALIGNMENTS)
-        choice("invalid", INVALID)
-        require(self.png_scale > 0, f"depth=file: expected png_scale > 0, got {self.png_scale}")
-        require(
-            0 <= self.tolerance < 1,
-            f"depth=file: expected tolerance in [0, 1), got {self.tolerance}",
-        )
+        check = functools.partial(check_option, self, "depth")
+        check("path", self.path != "", "the folder of the depth maps")
+        check("kind", self.kind in KINDS, f"one of {', '.join(KINDS)}")
+        check("align", self.align in ALIGNMENTS, f"one of {', '.join(ALIGNMENTS)}")
+        check("invalid", self.invalid in INVALID, f"one of {', '.join(INVALID)}")
+        check("png_scale", self.png_scale > 0, "a number > 0")
+        check("tolerance", 0 <= self.tolerance < 1, "a share in [0, 1)")
 
     def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
         """The aligned maps; confidence 1 where depth is known (and, with `tolerance`, confirmed).

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from framework.errors import nearest_hint, require
+from framework.errors import check_option, nearest_hint, require
 
 if TYPE_CHECKING:
     from framework.types import DepthMap, TrainingSet
@@ -23,9 +23,9 @@ DEFAULT_STRENGTH = 0.5
 class DepthProvider:
     """Base of all providers, with the options they share.
 
-    corruption: none, or noise, bias, holes and blur in the order they act, joined by + (`noise+
-    holes`). strength: in [0, 1], of all of them; 0 changes nothing, 1 is as bad as
-    `framework.depth.corruption` says. corruption_seed: of their draws. The run's seed does not
+    corruption: none, or noise, bias, holes, blur, several joined by + in the order they act. For
+    instance `noise+holes`. strength: of all corruptions, in [0, 1]; 0 changes nothing. 1 is as bad
+    as `framework.depth.corruption` says. corruption_seed: of their draws. The run's seed does not
     move them: all seeds of a study meet the same spoiled depth.
     """
 
@@ -40,19 +40,13 @@ class DepthProvider:
                 f"depth.corruption: unknown corruption '{kind}'; {nearest_hint(kind, CORRUPTIONS)},"
                 f" several joined by +, or {NONE}",
             )
-        require(
-            0 <= self.strength <= 1,
-            f"depth.strength: expected a number in [0, 1], got {self.strength}",
-        )
+        check_option(self, "depth", "strength", 0 <= self.strength <= 1, "a number in [0, 1]")
         require(
             self.strength == DEFAULT_STRENGTH or self.corruption != NONE,
             "depth.strength: it is the strength of a corruption, and depth.corruption is none; add"
             f" depth.corruption=KIND ({', '.join(CORRUPTIONS)}) or drop depth.strength",
         )
-        require(
-            self.corruption_seed >= 0,
-            f"depth.corruption_seed: expected an integer >= 0, got {self.corruption_seed}",
-        )
+        check_option(self, "depth", "corruption_seed", self.corruption_seed >= 0, "an integer >= 0")
 
     def corruptions(self) -> tuple[str, ...]:
         """The chosen corruptions in the order they act."""

@@ -6,10 +6,11 @@ squared distance to the 3 nearest other points, the opacity 0.1, no rotation.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from framework.errors import require
+from framework.errors import check_option, require
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,13 +29,9 @@ class Sparse:
     opacity: float = 0.1
 
     def __post_init__(self) -> None:
-        require(
-            0 < self.scale_factor < 100,
-            f"init.scale_factor: expected a number in (0, 100), got {self.scale_factor}",
-        )
-        require(
-            0 < self.opacity < 1, f"init.opacity: expected a number in (0, 1), got {self.opacity}"
-        )
+        check = functools.partial(check_option, self, "init")
+        check("scale_factor", 0 < self.scale_factor < 100, "a number in (0, 100)")
+        check("opacity", 0 < self.opacity < 1, "a number in (0, 1)")
 
     def build(
         self, training: TrainingSet, depth: tuple[DepthMap, ...], sh_degree: int, seed: int

@@ -26,13 +26,13 @@ class Stereo:
     """How the depth maps become Gaussians.
 
     budget: number of Gaussians; 0 = `per_pixel` times the training pixels. It is smaller when fewer
-    pixels are left after fusion. per_pixel: Gaussians per training pixel without a budget, at most
-    100,000. So a scene gets what its photos can support (0.07 gives 40,000 for three photos of
-    504x378), but more photos of one scene repeat much of it. detail: exponent of the local image
-    gradient in the sampling density; 0 = uniform. tolerance: relative depth difference up to which
-    two views show the same surface. scale_factor: standard deviation in units of the mean spacing
-    of the samples. opacity: of every Gaussian. completion: sampling density of pixels whose depth
-    is a guess, in units of that of consistent ones; 0 = none.
+    pixels are left after fusion. per_pixel: Gaussians per training pixel, if budget is 0; 100,000
+    in all at most. So a scene gets what its photos can support (0.07 gives 40,000 for three photos
+    of 504x378); many photos of one scene repeat much of it. detail: exponent of the
+    local image gradient in the sampling density; 0 = uniform. tolerance: relative depth difference
+    up to which two views show the same surface. scale_factor: standard deviation in units of the
+    mean spacing of the samples. opacity: of every Gaussian. completion: sampling density of pixels
+    whose depth is a guess, in units of that of consistent ones; 0 = none.
     """
 
     budget: int = 0

@@ -48,7 +48,7 @@ class Dtu:
 
     path: str  # folder of the scene
     n_views: int = 3  # training views
-    scan: int | None = None  # then path is a folder of scans: dtu_scan65 or scan65 in it is taken
+    scan: int | None = None  # which scan, where path is a folder of scans
     images: str = "auto"  # folder of the photos; auto = images where there is one, else image
     downscale: int | None = None  # photos are reduced by it; null = to 400 x 300
     train_mask: str = "background"  # what of the training photos counts: background, full, object

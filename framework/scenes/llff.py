@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from framework.errors import require
+from framework.errors import check_option, require
 from framework.limits import SIDE_PIXELS
 from framework.scenes.options import check_folder_options, check_images
 from framework.scenes.splits import protocol
@@ -42,17 +42,14 @@ class Llff:
     n_views: int = 3  # training views
     images: str = "auto"  # folder of the photos; auto = images_8 where there is one, else images
     downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
-    k1: float = 0.0  # radial distortion, see `lens`; 0 = photos as they are, the usual protocol
+    k1: float = 0.0  # radial distortion to remove, x (1 + k1 r^2); 0 = none, as is usual
     split: str = "llff"  # which views train and which test: llff, mip360 or dtu
 
     def __post_init__(self) -> None:
         check_folder_options("llff", self.path, self.n_views, self.split, self.downscale)
         check_images("llff", self.images)
-        require(
-            -1 < self.k1 < 1,
-            f"scene=llff: expected a radial distortion k1 in (-1, 1), got {self.k1:g}; it is that"
-            " of COLMAP's SIMPLE_RADIAL, 0 for none",
-        )
+        expected = "COLMAP's SIMPLE_RADIAL distortion in (-1, 1), 0 for none"
+        check_option(self, "scene", "k1", -1 < self.k1 < 1, expected)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where the folder does not hold what the layout asks for."""

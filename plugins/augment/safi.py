@@ -41,9 +41,9 @@ class Snapshot:
 @dataclass(frozen=True)
 class Safi(ThresholdAugmenter):
     """eta: a view supports if I_k is at most eta x the smallest. form: "trace", the paper's bound,
-    or "log", the information gain itself (its ratios are near 1: lower eta to 1.05 or so).
+    or "log", the gain itself, which wants an eta of 1.05 or so. Its ratios are near 1.
     approximation: "diagonal" information, or the "block" of every Gaussian's mean and log-scale.
-    regulariser: prior precision as a share of the median diagonal of the training views; with much
+    regulariser: prior precision as a share of the median diagonal of the training views. With much
     less than 1 the trace only counts what a view does not see, and the scores' ratios explode.
     downscale: the Fisher passes run on images smaller by this integer factor. refresh_epochs:
     epochs after which theta_0 is taken anew; 0 = never.

@@ -29,13 +29,13 @@ class AdaptiveDensityControl(PullCapacity):
     """Options, with the defaults of the sparse-view literature (10k-step trainings).
 
     Steps are absolute: a training of 500 steps or fewer is not densified unless `from_step` is
-    lowered. every: steps between densifications, the last before the framework key `stop`, whose
-    default leaves the last tenth to settle what was split. from_step: steps before the first one.
-    grad_threshold: least mean pull (loss per NDC unit). percent_dense: largest standard deviation
-    of a "small" Gaussian, in scene extents. min_opacity: below it a Gaussian is removed.
+    lowered. every: steps between densifications. The last is before the framework key `stop`, whose
+    default leaves the last tenth to settle what was split. from_step: no densification up to this
+    step. grad_threshold: least mean pull (loss per NDC unit). percent_dense: largest standard
+    deviation of a "small" Gaussian, in scene extents. min_opacity: below it a Gaussian is removed.
     reset_every: steps between lowering all opacities to `reset_opacity`; 0 = never. reset_opacity:
-    the most that is left of one then.
-    max_gaussians: 0 = no limit; otherwise the strongest pulled are served first.
+    the highest opacity after that. max_gaussians: 0 = no limit; otherwise the strongest pulled are
+    served first.
     """
 
     defaults: ClassVar[dict[str, float]] = {"stop": 0.9}

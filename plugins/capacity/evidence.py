@@ -61,11 +61,12 @@ NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
 @register("capacity", "evidence")
 @dataclass(frozen=True)
 class Evidence(RoundsCapacity):
-    """criterion: "laplace", as derived; "correlated": the same with the residuals' correlation
-    between the colour channels; "bic": the cost is k/2 log(number of pixel values) for k parameters
-    (Schwarz 1978). pace: share of the Gaussians that a round removes at most, ten epochs
-    after the one before; sooner, less. Few rounds of much growth and removal find better places
-    than many small ones, in less time (`benchmarks/results/capacity.md`).
+    """criterion: "laplace", as derived, "correlated" or "bic". The second is the same with the
+    residuals' correlation between the colour channels; with "bic" the cost is k/2 log(number of
+    pixel values) for k parameters (Schwarz 1978). pace: share of the Gaussians that a round removes
+    at most. It is that of a round ten epochs after the one before; sooner, less. Few rounds of much
+    growth and removal find better places than many small ones, in less time
+    (`benchmarks/results/capacity.md`).
     """
 
     until: float = 0.5

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 @register("capacity", "fisher_prune")
 @dataclass(frozen=True)
 class FisherPrune(Capacity):
-    """first: share of the Gaussians that the first round drops; again: share of the rest that every
-    later one does. rounds: how many. begin: share of the training before the first; what is left of
-    it is fine-tuning, divided evenly among the rounds. regulariser: prior precision as a share of
-    the median diagonal of the blocks.
+    """first: share of the Gaussians that the first round drops. again: share of the rest that every
+    later round drops. rounds: number of rounds. begin: share of the training before the first
+    round. What is left of it is fine-tuning, divided evenly among the rounds. regulariser: prior
+    precision as a share of the median diagonal of the blocks.
     """
 
     first: float = 0.8

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from framework.dropout import DropoutRegularizer
-from framework.errors import require
 from framework.plugin import StepContext, register
 
 if TYPE_CHECKING:
@@ -41,12 +40,12 @@ class Uar(DropoutRegularizer):
 
     mode: a dropped opacity is multiplied by 0 ("hard") or by `soft_scale` ("soft"). soft_scale: the
     paper's lambda. p: drop rate. schedule: "linear" gives p(t) = p x progress of the whole training
-    (as DropGaussian's), "constant" keeps p. C = candidate_factor: the candidates are C times the
-    dropped. refresh: steps between rankings. form: "block" is log det of the 6x6 block, "diagonal"
-    the sum of the logs of its diagonal, blind to what only a combination of parameters tells.
-    regulariser: prior precision as a share of the median diagonal of F. compensate: scale the kept
-    candidates by (1 - s/C) / (1 - 1/C), s the factor of the dropped, so that every opacity keeps
-    its expectation.
+    (as DropGaussian's), "constant" keeps p. candidate_factor: candidates per dropped Gaussian, C.
+    refresh: steps between rankings. form: "block", log det of the 6x6 block, or "diagonal", of its
+    diagonal. That is blind to what only a combination of parameters tells. regulariser: prior
+    precision as a share of the median diagonal of F. compensate: scale the kept candidates up, so
+    that every opacity keeps its expectation. It is by (1 - s/C) / (1 - 1/C), s the factor of the
+    dropped.
     """
 
     mode: str = "soft"
@@ -60,11 +59,8 @@ class Uar(DropoutRegularizer):
         super().__post_init__()
         self.check("mode", self.mode in MODES, f"one of {', '.join(MODES)}")
         most = 1 / self.p
-        require(
-            1 < self.candidate_factor < most,
-            f"reg.candidate_factor: expected a number in (1, 1/p) = (1, {round(most, 3)}), got"
-            f" {self.candidate_factor:g}; lower it or lower reg.p (uar)",
-        )
+        within = f"a number in (1, 1 / reg.p) = (1, {round(most, 3)})"
+        self.check("candidate_factor", 1 < self.candidate_factor < most, within)
         self.check("soft_scale", 0 <= self.soft_scale <= 1, "a number in [0, 1]")
         self.check("refresh", self.refresh >= 1, "an integer >= 1")
         self.check("form", self.form in FORMS, f"one of {', '.join(FORMS)}")

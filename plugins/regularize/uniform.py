@@ -26,8 +26,9 @@ COUNTS = ("bernoulli", "exact")
 class Uniform(DropoutRegularizer):
     """p: drop rate. schedule: "linear" gives p(t) = p x progress of the whole training, "constant"
     keeps p. count: "bernoulli" drops each Gaussian with probability p(t), "exact" drops p(t) N of
-    them, rounded. compensate: multiply the kept opacities by 1 / (1 - share dropped in expectation)
-    (DropGaussian); a factor may take an opacity above 1, where the renderer's clamp of alpha holds.
+    them, rounded. compensate: multiply the kept opacities by 1 / (1 - share dropped in
+    expectation). As DropGaussian does; a factor may take an opacity above 1, where the renderer's
+    clamp of alpha holds.
     """
 
     count: str = "bernoulli"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import pytest
+import yaml
 
 from framework.cli import main
 from framework.config import OBJECT_GROUPS, choices, rows
@@ -53,11 +54,14 @@ def test_a_long_meaning_is_cut() -> None:
 @pytest.mark.parametrize("group", [*OBJECT_GROUPS, "trainer"])
 def test_every_option_has_a_meaning(group: str) -> None:
     if group == "trainer":
-        assert set(option_meanings(group, "")) == set(TrainerOptions.__dataclass_fields__)
+        assert set(meanings(TrainerOptions)) == set(TrainerOptions.__dataclass_fields__)
         return
     for name in choices(group):
-        silent = {option[0] for option in rows(group, name)} - set(option_meanings(group, name))
+        told = option_meanings(group, name)
+        silent = {option[0] for option in rows(group, name)} - set(told)
         assert not silent, f"{group}={name}: what do {silent} mean?"
+        cut = [text for text in told.values() if text.endswith("...")]
+        assert not cut, f"{group}={name}: a shorter first sentence, or the rest is not told: {cut}"
 
 
 def test_the_help_shows_them(capsys: pytest.CaptureFixture[str]) -> None:
@@ -68,3 +72,18 @@ def test_the_help_shows_them(capsys: pytest.CaptureFixture[str]) -> None:
     options = lines[lines.index("trainer:") :]
     unexplained = [line for line in options if line.startswith("  ") and "# " not in line]
     assert len(options) > 50 and all("name: " in line for line in unexplained)
+
+
+def test_the_help_is_a_configuration(capsys: pytest.CaptureFixture[str]) -> None:
+    path = f"/tmp/{'a long folder ' * 9}# 1"
+    line = ["depth=depth_anything_3", "scene=llff", f"scene.path='{path}'", "+own.list=[1,2]"]
+    assert main(["--help", *line]) == 0
+    text = capsys.readouterr().out.partition("Options, KEY=VALUE:")[2]
+    config = yaml.safe_load(text)
+    assert config["scene"]["path"] == path and config["own"] == {"list": [1, 2]}
+    assert config["depth"]["weights"] == "depth-anything/DA3-BASE"
+
+
+def test_an_unknown_choice_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help", "scene.name=embeded"]) == 2
+    assert "scene=embeded: unknown scene; did you mean 'embedded'?" in capsys.readouterr().err

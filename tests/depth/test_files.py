@@ -237,10 +237,10 @@ def test_ground_truth_is_the_views_own_depth() -> None:
     ("name", "options", "message"),
     [
         ("plane_swep", {}, "did you mean 'plane_sweep'"),
-        ("file", {}, "set depth.path=DIR"),
-        ("file", {"path": "x", "kind": "disparity"}, "kind one of depth, inverse_depth"),
-        ("file", {"path": "x", "align": "affine"}, "align one of scale"),
-        ("file", {"path": "x", "png_scale": 0}, "png_scale > 0"),
+        ("file", {}, "depth.path: expected the folder of the depth maps, got nothing"),
+        ("file", {"path": "x", "kind": "disparity"}, "kind: expected one of depth, inverse_depth"),
+        ("file", {"path": "x", "align": "affine"}, "align: expected one of scale"),
+        ("file", {"path": "x", "png_scale": 0}, "png_scale: expected a number > 0, got 0"),
         ("ground_truth", {"planes": 3}, "unknown option 'planes'"),
     ],
 )

@@ -31,6 +31,43 @@ def test_every_block_runs_once_and_no_two_threads_share_what_is_their_own(thread
     assert all(len(mine) <= 1 for (mine,) in own)
 
 
+def test_threads_help_each_other() -> None:
+    """The first block ends when all others are done, those of its own thread's range too."""
+    set_threads(2)
+    others, all_done = set(range(1, 8)), threading.Event()
+
+    def kernel(block: int, blocks: int) -> None:
+        if block == 0:
+            assert all_done.wait(20)
+            return
+        others.discard(block)
+        if not others:
+            all_done.set()
+
+    try:
+        run_blocks(kernel, blocks=8)
+    finally:
+        set_threads(0)
+    assert not others
+
+
+@pytest.mark.parametrize("blocks", [1, 2, 5])
+def test_fewer_blocks_than_threads_and_what_they_raise(blocks: int) -> None:
+    set_threads(7)
+    seen: list[int] = []
+    run_blocks(lambda block, blocks: seen.append(block), blocks=blocks)
+
+    def fails(block: int, blocks: int) -> None:
+        raise ValueError(f"block {block}")
+
+    try:
+        with pytest.raises(ValueError, match="block"):
+            run_blocks(fails, blocks=blocks)
+    finally:
+        set_threads(0)
+    assert sorted(seen) == list(range(blocks))
+
+
 def test_no_more_threads_take_part_than_there_is_scratch(threads: int) -> None:
     own: list[tuple[list[int]]] = [([],)]
     run_blocks(lambda block, blocks, mine: mine.append(block), blocks=40, own=own)

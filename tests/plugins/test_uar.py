@@ -137,9 +137,9 @@ def test_input_is_left_alone() -> None:
     [
         (
             {"p": 0.2, "candidate_factor": 7.0},
-            r"expected a number in \(1, 1/p\) = \(1, 5.0\), got 7",
+            r"expected a number in \(1, 1 / reg.p\) = \(1, 5.0\), got 7",
         ),
-        ({"candidate_factor": 1.0}, "lower reg.p"),
+        ({"candidate_factor": 1.0}, r"candidate_factor: expected a number in \(1, 1 / reg.p\)"),
         ({"candidate_factor": float("nan")}, "candidate_factor"),
         ({"p": 0.0}, r"p: expected a number in \(0, 1\), got 0.0"),
         ({"p": 1.5}, "p: expected"),

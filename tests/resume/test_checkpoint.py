@@ -140,6 +140,15 @@ def test_tensors_that_share_memory(tmp_path: Path) -> None:
         assert torch.equal(back, expected)
 
 
+def test_a_state_of_another_run_is_not_taken_apart(tmp_path: Path) -> None:
+    """Its classes may have had other fields."""
+    path = tmp_path / "a.safetensors"
+    path.write_bytes(checkpoint.pack(PluginState(True, None), [PluginState], "other", "test"))
+    assert checkpoint.unpack(path, [], "mine") == ("other", None)
+    with pytest.raises(ValueError):
+        checkpoint.unpack(path, [], "other")
+
+
 def test_a_state_that_cannot_be_held_is_told(tmp_path: Path) -> None:
     odd = replace(state(1), plugins={"reg": PluginState(True, object())})
     with pytest.raises(UserError, match="plugin state: expected a state of numbers"):

@@ -65,6 +65,16 @@ def test_undistortion_keeps_detail() -> None:
     assert out[20:-20, 20:-20].var() > 0.8 * image.var()
 
 
+def test_overshoot_is_cut_off() -> None:
+    """Lanczos' filter overshoots at edges of black and white; nothing wraps round."""
+    board = np.indices((200, 300)).sum(0) // 4 % 2 * 255
+    image = np.repeat(board[..., None], 3, axis=2).astype(np.uint8)
+    out, _ = undistort(image, intrinsics(300.0, 300.0, 150.0, 100.0), Distortion(k1=-0.05))
+    assert abs(out.mean() - image.mean()) < 2
+    inside = out[10:-10, 10:-10]
+    assert np.mean((inside < 40) | (inside > 215)) > 0.6  # squares stay black and white
+
+
 def test_where_the_radial_model_folds_back_nothing_is_valid() -> None:
     K = intrinsics(40.0, 40.0, 50.0, 50.0)
     _, mask = undistort(noise(100, 100), K, Distortion(k1=-0.3))

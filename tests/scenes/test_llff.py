@@ -62,7 +62,10 @@ def test_k1_straightens_every_photo(tmp_path: Path) -> None:
         assert np.array_equal((view.image.numpy() * 255).round().transpose(1, 2, 0), straight)
         assert mask is None and view.mask is None  # the corners bulge outwards
         assert not np.array_equal(straight, stored)
-    with pytest.raises(UserError, match=r"expected a radial distortion k1 in \(-1, 1\), got nan"):
+    for view in load(tmp_path, k1=0.9, downscale=2).test:  # the photo does not reach the corners
+        assert view.mask is not None and 0.5 < float(view.mask.mean()) < 1
+        assert view.mask.shape == view.image.shape[1:]
+    with pytest.raises(UserError, match=r"scene.k1: expected .* in \(-1, 1\), 0 for none, got nan"):
         load(tmp_path, k1=float("nan"))
 
 

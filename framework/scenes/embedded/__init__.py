@@ -33,7 +33,7 @@ class Embedded:
     spread: float = 0.35  # metres from the middle of the rig to its outer cameras
     texture: float = 1.0  # factor of all texture contrasts; 0 = textureless
     gloss: float = 1.0  # factor of all highlights and mirrors; 0 = matte
-    pose_noise: float = 0.0  # pixels by which the training cameras' poses are wrong, see `rig`
+    pose_noise: float = 0.0  # pixels by which the training cameras' poses are wrong
 
     def __post_init__(self) -> None:
         check = functools.partial(check_option, self, "scene")
