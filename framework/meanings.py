@@ -33,7 +33,7 @@ def from_yaml(text: str) -> dict[str, str]:
 
 def _source(cls: type) -> str:
     """Of a class at the top of a module; "" where there is none. `inspect.getsource` would parse
-    the module, which takes a tenth of a second for `--help`."""
+    the module, which is slow."""
     file = getattr(sys.modules.get(cls.__module__), "__file__", None) or ""
     try:
         text = Path(file).read_text(encoding="utf-8")

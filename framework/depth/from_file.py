@@ -32,7 +32,6 @@ class DepthFile(DepthProvider):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-
         check = functools.partial(check_option, self, "depth")
         check("path", self.path != "", "the folder of the depth maps")
         check("kind", self.kind in KINDS, f"one of {', '.join(KINDS)}")

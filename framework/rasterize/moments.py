@@ -58,6 +58,21 @@ def _fourth_order(dx: Any, m0: Any, m1: Any, m2: Any, m3: Any, m4: Any) -> tuple
 
 
 @inlined
+def _cross_sums(first: Any, second: Any, todo: int, line: Any, dx: Any) -> Any:
+    """A slot of `cross`, see `blend_moments`, from both sums r of the pixels in the rows `todo`."""
+    r0, r1, r2, p0, p1, p2 = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
+    while todo != 0:
+        row = lowest_bit(todo)
+        todo &= todo - 1
+        e = line + splat(f4(row))
+        r, p = load(first, row * 16), load(second, row * 16)
+        r0, r1, r2 = r0 + r, fma(r, e, r1), fma(r, e * e, r2)
+        p0, p1, p2 = p0 + p, fma(p, e, p1), fma(p, e * e, p2)
+    r0x, p0x = r0 * dx, p0 * dx
+    return lane_sums((r0x, r1, r0x * dx, r1 * dx, r2, p0x, p1, p0x * dx, p1 * dx, p2))
+
+
+@inlined
 def _read_colours(x: int, y: int, width: int, height: int, rgb: Any, behind: Any) -> None:
     """An image's colours into a tile's."""
     plane, count = width * height, min(16, width - x)
@@ -100,8 +115,8 @@ def blend_moments(
     0-4 of `cross` are the sums of r times dx, e, dx^2, dx e, e^2, where r is the sum over the
     channels of weight x slope x alpha d C / d alpha, slopes 0, 2, 4; lanes 5-9 with 1, 3, 5.
     """
-    # One long body: with the loops over rows as inlined functions of their own it takes 1.3 to 1.8
-    # times as long (`benchmarks/fisher.py`), less where one array is handed over than six.
+    # One long body: with its first loop over rows, of six arrays, as an inlined function it takes
+    # 1.3 to 1.8 times as long (`benchmarks/fisher.py`).
     directional = len(cross) > 0
     columns = (width + 15) // 16
     state = aligned(6 * 256)
@@ -141,7 +156,6 @@ def blend_moments(
             cr, cg, cb = colour(rows, g)
             line = fma(lean, dx, dy0)  # e in the first row
             m0, m1, m2, m3, m4, ww = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
-            r0, r1, r2, p0, p1, p2 = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             if directional:
                 own = g * 16
                 vr, vg, vb = splat(slopes[own]), splat(slopes[own + 2]), splat(slopes[own + 4])
@@ -173,21 +187,10 @@ def blend_moments(
                         store(first, at, pull * fma(jr, vr, fma(jg, vg, jb * vb)))
                         store(second, at, pull * fma(jr, wr, fma(jg, wg, jb * wb)))
                     raw, ratio, e = raw * ratio, ratio * bend, e + one
+            store(slots, slot, lane_sums((*_fourth_order(dx, m0, m1, m2, m3, m4), ww)))
             if directional:  # another loop: all accumulators together would leave the registers
                 todo = listed_rows(item) & alive
-                while todo != 0:
-                    row = lowest_bit(todo)
-                    todo &= todo - 1
-                    e = line + splat(f4(row))
-                    r, p = load(first, row * 16), load(second, row * 16)
-                    r0, r1, r2 = r0 + r, fma(r, e, r1), fma(r, e * e, r2)
-                    p0, p1, p2 = p0 + p, fma(p, e, p1), fma(p, e * e, p2)
-            store(slots, slot, lane_sums((*_fourth_order(dx, m0, m1, m2, m3, m4), ww)))
-            if directional:
-                r0x, p0x = r0 * dx, p0 * dx
-                rs = (r0x, r1, r0x * dx, r1 * dx, r2)
-                ps = (p0x, p1, p0x * dx, p1 * dx, p2)
-                store(mixed, slot, lane_sums(rs + ps))
+                store(mixed, slot, _cross_sums(first, second, todo, line, dx))
     gather(block, bounds, parts, n_slots[block], slots, sums)
     if directional:
         gather(block, bounds, parts, n_slots[block], mixed, cross)
