@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import functools
 import gc
+import importlib
 import json
 import re
 import statistics
@@ -42,7 +43,7 @@ STAGES = {
     "training: checkpoints": ["framework.checkpoint:Checkpoints.keep"],
     "test PSNR along the way": ["framework.trainer:Trainer._record"],
     "evaluation: rendering, PSNR": ["framework.experiment:evaluate"],
-    "evaluation: SSIM": ["framework.metrics:_ssim"],
+    "evaluation: SSIM": ["framework.metrics:_ssims"],
     "evaluation: FLIP": ["framework.metrics:_flip"],
     "files": ["framework.experiment:write_run"],
     "identity of code, packages and files": [
@@ -84,21 +85,25 @@ class Clock:
 
 def child(began: float, output: Path, overrides: list[str]) -> None:
     """One run with a clock around its stages; `began` is the time when the process was started."""
-    from framework.collector import import_uncollected
-
-    clock = Clock()
-    modules = sorted({place.partition(":")[0] for places in STAGES.values() for place in places})
-    for name in ("framework.experiment", *modules):
-        import_uncollected(name)
-    clock.seconds[START] = time.time() - began
-    for stage, places in STAGES.items():
-        for place in places:
-            module, _, path = place.partition(":")
-            *owners, name = path.split(".")
-            owner = functools.reduce(getattr, owners, sys.modules[module])
-            setattr(owner, name, clock.watch(stage, getattr(owner, name)))
+    from framework import imports
     from framework.cli import main as run
 
+    clock, load = Clock(), imports.import_trainer
+    begun = time.time() - began
+
+    def watched() -> None:
+        """Imports, and then a clock around the stages, most of which are only known now."""
+        start = time.time()
+        load()
+        clock.seconds[START] = begun + time.time() - start
+        for stage, places in STAGES.items():
+            for place in places:
+                module, _, path = place.partition(":")
+                *owners, name = path.split(".")
+                owner = functools.reduce(getattr, owners, importlib.import_module(module))
+                setattr(owner, name, clock.watch(stage, getattr(owner, name)))
+
+    imports.import_trainer = watched
     code = run(overrides)
     clock.seconds[REST] = time.time() - began - clock.seconds[START] - clock.measured
     output.write_text(json.dumps(clock.seconds))

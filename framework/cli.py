@@ -27,7 +27,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
-from framework.collector import import_uncollected
+from framework import imports, reporter
 from framework.complaints import USER_ERRORS, one_line
 from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, check, choices, register_config
 from framework.errors import UserError
@@ -63,7 +63,7 @@ def main(argv: Sequence[str]) -> int:
             if _only_informs(flags):
                 application()
                 return 0
-            with ledger():
+            with ledger(), reporter.ended():
                 application()
                 return conclude()
     except KeyboardInterrupt:
@@ -101,6 +101,8 @@ def task(cfg: DictConfig) -> None:
     try:
         check(config)  # finds the plugins too, which a launcher's fresh process knows nothing of
         config["study"] = study_name(config)
+        if job.mode.name == "RUN":
+            reporter.start()
         _run(config, run_dir, _progress(job, config["seed"], number), overrides)
     except Exception as raised:
         error = _as_bad_input(raised)
@@ -207,7 +209,7 @@ def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
 def _run(
     config: dict[str, Any], run_dir: Path, progress: Progress, overrides: Sequence[str]
 ) -> None:
-    import_uncollected("framework.experiment")
+    imports.import_trainer()
     from framework.experiment import run_experiment
 
     run_experiment(config, run_dir, progress, overrides)

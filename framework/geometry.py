@@ -117,5 +117,5 @@ def perturbed(camera: Camera, axis_angle: Tensor, shift: Tensor) -> Camera:
 
 def _rotate(matrix: Tensor, vectors: Tensor) -> Tensor:
     """[..., 3] = matrix [3, 3] @ vectors [..., 3]."""
-    x, y, z = vectors[..., 0:1], vectors[..., 1:2], vectors[..., 2:3]
-    return x * matrix[:, 0] + y * matrix[:, 1] + z * matrix[:, 2]
+    x, y, z = vectors.unbind(-1)
+    return torch.stack([x * row[0] + y * row[1] + z * row[2] for row in matrix], -1)

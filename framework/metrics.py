@@ -25,7 +25,8 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -73,7 +74,7 @@ def quantise(image: Tensor) -> np.ndarray:
     """[H, W, 3] uint8, round-to-nearest of the clamped planar `image` [3, H, W]; NaN becomes 0."""
     if image.ndim != 3 or image.shape[0] != 3:
         raise ValueError(f"metrics: expected an image [3, H, W], got shape {tuple(image.shape)}")
-    pixels = image.detach().cpu().double().nan_to_num(nan=0.0).clamp_(0.0, 1.0)
+    pixels = image.detach().cpu().double().nan_to_num_(nan=0.0).clamp_(0.0, 1.0)
     levels: np.ndarray = pixels.mul_(255.0).round_().byte().permute(1, 2, 0).contiguous().numpy()
     return levels
 
@@ -107,30 +108,41 @@ def evaluate_view(
 
     Raises ValueError when the sizes differ.
     """
-    x, y, valid = _pair(render, view.image, view.mask)
-    return ViewMetrics(
-        view=view.name,
-        tags=tuple(view.tags),
-        psnr=_psnr(x, y, valid),
-        ssim=_ssim(x, y),
-        flip=_flip(x, y),
-        lpips=_lpips(x, y, network),
-        render_s=render_s,
-    )
+    return _measured([(view, render, render_s)], network)[0]
 
 
 def evaluate(
     render: Callable[[Camera], Tensor], views: Sequence[View], network: Lpips | None = None
 ) -> tuple[list[ViewMetrics], list[tuple[View, Tensor]]]:
     """Render and measure every test view; also gives the (view, [3, H, W] image) pairs to save."""
-    metrics: list[ViewMetrics] = []
-    images: list[tuple[View, Tensor]] = []
+    timed: list[tuple[View, Tensor, float]] = []
     for view in views:
         start = time.perf_counter()
         image = render(view.camera).detach()
-        metrics.append(evaluate_view(view, image, time.perf_counter() - start, network))
-        images.append((view, image))
-    return metrics, images
+        timed.append((view, image, time.perf_counter() - start))
+    return _measured(timed, network), [(view, image) for view, image, _ in timed]
+
+
+def _measured(
+    renders: Sequence[tuple[View, Tensor, float]], network: Lpips | None
+) -> list[ViewMetrics]:
+    """The metrics of (view, render [3, H, W], seconds)."""
+    pairs = [_pair(image, view.image, view.mask) for view, image, _ in renders]
+    ssims = _ssims(pairs)
+    return [
+        ViewMetrics(
+            view=view.name,
+            tags=tuple(view.tags),
+            psnr=_psnr(x, y, valid),
+            ssim=similarity,
+            flip=_flip(x, y),  # on all threads by itself
+            lpips=_lpips(x, y, network),
+            render_s=render_s,
+        )
+        for (view, _, render_s), (x, y, valid), similarity in zip(
+            renders, pairs, ssims, strict=True
+        )
+    ]
 
 
 def mean_of(metrics: Sequence[ViewMetrics], metric: str) -> Measurement:
@@ -192,6 +204,11 @@ def _ssim(x: np.ndarray, y: np.ndarray) -> Measurement:
             channel_axis=2,
         )
     )
+
+
+def _ssims(pairs: Sequence[tuple[np.ndarray, np.ndarray, Any]]) -> list[Measurement]:
+    """SSIM of all pairs, on all threads."""
+    return parallel.run_tasks([partial(_ssim, x, y) for x, y, _ in pairs])
 
 
 def _flip(x: np.ndarray, y: np.ndarray) -> Measurement:

@@ -35,6 +35,7 @@ class TrainerOptions:
     opacity_decay: float = 0.99  # opacities are multiplied by it after every step; 1 = off
     coarse_factor: int = 2  # images are box-downsampled by it at the beginning
     coarse_until: float = 0.25  # share of the steps that take images smaller by coarse_factor
+    pseudo_factor: int = 2  # pseudo views are always box-downsampled by it; 1 = as large as photos
     background: str = "mean"  # colour: mean of the training photos, black, white, random
     near_plane: float = 0.05  # Gaussians nearer are not drawn; in units of the near bound
     evaluations: int = 6  # of the test views, evenly spaced, the last after the last step
@@ -50,6 +51,7 @@ class TrainerOptions:
         for share in ("lr_means_final", "lr_final", "lr_shN_ratio", "opacity_decay"):
             check(share, 0 < getattr(self, share) <= 1, "a number in (0, 1]")
         check("coarse_factor", self.coarse_factor in (1, 2, 4, 8), "1, 2, 4 or 8")
+        check("pseudo_factor", self.pseudo_factor in (1, 2, 4, 8), "1, 2, 4 or 8")
         check("coarse_until", 0 <= self.coarse_until <= 1, "a share in [0, 1]")
         check("background", self.background in BACKGROUNDS, f"one of {', '.join(BACKGROUNDS)}")
         check("near_plane", 0 < self.near_plane <= 1, "a number in (0, 1]")

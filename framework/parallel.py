@@ -70,6 +70,21 @@ def run_blocks(
         helper.result()
 
 
+def run_tasks(tasks: Sequence[Callable[[], Any]]) -> list[Any]:
+    """What the `tasks` return, in order, on as many threads as kernels have.
+
+    For work in libraries that leave the interpreter free. A task may not call `run_blocks`, whose
+    threads are taken.
+    """
+    results: list[Any] = [None] * len(tasks)
+
+    def run(index: int, _: int) -> None:
+        results[index] = tasks[index]()
+
+    run_blocks(run, blocks=len(tasks))
+    return results
+
+
 def _executor(helpers: int) -> ThreadPoolExecutor:
     global _pool, _pool_key
     key = (os.getpid(), helpers)

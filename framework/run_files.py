@@ -6,6 +6,7 @@ Numbers in CSV are written so that reading returns the same bits. A cell without
 from __future__ import annotations
 
 import csv
+import functools
 import io
 import json
 import math
@@ -20,6 +21,7 @@ import numpy as np
 from framework.files import write_whole
 from framework.limits import TEXT_BYTES, check_size
 from framework.metrics import METRICS, Missing, ViewMetrics, quantise
+from framework.parallel import run_tasks
 from framework.record_check import check_columns, check_stems
 
 if TYPE_CHECKING:
@@ -114,22 +116,20 @@ def write_renders(
     folder: Path, stems: Sequence[str], renders: Sequence[tuple[View, Tensor]]
 ) -> None:
     """Save render, truth, error map and mask of every view; images of an earlier run go."""
-    written: set[str] = set()
-
-    def save(name: str, pixels: np.ndarray) -> None:
-        write_whole(folder / name, _png(pixels))
-        written.add(name)
-
+    images: dict[str, np.ndarray] = {}
     for stem, (view, rgb) in zip(stems, renders, strict=True):
         render, truth = quantise(rgb), quantise(view.image)
-        save(f"{stem}.png", render)
-        save(f"{stem}_truth.png", truth)
-        save(f"{stem}_error.png", error_map(render, truth))
+        images[f"{stem}.png"] = render
+        images[f"{stem}_truth.png"] = truth
+        images[f"{stem}_error.png"] = error_map(render, truth)
         if view.mask is not None:
             valid = view.mask.detach().cpu().numpy() > 0.5
-            save(f"{stem}_mask.png", np.where(valid, 255, 0).astype(np.uint8))
+            images[f"{stem}_mask.png"] = np.where(valid, 255, 0).astype(np.uint8)
+    files = run_tasks([functools.partial(_png, pixels) for pixels in images.values()])
+    for name, data in zip(images, files, strict=True):
+        write_whole(folder / name, data)
     for stale in sorted(folder.glob("*.png")):
-        if stale.name not in written:
+        if stale.name not in images:
             stale.unlink()
 
 

@@ -6,8 +6,9 @@ Rates are the options' times `lr_scale`: the means' decays exponentially over th
 
 from __future__ import annotations
 
+from framework.epoch import PSEUDO
 from framework.options import TrainerOptions
-from framework.types import Camera
+from framework.types import View
 
 SMALLEST_SIDE = 16  # pixels; a smaller image has nothing to gain from a coarse phase
 
@@ -32,10 +33,13 @@ def sh_degree(options: TrainerOptions, step: int, stored: int) -> int:
     return min(stored, step // every)
 
 
-def downsampling(options: TrainerOptions, step: int, camera: Camera) -> int:
-    """By which integer factor images are box-downsampled now."""
+def downsampling(options: TrainerOptions, step: int, view: View) -> int:
+    """By which integer factor a view is box-downsampled now. A pseudo view, warped from photos, has
+    little to say about fine detail and is drawn in a fraction of the time when it is small."""
     factor = options.coarse_factor if step < options.coarse_until * options.steps else 1
-    while factor > 1 and min(camera.width, camera.height) // factor < SMALLEST_SIDE:
+    if PSEUDO in view.tags:
+        factor = max(factor, options.pseudo_factor)
+    while factor > 1 and min(view.camera.width, view.camera.height) // factor < SMALLEST_SIDE:
         factor //= 2
     return factor
 

@@ -193,7 +193,7 @@ class Trainer:
             self.pseudo = self._pseudo_views()
             self.queue = self._ordered()
         return tuple(
-            self.items.get(view, schedule.downsampling(self.options, self.step, view.camera))
+            self.items.get(view, schedule.downsampling(self.options, self.step, view))
             for view in self.queue.pop()
         )
 

@@ -23,7 +23,7 @@ from framework.initialize.fusion import (
     compare,
     confident_view,
     joined,
-    surface_columns,
+    surface_pixels,
 )
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def complete(
         guess = _guessed(training, i, maps[i], others, guesses, tolerance)
         chosen = guess > 0
         xyz = unproject(guess, maps[i].camera)[chosen]
-        parts.append(surface_columns(training.views[i], xyz, guess[chosen], chosen, detail))
+        parts.append(surface_pixels(training.views[i], xyz, guess[chosen], chosen, detail))
         near = torch.where(chosen, guess, torch.inf)
         guesses.append(DepthView(maps[i].camera, guess, near))
     return joined(parts)

@@ -12,7 +12,7 @@ Views are taken from the most central to the outermost one. A pixel enters when
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -22,8 +22,6 @@ from torch import Tensor
 from framework.geometry import project, unproject
 from framework.initialize.sampling import detail_density
 from framework.types import Camera, DepthMap, TrainingSet, View
-
-Columns = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -63,13 +61,14 @@ def fuse(
     order = by_centrality([view.camera for view in training.views])
     views = [training.views[i] for i in order]
     maps = [confident_view(training.views[i], depth[i]) for i in order]
-    parts = [_surface_pixels(i, views[i], maps, tolerance, detail) for i in range(len(views))]
+    parts = [_added_pixels(i, views[i], maps, tolerance, detail) for i in range(len(views))]
     return joined(parts)
 
 
-def joined(parts: Sequence[Columns]) -> SurfacePixels:
+def joined(parts: Sequence[SurfacePixels]) -> SurfacePixels:
     """The pixels of several views, in order."""
-    return SurfacePixels(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    names = [field.name for field in fields(SurfacePixels)]
+    return SurfacePixels(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
 
 def by_centrality(cameras: list[Camera]) -> list[int]:
@@ -91,10 +90,10 @@ def confident_view(view: View, estimate: DepthMap) -> DepthView:
     return DepthView(view.camera, depth, torch.from_numpy(minimum_filter(near, 3, mode="nearest")))
 
 
-def _surface_pixels(
+def _added_pixels(
     index: int, view: View, maps: list[DepthView], tolerance: float, detail: float
-) -> Columns:
-    """(xyz, rgb, size, density) of the pixels that view `index` of `maps` adds to those before."""
+) -> SurfacePixels:
+    """The pixels that view `index` of `maps` adds to those before."""
     own = maps[index]
     valid = own.depth > 0
     xyz, z = unproject(own.depth, own.camera)[valid], own.depth[valid]
@@ -110,16 +109,17 @@ def _surface_pixels(
     new = (votes >= 0) & ~repeated
     chosen = valid.clone()
     chosen[valid] = new
-    return surface_columns(view, xyz[new], z[new], chosen, detail)
+    return surface_pixels(view, xyz[new], z[new], chosen, detail)
 
 
-def surface_columns(view: View, xyz: Tensor, z: Tensor, chosen: Tensor, detail: float) -> Columns:
-    """(xyz, rgb, size, density) of the pixels `chosen` [H, W] of a view, at xyz [P, 3] and depth
-    z [P]."""
+def surface_pixels(
+    view: View, xyz: Tensor, z: Tensor, chosen: Tensor, detail: float
+) -> SurfacePixels:
+    """The pixels `chosen` [H, W] of a view, at xyz [P, 3] and depth z [P]."""
     focal_px = float((view.camera.K[0, 0] * view.camera.K[1, 1]).sqrt())
     density = detail_density(view.image.numpy(), detail)[chosen.numpy()]
     rgb = view.image.permute(1, 2, 0)[chosen]
-    return xyz.numpy(), rgb.numpy(), (z / focal_px).numpy(), density
+    return SurfacePixels(xyz.numpy(), rgb.numpy(), (z / focal_px).numpy(), density)
 
 
 def compare(xyz: Tensor, seen: DepthView, tolerance: float) -> tuple[Tensor, Tensor]:

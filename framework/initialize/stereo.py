@@ -8,13 +8,12 @@ have detail, and each is as large as the patch of pixels it stands for.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from framework.errors import check_option, require
 
 if TYPE_CHECKING:
-    from framework.initialize.fusion import SurfacePixels
     from framework.types import DepthMap, Gaussians, TrainingSet
 
 FEWEST_PIXELS = 100
@@ -63,37 +62,30 @@ class Stereo:
         """
         import numpy as np
 
-        from framework.initialize.fusion import fuse
+        from framework.initialize.completion import complete
+        from framework.initialize.fusion import fuse, joined
         from framework.initialize.isotropic import isotropic_gaussians
         from framework.initialize.sampling import draw, inclusion_probabilities
+        from framework.parallel import run_tasks
         from framework.rng import stream
 
-        pixels = fuse(training, depth, self.tolerance, self.detail)
+        tasks = [functools.partial(fuse, training, depth, self.tolerance, self.detail)]
+        if self.completion > 0:
+            tasks.append(functools.partial(complete, training, depth, self.tolerance, self.detail))
+        pixels, *guessed = run_tasks(tasks)
         require(
             len(pixels.xyz) >= FEWEST_PIXELS,
             f"init=stereo: expected at least {FEWEST_PIXELS} pixels with consistent depth in scene"
             f" {training.scene}, got {len(pixels.xyz)}; use init=sparse or another depth",
         )
-        pixels = self._completed(pixels, training, depth)
+        thinner = [replace(guess, density=self.completion * guess.density) for guess in guessed]
+        pixels = joined([pixels, *thinner])
         probability = inclusion_probabilities(pixels.density, self._budget(training))
         chosen = draw(probability, stream(seed, "init/stereo"))
         scales = self.scale_factor * pixels.size[chosen] / np.sqrt(probability[chosen])
         return isotropic_gaussians(
             pixels.xyz[chosen], pixels.rgb[chosen], scales, self.opacity, sh_degree
         )
-
-    def _completed(
-        self, pixels: SurfacePixels, training: TrainingSet, depth: tuple[DepthMap, ...]
-    ) -> SurfacePixels:
-        """`pixels` and, thinner, those that are guesses."""
-        from framework.initialize.completion import complete
-        from framework.initialize.fusion import joined
-
-        if self.completion == 0:
-            return pixels
-        guessed = complete(training, depth, self.tolerance, self.detail)
-        thinner = (guessed.xyz, guessed.rgb, guessed.size, self.completion * guessed.density)
-        return joined([(pixels.xyz, pixels.rgb, pixels.size, pixels.density), thinner])
 
     def _budget(self, training: TrainingSet) -> int:
         if self.budget > 0:
