@@ -8,10 +8,12 @@ outputs, hence results do not depend on the number of threads.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
+POOL = "fishersplat"  # names of the pool's threads begin with it
 BLOCKS = 16  # blocks per parallel call, fixed, so that no result can depend on the thread count
 
 _pool: ThreadPoolExecutor | None = None
@@ -49,7 +51,8 @@ def run_blocks(
     pool = threads()
     n = min(pool, len(own)) if own else pool
     scratch = own or ((),) * n
-    if n == 1:
+    # a thread of the pool may not wait for the pool: all others may wait as well
+    if n == 1 or threading.current_thread().name.startswith(POOL):
         for block in range(blocks):
             kernel(block, blocks, *scratch[0], *args)
         return
@@ -73,8 +76,8 @@ def run_blocks(
 def run_tasks(tasks: Sequence[Callable[[], Any]]) -> list[Any]:
     """What the `tasks` return, in order, on as many threads as kernels have.
 
-    For work in libraries that leave the interpreter free. A task may not call `run_blocks`, whose
-    threads are taken.
+    For work in libraries that leave the interpreter free. What a task runs by `run_blocks` runs on
+    its own thread.
     """
     results: list[Any] = [None] * len(tasks)
 
@@ -89,5 +92,5 @@ def _executor(helpers: int) -> ThreadPoolExecutor:
     global _pool, _pool_key
     key = (os.getpid(), helpers)
     if _pool is None or _pool_key != key:
-        _pool, _pool_key = ThreadPoolExecutor(helpers, thread_name_prefix="fishersplat"), key
+        _pool, _pool_key = ThreadPoolExecutor(helpers, thread_name_prefix=POOL), key
     return _pool

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from framework import parallel
 from framework.imports import import_uncollected
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -26,7 +27,7 @@ _beside: list[subprocess.Popen[str]] = []  # at most one
 
 def start() -> None:
     """Start the process beside, if there is a core for it."""
-    if _beside or (os.cpu_count() or 1) < 2:
+    if _beside or parallel.threads() < 2:
         return
     paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     with contextlib.suppress(OSError):  # no process, no memory: the report can do without

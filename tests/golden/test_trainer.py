@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from framework import registry, schedule
-from framework.epoch import Items, box_mean
+from framework.epoch import PSEUDO, Items, box_mean
 from framework.errors import UserError
 from framework.optim import Adam
 from framework.options import TrainerOptions
@@ -229,6 +229,22 @@ def test_schedule_of_the_rates() -> None:
     assert last["sh0"] == pytest.approx(first["sh0"] * options.lr_final)
     assert schedule.evaluation_steps(options) == {25, 50, 75, 100}
     assert schedule.evaluation_steps(TrainerOptions(steps=2)) == {1, 2}
+
+
+def test_pseudo_views_are_small_from_first_to_last() -> None:
+    camera = Camera(torch.eye(4), torch.eye(3), 64, 40)
+    photo = View("photo", camera, torch.zeros(3, 40, 64))
+    pseudo = replace(photo, tags=(PSEUDO,))
+    options = TrainerOptions(steps=100, coarse_factor=2, coarse_until=0.5, pseudo_factor=4)
+
+    def factors(view: View, **changes: int) -> list[int]:
+        chosen = replace(options, **changes)
+        return [schedule.downsampling(chosen, step, view) for step in (0, 49, 50, 99)]
+
+    assert factors(photo) == [2, 2, 1, 1]
+    assert factors(pseudo) == [2, 2, 2, 2]  # 40 / 4 pixels are too few
+    assert factors(pseudo, pseudo_factor=1) == factors(photo)
+    assert factors(pseudo, coarse_factor=1) == [2, 2, 2, 2]
 
 
 def test_coarse_views_keep_the_field_of_view() -> None:

@@ -1,4 +1,4 @@
-"""What `run_blocks` gives every block."""
+"""What `run_blocks` gives every block, and `run_tasks` every task."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from framework.parallel import run_blocks, set_threads
+from framework.parallel import run_blocks, run_tasks, set_threads
 
 
 @pytest.fixture(params=[1, 3])
@@ -72,3 +72,25 @@ def test_no_more_threads_take_part_than_there_is_scratch(threads: int) -> None:
     own: list[tuple[list[int]]] = [([],)]
     run_blocks(lambda block, blocks, mine: mine.append(block), blocks=40, own=own)
     assert own == [(list(range(40)),)]
+
+
+def test_tasks_give_their_results_in_order(threads: int) -> None:
+    assert run_tasks([lambda i=i: i * i for i in range(7)]) == [0, 1, 4, 9, 16, 25, 36]  # type: ignore[misc]
+    assert run_tasks([]) == []
+
+    def fails() -> None:
+        raise ValueError("a task")
+
+    with pytest.raises(ValueError, match="a task"):
+        run_tasks([fails, lambda: 1])
+
+
+def test_tasks_may_run_blocks(threads: int) -> None:
+    """A thread of the pool that waited for the pool would wait for ever."""
+
+    def task() -> int:
+        seen: list[int] = []
+        run_blocks(lambda block, blocks: seen.append(block), blocks=9)
+        return sum(seen)
+
+    assert run_tasks([task] * 8) == [36] * 8

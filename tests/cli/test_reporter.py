@@ -1,0 +1,87 @@
+"""The process beside a lone run: it makes the same report, and nothing is lost when it fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import framework.report
+from framework import reporter
+from framework.cli import main
+from framework.errors import UserError
+from tests.cli.conftest import FakeRuns
+from tests.record.fakes import fake_run
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    folder = tmp_path / "study"
+    for seed in (0, 1):
+        fake_run(folder / "runs", seed=seed)
+    return folder
+
+
+@pytest.fixture
+def beside(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A process beside; this one may build no report."""
+    monkeypatch.setattr(framework.report, "build_report", _refuse)
+    with reporter.ended():
+        reporter.start()
+        assert reporter._beside
+        yield
+    assert not reporter._beside
+
+
+def _refuse(folder: Path) -> Path:
+    raise UserError(f"built here: {folder.name}")
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in sorted(folder.iterdir()) if p.is_file()}
+
+
+def test_its_report_is_the_one_made_without_it(study: Path) -> None:
+    alone = reporter.build(study)
+    expected = _files(study)
+    for name in expected:
+        (study / name).unlink()
+    with reporter.ended():
+        reporter.start()
+        assert reporter.build(study) == alone
+    assert len(expected) >= 4 and _files(study) == expected
+
+
+def test_it_builds_and_not_this_process(beside: None, study: Path) -> None:
+    assert reporter.build(study).exists()
+
+
+def test_what_it_cannot_do_is_done_and_told_here(beside: None, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="built here: empty"):
+        reporter.build(tmp_path / "empty")
+
+
+def test_one_that_is_gone_is_done_without(beside: None, study: Path) -> None:
+    reporter._beside[0].kill()
+    reporter._beside[0].wait()
+    with pytest.raises(UserError, match="built here: study"):
+        reporter.build(study)
+
+
+def test_a_lone_core_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reporter.parallel, "threads", lambda: 1)
+    reporter.start()
+    assert not reporter._beside
+
+
+def test_it_is_for_lone_runs(runs: FakeRuns, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A study keeps all cores busy by itself; and one that was refused has none to end."""
+    started: list[bool] = []
+    monkeypatch.setattr(reporter, "start", lambda: started.append(True))
+    assert main(["seed=0,1", "-m"]) == 0
+    assert started == []
+    assert main(["seed=0"]) == 0
+    assert started == [True]
+    assert main(["trainer.steps=0"]) == 2
+    assert started == [True]
