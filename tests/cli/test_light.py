@@ -81,3 +81,20 @@ print(gc.get_freeze_count() >= frozen + 100, gc.isenabled())
         [sys.executable, "-c", code], env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True
     )
     assert done.stdout.split("\n")[:2] == ["True 0 True", "True False"], done.stderr
+
+
+@pytest.mark.parametrize("library", ["", "imports.TORCH_LIBRARY = 'nothing.so'"])
+def test_the_trainer_is_imported_with_and_without_torchs_library_beside(library: str) -> None:
+    """On a platform whose library has another name the import is as it was."""
+    code = f"""
+import sys
+from framework import imports
+{library}
+imports.import_trainer()
+imports.import_trainer()
+print(sys.modules["framework.experiment"].torch.zeros(1).item())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True
+    )
+    assert (done.stdout, done.stderr) == ("0.0\n", "")
