@@ -155,6 +155,14 @@ class Trainer:
         """A method without any effect is its baseline; a resumed training has not seen all."""
         if self.resumed > 0:
             return
+        stored = self.params.sh_degree
+        active = schedule.sh_degree(self.options, self.options.steps - 1, stored)
+        if active < stored:
+            LOG.warning(
+                f"trainer.sh_degree={stored}: only degree {active} was ever active, as"
+                f" {self.options.steps} steps are few for trainer.sh_every={self.options.sh_every};"
+                " the other bands are stored and 0; lower trainer.sh_every, 0 = over half the steps"
+            )
         augment, capacity = self.augment.plugged.plugin, self.capacity.plugged.plugin
         if self.asked > 0 and self.given == 0 and not augment.idle:
             LOG.warning(

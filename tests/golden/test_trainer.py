@@ -129,6 +129,16 @@ def test_an_augmenter_that_gave_nothing_is_told(
     assert all("augment=dba: no pseudo view in any of" in message for message in messages)
 
 
+def test_bands_that_were_never_active_are_told(caplog: pytest.LogCaptureFixture) -> None:
+    """`preset=paper trainer.steps=300` would store three degrees of zeros without a word."""
+    with caplog.at_level(logging.WARNING, "framework"):
+        _train(sh_degree=3, sh_every=0)
+        _train(sh_degree=2, sh_every=4)
+        _train(sh_degree=2, sh_every=100)
+    (message,) = (record.getMessage() for record in caplog.records)
+    assert message.startswith("trainer.sh_degree=2: only degree 0 was ever active")
+
+
 def test_a_capacity_that_never_acted_is_told(caplog: pytest.LogCaptureFixture) -> None:
     """ADC of the literature begins after 500 steps; that the number is fixed needs no telling."""
     with caplog.at_level(logging.WARNING, "framework"):
