@@ -101,7 +101,7 @@ def task(cfg: DictConfig) -> None:
     try:
         check(config)  # finds the plugins too, which a launcher's fresh process knows nothing of
         config["study"] = study_name(config)
-        if job.mode.name == "RUN":
+        if job.mode.name == "RUN" and config["threads"] != 1:
             reporter.start()
         _run(config, run_dir, _progress(job, config["seed"], number), overrides)
     except Exception as raised:

@@ -74,7 +74,7 @@ def quantise(image: Tensor) -> np.ndarray:
     """[H, W, 3] uint8, round-to-nearest of the clamped planar `image` [3, H, W]; NaN becomes 0."""
     if image.ndim != 3 or image.shape[0] != 3:
         raise ValueError(f"metrics: expected an image [3, H, W], got shape {tuple(image.shape)}")
-    pixels = image.detach().cpu().double().nan_to_num_(nan=0.0).clamp_(0.0, 1.0)
+    pixels = image.detach().cpu().double().nan_to_num(nan=0.0).clamp_(0.0, 1.0)
     levels: np.ndarray = pixels.mul_(255.0).round_().byte().permute(1, 2, 0).contiguous().numpy()
     return levels
 

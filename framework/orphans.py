@@ -1,7 +1,7 @@
-"""A launcher's worker process ends soon after the command that started it is gone.
+"""A process that a command started ends soon after the command is gone.
 
-Without this a killed study leaves its workers: they finish their runs, then wait for more, half a
-gigabyte each. What they were training is kept in checkpoints, as after any kill.
+Without this a killed study leaves a launcher's workers: they finish their runs, then wait for more,
+half a gigabyte each. What they were training is kept in checkpoints, as after any kill.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import threading
 import time
 from multiprocessing import parent_process
 
-POLL_S = 1.0
+POLL_S = 0.25
 
 _watching = False
 
@@ -23,7 +23,12 @@ def end_with_parent() -> None:
     if _watching or parent is None:
         return
     _watching = True
-    threading.Thread(target=_watch, args=(parent.pid,), daemon=True).start()
+    watch(parent.pid)
+
+
+def watch(parent: int | None) -> None:
+    """End this process soon after the one with the number `parent`, which started it."""
+    threading.Thread(target=_watch, args=(parent,), daemon=True).start()
 
 
 def _watch(parent: int | None) -> None:

@@ -13,12 +13,12 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
-POOL = "fishersplat"  # names of the pool's threads begin with it
 BLOCKS = 16  # blocks per parallel call, fixed, so that no result can depend on the thread count
 
 _pool: ThreadPoolExecutor | None = None
 _pool_key: tuple[int, int] = (0, 0)
 _threads = 0
+_local = threading.local()  # in_task: this thread is at a task of `run_tasks`
 
 
 def set_threads(n: int) -> None:
@@ -51,8 +51,8 @@ def run_blocks(
     pool = threads()
     n = min(pool, len(own)) if own else pool
     scratch = own or ((),) * n
-    # a thread of the pool may not wait for the pool: all others may wait as well
-    if n == 1 or threading.current_thread().name.startswith(POOL):
+    # a task may not wait for the pool, whose threads may be at other tasks
+    if n == 1 or _in_task():
         for block in range(blocks):
             kernel(block, blocks, *scratch[0], *args)
         return
@@ -82,15 +82,23 @@ def run_tasks(tasks: Sequence[Callable[[], Any]]) -> list[Any]:
     results: list[Any] = [None] * len(tasks)
 
     def run(index: int, _: int) -> None:
-        results[index] = tasks[index]()
+        before, _local.in_task = _in_task(), True
+        try:
+            results[index] = tasks[index]()
+        finally:
+            _local.in_task = before
 
     run_blocks(run, blocks=len(tasks))
     return results
+
+
+def _in_task() -> bool:
+    return getattr(_local, "in_task", False)
 
 
 def _executor(helpers: int) -> ThreadPoolExecutor:
     global _pool, _pool_key
     key = (os.getpid(), helpers)
     if _pool is None or _pool_key != key:
-        _pool, _pool_key = ThreadPoolExecutor(helpers, thread_name_prefix=POOL), key
+        _pool, _pool_key = ThreadPoolExecutor(helpers, thread_name_prefix="fishersplat"), key
     return _pool

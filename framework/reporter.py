@@ -18,6 +18,7 @@ from pathlib import Path
 
 from framework import parallel
 from framework.imports import import_uncollected
+from framework.orphans import watch
 
 ROOT = Path(__file__).resolve().parent.parent
 MODULES = ("framework.report", "pandas", "matplotlib.backends.backend_svg", "PIL.WebPImagePlugin")
@@ -33,7 +34,7 @@ def start() -> None:
     with contextlib.suppress(OSError):  # no process, no memory: the report can do without
         _beside.append(
             subprocess.Popen(
-                [sys.executable, "-P", "-m", "framework.reporter"],
+                [sys.executable, "-P", "-m", "framework.reporter", str(os.getpid())],
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -71,19 +72,26 @@ def build(folder: Path) -> Path:
 def _asked(process: subprocess.Popen[str], folder: Path) -> Path | None:
     """The report of `folder` as `process` built it; None if it could not."""
     assert process.stdin is not None and process.stdout is not None
+    made: Path | None = None
     try:
-        process.stdin.write(json.dumps(str(folder)) + "\n")
-        process.stdin.flush()
-        answer = process.stdout.readline()
-    except OSError:  # it is gone
-        return None
-    made = json.loads(answer) if answer.endswith("\n") else None
-    return None if made is None else Path(made)
+        with contextlib.suppress(OSError, ValueError):  # it is gone, or something else answered
+            process.stdin.write(json.dumps(str(folder)) + "\n")
+            process.stdin.flush()
+            answer = json.loads(process.stdout.readline())
+            made = Path(answer) if isinstance(answer, str) else None
+    finally:
+        if made is None:  # it may not go on writing beside whoever comes next
+            process.kill()
+            process.wait()
+    return made
 
 
-def main() -> None:
+def main(parent: int) -> None:
     """Build the report of every folder that a line of the input names; answer with its path, or
-    with null."""
+    with null. Ends with the process `parent`."""
+    watch(parent)
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what else is printed is no answer
     for module in MODULES:
         import_uncollected(module)
     from framework.report import build_report
@@ -92,8 +100,8 @@ def main() -> None:
         made = None
         with contextlib.suppress(Exception):  # whoever asked does the same and meets it there
             made = str(build_report(Path(json.loads(line))))
-        print(json.dumps(made), flush=True)
+        print(json.dumps(made), file=answers, flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    main(int(sys.argv[1]))

@@ -116,21 +116,24 @@ def write_renders(
     folder: Path, stems: Sequence[str], renders: Sequence[tuple[View, Tensor]]
 ) -> None:
     """Save render, truth, error map and mask of every view; images of an earlier run go."""
-    images: dict[str, np.ndarray] = {}
-    for stem, (view, rgb) in zip(stems, renders, strict=True):
-        render, truth = quantise(rgb), quantise(view.image)
-        images[f"{stem}.png"] = render
-        images[f"{stem}_truth.png"] = truth
-        images[f"{stem}_error.png"] = error_map(render, truth)
-        if view.mask is not None:
-            valid = view.mask.detach().cpu().numpy() > 0.5
-            images[f"{stem}_mask.png"] = np.where(valid, 255, 0).astype(np.uint8)
-    files = run_tasks([functools.partial(_png, pixels) for pixels in images.values()])
-    for name, data in zip(images, files, strict=True):
-        write_whole(folder / name, data)
+    pairs = zip(stems, renders, strict=True)
+    tasks = [functools.partial(_write_view, folder, stem, *shown) for stem, shown in pairs]
+    written = set().union(*run_tasks(tasks))
     for stale in sorted(folder.glob("*.png")):
-        if stale.name not in images:
+        if stale.name not in written:
             stale.unlink()
+
+
+def _write_view(folder: Path, stem: str, view: View, rgb: Tensor) -> set[str]:
+    """Returns the names of the files."""
+    render, truth = quantise(rgb), quantise(view.image)
+    images = {"": render, "_truth": truth, "_error": error_map(render, truth)}
+    if view.mask is not None:
+        valid = view.mask.detach().cpu().numpy() > 0.5
+        images["_mask"] = np.where(valid, 255, 0).astype(np.uint8)
+    for kind, pixels in images.items():
+        write_whole(folder / f"{stem}{kind}.png", _png(pixels))
+    return {f"{stem}{kind}.png" for kind in images}
 
 
 def error_map(render: np.ndarray, truth: np.ndarray) -> np.ndarray:

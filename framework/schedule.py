@@ -6,9 +6,8 @@ Rates are the options' times `lr_scale`: the means' decays exponentially over th
 
 from __future__ import annotations
 
-from framework.epoch import PSEUDO
 from framework.options import TrainerOptions
-from framework.types import View
+from framework.types import PSEUDO, View
 
 SMALLEST_SIDE = 16  # pixels; a smaller image has nothing to gain from a coarse phase
 

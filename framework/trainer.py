@@ -21,7 +21,7 @@ from torch import Tensor
 
 from framework import hooks, schedule
 from framework.edits import apply_edits
-from framework.epoch import PSEUDO, Item, Items, ordered
+from framework.epoch import Item, Items, ordered
 from framework.errors import require
 from framework.fisher import FisherInformation, fisher_information
 from framework.guard import check_loss, diverged
@@ -37,7 +37,7 @@ from framework.rng import stream
 from framework.run_files import HistoryRow
 from framework.stopwatch import Stopwatch
 from framework.training_state import Keeper, Plugins, PluginState, Trained, TrainerState
-from framework.types import Camera, DepthMap, Gaussians, Render, TrainingSet, View
+from framework.types import PSEUDO, Camera, DepthMap, Gaussians, Render, TrainingSet, View
 
 LOG = logging.getLogger(__name__)
 HISTORY_ROWS = 60  # about so many rows of history per run, beside the evaluations
@@ -161,7 +161,8 @@ class Trainer:
             LOG.warning(
                 f"trainer.sh_degree={stored}: only degree {active} was ever active, as"
                 f" {self.options.steps} steps are few for trainer.sh_every={self.options.sh_every};"
-                " the other bands are stored and 0; lower trainer.sh_every, 0 = over half the steps"
+                " the other bands are stored and 0; raise trainer.steps or set trainer.sh_every=0,"
+                " which is over half of them"
             )
         augment, capacity = self.augment.plugged.plugin, self.capacity.plugged.plugin
         if self.asked > 0 and self.given == 0 and not augment.idle:

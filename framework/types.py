@@ -17,6 +17,8 @@ from torch import Tensor
 
 from framework.errors import UserError
 
+PSEUDO = "pseudo"  # the tag the trainer gives to the views that an augmenter returns
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -68,7 +70,7 @@ class View:
     weight: factor of this view's photometric loss. depth: [H, W] float32 exact depth (0 = unknown)
     where a scene has it; only `depth=ground_truth` and diagnostics read it. tags:
     ("interpolating",) or ("extrapolating",) on test views (`framework.scenes.placement`),
-    ("pseudo",) on augmented ones.
+    (PSEUDO,) on augmented ones.
     """
 
     name: str

@@ -25,6 +25,7 @@ NAMED = ("augment", "reg")  # groups every method's name starts with
 COARSE = ("trainer.coarse_factor", "trainer.coarse_until")
 USUAL = {"capacity.name": "fixed", "init.name": "stereo", "depth.name": "plane_sweep"}  # unnamed
 NO_METHOD = ("seed", "scene", "metrics", *NEUTRAL_KEYS)
+WATCHING = ("trainer.evaluations",)  # changes what is told, not what comes out
 UNKNOWN_SCENE = "unknown scene"
 
 Flat = Mapping[str, Any]
@@ -172,7 +173,7 @@ def _keys(flat: Sequence[Flat]) -> list[str]:
 
 def _may_name_a_method(key: str) -> bool:
     group = key.partition(".")[0]
-    return group not in NO_METHOD and key not in DATA_KEYS
+    return group not in NO_METHOD and key not in (*DATA_KEYS, *WATCHING)
 
 
 def _varies(key: str, configs: Sequence[Flat]) -> bool:

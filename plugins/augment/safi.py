@@ -52,7 +52,7 @@ class Safi(ThresholdAugmenter):
     form: str = "trace"
     approximation: str = "diagonal"
     regulariser: float = 1.0
-    downscale: int = 4
+    downscale: int = 2
     refresh_epochs: int = 0
 
     def __post_init__(self) -> None:

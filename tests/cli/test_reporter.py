@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +14,7 @@ import pytest
 import framework.report
 from framework import reporter
 from framework.cli import main
+from framework.config import ROOT
 from framework.errors import UserError
 from tests.cli.conftest import FakeRuns
 from tests.record.fakes import fake_run
@@ -69,6 +74,53 @@ def test_one_that_is_gone_is_done_without(beside: None, study: Path) -> None:
         reporter.build(study)
 
 
+def test_what_others_print_is_no_answer(
+    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A library may print while it is imported, before anything can keep it from that."""
+    (tmp_path / "sitecustomize.py").write_text("print('hello')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with reporter.ended():
+        reporter.start()
+        assert reporter.build(study) == study / "report.md"
+        assert reporter._beside[0].poll() is not None  # it does not write beside us
+
+
+def test_it_ends_with_the_command(tmp_path: Path) -> None:
+    """Killed, that is; otherwise it would go on writing the report, without the lock."""
+    code = """
+from framework import reporter
+reporter.start()
+print(reporter._beside[0].pid, flush=True)
+input()
+"""
+    parent = subprocess.Popen(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    os.kill(child, 0)
+    parent.kill()
+    parent.communicate()
+    end = time.monotonic() + 30
+    while _lives(child):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def _lives(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    state = Path(f"/proc/{process}/stat")
+    return not state.exists() or state.read_text().rpartition(")")[2].split()[0] != "Z"
+
+
 def test_a_lone_core_has_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reporter.parallel, "threads", lambda: 1)
     reporter.start()
@@ -84,4 +136,5 @@ def test_it_is_for_lone_runs(runs: FakeRuns, monkeypatch: pytest.MonkeyPatch) ->
     assert main(["seed=0"]) == 0
     assert started == [True]
     assert main(["trainer.steps=0"]) == 2
+    assert main(["threads=1"]) == 0
     assert started == [True]

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from framework import registry, schedule
-from framework.epoch import PSEUDO, Items, box_mean
+from framework.epoch import Items, box_mean
 from framework.errors import UserError
 from framework.optim import Adam
 from framework.options import TrainerOptions
@@ -20,7 +20,7 @@ from framework.progress import Silent
 from framework.record import parameters_sha256
 from framework.registry import Plugged
 from framework.trainer import Plugins, Trained, Trainer
-from framework.types import Camera, Gaussians, View
+from framework.types import PSEUDO, Camera, Gaussians, View
 from framework.warmup import _plane
 from plugins.capacity.fixed import Fixed
 
@@ -255,6 +255,20 @@ def test_pseudo_views_are_small_from_first_to_last() -> None:
     assert factors(pseudo) == [2, 2, 2, 2]  # 40 / 4 pixels are too few
     assert factors(pseudo, pseudo_factor=1) == factors(photo)
     assert factors(pseudo, coarse_factor=1) == [2, 2, 2, 2]
+
+
+def test_a_small_pseudo_view_has_the_mean_of_what_was_warped() -> None:
+    """A photo's coarse pixel is valid where all of its pixels are."""
+    image, mask = torch.full((3, 16, 16), 0.6), torch.ones(16, 16)
+    mask[0, 0] = mask[0, 2] = mask[1, 2] = mask[0, 4] = mask[1, 4] = mask[1, 5] = 0
+    camera = Camera(torch.eye(4), torch.eye(3), 16, 16)
+    photo = View("photo", camera, image * mask, mask)
+    seen = Items().get(photo, 2).view.mask
+    warped = Items().get(replace(photo, tags=(PSEUDO,)), 2).view
+    assert seen is not None and warped.mask is not None
+    assert seen[0, :4].tolist() == [0, 0, 0, 1] and seen[1:].all()
+    assert warped.mask[0, :4].tolist() == [1, 1, 0, 1] and warped.mask[1:].all()
+    torch.testing.assert_close(warped.image, 0.6 * warped.mask.expand(3, 8, 8))
 
 
 def test_coarse_views_keep_the_field_of_view() -> None:

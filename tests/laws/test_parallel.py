@@ -86,11 +86,20 @@ def test_tasks_give_their_results_in_order(threads: int) -> None:
 
 
 def test_tasks_may_run_blocks(threads: int) -> None:
-    """A thread of the pool that waited for the pool would wait for ever."""
+    """On their own threads: one that waited for the pool might wait for ever."""
 
     def task() -> int:
         seen: list[int] = []
-        run_blocks(lambda block, blocks: seen.append(block), blocks=9)
-        return sum(seen)
+        blocks: list[int] = run_tasks([lambda: 36])
+
+        def kernel(block: int, blocks: int) -> None:
+            seen.append(threading.get_ident())
+
+        run_blocks(kernel, blocks=9)
+        assert set(seen) == {threading.get_ident()}
+        return blocks[0]
 
     assert run_tasks([task] * 8) == [36] * 8
+    others: set[int] = set()
+    run_blocks(lambda block, blocks: others.add(threading.get_ident()), blocks=40)
+    assert len(others) <= threads

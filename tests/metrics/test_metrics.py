@@ -134,6 +134,13 @@ def test_metrics_read_what_is_saved() -> None:
     ]
 
 
+def test_an_image_of_doubles_is_left_as_it_is() -> None:
+    truth = image("truth").double()
+    kept = truth.clone()
+    metrics.psnr(truth, similar(truth))
+    assert torch.equal(truth, kept)
+
+
 def test_mask_leaves_invalid_pixels_out() -> None:
     truth = image("truth")
     mask = torch.zeros(40, 53)

@@ -186,6 +186,8 @@ def test_what_the_steps_determine_needs_no_name() -> None:
         *(f"none + none, steps={steps}" for steps, _ in presets),
         "none + none, steps=300, capacity=budget",
     ]
+    watched = make_config(trainer={"steps": 100, "coarse_until": 0.5, "evaluations": 3})
+    assert names([*configs, watched])[-1] == "none + none, steps=100"
     other = make_config(trainer={"steps": 300, "coarse_until": 0.5})
     assert "none + none, coarse_until=0.5, steps=300" in names([*configs, other])
 
