@@ -85,16 +85,15 @@ class Clock:
 
 def child(began: float, output: Path, overrides: list[str]) -> None:
     """One run with a clock around its stages; `began` is the time when the process was started."""
-    from framework import imports
-    from framework.cli import main as run
+    from framework import cli
 
-    clock, load = Clock(), imports.import_trainer
+    clock, load = Clock(), cli.import_uncollected
     begun = time.time() - began
 
-    def watched() -> None:
+    def watched(module: str) -> None:
         """Imports, and then a clock around the stages, most of which are only known now."""
         start = time.time()
-        load()
+        load(module)
         clock.seconds[START] = begun + time.time() - start
         for stage, places in STAGES.items():
             for place in places:
@@ -103,8 +102,8 @@ def child(began: float, output: Path, overrides: list[str]) -> None:
                 owner = functools.reduce(getattr, owners, importlib.import_module(module))
                 setattr(owner, name, clock.watch(stage, getattr(owner, name)))
 
-    imports.import_trainer = watched
-    code = run(overrides)
+    cli.import_uncollected = watched
+    code = cli.main(overrides)
     clock.seconds[REST] = time.time() - began - clock.seconds[START] - clock.measured
     output.write_text(json.dumps(clock.seconds))
     gc.freeze()  # as run.py

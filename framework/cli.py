@@ -27,7 +27,8 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
-from framework import imports, reporter
+from framework import reporter
+from framework.collector import import_uncollected
 from framework.complaints import USER_ERRORS, one_line
 from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, check, choices, register_config
 from framework.errors import UserError
@@ -209,7 +210,7 @@ def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
 def _run(
     config: dict[str, Any], run_dir: Path, progress: Progress, overrides: Sequence[str]
 ) -> None:
-    imports.import_trainer()
+    import_uncollected("framework.experiment")
     from framework.experiment import run_experiment
 
     run_experiment(config, run_dir, progress, overrides)

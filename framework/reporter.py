@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from framework import parallel
-from framework.imports import import_uncollected
+from framework.collector import import_uncollected
 from framework.orphans import watch
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -66,7 +66,7 @@ def test_an_import_is_kept_from_the_collector_once() -> None:
     """What an import made is exempted, what came later is not; the collector is as it was."""
     code = """
 import gc
-from framework.imports import import_uncollected
+from framework.collector import import_uncollected
 gc.callbacks.append(lambda phase, info: print("collected"))
 import_uncollected("decimal")
 frozen = gc.get_freeze_count()
@@ -81,20 +81,3 @@ print(gc.get_freeze_count() >= frozen + 100, gc.isenabled())
         [sys.executable, "-c", code], env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True
     )
     assert done.stdout.split("\n")[:2] == ["True 0 True", "True False"], done.stderr
-
-
-@pytest.mark.parametrize("library", ["", "imports.TORCH_LIBRARY = 'nothing.so'"])
-def test_the_trainer_is_imported_with_and_without_torchs_library_beside(library: str) -> None:
-    """On a platform whose library has another name the import is as it was."""
-    code = f"""
-import sys
-from framework import imports
-{library}
-imports.import_trainer()
-imports.import_trainer()
-print(sys.modules["framework.experiment"].torch.zeros(1).item())
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", code], env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True
-    )
-    assert (done.stdout, done.stderr) == ("0.0\n", "")
