@@ -159,13 +159,16 @@ def measure(words: list[str], targets: list[str], late: float, work: Path) -> Ta
     while targets:
         name = f"{tally.studies}"
         study = one_study(work / name, words, targets, whole_s, late, tally, name)
-        equal = digests(study) == expected and parameters(study) == hashes
+        found = digests(study)
+        differ = sorted(k for k in {*found, *expected} if found.get(k) != expected.get(k))
+        equal = not differ and parameters(study) == hashes
         tally.studies += 1
         tally.unequal += not equal or bool(leftovers(study))
         tally.resumed += (work / name / "log.txt").read_text().count("going on at step")
         if tally.studies > 2 * kills + 4:
             raise SystemExit(f"{targets[-1]} never happened; give more --steps")
-        print(f"study {name}: {sum(tally.killed.values())} of {kills} kills, equal: {equal}")
+        killed = sum(tally.killed.values())
+        print(f"study {name}: {killed} of {kills} kills, equal: {equal}", *differ)
     return tally
 
 
