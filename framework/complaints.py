@@ -7,6 +7,7 @@ user gets: where, what was expected, what came, how to fix it.
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -21,6 +22,7 @@ from omegaconf.errors import (
 from framework.errors import UserError, nearest_hint, printable_line
 
 USER_ERRORS = (UserError, HydraException, OmegaConfBaseException)
+COMPOSE_ERRORS = (*USER_ERRORS, OverflowError)  # the last is OmegaConf's, from a huge integer
 KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "a text"}
 
 
@@ -58,6 +60,9 @@ def _told(error: BaseException) -> str | None:
         return _unknown_key(error)
     if isinstance(error, ValidationError) and error.full_key:
         return f"{error.full_key}: expected {_expected(error)}, got {error.value!r}"
+    if isinstance(error, OverflowError):  # of a conversion; OmegaConf puts the key into the text
+        key = re.search(r"full_key: (\S+)", str(error))
+        return f"{key[1]}: expected a number below 1e308, got a larger one" if key else None
     return None
 
 

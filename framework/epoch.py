@@ -57,19 +57,26 @@ class Items:
 
 
 def _item(view: View, factor: int) -> Item:
-    """A coarse pixel of a photo is valid if all the pixels it covers are; one of a pseudo view,
-    which is full of small holes, if half of them are, and has their mean."""
     if factor > 1:
-        camera, image, mask = view.camera.scaled(factor), box_mean(view.image, factor), None
-        if view.mask is not None:
-            share = box_mean(view.mask[None], factor)
-            if PSEUDO in view.tags:
-                mask = (share[0] >= 0.5).float()
-                image = mask * box_mean(view.image * view.mask, factor) / share.clamp(min=0.5)
-            else:
-                mask = (share[0] > 0.999).float()
+        image, mask = _smaller(view, factor)
+        camera = view.camera.scaled(factor)
         view = replace(view, camera=camera, image=image, mask=mask, depth=None)
     return Item(view, Target.of(view.image, view.mask))
+
+
+def _smaller(view: View, factor: int) -> tuple[Tensor, Tensor | None]:
+    """Image and mask.
+
+    A coarse pixel of a photo is valid if all the pixels it covers are; one of a pseudo view, which
+    is full of small holes, if half of them are, and has their mean.
+    """
+    if view.mask is None:
+        return box_mean(view.image, factor), None
+    share = box_mean(view.mask[None], factor)
+    if PSEUDO not in view.tags:
+        return box_mean(view.image, factor), (share[0] > 0.999).float()
+    mask = (share[0] >= 0.5).float()
+    return mask * box_mean(view.image * view.mask, factor) / share.clamp(min=0.5), mask
 
 
 def box_mean(image: Tensor, factor: int) -> Tensor:

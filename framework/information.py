@@ -16,6 +16,8 @@ from collections.abc import Sequence
 import numpy as np
 from torch import Tensor, from_numpy
 
+from framework.errors import UserError
+
 FORMS = ("trace", "log")
 ROUNDING = 1e-12  # a parameter whose information is below this share of the largest has none
 LARGEST_LOGIT = 40.0  # beyond it 1 - o has no digits left in float32
@@ -202,10 +204,13 @@ def _log_det(blocks: np.ndarray, prior: np.ndarray) -> np.ndarray:
 
 
 def _float64(x: Tensor) -> np.ndarray:
-    """`x` as float64. Raises ValueError on NaN or infinity."""
+    """`x` as float64. Raises UserError on NaN or infinity."""
     array = x.detach().numpy().astype(np.float64, copy=False)
     if not np.isfinite(array).all():
-        raise ValueError("Fisher information: expected finite values, got NaN or infinity")
+        raise UserError(
+            "Fisher information: expected finite values, got NaN or infinity of a Gaussian;"
+            " lower trainer.lr_scale"
+        )
     return array
 
 

@@ -8,6 +8,7 @@ as they are told.
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 import torch
@@ -32,7 +33,8 @@ def check_count(where: str, value: object, most: int | None = None) -> None:
 
 def check_number(where: str, value: object, least: float = -math.inf) -> None:
     """`value` is a finite int or float of at least `least`."""
-    if type(value) not in (int, float) or not math.isfinite(value) or value < least:  # type: ignore[arg-type, operator]
+    largest = sys.float_info.max  # an int may be beyond it
+    if type(value) not in (int, float) or not max(least, -largest) <= value <= largest:  # type: ignore[operator]
         raise ValueError(f"{where}: expected a finite number >= {least}, got {value!r:.40}")
 
 

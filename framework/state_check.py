@@ -59,7 +59,7 @@ def _check_adam(adam: Any, state: TrainerState, terms: int) -> None:
     for moments in (adam.first, adam.second):
         check_tensor("adam.shN", moments.shN, *state.gaussians.shN.shape)
     for name, tensor in adam.second.items():
-        if tensor.numel() and float(tensor.min()) < 0:
+        if tensor.numel() and float(tensor.detach().min()) < 0:
             raise ValueError(f"adam.second.{name}: expected squares, got a negative number")
     check_kind("adam.steps", adam.steps, tuple)
     if len(adam.steps) != len(adam.first.items()):
@@ -94,6 +94,8 @@ def _check_logged(where: str, logged: Any) -> None:
     for name, value in logged.items():
         check_kind(where, name, str)
         check_kind(f"{where} {name:.40}", value, int, float)
+        if type(value) is int:  # a float may be NaN; an int must fit into one
+            check_number(f"{where} {name:.40}", value)
 
 
 def _check_plugins(

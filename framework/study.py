@@ -25,7 +25,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from framework import reporter
 from framework.cache import cache_dir
-from framework.complaints import USER_ERRORS
+from framework.complaints import COMPOSE_ERRORS
 from framework.config import check
 from framework.disk import check_room
 from framework.errors import UserError
@@ -111,7 +111,7 @@ class StudyCallback(Callback):
             if config.estimate:
                 every = [run for configs in studies.values() for run in configs]
                 self._expected_s = announce(every, _at_once(config))
-        except USER_ERRORS as error:
+        except COMPOSE_ERRORS as error:
             raise Refused from error
         os.environ[JOBS_VARIABLE] = str(len(jobs))
         self._watch = Stopwatch()

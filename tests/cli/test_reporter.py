@@ -87,11 +87,16 @@ def test_what_others_print_is_no_answer(
 
 
 def test_it_ends_with_the_command(tmp_path: Path) -> None:
-    """Killed, that is; otherwise it would go on writing the report, without the lock."""
+    """Killed, that is; otherwise it would go on writing the report, without the lock. Its input is
+    kept open here, as if it had no time to read that it ended."""
     code = """
+import os, subprocess
 from framework import reporter
 reporter.start()
-print(reporter._beside[0].pid, flush=True)
+(process,) = reporter._beside
+os.set_inheritable(process.stdin.fileno(), True)
+subprocess.Popen(["sleep", "60"], close_fds=False, stdout=subprocess.DEVNULL)
+print(process.pid, flush=True)
 input()
 """
     parent = subprocess.Popen(
