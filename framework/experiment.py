@@ -22,7 +22,7 @@ from framework import parallel, registry
 from framework.checkpoint import remove_checkpoints
 from framework.depth import build_provider
 from framework.files import remove_temporaries
-from framework.locks import locked
+from framework.locks import locked, remove_stale
 from framework.lpips import Lpips, load
 from framework.metrics import Missing, evaluate
 from framework.notices import noted
@@ -89,6 +89,7 @@ def _experiment(
     identity = identity_of(config, scene.fingerprint, code_hash(), files)
     done = _reusable(config, run_dir, identity, progress)
     if done is not None:
+        remove_stale(run_dir)  # as the checkpoints; within the lock it would be our own
         return done
     with locked(run_dir):
         # whoever held the lock before us may have done it

@@ -1,7 +1,8 @@
 """One process at a time in a folder: an advisory lock (`flock`) on its file `.lock`.
 
 The system drops the lock when its process ends, however it ends, so there are no stale locks to
-judge; the file that a killed process leaves is simply locked anew. It tells who holds it.
+judge; the file that a killed process leaves is simply locked anew, and `remove_stale` takes it
+away where nobody will. It tells who holds it.
 """
 
 from __future__ import annotations
@@ -39,6 +40,13 @@ def locked(folder: Path, wait: bool = False) -> Iterator[None]:
         with contextlib.suppress(OSError):
             (folder / LOCK).unlink()  # while it is still ours
         file.close()
+
+
+def remove_stale(folder: Path) -> None:
+    """Remove the lock file in `folder` of a process that was killed when its work was done."""
+    if (folder / LOCK).exists():
+        with contextlib.suppress(UserError), locked(folder):
+            pass
 
 
 def _sign(file: IO[str]) -> None:

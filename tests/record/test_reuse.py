@@ -11,8 +11,10 @@ import pytest
 import torch
 
 from framework import experiment
+from framework.checkpoint import FOLDER
 from framework.config import register_config, rows
 from framework.experiment import run_experiment
+from framework.locks import LOCK
 from framework.metrics import Missing
 from framework.options import TrainerOptions
 from framework.progress import Silent
@@ -65,6 +67,16 @@ def run(config: dict[str, Any], folder: Path) -> tuple[RunRecord, bool]:
     progress = Told()
     record = run_experiment(config, folder, progress)
     return record, "reused" in progress.result
+
+
+def test_what_a_process_killed_at_its_end_left_is_removed(tmp_path: Path) -> None:
+    config = small_config(group("depth", "plane_sweep"))
+    run(config, tmp_path / "run")
+    whole = sorted(tmp_path.rglob("*"))
+    (tmp_path / "run" / LOCK).write_text("")
+    (tmp_path / "run" / FOLDER).mkdir()
+    assert run(config, tmp_path / "run")[1]
+    assert sorted(tmp_path.rglob("*")) == whole
 
 
 def test_a_replaced_depth_map_is_another_run(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from framework.cli import main
 from framework.config import ROOT
-from framework.locks import LOCK, Busy, locked
+from framework.locks import LOCK, Busy, locked, remove_stale
 from tests.cli.conftest import FakeRuns, runs
 
 __all__ = ["runs"]
@@ -51,6 +51,16 @@ def test_the_lock_of_a_killed_process_is_free(
     assert (tmp_path / "run" / LOCK).exists()
     with locked(tmp_path / "run"):
         pass
+    assert not (tmp_path / "run" / LOCK).exists()
+
+
+def test_only_a_stale_lock_is_removed(holder: subprocess.Popen[str], tmp_path: Path) -> None:
+    remove_stale(tmp_path / "run")
+    assert (tmp_path / "run" / LOCK).exists()
+    holder.send_signal(signal.SIGKILL)
+    holder.wait()
+    remove_stale(tmp_path / "run")
+    remove_stale(tmp_path / "run")
     assert not (tmp_path / "run" / LOCK).exists()
 
 
