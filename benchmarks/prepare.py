@@ -38,7 +38,7 @@ class Prepared:
     ) -> Trainer:
         """A new training from the same start."""
         options, seed = TrainerOptions(**self.config["trainer"]), int(self.config["seed"])
-        gaussians = initial(self.config, self.scene, self.depth, options)
+        gaussians = initial(self.config, self.scene, self.depth, options, seed)
         plugins = Plugins(*(registry.build(g, self.config[g]) for g in registry.GROUPS))
         return Trainer(
             self.scene.training,

@@ -46,7 +46,7 @@ from framework.record import (
 )
 from framework.scenes import load_scene
 from framework.stopwatch import Stopwatch
-from framework.training import initial, renderer, train
+from framework.training import Run, initial, renderer, train
 from framework.types import DepthMap, Gaussians, Scene
 from framework.warmup import Warmup
 
@@ -139,11 +139,12 @@ def _trained(
     config = record.config
     options = TrainerOptions(**config["trainer"])
 
-    def start() -> Gaussians:
+    def start(seed: int) -> Gaussians:
         with _timed(timings, "init"):
-            return initial(config, scene, depth, options)
+            return initial(config, scene, depth, options, seed)
 
-    trained = train(config, scene, depth, start, options, run_dir, record.identity, progress)
+    run = Run(scene, depth, start, run_dir, record.identity, config["force"])
+    trained = train(run, config, progress)
     timings[TRAIN_STAGE] = StageTime(trained.wall_s, trained.cpu_s)
     progress.stage("evaluation")
     with _timed(timings, "evaluate"):
@@ -219,6 +220,7 @@ def _result(record: RunRecord) -> str:
 
 @contextmanager
 def _timed(timings: dict[str, StageTime], stage: str) -> Iterator[None]:
-    watch = Stopwatch()
+    """The time goes to that of the stage so far."""
+    before, watch = timings.get(stage, StageTime(0.0, 0.0)), Stopwatch()
     yield
-    timings[stage] = StageTime(watch.wall_s, watch.cpu_s)
+    timings[stage] = StageTime(before.wall_s + watch.wall_s, before.cpu_s + watch.cpu_s)

@@ -39,6 +39,8 @@ class TrainerOptions:
     background: str = "mean"  # colour: mean of the training photos, black, white, random
     near_plane: float = 0.05  # Gaussians nearer are not drawn; in units of the near bound
     evaluations: int = 6  # of the test views, evenly spaced, the last after the last step
+    members: int = 1  # trainings, each from its own draws, whose Gaussians are joined in the end
+    tuning: float = 0.1  # share of the steps in which joined members are tuned on the photos
 
     def __post_init__(self) -> None:
         check = functools.partial(check_option, self, "trainer")
@@ -56,3 +58,5 @@ class TrainerOptions:
         check("background", self.background in BACKGROUNDS, f"one of {', '.join(BACKGROUNDS)}")
         check("near_plane", 0 < self.near_plane <= 1, "a number in (0, 1]")
         check("evaluations", self.evaluations >= 1, "an integer >= 1")
+        check("members", 1 <= self.members <= 16, "an integer from 1 to 16")
+        check("tuning", 0 <= self.tuning <= 1, "a share in [0, 1]")

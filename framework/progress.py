@@ -76,6 +76,22 @@ class Silent:
     def done(self, text: str) -> None: ...
 
 
+class Part(Silent):
+    """One of several trainings: `whole` is told their steps as one count, of `n_steps`, of which
+    `before` came before this one."""
+
+    def __init__(self, whole: Progress, before: int, n_steps: int) -> None:
+        self._whole, self._before, self._n_steps = whole, before, n_steps
+
+    def step(
+        self, step: int, n_steps: int, loss: float, gaussians: int, psnr: float | None = None
+    ) -> None:
+        self._whole.step(self._before + step, self._n_steps, loss, gaussians, psnr)
+
+    def note(self, text: str) -> None:
+        self._whole.note(text)
+
+
 class Terminal:
     """Writes to `stream`: in place if `in_place`, else a line every 10 s or 10 % of the steps.
 

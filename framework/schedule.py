@@ -26,10 +26,10 @@ def learning_rates(options: TrainerOptions, step: int, extent: float) -> dict[st
     }
 
 
-def sh_degree(options: TrainerOptions, step: int, stored: int) -> int:
-    """The active degree: one more every `sh_every` steps, up to the stored one."""
+def sh_degree(options: TrainerOptions, step: int, stored: int, first: int = 0) -> int:
+    """The active degree: one more every `sh_every` steps, from `first` up to the stored one."""
     every = options.sh_every or max(1, options.steps // (2 * max(stored, 1)))
-    return min(stored, step // every)
+    return min(stored, first + step // every)
 
 
 def downsampling(options: TrainerOptions, step: int, view: View) -> int:

@@ -62,6 +62,7 @@ class Trainer:
     evaluate(gaussians, background [3], sh_degree) -> mean test PSNR in dB, or None; called at the
     evaluation steps with copies, and its time does not count. keeper: is offered the state after
     every step. start: a kept state of the same training, to go on from instead of `gaussians`.
+    sh_from: the degree of SH that is active in the first step.
     """
 
     def __init__(
@@ -76,6 +77,7 @@ class Trainer:
         evaluate: Evaluate | None = None,
         keeper: Keeper | None = None,
         start: TrainerState | None = None,
+        sh_from: int = 0,
     ) -> None:
         require(
             len(gaussians) > 0,
@@ -84,6 +86,7 @@ class Trainer:
         )
         self.training, self.depth, self.options = training, depth, options
         self.seed, self.progress, self.evaluate, self.keeper = seed, progress, evaluate, keeper
+        self.sh_from, self.from_start = sh_from, start is None
         self.augment = _Running("augment", plugins.augment)
         self.reg = _Running("reg", plugins.reg)
         self.capacity = _Running("capacity", plugins.capacity)
@@ -153,10 +156,10 @@ class Trainer:
 
     def _tell_what_did_nothing(self) -> None:
         """A method without any effect is its baseline; a resumed training has not seen all."""
-        if self.resumed > 0:
+        if not self.from_start:
             return
         stored = self.params.sh_degree
-        active = schedule.sh_degree(self.options, self.options.steps - 1, stored)
+        active = schedule.sh_degree(self.options, self.options.steps - 1, stored, self.sh_from)
         if active < stored:
             LOG.warning(
                 f"trainer.sh_degree={stored}: only degree {active} was ever active, as"
@@ -188,7 +191,8 @@ class Trainer:
             kept = state.plugins[running.group]
             running.started, running.state = kept.started, kept.value
         self.history, self.logged = list(state.history), dict(state.logged)
-        self.psnr, self.resumed = state.psnr, state.resumed + 1
+        # one that had ended is only read again
+        self.psnr, self.resumed = state.psnr, state.resumed + (state.step < self.options.steps)
         self.watch = Stopwatch(state.wall_s, state.cpu_s)
 
     def _running(self) -> tuple[_Running, ...]:
@@ -304,7 +308,7 @@ class Trainer:
                 self.version += int(edits.changes_the_rows)
 
     def _sh_degree(self) -> int:
-        return schedule.sh_degree(self.options, self.step, self.params.sh_degree)
+        return schedule.sh_degree(self.options, self.step, self.params.sh_degree, self.sh_from)
 
     def _context_if_active(self, running: _Running) -> StepContext | None:
         """What the plugin may see now; None while it is not active."""

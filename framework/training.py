@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,11 @@ from framework.checkpoint import Checkpoints, pack, remove_checkpoints, state_cl
 from framework.files import write_whole
 from framework.guard import Diverged
 from framework.initialize import INITIALIZERS
+from framework.members import IDLE, in_turn, join, member_seed, tuning_options
 from framework.metrics import Missing, psnr
 from framework.options import TrainerOptions
 from framework.plugin import Plugin
-from framework.progress import Progress
+from framework.progress import Part, Progress
 from framework.rasterize import rasterize
 from framework.record import DIVERGED
 from framework.state_check import check_state
@@ -32,66 +34,119 @@ BYTES_PER_FLOAT, COPIES = 4, 3  # of every parameter: itself and two moments
 
 
 def initial(
-    config: Mapping[str, Any], scene: Scene, depth: tuple[DepthMap, ...], options: TrainerOptions
+    config: Mapping[str, Any],
+    scene: Scene,
+    depth: tuple[DepthMap, ...],
+    options: TrainerOptions,
+    seed: int,
 ) -> Gaussians:
     """The Gaussians that the chosen initializer starts from."""
     rest = dict(config["init"])
     builder = INITIALIZERS[rest.pop("name")](**rest)
-    gaussians: Gaussians = builder.build(
-        scene.training, depth, options.sh_degree, int(config["seed"])
-    )
+    gaussians: Gaussians = builder.build(scene.training, depth, options.sh_degree, seed)
     return gaussians
 
 
-def train(
-    config: Mapping[str, Any],
-    scene: Scene,
-    depth: tuple[DepthMap, ...],
-    start: Callable[[], Gaussians],
-    options: TrainerOptions,
-    run_dir: Path,
-    identity: str,
-    progress: Progress,
-) -> Trained:
-    """Train, or go on with what an interrupted process left in `run_dir` under this identity.
+@dataclass(frozen=True)
+class _Part:
+    """A training of its own within a run. name: of its checkpoints. choices: of the plugin groups.
+    progress: see `Trainer`, as is sh_from."""
 
-    start: makes the Gaussians to begin with, which nobody else keeps then. `force` begins anew.
-    Raises Diverged when the training diverges; the state is in the run's folder then.
+    name: str
+    choices: Mapping[str, Mapping[str, Any]]
+    options: TrainerOptions
+    seed: int
+    progress: Progress
+    sh_from: int = 0
+
+
+@dataclass(frozen=True)
+class Run:
+    """What the parts of a run have in common.
+
+    start(seed) makes the Gaussians to begin with, which nobody else keeps then. force: go on with
+    nothing that an interrupted process left in `folder` under this identity.
     """
-    gaussians = start()
-    plugins = Plugins(*(registry.build(group, config[group]) for group in registry.GROUPS))
+
+    scene: Scene
+    depth: tuple[DepthMap, ...]
+    start: Callable[[int], Gaussians]
+    folder: Path
+    identity: str
+    force: bool
+
+
+def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
+    """Train, or go on with what an interrupted process left.
+
+    With `trainer.members` > 1 several trainings follow each other, each from its own draws, whose
+    Gaussians are joined and tuned: what one of them got wrong by chance weighs less. The first is
+    that of a run with one member. Raises Diverged when a training diverges; the state is in the
+    run's folder then.
+    """
+    if run.force:
+        remove_checkpoints(run.folder)
+    options, seed = TrainerOptions(**config["trainer"]), int(config["seed"])
+    if options.members == 1:
+        return _train(run, _Part("", config, options, seed, progress), run.start(seed))
+    tuned = round(options.tuning * options.steps)
+    n_steps = options.members * options.steps + tuned
+    members = []
+    for k in range(options.members):
+        progress.stage(f"member {k + 1} of {options.members}")
+        part = Part(progress, k * options.steps, n_steps)
+        own = _Part(f"member {k}", config, options, member_seed(seed, k), part)
+        members.append(_train(run, own, run.start(own.seed)))
+    gaussians = join([member.gaussians for member in members])
+    if tuned == 0:
+        return in_turn(members, options.steps, gaussians)
+    progress.stage("tuning of the members together")
+    part = Part(progress, options.members * options.steps, n_steps)
+    last = members[-1].sh_degree
+    own = _Part("tuning", IDLE, tuning_options(options, tuned), seed, part, sh_from=last)
+    trained = _train(run, own, gaussians)
+    return in_turn([*members, trained], options.steps, trained.gaussians)
+
+
+def _train(run: Run, part: _Part, gaussians: Gaussians) -> Trained:
+    """One part, or what is left of it to do."""
+    options, several = part.options, part.name != ""
+    plugins = Plugins(*(registry.build(group, part.choices[group]) for group in registry.GROUPS))
     chosen: list[Plugin] = [p.plugin for p in (plugins.augment, plugins.reg, plugins.capacity)]
     size = COPIES * BYTES_PER_FLOAT * sum(tensor.numel() for _, tensor in gaussians.items())
-    checkpoints = Checkpoints(run_dir, identity, chosen, size)
-    if config["force"]:
-        remove_checkpoints(run_dir)
+    checkpoints = Checkpoints(run.folder, run.identity, chosen, size, part.name)
     by_group = dict(zip(registry.GROUPS, chosen, strict=True))
     check = functools.partial(
-        check_state, training=scene.training, options=options, plugins=by_group
+        check_state, training=run.scene.training, options=options, plugins=by_group
     )
     kept = checkpoints.newest(check)
-    if kept is not None:
-        progress.note(f"going on at step {kept.step} of {options.steps}")
+    if kept is not None and kept.step < options.steps:
+        place = f", {part.name}" if several else ""
+        part.progress.note(f"going on at step {kept.step} of {options.steps}{place}")
     trainer = Trainer(
-        scene.training,
-        depth,
+        run.scene.training,
+        run.depth,
         gaussians,
         options,
         plugins,
-        int(config["seed"]),
-        progress,
-        _evaluation(scene, options),
+        part.seed,
+        part.progress,
+        _evaluation(run.scene, options),
         checkpoints,
         kept,
+        part.sh_from,
     )
     del gaussians  # the trainer has its own
     try:
-        return trainer.run()
+        trained = trainer.run()
     except Diverged as error:
-        state = pack(error.state, state_classes(chosen), identity, "diverged state")
-        write_whole(run_dir / DIVERGED, state)
-        error.args = (f"{error}; the state is in {run_dir.name}/{DIVERGED}",)
+        state = pack(error.state, state_classes(chosen), run.identity, "diverged state")
+        write_whole(run.folder / DIVERGED, state)
+        error.args = (f"{error}; the state is in {run.folder.name}/{DIVERGED}",)
         raise
+    if several and (kept is None or kept.step < options.steps):
+        checkpoints.keep(trainer.state())
+    return trained
 
 
 def _evaluation(scene: Scene, options: TrainerOptions) -> Evaluate:

@@ -20,7 +20,7 @@ from framework.options import TrainerOptions
 from framework.progress import Silent
 from framework.record import parameters_sha256
 from framework.trainer import Trainer
-from framework.training import initial, train
+from framework.training import Run, initial, train
 from framework.types import View
 from framework.warmup import _plane
 
@@ -72,9 +72,16 @@ def start(folder: Path, augment: str, reg: str, seed: int) -> None:
     scene, _ = experiment._scene(key)
     depth, _ = experiment._depth(key, experiment._key(config["depth"]), "")
     options = TrainerOptions(**config["trainer"])
-    gaussians = initial(config, scene, depth, options)
     run_dir = folder / f"{augment}-{reg}-{seed}"
-    train(config, scene, depth, lambda: gaussians, options, run_dir, "identity", Silent())
+    run = Run(
+        scene,
+        depth,
+        lambda own: initial(config, scene, depth, options, own),
+        run_dir,
+        "identity",
+        force=False,
+    )
+    train(run, config, Silent())
 
 
 def real(names: list[str]) -> list[str]:

@@ -109,10 +109,12 @@ def test_the_state_is_left_for_inspection(tmp_path: Path, monkeypatch: pytest.Mo
     views, depth, gaussians = _plane(0)
     chosen = plugins(reg=SteepLoss())
     monkeypatch.setattr(registry, "build", lambda group, config: getattr(chosen, group))
-    config = {"augment": {}, "reg": {}, "capacity": {}, "seed": 0, "force": False}
-    scene = Scene("plane", "own", views, (), "f")
+    config = {"augment": {}, "reg": {}, "capacity": {}, "seed": 0, "trainer": asdict(OPTIONS)}
+    run = training.Run(
+        Scene("plane", "own", views, (), "f"), depth, lambda _: gaussians, tmp_path, "id", False
+    )
     with pytest.raises(UserError, match=r"the state is in .*diverged\.safetensors$"):
-        training.train(config, scene, depth, lambda: gaussians, OPTIONS, tmp_path, "id", Silent())
+        training.train(run, config, Silent())
     identity, state = unpack(tmp_path / "diverged.safetensors", [Gaussians])
     assert identity == "id" and state["where"].startswith("training step 2")
     assert set(state["gradients"]) == set(dict(gaussians.items()))

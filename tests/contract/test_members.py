@@ -1,0 +1,158 @@
+"""Several trainings whose Gaussians are joined: `trainer.members`."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import asdict
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import quad
+
+from framework.checkpoint import Checkpoints
+from framework.errors import UserError
+from framework.members import join, member_seed, thinner
+from framework.metrics import psnr
+from framework.options import TrainerOptions
+from framework.progress import Silent
+from framework.record import parameters_sha256
+from framework.trainer import Trained
+from framework.training import Run, renderer, train
+from framework.types import Gaussians, Scene
+from framework.warmup import _plane
+from tests.contract.test_training import EAGER, NEUTRAL
+
+OPTIONS = TrainerOptions(steps=12, sh_degree=1, sh_every=4, evaluations=2, members=2, tuning=0.5)
+STEPS = 2 * 12 + 6
+METHOD = {"augment": "safi", "reg": "uar", "capacity": "adc"}
+
+
+class Stopping(Silent):
+    """Ends the process, so to speak, after step `at` of all."""
+
+    def __init__(self, at: int = 10**9) -> None:
+        self.at, self.told = at, list[tuple[int, int]]()
+        self.notes = list[str]()
+
+    def step(
+        self, step: int, n_steps: int, loss: float, gaussians: int, psnr: float | None = None
+    ) -> None:
+        self.told.append((step, n_steps))
+        if step == self.at:
+            raise KeyboardInterrupt
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+
+def start(seed: int) -> Gaussians:
+    """Another set for every seed."""
+    gaussians = _plane(1)[2]
+    gaussians.means[:, 0] += 1e-3 * (seed % 1000)
+    return gaussians
+
+
+def trained(
+    folder: Path, progress: Stopping | None = None, seed: int = 0, **changes: Any
+) -> Trained:
+    views, depth, _ = _plane(1)
+    run = Run(Scene("plane", "own", views, views.views[:1], "f"), depth, start, folder, "id", False)
+    choices = {
+        group: {"name": name, **EAGER.get(name, {}), "start": 0.0, "stop": 1.0}
+        for group, name in METHOD.items()
+    }
+    options = dataclasses.replace(OPTIONS, **changes)
+    config = {**choices, "seed": seed, "trainer": asdict(options)}
+    return train(run, config, progress or Stopping())
+
+
+def test_a_thinner_gaussian_has_its_share_of_the_optical_depth() -> None:
+    def depth(opacity: float) -> float:  # over the footprint, r in standard deviations
+        return quad(lambda r: -np.log(1 - opacity * np.exp(-r * r / 2)) * r, 0, 12)[0]
+
+    for n in (2, 3, 8):
+        for opacity in (0.01, 0.3, 0.9, 0.999):
+            thin = float(thinner(np.array([opacity]), n)[0])
+            assert depth(thin) == pytest.approx(depth(opacity) / n, rel=1e-4)
+    assert thinner(np.array([0.0, 0.5]), 1) == pytest.approx([0.0, 0.5])
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_a_model_joined_with_itself_renders_as_before(tmp_path: Path, n: int) -> None:
+    one = trained(tmp_path, members=1, steps=60)
+    camera = _plane(1)[0].views[0].camera
+    before, joined = (
+        renderer(gaussians, one.background, one.sh_degree, 0.01)(camera)
+        for gaussians in (one.gaussians, join([one.gaussians] * n))
+    )
+    difference = psnr(joined, before)
+    assert isinstance(difference, float) and difference > 32
+
+
+def test_gaussians_with_bands_stay_first() -> None:
+    whole = _plane(1)[2]
+    bands = torch.arange(len(whole)) % 3 == 0
+    part = whole.with_bands(bands)
+    joined = join([part, whole])
+    assert len(joined) == 2 * len(whole) and len(joined.shN) == len(part.shN) + len(whole.shN)
+    assert torch.equal(joined.means[: len(part.shN)], part.means[: len(part.shN)])
+
+
+def test_the_first_member_is_the_training_of_one(tmp_path: Path) -> None:
+    alone = trained(tmp_path / "a", members=1)
+    joined = trained(tmp_path / "b")
+    first = joined.history[: len(alone.history)]
+    assert [(row.step, row.loss) for row in first] == [(r.step, r.loss) for r in alone.history]
+    assert member_seed(0, 0) == 0
+    assert len({member_seed(seed, k) for seed in range(3) for k in range(3)}) == 9
+
+
+def test_the_parts_are_told_as_one(tmp_path: Path) -> None:
+    progress = Stopping()
+    joined = trained(tmp_path, progress)
+    assert progress.told == [(step, STEPS) for step in range(1, STEPS + 1)]
+    rows = joined.history
+    assert [row.step for row in rows] == list(range(1, STEPS + 1))
+    assert all(a.seconds <= b.seconds for a, b in pairwise(rows))
+    assert rows[-1].gaussians == len(joined.gaussians) == sum(rows[k].gaussians for k in (11, 23))
+    assert rows[-1].sh_degree == 1 and joined.sh_degree == 1
+    assert joined.wall_s >= rows[-1].seconds
+
+
+@pytest.mark.parametrize("at", [5, 12, 17, 24, 27])
+def test_an_interrupted_one_ends_with_the_same_bits(
+    tmp_path: Path, at: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a member, between two, while they are tuned."""
+    monkeypatch.setattr(Checkpoints, "due", lambda self: True)
+    whole = trained(tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        trained(tmp_path / "run", Stopping(at))
+    progress = Stopping()
+    again = trained(tmp_path / "run", progress)
+    assert parameters_sha256(again.gaussians) == parameters_sha256(whole.gaussians)
+    assert [(r.step, r.loss) for r in again.history] == [(r.step, r.loss) for r in whole.history]
+    assert progress.told[0][0] == at and again.resumed == 1
+    assert len(progress.notes) == 1 and "going on at step" in progress.notes[0]
+
+
+def test_without_tuning_the_joined_set_is_the_result(tmp_path: Path) -> None:
+    joined = trained(tmp_path, tuning=0.0)
+    assert joined.history[-1].step == 24
+    assert len(joined.gaussians) == joined.history[11].gaussians + joined.history[23].gaussians
+
+
+@pytest.mark.parametrize("changes", [{"members": 0}, {"members": 17}, {"tuning": -0.1}])
+def test_options_out_of_range_are_refused(changes: dict[str, Any]) -> None:
+    with pytest.raises(UserError, match=rf"trainer\.{next(iter(changes))}: expected"):
+        TrainerOptions(**changes)
+
+
+def test_every_group_has_an_idle_choice() -> None:
+    from framework.members import IDLE
+
+    assert {group: choice["name"] for group, choice in IDLE.items()} == NEUTRAL
