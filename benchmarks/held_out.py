@@ -62,7 +62,7 @@ def held_out_views(overrides: list[str], count: int | None) -> tuple[View, ...]:
 
 def measure(run: Prepared, views: tuple[View, ...]) -> Result:
     """Train once and judge."""
-    trained = run.trainer().run()
+    trained = run.trained()
     options, near = TrainerOptions(**run.config["trainer"]), run.scene.training.near
     render = renderer(
         trained.gaussians, trained.background, trained.sh_degree, options.near_plane * near

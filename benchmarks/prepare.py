@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,9 @@ from framework.config import CONF_DIR, check, register_config  # noqa: E402
 from framework.naming import plain  # noqa: E402
 from framework.options import TrainerOptions  # noqa: E402
 from framework.progress import Progress, Silent  # noqa: E402
-from framework.trainer import Evaluate, Plugins, Trainer  # noqa: E402
-from framework.training import initial  # noqa: E402
-from framework.types import DepthMap, Scene  # noqa: E402
+from framework.trainer import Evaluate, Plugins, Trained, Trainer  # noqa: E402
+from framework.training import Run, initial, train  # noqa: E402
+from framework.types import DepthMap, Gaussians, Scene  # noqa: E402
 from framework.warmup import Warmup  # noqa: E402
 
 
@@ -36,8 +37,10 @@ class Prepared:
     def trainer(
         self, progress: Progress | None = None, evaluate: Evaluate | None = None
     ) -> Trainer:
-        """A new training from the same start."""
+        """A new training from the same start, of which the caller sees every step."""
         options, seed = TrainerOptions(**self.config["trainer"]), int(self.config["seed"])
+        if options.members > 1:
+            raise SystemExit(f"expected trainer.members=1, got {options.members}: one is seen here")
         gaussians = initial(self.config, self.scene, self.depth, options, seed)
         plugins = Plugins(*(registry.build(g, self.config[g]) for g in registry.GROUPS))
         return Trainer(
@@ -50,6 +53,17 @@ class Prepared:
             progress or Silent(),
             evaluate,
         )
+
+    def trained(self) -> Trained:
+        """What a run trains, all its members, without a look at the test views."""
+        options, scene = TrainerOptions(**self.config["trainer"]), replace(self.scene, test=())
+
+        def start(seed: int) -> Gaussians:
+            return initial(self.config, scene, self.depth, options, seed)
+
+        with tempfile.TemporaryDirectory() as folder:
+            run = Run(scene, self.depth, start, Path(folder), "benchmark", force=False)
+            return train(run, self.config, Silent())
 
 
 def configured(overrides: Sequence[str]) -> dict[str, Any]:

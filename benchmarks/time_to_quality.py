@@ -60,7 +60,7 @@ def measure(scene: str, steps: int) -> Point:
     experiment._depth.cache_clear()
     start, cpu_start = time.perf_counter(), time.process_time()
     run = prepared(line)
-    trained = run.trainer().run()
+    trained = run.trained()
     seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - cpu_start
     options, near = TrainerOptions(**run.config["trainer"]), run.scene.training.near
     render = renderer(

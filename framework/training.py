@@ -149,8 +149,10 @@ def _train(run: Run, part: _Part, gaussians: Gaussians) -> Trained:
     return trained
 
 
-def _evaluation(scene: Scene, options: TrainerOptions) -> Evaluate:
-    """Mean PSNR over the test views in dB; None where one of them has none."""
+def _evaluation(scene: Scene, options: TrainerOptions) -> Evaluate | None:
+    """Mean PSNR over the test views in dB, if there are any; None where one of them has none."""
+    if not scene.test:
+        return None
     near = options.near_plane * scene.training.near
 
     def test_psnr(current: Gaussians, background: Tensor, sh_degree: int) -> float | None:
