@@ -40,7 +40,7 @@ class TrainerOptions:
     near_plane: float = 0.05  # Gaussians nearer are not drawn; in units of the near bound
     evaluations: int = 6  # of the test views, evenly spaced, the last after the last step
     members: int = 1  # trainings, each from its own draws, whose Gaussians are joined in the end
-    tuning: float = 0.1  # share of the steps in which joined members are tuned on the photos
+    tuning: float = 0.05  # share of the steps in which joined members are tuned on the photos
 
     def __post_init__(self) -> None:
         check = functools.partial(check_option, self, "trainer")
