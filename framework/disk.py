@@ -36,8 +36,9 @@ def checkpoint_bytes(config: Mapping[str, Any]) -> int:
 
 
 def _parameter_bytes(config: Mapping[str, Any], floats: int) -> int:
-    gaussians = config["init"].get("budget") or MOST_GAUSSIANS
-    harmonics = 3 * ((config["trainer"]["sh_degree"] + 1) ** 2 - 1)
+    trainer = config["trainer"]
+    gaussians = trainer["members"] * (config["init"].get("budget") or MOST_GAUSSIANS)
+    harmonics = 3 * ((trainer["sh_degree"] + 1) ** 2 - 1)
     return 4 * gaussians * (floats + harmonics)
 
 

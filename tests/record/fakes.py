@@ -47,7 +47,7 @@ def make_config(
         "capacity": {"name": "fixed", "weight": 1.0},
         "depth": {"name": "plane_sweep"},
         "init": {"name": "stereo", "budget": 40000},
-        "trainer": {"steps": 800, "sh_degree": 0},
+        "trainer": {"steps": 800, "sh_degree": 0, "members": 1},
         "metrics": {"lpips_weights": None},
     }
     return config | more

@@ -113,8 +113,10 @@ def test_what_is_there_already_counts(tmp_path: Path, monkeypatch: pytest.Monkey
     check_room(tmp_path / "study", configs)
 
 
-def test_the_estimate_is_an_upper_bound(tmp_path: Path) -> None:
+@pytest.mark.parametrize("members", [1, 2])
+def test_the_estimate_is_an_upper_bound(tmp_path: Path, members: int) -> None:
     config = small_config(group("depth", "ground_truth"))
+    config["trainer"]["members"] = members
     run_experiment(config, tmp_path, Silent())
     used = sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file())
     assert used <= run_bytes(config) < 20 * used
