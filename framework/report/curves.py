@@ -19,6 +19,17 @@ CAPTION = (
     f" the first {THIN_SEEDS} of many."
 )
 
+MEMBERS = (
+    " The trainings of a run with several members follow each other: quality falls where the next"
+    " begins, and the last point is that of the joined Gaussians."
+)
+
+
+def caption(study: Study, scene: str) -> str:
+    """What the chart shows, of members too where a run has some."""
+    trainers = [run.record.config["trainer"] for run in study.of(scene)]
+    return CAPTION + (MEMBERS if any(t.get("members", 1) > 1 for t in trainers) else "")
+
 
 def chart(study: Study, scene: str) -> Chart | None:
     """None where no history of the scene has an evaluation."""

@@ -265,4 +265,4 @@ def _curves(study: Study, scene: str) -> Picture | None:
     if chart is None:
         return None
     alt = f"Quality over training time of {scene}"
-    return chart_picture(study.out_dir, (chart,), alt, curves.CAPTION)
+    return chart_picture(study.out_dir, (chart,), alt, curves.caption(study, scene))

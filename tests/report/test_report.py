@@ -354,3 +354,10 @@ def test_importing_the_report_needs_no_torch() -> None:
         "bad = {'torch', 'numba', 'framework.trainer'} & set(sys.modules); assert not bad, bad"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+@pytest.mark.parametrize("members", [1, 2])
+def test_the_curve_of_several_members_is_explained(tmp_path: Path, members: int) -> None:
+    fake_run(tmp_path, trainer={"steps": 800, "sh_degree": 0, "members": members})
+    text = build_report(tmp_path).read_text()
+    assert ("that of the joined Gaussians" in text) == (members > 1)
