@@ -5,10 +5,11 @@
         [--steps 50,100,200,300,600,1000] [--reference 10000] [--threads N] [--output FILE.md]
 
 Every number of steps is a training of its own, as the schedules depend on it; seconds are of
-depth, initialisation and training, without evaluation. CPU seconds decide, as other programs
-disturb them less than the clock (on a core's second thread they still rise). Interpolating and
-extrapolating test views are told apart. Prints markdown, or writes it to FILE.md with FILE.png
-beside it; FILE.json keeps what was measured, so that a second call goes on where the first ended.
+depth, initialisation and training with its checkpoints, without evaluation. CPU seconds decide, as
+other programs disturb them less than the clock (on a core's second thread they still rise).
+Interpolating and extrapolating test views are told apart. Prints markdown, or writes it to FILE.md
+with FILE.png beside it; FILE.json keeps what was measured, so that a second call goes on where the
+first ended.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ def measure(scene: str, steps: int) -> Point:
 @functools.cache
 def _warm(scene: str) -> None:
     """Load all kernels."""
-    prepared([*scene.split(), "trainer.steps=10"]).trainer().run()
+    prepared([*scene.split(), "trainer.steps=10"]).trained()
 
 
 def rows(points: list[Point]) -> list[str]:

@@ -29,7 +29,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from framework import reporter
 from framework.collector import import_uncollected
-from framework.complaints import COMPOSE_ERRORS, USER_ERRORS, one_line
+from framework.complaints import USER_ERRORS, one_line
 from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, check, choices, register_config
 from framework.errors import UserError
 from framework.failures import again, conclude, kind_of
@@ -71,7 +71,7 @@ def main(argv: Sequence[str]) -> int:
         line = shlex.join(["python", "run.py", *argv])
         print(f"error: interrupted; what is done is kept, go on with: {line}", file=sys.stderr)
         return 130
-    except (Refused, *COMPOSE_ERRORS) as error:
+    except (Refused, *USER_ERRORS) as error:
         if "traceback=true" in argv:
             traceback.print_exc()
         print(f"error: {one_line(error)}", file=sys.stderr)

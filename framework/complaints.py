@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
@@ -22,8 +23,20 @@ from omegaconf.errors import (
 from framework.errors import UserError, nearest_hint, printable_line
 
 USER_ERRORS = (UserError, HydraException, OmegaConfBaseException)
-COMPOSE_ERRORS = (*USER_ERRORS, OverflowError)  # the last is OmegaConf's, from a huge integer
 KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "a text"}
+
+
+@contextmanager
+def composing() -> Iterator[None]:
+    """Tell an integer that is too large for a number as UserError; OmegaConf lets the conversion's
+    error through, with the option's name in its text."""
+    try:
+        yield
+    except OverflowError as error:
+        key = re.search(r"full_key: (\S+)", str(error))
+        if key is None:
+            raise
+        raise UserError(f"{key[1]}: expected a number within 1e308, got a larger one") from error
 
 
 def one_line(error: BaseException) -> str:
@@ -60,9 +73,6 @@ def _told(error: BaseException) -> str | None:
         return _unknown_key(error)
     if isinstance(error, ValidationError) and error.full_key:
         return f"{error.full_key}: expected {_expected(error)}, got {error.value!r}"
-    if isinstance(error, OverflowError):  # of a conversion; OmegaConf puts the key into the text
-        key = re.search(r"full_key: (\S+)", str(error))
-        return f"{key[1]}: expected a number below 1e308, got a larger one" if key else None
     return None
 
 

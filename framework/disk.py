@@ -2,7 +2,7 @@
 
 A run keeps its Gaussians (17 + 3 (K - 1) floats each), three 8-bit images per test view, which PNG
 at worst does not compress, and tables. While it trains there are up to three checkpoints of about
-twice the parameters with their two moments each.
+twice the parameters with their two moments each, and two of every member that has ended.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ def run_bytes(config: Mapping[str, Any]) -> int:
 
 def checkpoint_bytes(config: Mapping[str, Any]) -> int:
     """What the checkpoints of one run take while it trains."""
-    return 3 * 2 * 3 * _parameter_bytes(config, 14)
+    several = config["trainer"]["members"] > 1
+    return (5 if several else 3) * 2 * 3 * _parameter_bytes(config, 14)
 
 
 def _parameter_bytes(config: Mapping[str, Any], floats: int) -> int:

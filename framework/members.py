@@ -1,9 +1,9 @@
 """Several trainings of one scene as one set of Gaussians (`trainer.members`).
 
-Trainings from different draws fit the photos alike and differ where no photo looks: a sixth of the
-squared error at test views of a few photos is that chance. The mean of their images has less of it;
-the joined set is close to that mean and costs one rendering. This is the variance reduction of
-averaged models (Breiman 1996, "Bagging predictors"), here on volume densities.
+Trainings from different draws fit the photos alike and differ in other views, by chance. The mean
+of their images has less of that error; the joined set is close to the mean and one rendering. This
+is the variance reduction of averaged models (Breiman 1996, "Bagging predictors"), here on volume
+densities.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from framework.training_state import Trained
 from framework.types import Gaussians, concatenate
 
 IDLE = {"augment": {"name": "none"}, "reg": {"name": "none"}, "capacity": {"name": "fixed"}}
-HIGHEST = 1 - 1e-6  # opacity; that of a logit of 14
+LOWEST = 1e-13  # opacity; none for a renderer, but its logit is finite
 TABLE = np.linspace(0, 1, 100_001)
 
 
@@ -46,8 +46,8 @@ def thinner(opacities: np.ndarray, n: int) -> np.ndarray:
 
 
 def tuning_options(options: TrainerOptions, steps: int) -> TrainerOptions:
-    """Those of `steps` steps on joined members: the rates begin where a member's others end, and
-    nothing fades."""
+    """Those of `steps` steps on joined members: the share `lr_final` of all rates, from which they
+    fall as in a training (the means' had fallen further), and nothing fades."""
     return replace(
         options,
         steps=steps,
@@ -80,5 +80,5 @@ def in_turn(parts: Sequence[Trained], steps: int, gaussians: Gaussians) -> Train
 
 def _thinner(gaussians: Gaussians, n: int) -> Gaussians:
     opacities = torch.sigmoid(gaussians.opacity_logits.double()).numpy()
-    thin = torch.from_numpy(np.minimum(thinner(opacities, n), HIGHEST))
+    thin = torch.from_numpy(np.maximum(thinner(opacities, n), LOWEST))
     return replace(gaussians, opacity_logits=torch.logit(thin).float())

@@ -25,7 +25,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from framework import reporter
 from framework.cache import cache_dir
-from framework.complaints import COMPOSE_ERRORS
+from framework.complaints import USER_ERRORS, composing
 from framework.config import check
 from framework.disk import check_room
 from framework.errors import UserError
@@ -111,7 +111,7 @@ class StudyCallback(Callback):
             if config.estimate:
                 every = [run for configs in studies.values() for run in configs]
                 self._expected_s = announce(every, _at_once(config))
-        except COMPOSE_ERRORS as error:
+        except USER_ERRORS as error:
             raise Refused from error
         os.environ[JOBS_VARIABLE] = str(len(jobs))
         self._watch = Stopwatch()
@@ -164,7 +164,8 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
             check(plain(checked[method]))
             studies[_study_dir(checked[method])].append(plain(checked[method]))
             continue
-        composed = loader.load_sweep_config(config, job)
+        with composing():
+            composed = loader.load_sweep_config(config, job)
         check_composed(composed)
         checked[method] = composed
         check(plain(composed))

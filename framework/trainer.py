@@ -62,7 +62,8 @@ class Trainer:
     evaluate(gaussians, background [3], sh_degree) -> mean test PSNR in dB, or None; called at the
     evaluation steps with copies, and its time does not count. keeper: is offered the state after
     every step. start: a kept state of the same training, to go on from instead of `gaussians`.
-    sh_from: the degree of SH that is active in the first step.
+    sh_from: the degree of SH that is active in the first step. tells: whether to warn of a method
+    that did nothing.
     """
 
     def __init__(
@@ -78,6 +79,7 @@ class Trainer:
         keeper: Keeper | None = None,
         start: TrainerState | None = None,
         sh_from: int = 0,
+        tells: bool = True,
     ) -> None:
         require(
             len(gaussians) > 0,
@@ -86,7 +88,8 @@ class Trainer:
         )
         self.training, self.depth, self.options = training, depth, options
         self.seed, self.progress, self.evaluate, self.keeper = seed, progress, evaluate, keeper
-        self.sh_from, self.from_start = sh_from, start is None
+        self.sh_from = sh_from
+        self.tells = tells and start is None  # a resumed training has not seen all
         self.augment = _Running("augment", plugins.augment)
         self.reg = _Running("reg", plugins.reg)
         self.capacity = _Running("capacity", plugins.capacity)
@@ -155,8 +158,8 @@ class Trainer:
         )
 
     def _tell_what_did_nothing(self) -> None:
-        """A method without any effect is its baseline; a resumed training has not seen all."""
-        if not self.from_start:
+        """A method without any effect is its baseline."""
+        if not self.tells:
             return
         stored = self.params.sh_degree
         active = schedule.sh_degree(self.options, self.options.steps - 1, stored, self.sh_from)

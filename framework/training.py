@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,8 @@ def initial(
 @dataclass(frozen=True)
 class _Part:
     """A training of its own within a run. name: of its checkpoints. choices: of the plugin groups.
-    progress: see `Trainer`, as is sh_from."""
+    again: whether the part before was read back. to_keep: its end is kept, for a later process.
+    progress: see `Trainer`, as are sh_from and tells."""
 
     name: str
     choices: Mapping[str, Mapping[str, Any]]
@@ -58,6 +59,9 @@ class _Part:
     seed: int
     progress: Progress
     sh_from: int = 0
+    tells: bool = True
+    again: bool = False
+    to_keep: bool = False
 
 
 @dataclass(frozen=True)
@@ -88,29 +92,53 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
         remove_checkpoints(run.folder)
     options, seed = TrainerOptions(**config["trainer"]), int(config["seed"])
     if options.members == 1:
-        return _train(run, _Part("", config, options, seed, progress), run.start(seed))
-    tuned = round(options.tuning * options.steps)
-    n_steps = options.members * options.steps + tuned
+        return _train(run, _Part("", config, options, seed, progress), run.start(seed))[0]
+    tuned = max(1, round(options.tuning * options.steps)) if options.tuning > 0 else 0
+    n_steps, again = options.members * options.steps + tuned, False
     members = []
     for k in range(options.members):
         progress.stage(f"member {k + 1} of {options.members}")
-        part = Part(progress, k * options.steps, n_steps)
-        own = _Part(f"member {k}", config, options, member_seed(seed, k), part)
-        members.append(_train(run, own, run.start(own.seed)))
+        own = _Part(
+            f"member {k + 1}",
+            config,
+            options,
+            member_seed(seed, k),
+            Part(progress, k * options.steps, n_steps),
+            tells=k == options.members - 1,
+            again=again,
+            to_keep=True,
+        )
+        member, again = _train(run, own, run.start(own.seed))
+        members.append(member)
     gaussians = join([member.gaussians for member in members])
     if tuned == 0:
-        return in_turn(members, options.steps, gaussians)
+        return _untuned(run, in_turn(members, options.steps, gaussians), options)
     progress.stage("tuning of the members together")
-    part = Part(progress, options.members * options.steps, n_steps)
-    last = members[-1].sh_degree
-    own = _Part("tuning", IDLE, tuning_options(options, tuned), seed, part, sh_from=last)
-    trained = _train(run, own, gaussians)
+    own = _Part(
+        "tuning",
+        IDLE,
+        tuning_options(options, tuned),
+        seed,
+        Part(progress, options.members * options.steps, n_steps),
+        sh_from=members[-1].sh_degree,
+        tells=False,
+        again=again,
+    )
+    trained, _ = _train(run, own, gaussians)
     return in_turn([*members, trained], options.steps, trained.gaussians)
 
 
-def _train(run: Run, part: _Part, gaussians: Gaussians) -> Trained:
-    """One part, or what is left of it to do."""
-    options, several = part.options, part.name != ""
+def _untuned(run: Run, joined: Trained, options: TrainerOptions) -> Trained:
+    """`joined` with a history that ends with what the joined Gaussians are."""
+    evaluate = _evaluation(run.scene, options)
+    found = evaluate and evaluate(joined.gaussians, joined.background, joined.sh_degree)
+    last = replace(joined.history[-1], test_psnr=found, gaussians=len(joined.gaussians))
+    return replace(joined, history=(*joined.history[:-1], last))
+
+
+def _train(run: Run, part: _Part, gaussians: Gaussians) -> tuple[Trained, bool]:
+    """One part, or what is left of it to do; and whether nothing was left."""
+    options = part.options
     plugins = Plugins(*(registry.build(group, part.choices[group]) for group in registry.GROUPS))
     chosen: list[Plugin] = [p.plugin for p in (plugins.augment, plugins.reg, plugins.capacity)]
     size = COPIES * BYTES_PER_FLOAT * sum(tensor.numel() for _, tensor in gaussians.items())
@@ -120,9 +148,7 @@ def _train(run: Run, part: _Part, gaussians: Gaussians) -> Trained:
         check_state, training=run.scene.training, options=options, plugins=by_group
     )
     kept = checkpoints.newest(check)
-    if kept is not None and kept.step < options.steps:
-        place = f", {part.name}" if several else ""
-        part.progress.note(f"going on at step {kept.step} of {options.steps}{place}")
+    ended = kept is not None and kept.step == options.steps
     trainer = Trainer(
         run.scene.training,
         run.depth,
@@ -135,8 +161,13 @@ def _train(run: Run, part: _Part, gaussians: Gaussians) -> Trained:
         checkpoints,
         kept,
         part.sh_from,
+        part.tells,
     )
     del gaussians  # the trainer has its own
+    if not ended and (kept is not None or part.again):
+        trainer.resumed = max(trainer.resumed, 1)
+        place = f", {part.name}" if part.name else ""
+        part.progress.note(f"going on at step {trainer.step} of {options.steps}{place}")
     try:
         trained = trainer.run()
     except Diverged as error:
@@ -144,9 +175,9 @@ def _train(run: Run, part: _Part, gaussians: Gaussians) -> Trained:
         write_whole(run.folder / DIVERGED, state)
         error.args = (f"{error}; the state is in {run.folder.name}/{DIVERGED}",)
         raise
-    if several and (kept is None or kept.step < options.steps):
+    if part.to_keep and not ended:
         checkpoints.keep(trainer.state())
-    return trained
+    return trained, ended
 
 
 def _evaluation(scene: Scene, options: TrainerOptions) -> Evaluate | None:

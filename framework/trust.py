@@ -31,6 +31,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from framework import limits
+from framework.complaints import composing
 from framework.config import CONF_DIR, SWEEPS_DIR
 from framework.errors import UserError, require
 
@@ -61,9 +62,10 @@ def check_command(flags: Any) -> None:
         check_config_files(folder)
     with initialize_config_dir(version_base="1.3", config_dir=str(CONF_DIR)):
         loader = GlobalHydra.instance().config_loader()
-        composed = loader.load_configuration(
-            "config", flags.overrides, run_mode=RunMode.MULTIRUN, validate_sweep_overrides=False
-        )
+        with composing():
+            composed = loader.load_configuration(
+                "config", flags.overrides, run_mode=RunMode.MULTIRUN, validate_sweep_overrides=False
+            )
     check_composed(composed)
     params = composed.hydra.sweeper.params or {}
     check_run_count(overrides, params)

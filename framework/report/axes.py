@@ -43,6 +43,8 @@ BUDGETS = (
     "trainer.steps",
     "trainer.coarse_factor",
     "trainer.coarse_until",
+    "trainer.members",
+    "trainer.tuning",
     "init.budget",
     "init.per_pixel",
 )

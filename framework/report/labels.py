@@ -22,7 +22,10 @@ from framework.record import METHOD_GROUPS, SceneInfo
 from framework.report.axes import BUDGETS, DATA_KEYS
 
 NAMED = ("augment", "reg")  # groups every method's name starts with
-COARSE = ("trainer.coarse_factor", "trainer.coarse_until")
+WITH_STEPS = (  # what presets set beside the steps
+    *("trainer.coarse_factor", "trainer.coarse_until"),
+    *("trainer.members", "trainer.tuning"),
+)
 USUAL = {"capacity.name": "fixed", "init.name": "stereo", "depth.name": "plane_sweep"}  # unnamed
 NO_METHOD = ("seed", "scene", "metrics", *NEUTRAL_KEYS)
 WATCHING = ("trainer.evaluations",)  # changes what is told, not what comes out
@@ -82,9 +85,9 @@ def flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def method_labels(configs: Sequence[Mapping[str, Any]]) -> list[MethodLabel]:
     """The name of each run's method among `configs`; equal configs have equal names."""
-    flat = [flatten(config) for config in configs]
+    flat = [_without_idle_tuning(flatten(config)) for config in configs]
     keys = [key for key in _keys(flat) if _may_name_a_method(key)]
-    keys = [key for key in keys if key not in COARSE or not _follows(key, flat)]
+    keys = [key for key in keys if key not in WITH_STEPS or not _follows(key, flat)]
     where = {key: _varying(key, flat) for key in keys}
     told = [[key for key in keys if _plugin(key, entry) in where[key]] for entry in flat]
     return [_method_label(*pair) for pair in zip(flat, told, strict=True)]
@@ -197,6 +200,13 @@ def _plugin(key: str, config: Flat) -> str | None:
     if group not in METHOD_GROUPS or option == "name":
         return None
     return str(config.get(f"{group}.name"))
+
+
+def _without_idle_tuning(config: Flat) -> Flat:
+    """A training without other members has nothing to tune."""
+    if config.get("trainer.members", 1) > 1:
+        return config
+    return {key: value for key, value in config.items() if key != "trainer.tuning"}
 
 
 def _follows(key: str, configs: Sequence[Flat]) -> bool:

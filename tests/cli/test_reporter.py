@@ -95,8 +95,8 @@ from framework import reporter
 reporter.start()
 (process,) = reporter._beside
 os.set_inheritable(process.stdin.fileno(), True)
-subprocess.Popen(["sleep", "60"], close_fds=False, stdout=subprocess.DEVNULL)
-print(process.pid, flush=True)
+holder = subprocess.Popen(["sleep", "60"], close_fds=False, stdout=subprocess.DEVNULL)
+print(process.pid, holder.pid, flush=True)
 input()
 """
     parent = subprocess.Popen(
@@ -107,14 +107,18 @@ input()
         text=True,
     )
     assert parent.stdout is not None
-    child = int(parent.stdout.readline())
+    child, holder = map(int, parent.stdout.readline().split())
     os.kill(child, 0)
     parent.kill()
     parent.communicate()
-    end = time.monotonic() + 30
-    while _lives(child):
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    try:
+        end = time.monotonic() + 30
+        while _lives(child):
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        assert _lives(holder)
+    finally:
+        os.kill(holder, 9)
 
 
 def _lives(process: int) -> bool:

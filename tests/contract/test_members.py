@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
@@ -123,7 +124,7 @@ def test_the_parts_are_told_as_one(tmp_path: Path) -> None:
     assert joined.wall_s >= rows[-1].seconds
 
 
-@pytest.mark.parametrize("at", [5, 12, 17, 24, 27])
+@pytest.mark.parametrize("at", [5, 12, 13, 17, 24, 25, 27])
 def test_an_interrupted_one_ends_with_the_same_bits(
     tmp_path: Path, at: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,8 +143,28 @@ def test_an_interrupted_one_ends_with_the_same_bits(
 
 def test_without_tuning_the_joined_set_is_the_result(tmp_path: Path) -> None:
     joined = trained(tmp_path, tuning=0.0)
-    assert joined.history[-1].step == 24
-    assert len(joined.gaussians) == joined.history[11].gaussians + joined.history[23].gaussians
+    last = joined.history[-1]
+    assert last.step == 24 and last.gaussians == len(joined.gaussians)
+    views, background = _plane(1)[0].views, joined.background
+    render = renderer(joined.gaussians, background, 1, OPTIONS.near_plane * _plane(1)[0].near)
+    assert last.test_psnr == psnr(render(views[0].camera), views[0].image, views[0].mask)
+
+
+def test_one_step_of_tuning_is_the_least(tmp_path: Path) -> None:
+    assert trained(tmp_path, steps=2, tuning=0.05).history[-1].step == 5
+
+
+def test_gaussians_of_no_opacity_stay_finite() -> None:
+    whole = _plane(1)[2]
+    whole.opacity_logits[:] = -80.0
+    assert bool(join([whole, whole]).opacity_logits.isfinite().all())
+
+
+def test_what_did_nothing_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING, "framework"):
+        trained(tmp_path, sh_every=1000)
+    assert caplog.text.count("only degree 0 was ever active, as 12 steps") == 1
+    assert caplog.text.count("ever active") == 1
 
 
 @pytest.mark.parametrize("changes", [{"members": 0}, {"members": 17}, {"tuning": -0.1}])

@@ -264,6 +264,18 @@ def test_trainings_beside_other_programs_are_told_and_compared_by_cpu(tmp_path: 
     assert tradeoff.advice(study, "embedded")[0].split(":")[0].endswith("s of CPU time")
 
 
+def test_members_are_a_budget_and_named_only_where_the_steps_do_not_tell() -> None:
+    def config(steps: int, members: int) -> dict[str, Any]:
+        own = {"steps": steps, "members": members, "tuning": 0.05}
+        return {"augment": {"name": "none"}, "reg": {"name": "none"}, "trainer": own}
+
+    labels = method_labels([config(100, 1), config(300, 1), config(450, 2)])
+    assert {label.family for label in labels} == {"none + none"}
+    assert [label.budget for label in labels] == [f"steps={n}" for n in (100, 300, 450)]
+    labels = method_labels([config(300, 1), config(300, 2)])
+    assert [label.budget for label in labels] == ["members=1", "members=2, tuning=0.05"]
+
+
 def test_every_capacity_has_a_colour_where_there_are_enough(tmp_path: Path) -> None:
     for name in ("fixed", "adc"):
         for steps in (100, 400):
