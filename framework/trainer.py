@@ -194,8 +194,7 @@ class Trainer:
             kept = state.plugins[running.group]
             running.started, running.state = kept.started, kept.value
         self.history, self.logged = list(state.history), dict(state.logged)
-        # one that had ended is only read again
-        self.psnr, self.resumed = state.psnr, state.resumed + (state.step < self.options.steps)
+        self.psnr, self.resumed = state.psnr, state.resumed + 1
         self.watch = Stopwatch(state.wall_s, state.cpu_s)
 
     def _running(self) -> tuple[_Running, ...]:

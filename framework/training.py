@@ -164,7 +164,9 @@ def _train(run: Run, part: _Part, gaussians: Gaussians) -> tuple[Trained, bool]:
         part.tells,
     )
     del gaussians  # the trainer has its own
-    if not ended and (kept is not None or part.again):
+    if ended and part.to_keep:
+        trainer.resumed -= 1  # read back; what goes on is a later part
+    elif kept is not None or part.again:
         trainer.resumed = max(trainer.resumed, 1)
         place = f", {part.name}" if part.name else ""
         part.progress.note(f"going on at step {trainer.step} of {options.steps}{place}")

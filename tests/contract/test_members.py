@@ -141,6 +141,19 @@ def test_an_interrupted_one_ends_with_the_same_bits(
     assert len(progress.notes) == 1 and "going on at step" in progress.notes[0]
 
 
+@pytest.mark.parametrize(("members", "steps"), [(1, 12), (2, STEPS)])
+def test_one_that_had_ended_counts_as_taken_up(
+    tmp_path: Path, members: int, steps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its process was killed before the results were written."""
+    monkeypatch.setattr(Checkpoints, "due", lambda self: True)
+    whole, progress = trained(tmp_path, members=members), Stopping()
+    again = trained(tmp_path, progress, members=members)
+    assert progress.told == [] and again.resumed == 1 and len(progress.notes) == 1
+    assert parameters_sha256(again.gaussians) == parameters_sha256(whole.gaussians)
+    assert again.history[-1].step == steps
+
+
 def test_without_tuning_the_joined_set_is_the_result(tmp_path: Path) -> None:
     joined = trained(tmp_path, tuning=0.0)
     last = joined.history[-1]
