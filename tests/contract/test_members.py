@@ -16,7 +16,7 @@ from scipy.integrate import quad
 
 from framework.checkpoint import Checkpoints
 from framework.errors import UserError
-from framework.members import join, member_seed, thinner
+from framework.members import IDLE, join, member_seed, thinner
 from framework.metrics import psnr
 from framework.options import TrainerOptions
 from framework.progress import Silent
@@ -187,6 +187,4 @@ def test_options_out_of_range_are_refused(changes: dict[str, Any]) -> None:
 
 
 def test_every_group_has_an_idle_choice() -> None:
-    from framework.members import IDLE
-
     assert {group: choice["name"] for group, choice in IDLE.items()} == NEUTRAL
