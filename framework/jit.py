@@ -4,6 +4,10 @@ the GIL, cached on disk.
 numba's own cache notices a change of a kernel's file but not of a helper it imports from another.
 So the cache is a folder of the user's cache named by a hash of all of the framework's sources that
 hold kernels (`NUMBA_CACHE_DIR` overrides it). Import `kernel` before decorating anything else.
+
+Where a CPU has AVX-512, LLVM still takes vectors of 256 bits unless it is told not to, as the first
+CPUs that had it slowed down. The loops of stereo take a quarter less time with all 512, those of a
+training step a twentieth (benchmarks/results/step.md); no bit depends on it.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.codegen import get_host_cpu_features
 
 from framework.cache import cache_dir
 
@@ -34,6 +39,11 @@ def _sources_hash() -> str:
 _config: Any = numba.config
 if not os.environ.get("NUMBA_CACHE_DIR"):
     _config.CACHE_DIR = str(cache_dir() / "kernels" / _sources_hash())
+
+if _config.CPU_NAME is None and _config.CPU_FEATURES is None:  # nor has the user chosen any
+    _host = get_host_cpu_features()
+    if "+avx512f" in _host.split(","):
+        _config.CPU_FEATURES = f"{_host},-prefer-256-bit"
 
 KERNEL_CACHE = Path(_config.CACHE_DIR)
 
