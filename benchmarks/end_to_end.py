@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import argparse
 import functools
-import gc
 import importlib
 import json
+import os
 import re
 import statistics
 import subprocess
@@ -51,10 +51,9 @@ STAGES = {
         "framework.experiment:identity_of",
         "framework.experiment:code_hash",
     ],
-    "report": ["framework.study:build_reports"],
 }
-START, REST = "Python, libraries", "command line, configuration, the rest"
-END = "ending the process"
+START, REST = "Python, libraries, command line", "the rest of the run"
+REPORT, END = "report", "ending the process"
 
 
 class Clock:
@@ -85,29 +84,31 @@ class Clock:
 
 def child(began: float, output: Path, overrides: list[str]) -> None:
     """One run with a clock around its stages; `began` is the time when the process was started."""
-    from framework import cli
+    from framework import runner
 
-    clock, load = Clock(), cli.import_uncollected
-    begun = time.time() - began
+    clock, outcome = Clock(), runner._outcome
+    ended = began
 
-    def watched(module: str) -> None:
-        """Imports, and then a clock around the stages, most of which are only known now."""
-        start = time.time()
-        load(module)
-        clock.seconds[START] = begun + time.time() - start
+    def watched(*wanted: Any) -> list[bytes] | None:
+        """The run, with a clock around its stages: what they call has just been imported."""
+        nonlocal ended
+        clock.seconds[START] = time.time() - began
         for stage, places in STAGES.items():
             for place in places:
                 module, _, path = place.partition(":")
                 *owners, name = path.split(".")
                 owner = functools.reduce(getattr, owners, importlib.import_module(module))
                 setattr(owner, name, clock.watch(stage, getattr(owner, name)))
+        raised = outcome(*wanted)
+        ended = time.time()
+        clock.seconds[REST] = ended - began - clock.seconds[START] - clock.measured
+        return raised
 
-    cli.import_uncollected = watched
-    code = cli.main(overrides)
-    clock.seconds[REST] = time.time() - began - clock.seconds[START] - clock.measured
+    runner._outcome = watched
+    code = runner.lone(overrides)
+    clock.seconds[REPORT] = time.time() - ended
     output.write_text(json.dumps(clock.seconds))
-    gc.freeze()  # as run.py
-    sys.exit(code)
+    os._exit(code)  # as run.py
 
 
 def profile(folder: Path, overrides: list[str]) -> dict[str, float]:
@@ -143,7 +144,7 @@ def main() -> None:
     psnr, gaussians = record["summary"]["psnr"]["mean"], record["gaussians"]
     rows = [
         f"| {stage} | {median[stage]:.2f} | {100 * median[stage] / total:.0f} % |"
-        for stage in (START, REST, *STAGES, END)
+        for stage in (START, *STAGES, REST, REPORT, END)
         if median.get(stage, 0.0) >= 0.005
     ]
     text = "\n".join(

@@ -27,8 +27,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
-from framework import reporter
-from framework.collector import import_uncollected
+from framework import runner
 from framework.complaints import USER_ERRORS, one_line
 from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, check, choices, register_config
 from framework.errors import UserError
@@ -64,7 +63,7 @@ def main(argv: Sequence[str]) -> int:
             if _only_informs(flags):
                 application()
                 return 0
-            with ledger(), reporter.ended():
+            with ledger():
                 application()
                 return conclude()
     except KeyboardInterrupt:
@@ -102,9 +101,7 @@ def task(cfg: DictConfig) -> None:
     try:
         check(config)  # finds the plugins too, which a launcher's fresh process knows nothing of
         config["study"] = study_name(config)
-        if job.mode.name == "RUN" and config["threads"] != 1:
-            reporter.start()
-        _run(config, run_dir, _progress(job, config["seed"], number), overrides)
+        runner.run(config, run_dir, _progress(job, config["seed"], number), overrides)
     except Exception as raised:
         error = _as_bad_input(raised)
         message, kind = _failed(error, config["traceback"]), kind_of(error)
@@ -205,15 +202,6 @@ def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
             del os.environ["HYDRA_FULL_ERROR"]
         else:
             os.environ["HYDRA_FULL_ERROR"] = full_error
-
-
-def _run(
-    config: dict[str, Any], run_dir: Path, progress: Progress, overrides: Sequence[str]
-) -> None:
-    import_uncollected("framework.experiment")
-    from framework.experiment import run_experiment
-
-    run_experiment(config, run_dir, progress, overrides)
 
 
 def _progress(job: Any, seed: int, number: int) -> Progress:

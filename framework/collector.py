@@ -2,7 +2,7 @@
 
 An import makes hundreds of thousands of objects that live to the end; looking through them again
 and again while they are made takes 0.2 s with torch and numba, freeing them at the end 0.7 s
-(`run.py` freezes them too).
+(`framework.runner` freezes them too).
 """
 
 from __future__ import annotations

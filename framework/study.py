@@ -23,8 +23,8 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
-from framework import reporter
 from framework.cache import cache_dir
+from framework.collector import import_uncollected
 from framework.complaints import USER_ERRORS, composing
 from framework.config import check
 from framework.disk import check_room
@@ -195,13 +195,16 @@ def build_reports() -> None:
 
     Hydra swallows a callback's exception, so a failed report becomes an outcome of its own.
     """
+    import_uncollected("framework.report")
+    from framework.report import build_report
+
     good = [outcome for outcome in outcomes() if outcome.error is None]
     for folder in sorted({study_dir(Path(outcome.run_dir)) for outcome in good}):
         try:
             with locked(folder, wait=True):
                 for path in folder.glob(".*.tmp"):  # of a process killed while it built the report
                     path.unlink()
-                report = reporter.build(folder)
+                report = build_report(folder)
             print(f"report: {short_path(report)}", flush=True)
         except Exception as error:
             number = len(outcomes())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,8 +36,10 @@ def build_report(
     study.out_dir.mkdir(parents=True, exist_ok=True)
     shown = study.scenes if photos else own_scenes(study)
     remove_pictures(study, [scene for scene in study.scenes if scene not in shown])
-    made = document(study, title or study.out_dir.resolve().name, shown)
-    write_whole(study.out_dir / PAGE, page.render(made, gallery(study, shown), study.out_dir))
+    with ThreadPoolExecutor(1) as beside:  # photos are read and written while charts are drawn
+        shots = beside.submit(gallery, study, shown)
+        made = document(study, title or study.out_dir.resolve().name, shown)
+        write_whole(study.out_dir / PAGE, page.render(made, shots.result(), study.out_dir))
     if study.runs:
         write_whole(study.out_dir / TABLE, runs_csv(study))
     write_whole(study.out_dir / REPORT, markdown.render(made))

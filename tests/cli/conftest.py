@@ -10,7 +10,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 
 import framework.report
-from framework import cli, estimate, reporter
+from framework import estimate, runner
 from framework.config import CONF_DIR, register_config
 from framework.errors import UserError
 from framework.naming import plain
@@ -63,9 +63,8 @@ def runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FakeRuns:
     """The command line in an empty folder, with runs and reports that take no time."""
     fake = FakeRuns()
     monkeypatch.setenv("FISHERSPLAT_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(cli, "_run", fake.run)
+    monkeypatch.setattr(runner, "run", fake.run)
     monkeypatch.setattr(framework.report, "build_report", fake_report)
-    monkeypatch.setattr(reporter, "start", lambda: None)
     monkeypatch.setattr(estimate, "measure", fake.measure)
     work = tmp_path / "work"
     work.mkdir()

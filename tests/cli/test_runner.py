@@ -1,0 +1,221 @@
+"""A lone run in two processes: the shell's process does the run, its child is the command line."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from framework import runner
+from framework.config import ROOT
+from framework.errors import UserError
+from framework.locks import Busy
+from framework.progress import Terminal
+
+# a command whose run and report are those of the script, in place of the framework's
+SCRIPT = """
+import os, sys, time, types
+from pathlib import Path
+from framework import runner
+
+run, report = types.ModuleType("framework.experiment"), types.ModuleType("framework.report")
+{body}
+run.run_experiment = run_experiment
+report.build_report = build_report
+sys.modules |= {{"framework.experiment": run, "framework.report": report}}
+runner.REPORT = ("framework.report",)
+runner.command(sys.argv[1:])
+"""
+GOOD = """
+def run_experiment(config, run_dir, progress, overrides):
+    print("run by", os.getpid(), config["seed"], overrides, flush=True)
+    progress.done("finished")
+def build_report(folder):
+    print("report by", os.getppid(), flush=True)
+    return folder / "report.md"
+"""
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FISHERSPLAT_CACHE", str(tmp_path / "cache"))
+
+
+def _started(body: str, folder: Path, *words: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", SCRIPT.format(body=body), *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def _ended(body: str, folder: Path, *words: str) -> tuple[int, str, str]:
+    process = _started(body, folder, *words)
+    out, err = process.communicate(timeout=60)
+    return process.returncode, out, err
+
+
+def _raising(error: str) -> str:
+    return GOOD.replace('    progress.done("finished")', f"    {error}")
+
+
+def test_the_parent_does_the_run_and_its_child_the_rest(tmp_path: Path) -> None:
+    process = _started(GOOD, tmp_path, "seed=3")
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0] == f"run by {process.pid} 3 ['seed=3']"
+    assert lines[1] == "none+none seed 3 · finished"
+    assert lines[2] == f"report by {process.pid}"
+    assert lines[3] == "report: reports/embedded/report.md"
+
+
+def test_several_runs_without_a_flag(tmp_path: Path) -> None:
+    """An experiment may be a multirun by itself."""
+    code, out, _ = _ended(GOOD, tmp_path, "hydra.mode=MULTIRUN", "seed=0,1")
+    assert code == 0
+    assert out.count("run by") == 2 and "[run 2 of 2] none+none seed 1 · finished" in out
+
+
+def test_a_study_stays_in_one_process(tmp_path: Path) -> None:
+    process = _started(GOOD.replace("getppid", "getpid"), tmp_path, "seed=0,1", "-m")
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert f"run by {process.pid}" in out and f"report by {process.pid}" in out
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "told"),
+    [
+        ('from framework.errors import UserError; raise UserError("a: expected b, got c")', 2,
+         "error: a: expected b, got c\n"),
+        ('from framework.locks import Busy; raise Busy("x: expected nobody")', 3,
+         "error: x: expected nobody; then the same command again\n"),
+        ('raise PermissionError(13, "Permission denied", "/secret")', 2,
+         "error: /secret: expected what may be opened, got 'Permission denied'; change its rights"
+         " or choose another, and run the same again\n"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_told_as_in_one_process(
+    error: str, code: int, told: str, tmp_path: Path
+) -> None:
+    ended = _ended(_raising(error), tmp_path)
+    assert ended[0] == code and ended[2] == told
+
+
+def test_a_bug_is_told_with_the_place_in_the_other_process(tmp_path: Path) -> None:
+    code, _, err = _ended(_raising("{}[7]"), tmp_path)
+    assert code == 1
+    assert "in run_experiment" in err and "KeyError: 7" in err
+    assert err.endswith("error: KeyError: 7\n")
+    (record,) = tmp_path.glob("reports/*/runs/*/record.json")
+    assert "KeyError: 7" in record.read_text()
+
+
+def test_an_error_keeps_what_it_arose_from() -> None:
+    try:
+        try:
+            raise OSError(28, "no room", "/disk")
+        except OSError as low:
+            raise UserError("high") from low
+    except UserError as error:
+        back = runner._unpacked(runner._packed(error))
+    assert isinstance(back, UserError) and str(back) == "high"
+    cause = back.__cause__
+    assert isinstance(cause, OSError) and (cause.errno, cause.filename) == (28, "/disk")
+    assert isinstance(cause.__cause__, runner.Elsewhere)
+    assert "test_an_error_keeps_what_it_arose_from" in str(cause.__cause__)
+
+
+def test_an_error_that_cannot_be_sent_is_sent_as_text() -> None:
+    class Local(Exception):
+        pass
+
+    back = runner._unpacked(runner._packed(Local("of this function")))
+    assert isinstance(back, RuntimeError) and str(back) == "Local: of this function"
+    busy = runner._unpacked(runner._packed(Busy("x")))
+    assert isinstance(busy, Busy)
+
+
+def test_a_mistyped_line_does_not_wait_for_the_imports(tmp_path: Path) -> None:
+    body = GOOD + "\nrunner.import_uncollected = lambda module: time.sleep(50)\n"
+    start = time.monotonic()
+    code, _, err = _ended(body, tmp_path, "augment=nope")
+    assert code == 2 and err.startswith("error: augment=nope: unknown augment")
+    assert time.monotonic() - start < 30
+
+
+SLOW = _raising("""
+    try:
+        print("busy", flush=True)
+        time.sleep(50)
+    finally:
+        print("tidied", flush=True)
+""")
+
+
+def _busy(folder: Path) -> subprocess.Popen[str]:
+    """A command in the middle of its run."""
+    process = _started(SLOW, folder)
+    assert process.stdout is not None
+    while "busy" not in process.stdout.readline():
+        assert process.poll() is None
+    return process
+
+
+def _children(process: int) -> list[int]:
+    path = Path(f"/proc/{process}/task/{process}/children")
+    if not path.exists():
+        pytest.skip("the children of a process are asked of /proc")
+    return [int(word) for word in path.read_text().split()]
+
+
+def test_ctrl_c_ends_run_and_command(tmp_path: Path) -> None:
+    process = _busy(tmp_path)
+    (child,) = _children(process.pid)
+    os.kill(child, signal.SIGINT)  # a terminal sends it to both, here to the child first
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "tidied" in out
+    assert err.startswith("error: interrupted; what is done is kept") and err.count("\n") == 1
+
+
+def test_the_command_line_ends_with_the_run(tmp_path: Path) -> None:
+    """Killed, that is: nobody writes a record then, and the next try finds no lock."""
+    process = _busy(tmp_path)
+    (child,) = _children(process.pid)
+    process.kill()
+    process.communicate(timeout=30)
+    end = time.monotonic() + 30
+    while Path(f"/proc/{child}").exists():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    assert not list(tmp_path.glob("reports/*/runs/*/record.json"))
+
+
+def test_a_killed_command_line_is_told_by_the_exit_code(tmp_path: Path) -> None:
+    body = GOOD.replace('    progress.done("finished")', "    os.kill(child(), 9)")
+    process = _started(
+        "def child(): return int(Path(f'/proc/{os.getpid()}/task/{os.getpid()}/children')"
+        ".read_text())\n" + body,
+        tmp_path,
+    )
+    _children(process.pid)  # skips where there is no /proc
+    process.communicate(timeout=60)
+    assert process.returncode == 128 + 9
+
+
+def test_progress_goes_where_it_is_unpickled(capsys: pytest.CaptureFixture[str]) -> None:
+    sent = pickle.loads(pickle.dumps(Terminal("run", "r", in_place=False)))
+    sent.done("over")
+    assert capsys.readouterr().out == "run · over\n"
