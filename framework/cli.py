@@ -9,16 +9,13 @@ that name run folders, which the processes of a launcher need too.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import shlex
-import shutil
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, NoReturn
 
 import hydra
@@ -31,13 +28,12 @@ from framework import runner
 from framework.complaints import USER_ERRORS, one_line
 from framework.config import CONF_DIR, GROUPS, OBJECT_GROUPS, check, choices, register_config
 from framework.errors import UserError
-from framework.failures import again, conclude, kind_of
+from framework.failures import again, conclude, tell
 from framework.files import MENDABLE, unwritable
 from framework.help import help_text
-from framework.locks import Busy
 from framework.naming import plain, register_resolvers, study_name
 from framework.orphans import end_with_parent
-from framework.progress import Progress, Terminal
+from framework.runner import Job
 from framework.study import Outcome, Refused, add_outcome, job_count, ledger
 from framework.trust import check_command
 
@@ -93,29 +89,16 @@ def task(cfg: DictConfig) -> None:
     An error ends this run and not its siblings: it goes into the record and the ledger.
     """
     end_with_parent()
-    job: Any = HydraConfig.get()
-    run_dir = Path(job.runtime.output_dir)
-    number = 0 if OmegaConf.is_missing(job.job, "num") else int(job.job.num)
-    overrides = [str(override) for override in job.overrides.task]
-    config = plain(cfg)
+    job = _job(HydraConfig.get(), plain(cfg))
     try:
-        check(config)  # finds the plugins too, which a launcher's fresh process knows nothing of
-        config["study"] = study_name(config)
-        runner.run(config, run_dir, _progress(job, config["seed"], number), overrides)
-    except Exception as raised:
-        error = _as_bad_input(raised)
-        message, kind = _failed(error, config["traceback"]), kind_of(error)
-        bad_input = isinstance(error, USER_ERRORS)
-        busy = isinstance(error, Busy)
-        if busy:
-            pass  # it is the other process's to tell
-        elif job.mode.name == "MULTIRUN" or not bad_input:
-            message = _record_failure(run_dir, config, overrides, message, kind)
-        else:  # a lone mistyped run is not worth a record, nor a folder
-            _discard(run_dir)
-        add_outcome(Outcome(number, str(run_dir), message, kind, again(job), bad_input, busy))
+        check(job.config)  # finds plugins too, of which a launcher's fresh process knows nothing
+        job.config["study"] = study_name(job.config)
+        well = runner.run(job)
+    except Exception as error:
+        tell(job, error)
     else:
-        add_outcome(Outcome(number, str(run_dir)))
+        if well:
+            add_outcome(Outcome(job.number, job.run_dir))
 
 
 def normalise(argv: Sequence[str]) -> list[str]:
@@ -204,60 +187,24 @@ def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
             os.environ["HYDRA_FULL_ERROR"] = full_error
 
 
-def _progress(job: Any, seed: int, number: int) -> Progress:
-    """The progress line of this run; launchers that run several at once get plain lines."""
-    method = f"{job.runtime.choices.augment}+{job.runtime.choices.reg}"
-    label, short = f"{method} seed {seed}", f"{method} s{seed}"
+def _job(hydra: Any, config: dict[str, Any]) -> Job:
+    """The run of a composed configuration; hydra: Hydra's part of it."""
+    method = f"{hydra.runtime.choices.augment}+{hydra.runtime.choices.reg}"
+    label, short = f"{method} seed {config['seed']}", f"{method} s{config['seed']}"
+    number = 0 if OmegaConf.is_missing(hydra.job, "num") else int(hydra.job.num)
     total = job_count()
     if total != 1:
         label = f"[run {number + 1}{f' of {total}' if total else ''}] {label}"
         short = f"[{number + 1}{f'/{total}' if total else ''}] {short}"
-    alone = job.mode.name == "RUN" or job.launcher._target_.endswith(".BasicLauncher")
-    return Terminal(label, short, in_place=None if alone else False)
-
-
-def _as_bad_input(error: Exception) -> Exception:
-    """A file or folder that may not be opened is no bug; readers leave it to be told here."""
-    if not isinstance(error, PermissionError):
-        return error
-    told = UserError(
-        f"{error.filename}: expected what may be opened, got '{error.strerror}'; change its rights"
-        " or choose another, and run the same again"
+    multirun = hydra.mode.name == "MULTIRUN"
+    return Job(
+        number=number,
+        run_dir=str(hydra.runtime.output_dir),
+        config=config,
+        overrides=[str(override) for override in hydra.overrides.task],
+        label=label,
+        short_label=short,
+        alone=not multirun or hydra.launcher._target_.endswith(".BasicLauncher"),
+        multirun=multirun,
+        again=again(hydra),
     )
-    told.__cause__ = error  # for traceback=true
-    return told
-
-
-def _failed(error: Exception, show: bool) -> str:
-    """The one-line message of a failed run; a bug shows its traceback at once."""
-    if isinstance(error, USER_ERRORS):
-        if show:
-            traceback.print_exception(error)
-        return one_line(error)
-    traceback.print_exception(error)
-    first = next(iter(str(error).splitlines()), "")
-    return f"{type(error).__name__}: {first}".rstrip(": ")
-
-
-def _record_failure(
-    run_dir: Path, config: dict[str, Any], overrides: list[str], message: str, kind: str
-) -> str:
-    """Leave the error in the run's folder; returns it, with what kept it from being written."""
-    from framework.record import write_failed
-
-    try:
-        write_failed(run_dir, config, overrides, message, kind=kind)
-    except UserError as error:
-        return message if str(error) in message else f"{message}; {error}"
-    return message
-
-
-def _discard(run_dir: Path) -> None:
-    """Remove what Hydra left of a run that never began, and a study of ours that is now empty."""
-    if [path.name for path in run_dir.iterdir()] != [".hydra"]:
-        return
-    shutil.rmtree(run_dir / ".hydra")
-    ours = run_dir.parents[:2] if run_dir.parent.name == "runs" else ()
-    with contextlib.suppress(OSError):  # not empty: other runs are there
-        for folder in (run_dir, *ours):
-            folder.rmdir()

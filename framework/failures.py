@@ -1,4 +1,5 @@
-"""What a command did not complete: a short table on stderr, and the exit code.
+"""What a command did not complete: each run in its record and the ledger as it fails; at the end a
+short table on stderr, and the exit code.
 
 One line per failed run: where it is, what kind of failure, the reason; below it the command that
 does this run alone. A command of a single run ends with the reason alone.
@@ -6,15 +7,20 @@ does this run alone. A command of a single run ends with the reason alone.
 
 from __future__ import annotations
 
+import contextlib
 import shlex
+import shutil
 import sys
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from framework.complaints import USER_ERRORS
+from framework.complaints import USER_ERRORS, one_line
 from framework.errors import UserError
-from framework.study import REPORT, Outcome, job_count, outcomes, short_path
+from framework.locks import Busy
+from framework.runner import Job
+from framework.study import REPORT, Outcome, add_outcome, job_count, outcomes, short_path
 
 MOST_ROWS = 20
 LAUNCHING = ("hydra.mode=", "hydra/launcher=", "hydra.launcher.")
@@ -27,6 +33,20 @@ def kind_of(error: BaseException) -> str:
     if isinstance(error, USER_ERRORS):
         return UserError.kind
     return "machine" if isinstance(error, OSError | MemoryError) else "bug"
+
+
+def tell(job: Job, raised: Exception) -> None:
+    """A run failed: into its record, unless it never began, and into the command's ledger."""
+    error, run_dir = _as_bad_input(raised), Path(job.run_dir)
+    message, kind = _shown(error, job.config["traceback"]), kind_of(error)
+    bad_input, busy = isinstance(error, USER_ERRORS), isinstance(error, Busy)
+    if busy:
+        pass  # it is the other process's to tell
+    elif job.multirun or not bad_input:
+        message = _recorded(job, message, kind)
+    else:  # a lone mistyped run is not worth a record, nor a folder
+        _discard(run_dir)
+    add_outcome(Outcome(job.number, job.run_dir, message, kind, job.again, bad_input, busy))
 
 
 def again(job: Any) -> str:
@@ -83,3 +103,48 @@ def _table(failed: Sequence[Outcome]) -> list[str]:
 
 def _rest(count: int) -> list[str]:
     return [f"  ... and {count} more, see the report"] if count > 0 else []
+
+
+def _as_bad_input(error: Exception) -> Exception:
+    """A file or folder that may not be opened is no bug; readers leave it to be told here."""
+    if not isinstance(error, PermissionError):
+        return error
+    told = UserError(
+        f"{error.filename}: expected what may be opened, got '{error.strerror}'; change its rights"
+        " or choose another, and run the same again"
+    )
+    told.__cause__ = error  # for traceback=true
+    return told
+
+
+def _shown(error: Exception, show: bool) -> str:
+    """The one-line message of a failed run; a bug shows its traceback at once."""
+    if isinstance(error, USER_ERRORS):
+        if show:
+            traceback.print_exception(error)
+        return one_line(error)
+    traceback.print_exception(error)
+    first = next(iter(str(error).splitlines()), "")
+    return f"{type(error).__name__}: {first}".rstrip(": ")
+
+
+def _recorded(job: Job, message: str, kind: str) -> str:
+    """Leave the error in the run's folder; returns it, with what kept it from being written."""
+    from framework.record import write_failed
+
+    try:
+        write_failed(Path(job.run_dir), job.config, job.overrides, message, kind=kind)
+    except UserError as error:
+        return message if str(error) in message else f"{message}; {error}"
+    return message
+
+
+def _discard(run_dir: Path) -> None:
+    """Remove what Hydra left of a run that never began, and a study of ours that is now empty."""
+    if [path.name for path in run_dir.iterdir()] != [".hydra"]:
+        return
+    shutil.rmtree(run_dir / ".hydra")
+    ours = run_dir.parents[:2] if run_dir.parent.name == "runs" else ()
+    with contextlib.suppress(OSError):  # not empty: other runs are there
+        for folder in (run_dir, *ours):
+            folder.rmdir()

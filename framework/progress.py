@@ -20,7 +20,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any, Protocol, TextIO
+from typing import Protocol, TextIO
 
 SPEED_WINDOW_S = 5.0
 TTY_PERIOD_S = 0.2
@@ -115,10 +115,6 @@ class Terminal:
         self._marks: deque[tuple[float, int]] = deque()  # (seconds, step), the speed window
         self._told_at = -float("inf")
         self._told_step = 0
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Sent to another process it writes to that one's standard output."""
-        return Terminal, (self._label, self._short_label, None, self._in_place)
 
     def stage(self, what: str) -> None:
         self._transient(what)

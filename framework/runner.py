@@ -5,32 +5,55 @@ a report needs one more. So before anything is imported `run.py` forks: the chil
 line, from its arguments to the report and the exit code; its parent, which has the number that the
 shell knows, does the run as soon as the child asks for it. A study of many runs saves little by it
 and stays in one process, as does whoever calls `framework.cli` from Python.
+
+The child sends a run as a line of JSON; the answer is whether it went well. A run that failed has
+been told by then, in its record and the ledger (`framework.failures`).
 """
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import gc
+import json
 import os
-import pickle
 import signal
+import socket
 import sys
 import threading
 import traceback
-from collections.abc import Mapping, Sequence
-from multiprocessing.connection import Connection, Pipe
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
 
 from framework.collector import import_uncollected
 from framework.orphans import watch
-from framework.progress import Progress
+from framework.progress import Terminal
 
 EXPERIMENT = "framework.experiment"
 REPORT = ("framework.report", "pandas", "matplotlib.backends.backend_svg", "PIL.WebPImagePlugin")
+VARIABLES = "FISHERSPLAT_"  # what the environment knows of the command, see `framework.study`
 INTERRUPT = signal.SIGUSR1  # to the child: the run was interrupted, tell so
 
-_parent: Connection | None = None  # in the child: whom to ask for runs
+_parent: TextIO | None = None  # in the child: whom to ask for runs
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run as the command line wants it, of plain data. label, short_label: who speaks in
+    progress lines. alone: no other run writes to the terminal. multirun: one of several runs.
+    again: the command that does this run alone."""
+
+    number: int
+    run_dir: str
+    config: dict[str, Any]
+    overrides: list[str]
+    label: str
+    short_label: str
+    alone: bool
+    multirun: bool
+    again: str
 
 
 def command(argv: Sequence[str]) -> NoReturn:
@@ -49,44 +72,51 @@ def command(argv: Sequence[str]) -> NoReturn:
 
 def lone(argv: Sequence[str]) -> int:
     """The exit code of a lone run, in two processes."""
-    ours, theirs = Pipe()
+    ours, theirs = socket.socketpair()
     shell, child = os.getpid(), os.fork()
     if child == 0:
         ours.close()
-        os._exit(_command_line(argv, theirs, shell))
+        os._exit(_command_line(argv, theirs.makefile("rw"), shell))
     theirs.close()
+    asking = ours.makefile("rw")
     try:
-        _serve(ours)
+        _serve(asking)
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # once is enough
         os.kill(child, INTERRUPT)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    with contextlib.suppress(ConnectionError):  # not before: it would tell that this process ended
+        asking.close()
+        ours.close()
     return code if code >= 0 else 128 - code
 
 
-def run(
-    config: Mapping[str, Any], run_dir: Path, progress: Progress, overrides: Sequence[str]
-) -> None:
-    """`framework.experiment.run_experiment`, by the parent if it waits for runs. Raises what that
-    raises."""
-    if _parent is None:
-        import_uncollected(EXPERIMENT)
-        from framework.experiment import run_experiment
+def run(job: Job) -> bool:
+    """Do a run, by the parent if it waits for them. Raises what the run raises, or returns False
+    where the parent has told of it."""
+    if _parent is not None:
+        return _asked(_parent, job)
+    import_uncollected(EXPERIMENT)
+    from framework.experiment import run_experiment
 
-        run_experiment(config, run_dir, progress, overrides)
-        return
-    _parent.send((config, run_dir, progress, overrides))
-    if config["threads"] != 1:  # else the core is for the run
+    progress = Terminal(job.label, job.short_label, in_place=None if job.alone else False)
+    run_experiment(job.config, Path(job.run_dir), progress, job.overrides)
+    return True
+
+
+def _asked(parent: TextIO, job: Job) -> bool:
+    """Whether the run went well that the parent does."""
+    known = {name: text for name, text in os.environ.items() if name.startswith(VARIABLES)}
+    print(json.dumps([known, dataclasses.asdict(job)]), file=parent, flush=True)
+    if job.config["threads"] != 1:  # else the core is for the run
         _importing(REPORT)
-    try:
-        raised = _parent.recv()
-    except EOFError:  # killed: leave everything as it left it
+    answer = parent.readline()
+    if not answer:  # the run was killed: leave everything as it left it
         os._exit(1)
-    if raised is not None:
-        raise _unpacked(raised)
+    return bool(json.loads(answer))
 
 
-def _command_line(argv: Sequence[str], parent: Connection, shell: int) -> int:
+def _command_line(argv: Sequence[str], parent: TextIO, shell: int) -> int:
     """What the child does, which returns to nobody."""
     global _parent
     code = 1
@@ -105,68 +135,35 @@ def _command_line(argv: Sequence[str], parent: Connection, shell: int) -> int:
     return code
 
 
-def _serve(child: Connection) -> None:
+def _serve(child: TextIO) -> None:
     """Do the runs that the child asks for, until it has ended."""
     imports = _importing([EXPERIMENT])
-    while True:
-        try:
-            wanted = child.recv()
-        except (EOFError, ConnectionResetError):
-            return
-        imports.join()
-        child.send(_outcome(*wanted))
+    with contextlib.suppress(ConnectionError):
+        for line in child:
+            known, wanted = json.loads(line)
+            imports.join()
+            os.environ.update(known)
+            print(json.dumps(_done(Job(**wanted))), file=child, flush=True)
+
+
+def _done(job: Job) -> bool:
+    try:
+        return run(job)
+    except Exception as error:
+        from framework.failures import tell
+
+        tell(job, error)
+        return False
 
 
 def _importing(modules: Sequence[str]) -> threading.Thread:
     """Import `modules` in a thread; an error is met by whoever imports them next."""
 
     def work() -> None:
-        for module in modules:
-            import_uncollected(module)
+        with contextlib.suppress(Exception):
+            for module in modules:
+                import_uncollected(module)
 
     thread = threading.Thread(target=work, daemon=True)
     thread.start()
     return thread
-
-
-def _outcome(*wanted: Any) -> list[bytes] | None:
-    """None if the run went well, else what it raised."""
-    try:
-        run(*wanted)
-    except Exception as error:
-        return _packed(error)
-    return None
-
-
-class Elsewhere(Exception):
-    """The traceback of an error in the other process, as text."""
-
-
-def _packed(error: BaseException) -> list[bytes]:
-    """`error` and what it arose from, for another process; the last is its traceback."""
-    text = "".join(traceback.format_exception(error))
-    chain: list[BaseException] = []
-    cause: BaseException | None = error
-    while cause is not None:
-        chain.append(cause)
-        cause = cause.__cause__ or (None if cause.__suppress_context__ else cause.__context__)
-    return [*map(_pickled, chain), _pickled(Elsewhere(f"\n{text}"))]
-
-
-def _pickled(error: BaseException) -> bytes:
-    """An error that cannot be sent is sent as its text."""
-    try:
-        pickle.loads(data := pickle.dumps(error))
-    except Exception:
-        return pickle.dumps(RuntimeError(f"{type(error).__name__}: {error}"))
-    return data
-
-
-def _unpacked(errors: Sequence[bytes]) -> Exception:
-    error, *causes = map(pickle.loads, errors)
-    last = error
-    for cause in causes:
-        last.__cause__ = cause
-        last = cause
-    raised: Exception = error
-    return raised

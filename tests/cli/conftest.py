@@ -14,7 +14,7 @@ from framework import estimate, runner
 from framework.config import CONF_DIR, register_config
 from framework.errors import UserError
 from framework.naming import plain
-from framework.progress import Progress
+from framework.runner import Job
 
 
 def composed(*overrides: str) -> dict[str, Any]:
@@ -31,15 +31,14 @@ class FakeRuns:
     folders: list[Path] = field(default_factory=list)
     failures: dict[int, BaseException] = field(default_factory=dict)
 
-    def run(
-        self, config: dict[str, Any], run_dir: Path, progress: Progress, overrides: list[str]
-    ) -> None:
-        self.seen.append(config)
-        self.folders.append(run_dir.relative_to(Path.cwd()))
-        failure = self.failures.get(config["seed"])
+    def run(self, job: Job) -> bool:
+        self.seen.append(job.config)
+        self.folders.append(Path(job.run_dir).relative_to(Path.cwd()))
+        failure = self.failures.get(job.config["seed"])
         if failure is not None:
             raise failure
-        progress.done("finished")
+        print(f"{job.label} · finished")
+        return True
 
     def measure(self, config: dict[str, Any]) -> estimate.Cost:
         """A tenth of a second per step, two seconds per run, three per scene."""

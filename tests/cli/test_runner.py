@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -12,11 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from framework import runner
 from framework.config import ROOT
-from framework.errors import UserError
-from framework.locks import Busy
-from framework.progress import Terminal
 
 # a command whose run and report are those of the script, in place of the framework's
 SCRIPT = """
@@ -121,31 +116,6 @@ def test_a_bug_is_told_with_the_place_in_the_other_process(tmp_path: Path) -> No
     assert "KeyError: 7" in record.read_text()
 
 
-def test_an_error_keeps_what_it_arose_from() -> None:
-    try:
-        try:
-            raise OSError(28, "no room", "/disk")
-        except OSError as low:
-            raise UserError("high") from low
-    except UserError as error:
-        back = runner._unpacked(runner._packed(error))
-    assert isinstance(back, UserError) and str(back) == "high"
-    cause = back.__cause__
-    assert isinstance(cause, OSError) and (cause.errno, cause.filename) == (28, "/disk")
-    assert isinstance(cause.__cause__, runner.Elsewhere)
-    assert "test_an_error_keeps_what_it_arose_from" in str(cause.__cause__)
-
-
-def test_an_error_that_cannot_be_sent_is_sent_as_text() -> None:
-    class Local(Exception):
-        pass
-
-    back = runner._unpacked(runner._packed(Local("of this function")))
-    assert isinstance(back, RuntimeError) and str(back) == "Local: of this function"
-    busy = runner._unpacked(runner._packed(Busy("x")))
-    assert isinstance(busy, Busy)
-
-
 def test_a_mistyped_line_does_not_wait_for_the_imports(tmp_path: Path) -> None:
     body = GOOD + "\nrunner.import_uncollected = lambda module: time.sleep(50)\n"
     start = time.monotonic()
@@ -213,9 +183,3 @@ def test_a_killed_command_line_is_told_by_the_exit_code(tmp_path: Path) -> None:
     _children(process.pid)  # skips where there is no /proc
     process.communicate(timeout=60)
     assert process.returncode == 128 + 9
-
-
-def test_progress_goes_where_it_is_unpickled(capsys: pytest.CaptureFixture[str]) -> None:
-    sent = pickle.loads(pickle.dumps(Terminal("run", "r", in_place=False)))
-    sent.done("over")
-    assert capsys.readouterr().out == "run · over\n"
