@@ -86,10 +86,10 @@ def child(began: float, output: Path, overrides: list[str]) -> None:
     """One run with a clock around its stages; `began` is the time when the process was started."""
     from framework import runner
 
-    clock, outcome = Clock(), runner._outcome
+    clock, done = Clock(), runner._done
     ended = began
 
-    def watched(*wanted: Any) -> list[bytes] | None:
+    def watched(job: Any) -> bool:
         """The run, with a clock around its stages: what they call has just been imported."""
         nonlocal ended
         clock.seconds[START] = time.time() - began
@@ -99,12 +99,12 @@ def child(began: float, output: Path, overrides: list[str]) -> None:
                 *owners, name = path.split(".")
                 owner = functools.reduce(getattr, owners, importlib.import_module(module))
                 setattr(owner, name, clock.watch(stage, getattr(owner, name)))
-        raised = outcome(*wanted)
+        well = done(job)
         ended = time.time()
         clock.seconds[REST] = ended - began - clock.seconds[START] - clock.measured
-        return raised
+        return well
 
-    runner._outcome = watched
+    runner._done = watched
     code = runner.lone(overrides)
     clock.seconds[REPORT] = time.time() - ended
     output.write_text(json.dumps(clock.seconds))

@@ -6,8 +6,8 @@ So the cache is a folder of the user's cache named by a hash of all of the frame
 hold kernels (`NUMBA_CACHE_DIR` overrides it). Import `kernel` before decorating anything else.
 
 Where a CPU has AVX-512, LLVM still takes vectors of 256 bits unless it is told not to, as the first
-CPUs that had it slowed down. The loops of stereo take a quarter less time with all 512, those of a
-training step a twentieth (benchmarks/results/step.md); no bit depends on it.
+CPUs that had it slowed down. With all 512 the loops that it vectorises by itself take less time,
+those of stereo above all; no bit depends on it.
 """
 
 from __future__ import annotations

@@ -26,6 +26,7 @@ WITH_STEPS = (  # what presets set beside the steps
     *("trainer.coarse_factor", "trainer.coarse_until"),
     *("trainer.members", "trainer.tuning"),
 )
+RATES = ("trainer.lr_final", "trainer.lr_means_final", "trainer.lr_scales")  # and beside these
 USUAL = {"capacity.name": "fixed", "init.name": "stereo", "depth.name": "plane_sweep"}  # unnamed
 NO_METHOD = ("seed", "scene", "metrics", *NEUTRAL_KEYS)
 WATCHING = ("trainer.evaluations",)  # changes what is told, not what comes out
@@ -87,7 +88,7 @@ def method_labels(configs: Sequence[Mapping[str, Any]]) -> list[MethodLabel]:
     """The name of each run's method among `configs`; equal configs have equal names."""
     flat = [_without_idle_tuning(flatten(config)) for config in configs]
     keys = [key for key in _keys(flat) if _may_name_a_method(key)]
-    keys = [key for key in keys if key not in WITH_STEPS or not _follows(key, flat)]
+    keys = _without_followers(keys, flat)
     where = {key: _varying(key, flat) for key in keys}
     told = [[key for key in keys if _plugin(key, entry) in where[key]] for entry in flat]
     return [_method_label(*pair) for pair in zip(flat, told, strict=True)]
@@ -209,11 +210,20 @@ def _without_idle_tuning(config: Flat) -> Flat:
     return {key: value for key, value in config.items() if key != "trainer.tuning"}
 
 
-def _follows(key: str, configs: Sequence[Flat]) -> bool:
-    """Whether the number of steps determines this option, as where presets set both."""
-    seen: dict[str, set[str]] = defaultdict(set)
+def _without_followers(keys: Sequence[str], configs: Sequence[Flat]) -> list[str]:
+    """`keys` but those that others determine, as where presets set them: the steps what goes with
+    them, both the rates."""
+    followers = {key for key in WITH_STEPS if _follows(key, ["trainer.steps"], configs)}
+    told = ["trainer.steps", *(key for key in WITH_STEPS if key not in followers)]
+    followers |= {key for key in RATES if _follows(key, told, configs)}
+    return [key for key in keys if key not in followers]
+
+
+def _follows(key: str, others: Sequence[str], configs: Sequence[Flat]) -> bool:
+    """Whether the values of the `others`, of which there are several, determine that of `key`."""
+    seen: dict[tuple[str, ...], set[str]] = defaultdict(set)
     for config in configs:
-        seen[text_of(config.get("trainer.steps"))].add(text_of(config.get(key)))
+        seen[tuple(text_of(config.get(o)) for o in others)].add(text_of(config.get(key)))
     return len(seen) > 1 and all(len(values) == 1 for values in seen.values())
 
 

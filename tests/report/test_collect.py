@@ -192,6 +192,17 @@ def test_what_the_steps_determine_needs_no_name() -> None:
     assert "none + none, coarse_until=0.5, steps=300" in names([*configs, other])
 
 
+def test_rates_that_go_with_a_budget_need_no_name() -> None:
+    """Two presets may have the same steps: what else tells them apart determines their rates."""
+    presets = [(75, 1.0, 0.1), (75, 0.5, 0.2), (300, 0.25, 0.1)]
+    configs = [
+        make_config(trainer={"steps": s, "coarse_until": c, "lr_final": r}) for s, c, r in presets
+    ]
+    assert names(configs) == [f"none + none, coarse_until={c}, steps={s}" for s, c, _ in presets]
+    tried = make_config(trainer={"steps": 75, "coarse_until": 0.5, "lr_final": 0.3})
+    assert names([*configs, tried])[-1].startswith("none + none, trainer.lr_final=0.3, coarse_unt")
+
+
 def test_budgets_of_one_method_are_compared_with_the_first(tmp_path: Path) -> None:
     for steps in (100, 400):
         fake_run(tmp_path, trainer={"steps": steps}, run_name=f"{steps}")
