@@ -3,8 +3,9 @@
 Exit codes: 0 all runs are complete · 1 a bug or the machine · 2 bad input, no room or no right to
 write · 3 another process is still at some of the runs · 130 interrupted.
 
-Nothing heavy is imported before a run really starts. Importing this module registers the resolvers
-that name run folders, which the processes of a launcher need too.
+Nothing heavy is imported here before a run really starts (`framework.runner` begins beside).
+Importing this module registers the resolvers that name run folders, which the processes of a
+launcher need too.
 """
 
 from __future__ import annotations
@@ -189,7 +190,7 @@ def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
 
 def _job(hydra: Any, config: dict[str, Any]) -> Job:
     """The run of a composed configuration; hydra: Hydra's part of it."""
-    method = f"{hydra.runtime.choices.augment}+{hydra.runtime.choices.reg}"
+    method = "+".join(str(hydra.runtime.choices.get(group)) for group in ("augment", "reg"))
     label, short = f"{method} seed {config['seed']}", f"{method} s{config['seed']}"
     number = 0 if OmegaConf.is_missing(hydra.job, "num") else int(hydra.job.num)
     total = job_count()

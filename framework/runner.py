@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TextIO
 
 from framework.collector import import_uncollected
+from framework.errors import UserError
 from framework.orphans import watch
 from framework.progress import Terminal
 
@@ -35,6 +36,7 @@ EXPERIMENT = "framework.experiment"
 REPORT = ("framework.report", "pandas", "matplotlib.backends.backend_svg", "PIL.WebPImagePlugin")
 VARIABLES = "FISHERSPLAT_"  # what the environment knows of the command, see `framework.study`
 INTERRUPT = signal.SIGUSR1  # to the child: the run was interrupted, tell so
+SIGNALS = (signal.SIGINT, INTERRUPT)
 
 _parent: TextIO | None = None  # in the child: whom to ask for runs
 
@@ -59,9 +61,11 @@ class Job:
 def command(argv: Sequence[str]) -> NoReturn:
     """Obey the command line `argv` (without the program's name) and end this process."""
     if not any(word.startswith("-") for word in argv):
-        code = lone(argv)
-        with contextlib.suppress(OSError):  # what could not be told was not told before, either
-            sys.stdout.flush()
+        try:
+            code = lone(argv)
+        except KeyboardInterrupt:  # before there were two
+            code = _interrupted()
+        _flush()
         os._exit(code)  # all is written: taking torch apart takes 0.2 s
     from framework.cli import main  # a study, or only information
 
@@ -73,21 +77,32 @@ def command(argv: Sequence[str]) -> NoReturn:
 def lone(argv: Sequence[str]) -> int:
     """The exit code of a lone run, in two processes."""
     ours, theirs = socket.socketpair()
-    shell, child = os.getpid(), os.fork()
-    if child == 0:
-        ours.close()
-        os._exit(_command_line(argv, theirs.makefile("rw"), shell))
-    theirs.close()
-    asking = ours.makefile("rw")
+    asking, asked = ours.makefile("rw"), theirs.makefile("rw")
+    shell = os.getpid()
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # until both know what to do with them
     try:
-        _serve(asking)
-    except KeyboardInterrupt:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # once is enough
-        os.kill(child, INTERRUPT)
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    with contextlib.suppress(ConnectionError):  # not before: it would tell that this process ended
+        child = os.fork()
+    except OSError:  # no room for another process
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+        from framework.cli import main
+
+        return main(argv)
+    if child == 0:
         asking.close()
         ours.close()
+        os._exit(_command_line(argv, asked, shell))
+    try:
+        asked.close()
+        theirs.close()
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+        _serve(asking)
+    except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, lambda *_: os.kill(child, signal.SIGKILL))  # a second time
+        os.kill(child, INTERRUPT)
+        ours.shutdown(socket.SHUT_RDWR)  # should it be reading: another thread may get the signal
+        ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        return _interrupted() if ended == -INTERRUPT else 130
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     return code if code >= 0 else 128 - code
 
 
@@ -107,13 +122,20 @@ def run(job: Job) -> bool:
 def _asked(parent: TextIO, job: Job) -> bool:
     """Whether the run went well that the parent does."""
     known = {name: text for name, text in os.environ.items() if name.startswith(VARIABLES)}
-    print(json.dumps([known, dataclasses.asdict(job)]), file=parent, flush=True)
-    if job.config["threads"] != 1:  # else the core is for the run
-        _importing(REPORT)
-    answer = parent.readline()
+    answer = ""
+    with contextlib.suppress(ConnectionError):
+        print(json.dumps([known, dataclasses.asdict(job)]), file=parent, flush=True)
+        if job.config["threads"] != 1:  # else the core is for the run
+            _importing(REPORT)
+        answer = parent.readline()
     if not answer:  # the run was killed: leave everything as it left it
         os._exit(1)
-    return bool(json.loads(answer))
+    well = json.loads(answer)
+    if well is None:
+        raise KeyboardInterrupt
+    if isinstance(well, str):
+        raise UserError(well)
+    return bool(well)
 
 
 def _command_line(argv: Sequence[str], parent: TextIO, shell: int) -> int:
@@ -121,18 +143,30 @@ def _command_line(argv: Sequence[str], parent: TextIO, shell: int) -> int:
     global _parent
     code = 1
     try:
-        signal.signal(INTERRUPT, signal.default_int_handler)
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the run
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
         watch(shell)
         _parent = parent
         from framework.cli import main
 
+        signal.signal(INTERRUPT, signal.default_int_handler)  # before, it ends this process
         code = main(argv)
-        sys.stdout.flush()
     except BaseException:
         traceback.print_exc()
-    sys.stderr.flush()
+    _flush()
     return code
+
+
+def _interrupted() -> int:
+    print("error: interrupted", file=sys.stderr)
+    return 130
+
+
+def _flush() -> None:
+    """What cannot be told now could not be told before; a closed stream is None."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, AttributeError):
+            stream.flush()
 
 
 def _serve(child: TextIO) -> None:
@@ -141,18 +175,25 @@ def _serve(child: TextIO) -> None:
     with contextlib.suppress(ConnectionError):
         for line in child:
             known, wanted = json.loads(line)
-            imports.join()
             os.environ.update(known)
-            print(json.dumps(_done(Job(**wanted))), file=child, flush=True)
+            well: bool | str | None = None  # interrupted
+            with contextlib.suppress(KeyboardInterrupt):
+                imports.join()
+                well = _done(Job(**wanted))
+            print(json.dumps(well), file=child, flush=True)
 
 
-def _done(job: Job) -> bool:
+def _done(job: Job) -> bool | str:
+    """Whether the run went well; a text where it did not and that could not be told, either."""
     try:
         return run(job)
     except Exception as error:
         from framework.failures import tell
 
-        tell(job, error)
+        try:
+            tell(job, error)
+        except Exception as lost:
+            return str(lost) if isinstance(lost, UserError) else f"{type(lost).__name__}: {lost}"
         return False
 
 

@@ -195,12 +195,12 @@ def build_reports() -> None:
 
     Hydra swallows a callback's exception, so a failed report becomes an outcome of its own.
     """
-    import_uncollected("framework.report")
-    from framework.report import build_report
-
     good = [outcome for outcome in outcomes() if outcome.error is None]
     for folder in sorted({study_dir(Path(outcome.run_dir)) for outcome in good}):
         try:
+            import_uncollected("framework.report")
+            from framework.report import build_report
+
             with locked(folder, wait=True):
                 for path in folder.glob(".*.tmp"):  # of a process killed while it built the report
                     path.unlink()

@@ -36,7 +36,7 @@ def build_report(
     study.out_dir.mkdir(parents=True, exist_ok=True)
     shown = study.scenes if photos else own_scenes(study)
     remove_pictures(study, [scene for scene in study.scenes if scene not in shown])
-    with ThreadPoolExecutor(1) as beside:  # photos are read and written while charts are drawn
+    with ThreadPoolExecutor(1) as beside:  # photos are encoded while charts are drawn
         shots = beside.submit(gallery, study, shown)
         made = document(study, title or study.out_dir.resolve().name, shown)
         write_whole(study.out_dir / PAGE, page.render(made, shots.result(), study.out_dir))

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import re
+import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 AUTO = "auto"
 SUFFIXES = {".png", ".jpg", ".jpeg"}
 FORMATS = ("PNG", "JPEG")  # whatever the suffix says; Pillow knows many more, some run programs
+_FILTERS = threading.Lock()  # of warnings are the process's, and threads read images
 EIGHT_BIT = {"L", "P", "RGB", "RGBA", "LA"}
 
 
@@ -73,7 +75,10 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     try:
         check_size(path, IMAGE_BYTES)
         stored = io.BytesIO(path.read_bytes())
-        with warnings.catch_warnings():  # Pillow warns of large images, which are refused here
+        with (
+            _FILTERS,
+            warnings.catch_warnings(),
+        ):  # Pillow warns of large images, which are refused here
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             image = Image.open(stored, formats=FORMATS)
         with image:

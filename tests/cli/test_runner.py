@@ -183,3 +183,54 @@ def test_a_killed_command_line_is_told_by_the_exit_code(tmp_path: Path) -> None:
     _children(process.pid)  # skips where there is no /proc
     process.communicate(timeout=60)
     assert process.returncode == 128 + 9
+
+
+def test_ctrl_c_while_the_command_line_is_read(tmp_path: Path) -> None:
+    """At whatever moment: it ends, and as interrupted."""
+    for delay in (0.0, 0.1, 0.2, 0.3, 0.4, 0.5):
+        process = _started(SLOW + "\nprint('ready', flush=True)\n", tmp_path)
+        assert process.stdout is not None and process.stdout.readline() == "ready\n"
+        time.sleep(delay)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+        assert process.returncode in (130, -signal.SIGINT), err  # the latter before the fork
+
+
+def test_streams_may_be_closed(tmp_path: Path) -> None:
+    line = f'{sys.executable} -c "$0" augment=nope'
+    for closed in (">&-", "2>&-"):
+        done = subprocess.run(
+            ["bash", "-c", f"{line} {closed}", SCRIPT.format(body=GOOD)],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 2 and "Traceback" not in done.stderr
+
+
+def test_a_report_that_cannot_be_imported_is_told(tmp_path: Path) -> None:
+    script = SCRIPT.replace("report.build_report = build_report", "")
+    process = subprocess.run(
+        [sys.executable, "-c", script.format(body=GOOD)],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert process.returncode == 1
+    assert "error: report of reports/embedded: ImportError" in process.stderr
+
+
+def test_what_cannot_be_told_there_is_told_here(tmp_path: Path) -> None:
+    body = (
+        _raising('raise ValueError("x")')
+        + """
+import framework.failures
+from framework.errors import UserError
+def tell(job, error): raise UserError("ledger: expected room, got none")
+framework.failures.tell = tell
+"""
+    )
+    code, _, err = _ended(body, tmp_path)
+    assert code == 2 and "error: ledger: expected room, got none" in err
