@@ -15,9 +15,11 @@ from framework.config import ROOT
 
 # a command whose run and report are those of the script, in place of the framework's
 SCRIPT = """
-import os, sys, time, types
+import os, signal, sys, time, types
 from pathlib import Path
 from framework import runner
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 
 run, report = types.ModuleType("framework.experiment"), types.ModuleType("framework.report")
 {body}
