@@ -89,7 +89,7 @@ def child(began: float, output: Path, overrides: list[str]) -> None:
     clock, done = Clock(), runner._done
     ended = began
 
-    def watched(job: Any) -> bool:
+    def watched(job: Any) -> bool | str:
         """The run, with a clock around its stages: what they call has just been imported."""
         nonlocal ended
         clock.seconds[START] = time.time() - began

@@ -75,10 +75,8 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     try:
         check_size(path, IMAGE_BYTES)
         stored = io.BytesIO(path.read_bytes())
-        with (
-            _FILTERS,
-            warnings.catch_warnings(),
-        ):  # Pillow warns of large images, which are refused here
+        with _FILTERS, warnings.catch_warnings():
+            # Pillow warns of large images, which are refused here
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             image = Image.open(stored, formats=FORMATS)
         with image:

@@ -5,19 +5,42 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from numba.core.codegen import get_host_cpu_features
 
 from framework.config import ROOT
 
+# matching costs of stereo on noise: loops that LLVM vectorises by itself
+COSTS = """
+import hashlib
+import numpy as np
+from framework.depth.match import match_costs
+
+rng = np.random.default_rng(0)
+height, width, planes, radius = 21, 53, 3, 2
+image, mean, inverse, other = rng.random((4, height, width), np.float32)
+padded = np.pad(image, ((0, 0), (radius, radius)), mode="edge")
+cost = np.empty((height, planes, width), np.int16)
+match_costs(
+    0, 1, padded, mean, inverse, other.ravel(), np.array([[0, height, width]]),
+    np.eye(3, dtype=np.float32)[None], np.array([[1.5, 0.25, 0.0]], np.float32),
+    np.linspace(1, 2, planes).astype(np.float32), radius, 1, cost,
+)
+print(len(np.unique(cost)), hashlib.sha256(cost.tobytes()).hexdigest())
+"""
 SHOW = "from framework import jit; print(jit._config.CPU_FEATURES)"
 
 
 def _features(**variables: str) -> str:
+    return _printed(SHOW, **variables)
+
+
+def _printed(code: str, **variables: str) -> str:
     own = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_CPU")}
     done = subprocess.run(
-        [sys.executable, "-c", SHOW],
+        [sys.executable, "-c", code],
         env={**own, "PYTHONPATH": str(ROOT), **variables},
         capture_output=True,
         text=True,
@@ -37,3 +60,14 @@ def test_all_512_bits_where_there_are_so_many() -> None:
 @pytest.mark.parametrize("chosen", [{"NUMBA_CPU_FEATURES": "+sse2"}, {"NUMBA_CPU_NAME": "generic"}])
 def test_the_user_may_choose(chosen: dict[str, str]) -> None:
     assert "prefer" not in _features(**chosen)
+
+
+def test_bits_do_not_depend_on_the_width(tmp_path: Path) -> None:
+    host = get_host_cpu_features()
+    if "+avx512f" not in host.split(","):
+        pytest.skip("this CPU has no vectors of 512 bits")
+    found = {
+        _printed(COSTS, NUMBA_CPU_FEATURES=features, NUMBA_CACHE_DIR=str(tmp_path / str(i)))
+        for i, features in enumerate((host, f"{host},-prefer-256-bit"))
+    }
+    assert len(found) == 1 and int(found.pop().split()[0]) > 100
