@@ -93,15 +93,19 @@ class Checkpoints:
     """The checkpoints of one run (a `training_state.Keeper`).
 
     run_dir: the run's folder. identity: of the run. plugins: the chosen ones, whose state is held.
-    n_bytes: about the size of the first, from which its cost is guessed. part: of the run, if it
-    has several trainings.
+    part: of the run, if it has several trainings.
     """
 
     def __init__(
-        self, run_dir: Path, identity: str, plugins: Iterable[Any], n_bytes: int, part: str = ""
+        self, run_dir: Path, identity: str, plugins: Iterable[Any], part: str = ""
     ) -> None:
         self.folder, self.identity = run_dir / FOLDER / part, identity
         self.classes = state_classes(plugins)
+        self._next = 0.0
+
+    def begin(self, n_bytes: int) -> None:
+        """The training begins. n_bytes: about the size of the first, from which its cost is
+        guessed."""
         self._next = time.perf_counter() + COST_TIMES * n_bytes / SLOW_DISK
 
     def newest(self, check: Check) -> TrainerState | None:

@@ -59,23 +59,35 @@ def tuning_options(options: TrainerOptions, steps: int) -> TrainerOptions:
     )
 
 
-def in_turn(parts: Sequence[Trained], steps: int, gaussians: Gaussians) -> Trained:
+def in_turn(rounds: Sequence[Sequence[Trained]], steps: int, gaussians: Gaussians) -> Trained:
     """The parts of a run, of `steps` steps each but for the last, as one training with the result
-    `gaussians`."""
-    history, seconds = [], 0.0
-    for k, part in enumerate(parts):
-        history += [
-            replace(row, step=row.step + k * steps, seconds=row.seconds + seconds)
-            for row in part.history
-        ]
-        seconds += part.wall_s
+    `gaussians`.
+
+    Parts of one round were trained at the same time. Their rows follow each other all the same, as
+    if each had had the whole machine for its share of the round's seconds.
+    """
+    history, before, steps_before = [], 0.0, 0
+    for parts in rounds:
+        took, of_all = max(part.wall_s for part in parts), sum(part.wall_s for part in parts)
+        share, spent = took / of_all if of_all > 0 else 1.0, 0.0
+        for part in parts:
+            history += [
+                replace(
+                    row,
+                    step=row.step + steps_before,
+                    seconds=before + share * (spent + row.seconds),
+                )
+                for row in part.history
+            ]
+            spent += part.wall_s
+            steps_before += steps
+        before += took
     return replace(
-        parts[-1],
+        rounds[-1][-1],
         gaussians=gaussians,
         history=tuple(history),
-        wall_s=seconds,
-        cpu_s=sum(part.cpu_s for part in parts),
-        resumed=sum(part.resumed for part in parts),
+        wall_s=before,
+        cpu_s=sum(part.cpu_s for parts in rounds for part in parts),
     )
 
 

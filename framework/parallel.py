@@ -11,6 +11,7 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from functools import partial
 from typing import Any
 
 BLOCKS = 16  # blocks per parallel call, fixed, so that no result can depend on the thread count
@@ -19,6 +20,10 @@ _pool: ThreadPoolExecutor | None = None
 _pool_key: tuple[int, int] = (0, 0)
 _threads = 0
 _local = threading.local()  # in_task: this thread is at a task of `run_tasks`
+
+
+class Abandoned(Exception):
+    """Another of the tasks that run together failed; nobody waits for this one's result."""
 
 
 def set_threads(n: int) -> None:
@@ -52,7 +57,7 @@ def run_blocks(
     n = min(pool, len(own)) if own else pool
     scratch = own or ((),) * n
     # a task may not wait for the pool, whose threads may be at other tasks
-    if n == 1 or _in_task():
+    if n == 1 or in_task():
         for block in range(blocks):
             kernel(block, blocks, *scratch[0], *args)
         return
@@ -82,7 +87,7 @@ def run_tasks(tasks: Sequence[Callable[[], Any]]) -> list[Any]:
     results: list[Any] = [None] * len(tasks)
 
     def run(index: int, _: int) -> None:
-        before, _local.in_task = _in_task(), True
+        before, _local.in_task = in_task(), True
         try:
             results[index] = tasks[index]()
         finally:
@@ -92,7 +97,38 @@ def run_tasks(tasks: Sequence[Callable[[], Any]]) -> list[Any]:
     return results
 
 
-def _in_task() -> bool:
+def run_together(tasks: Sequence[Callable[[Callable[[], None]], Any]]) -> list[Any]:
+    """What long `tasks` return, in order, as `run_tasks`; a single one has all threads.
+
+    Each is given a function to call every now and then, which raises Abandoned once another has
+    failed or the caller was interrupted. Raises what the first to fail raised.
+    """
+    failed: list[BaseException] = []
+
+    def check() -> None:
+        if failed:
+            raise Abandoned
+
+    def guarded(task: Callable[[Callable[[], None]], Any]) -> Any:
+        try:
+            return task(check)
+        except BaseException as error:
+            failed.append(error)
+
+    if len(tasks) == 1:
+        return [tasks[0](check)]
+    try:
+        results = run_tasks([partial(guarded, task) for task in tasks])
+    except BaseException as error:  # an interrupt while waiting for the others
+        failed.append(error)
+        raise
+    if failed:
+        raise failed[0]
+    return results
+
+
+def in_task() -> bool:
+    """Whether this thread is at a task, so that its kernels have no other thread."""
     return getattr(_local, "in_task", False)
 
 

@@ -17,9 +17,10 @@ import contextlib
 import logging
 import shutil
 import sys
+import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol, TextIO
 
 SPEED_WINDOW_S = 5.0
@@ -76,20 +77,32 @@ class Silent:
     def done(self, text: str) -> None: ...
 
 
-class Part(Silent):
-    """One of several trainings: `whole` is told their steps as one count, of `n_steps`, of which
-    `before` came before this one."""
+class Parts:
+    """Several trainings, some at the same time: `whole` is told their steps as one count, of
+    `n_steps`. done: steps of each that are behind it."""
 
-    def __init__(self, whole: Progress, before: int, n_steps: int) -> None:
-        self._whole, self._before, self._n_steps = whole, before, n_steps
+    def __init__(self, whole: Progress, n_steps: int, done: Sequence[int]) -> None:
+        self._whole, self._n_steps, self._done = whole, n_steps, list(done)
+        self._lock = threading.Lock()
+
+    def step(self, part: int, step: int, loss: float, gaussians: int, psnr: float | None) -> None:
+        """As `Progress.step`, of one part."""
+        with self._lock:
+            self._done[part] = step
+            self._whole.step(sum(self._done), self._n_steps, loss, gaussians, psnr)
+
+
+class Part(Silent):
+    """The part `index` of `parts`; its training calls `check` at every step."""
+
+    def __init__(self, parts: Parts, index: int, check: Callable[[], None]) -> None:
+        self._parts, self._index, self._check = parts, index, check
 
     def step(
         self, step: int, n_steps: int, loss: float, gaussians: int, psnr: float | None = None
     ) -> None:
-        self._whole.step(self._before + step, self._n_steps, loss, gaussians, psnr)
-
-    def note(self, text: str) -> None:
-        self._whole.note(text)
+        self._check()
+        self._parts.step(self._index, step, loss, gaussians, psnr)
 
 
 class Terminal:

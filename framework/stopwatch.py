@@ -6,15 +6,19 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from framework.parallel import in_task
+
 
 class Stopwatch:
     """Runs from its creation. wall_s, cpu_s: seconds already counted before, in another process.
 
-    CPU time is that of the whole process, all threads together.
+    CPU time is that of the whole process, all threads together; that of its thread in a task, which
+    has just the one.
     """
 
     def __init__(self, wall_s: float = 0.0, cpu_s: float = 0.0) -> None:
-        self._wall, self._cpu = time.perf_counter() - wall_s, time.process_time() - cpu_s
+        self._cpu_time = time.thread_time if in_task() else time.process_time
+        self._wall, self._cpu = time.perf_counter() - wall_s, self._cpu_time() - cpu_s
 
     @property
     def wall_s(self) -> float:
@@ -24,17 +28,17 @@ class Stopwatch:
     @property
     def cpu_s(self) -> float:
         """CPU seconds counted so far."""
-        return time.process_time() - self._cpu
+        return self._cpu_time() - self._cpu
 
     @contextmanager
     def paused(self) -> Iterator[None]:
         """What is done inside does not count."""
-        wall, cpu = time.perf_counter(), time.process_time()
+        wall, cpu = time.perf_counter(), self._cpu_time()
         try:
             yield
         finally:
             self._wall += time.perf_counter() - wall
-            self._cpu += time.process_time() - cpu
+            self._cpu += self._cpu_time() - cpu
 
 
 def duration(seconds: float) -> str:

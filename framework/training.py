@@ -6,28 +6,30 @@ that diverged leaves its state in `diverged.safetensors`.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
 from framework import registry
-from framework.checkpoint import Checkpoints, pack, remove_checkpoints, state_classes
+from framework.checkpoint import Checkpoints, pack, remove_checkpoints
 from framework.files import write_whole
 from framework.guard import Diverged
 from framework.initialize import INITIALIZERS
 from framework.members import IDLE, in_turn, join, member_seed, tuning_options
 from framework.metrics import Missing, psnr
 from framework.options import TrainerOptions
+from framework.parallel import run_together, threads
 from framework.plugin import Plugin
-from framework.progress import Part, Progress
+from framework.progress import Part, Parts, Progress
 from framework.rasterize import rasterize
 from framework.record import DIVERGED
 from framework.state_check import check_state
 from framework.trainer import Evaluate, Plugins, Trained, Trainer
+from framework.training_state import TrainerState
 from framework.types import Camera, DepthMap, Gaussians, Scene
 
 BYTES_PER_FLOAT, COPIES = 4, 3  # of every parameter: itself and two moments
@@ -50,18 +52,29 @@ def initial(
 @dataclass(frozen=True)
 class _Part:
     """A training of its own within a run. name: of its checkpoints. choices: of the plugin groups.
-    again: whether the part before was read back. to_keep: its end is kept, for a later process.
-    progress: see `Trainer`, as are sh_from and tells."""
+    tells: see `Trainer`. to_keep: its end is kept, for a later process."""
 
     name: str
     choices: Mapping[str, Mapping[str, Any]]
     options: TrainerOptions
     seed: int
-    progress: Progress
-    sh_from: int = 0
     tells: bool = True
-    again: bool = False
     to_keep: bool = False
+
+
+@dataclass(frozen=True)
+class _Opened:
+    """A part with its plugins and checkpoints, and the state that an earlier process kept."""
+
+    part: _Part
+    plugins: Plugins
+    checkpoints: Checkpoints
+    kept: TrainerState | None
+
+    @property
+    def done(self) -> int:
+        """Steps that are behind it."""
+        return 0 if self.kept is None else self.kept.step
 
 
 @dataclass(frozen=True)
@@ -83,49 +96,65 @@ class Run:
 def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
     """Train, or go on with what an interrupted process left.
 
-    With `trainer.members` > 1 several trainings follow each other, each from its own draws, whose
-    Gaussians are joined and tuned: what one of them got wrong by chance weighs less. The first is
-    that of a run with one member. Raises Diverged when a training diverges; the state is in the
-    run's folder then.
+    With `trainer.members` > 1 there are several trainings, each from its own draws, whose Gaussians
+    are joined and tuned: what one of them got wrong by chance weighs less. The first is that of a
+    run with one member. As many as there are threads are trained at the same time, which takes less
+    time than all threads for one after another. Raises Diverged when a training diverges; the state
+    is in the run's folder then.
     """
     if run.force:
         remove_checkpoints(run.folder)
-    options, seed = TrainerOptions(**config["trainer"]), int(config["seed"])
-    if options.members == 1:
-        return _train(run, _Part("", config, options, seed, progress), run.start(seed))[0]
-    tuned = max(1, round(options.tuning * options.steps)) if options.tuning > 0 else 0
-    n_steps, again = options.members * options.steps + tuned, False
-    members = []
-    for k in range(options.members):
-        progress.stage(f"member {k + 1} of {options.members}")
-        own = _Part(
+    options = TrainerOptions(**config["trainer"])
+    parts = [_open(run, part) for part in _parts(config, options)]
+    n_steps, done = sum(p.part.options.steps for p in parts), [part.done for part in parts]
+    kept = [part.kept for part in parts if part.kept is not None]
+    resumed = 1 + max(state.resumed for state in kept) if kept else 0
+    if kept:
+        progress.note(f"going on at step {sum(done)} of {n_steps}")
+    whole, starts = Parts(progress, n_steps, done), dict[int, Gaussians]()
+
+    def task(index: int, check: Callable[[], None], sh_from: int = 0) -> Trained:
+        part = Part(whole, index, check)
+        return _train(run, parts[index], starts.pop(index), part, resumed, sh_from)
+
+    n, rounds = options.members, list[list[Trained]]()
+    for first in range(0, n, threads()):
+        members = range(first, min(n, first + threads()))
+        if n > 1:
+            progress.stage(f"members {', '.join(str(k + 1) for k in members)} of {n}")
+        starts.update((k, run.start(parts[k].part.seed)) for k in members)
+        rounds.append(run_together([partial(task, k) for k in members]))
+    if n == 1:
+        return rounds[0][0]
+    gaussians = join([member.gaussians for members in rounds for member in members])
+    if len(parts) == n:
+        return _untuned(run, in_turn(rounds, options.steps, gaussians), options)
+    progress.stage("tuning of the members together")
+    starts[n] = gaussians
+    tuned = task(n, lambda: None, sh_from=rounds[-1][-1].sh_degree)
+    return in_turn([*rounds, [tuned]], options.steps, tuned.gaussians)
+
+
+def _parts(config: Mapping[str, Any], options: TrainerOptions) -> list[_Part]:
+    """The members of a run, and their tuning if there is any."""
+    seed, n = int(config["seed"]), options.members
+    if n == 1:
+        return [_Part("", config, options, seed)]
+    parts = [
+        _Part(
             f"member {k + 1}",
             config,
             options,
             member_seed(seed, k),
-            Part(progress, k * options.steps, n_steps),
-            tells=k == options.members - 1,
-            again=again,
+            tells=k == n - 1,
             to_keep=True,
         )
-        member, again = _train(run, own, run.start(own.seed))
-        members.append(member)
-    gaussians = join([member.gaussians for member in members])
-    if tuned == 0:
-        return _untuned(run, in_turn(members, options.steps, gaussians), options)
-    progress.stage("tuning of the members together")
-    own = _Part(
-        "tuning",
-        IDLE,
-        tuning_options(options, tuned),
-        seed,
-        Part(progress, options.members * options.steps, n_steps),
-        sh_from=members[-1].sh_degree,
-        tells=False,
-        again=again,
-    )
-    trained, _ = _train(run, own, gaussians)
-    return in_turn([*members, trained], options.steps, trained.gaussians)
+        for k in range(n)
+    ]
+    if options.tuning > 0:
+        tuned = tuning_options(options, max(1, round(options.tuning * options.steps)))
+        parts.append(_Part("tuning", IDLE, tuned, seed, tells=False))
+    return parts
 
 
 def _untuned(run: Run, joined: Trained, options: TrainerOptions) -> Trained:
@@ -136,50 +165,56 @@ def _untuned(run: Run, joined: Trained, options: TrainerOptions) -> Trained:
     return replace(joined, history=(*joined.history[:-1], last))
 
 
-def _train(run: Run, part: _Part, gaussians: Gaussians) -> tuple[Trained, bool]:
-    """One part, or what is left of it to do; and whether nothing was left."""
-    options = part.options
+def _open(run: Run, part: _Part) -> _Opened:
+    """The part with what an earlier process kept of it."""
     plugins = Plugins(*(registry.build(group, part.choices[group]) for group in registry.GROUPS))
     chosen: list[Plugin] = [p.plugin for p in (plugins.augment, plugins.reg, plugins.capacity)]
-    size = COPIES * BYTES_PER_FLOAT * sum(tensor.numel() for _, tensor in gaussians.items())
-    checkpoints = Checkpoints(run.folder, run.identity, chosen, size, part.name)
+    checkpoints = Checkpoints(run.folder, run.identity, chosen, part.name)
     by_group = dict(zip(registry.GROUPS, chosen, strict=True))
-    check = functools.partial(
-        check_state, training=run.scene.training, options=options, plugins=by_group
+    check = partial(
+        check_state, training=run.scene.training, options=part.options, plugins=by_group
     )
-    kept = checkpoints.newest(check)
-    ended = kept is not None and kept.step == options.steps
+    return _Opened(part, plugins, checkpoints, checkpoints.newest(check))
+
+
+def _train(
+    run: Run,
+    opened: _Opened,
+    gaussians: Gaussians,
+    progress: Progress,
+    resumed: int,
+    sh_from: int,
+) -> Trained:
+    """One part, or what is left of it to do. resumed: how often the run was taken up again.
+    sh_from: see `Trainer`."""
+    part, checkpoints, kept = opened.part, opened.checkpoints, opened.kept
+    checkpoints.begin(COPIES * BYTES_PER_FLOAT * sum(t.numel() for _, t in gaussians.items()))
     trainer = Trainer(
         run.scene.training,
         run.depth,
         gaussians,
-        options,
-        plugins,
+        part.options,
+        opened.plugins,
         part.seed,
-        part.progress,
-        _evaluation(run.scene, options),
+        progress,
+        _evaluation(run.scene, part.options),
         checkpoints,
         kept,
-        part.sh_from,
+        sh_from,
         part.tells,
     )
     del gaussians  # the trainer has its own
-    if ended and part.to_keep:
-        trainer.resumed -= 1  # read back; what goes on is a later part
-    elif kept is not None or part.again:
-        trainer.resumed = max(trainer.resumed, 1)
-        place = f", {part.name}" if part.name else ""
-        part.progress.note(f"going on at step {trainer.step} of {options.steps}{place}")
+    trainer.resumed = resumed
     try:
         trained = trainer.run()
     except Diverged as error:
-        state = pack(error.state, state_classes(chosen), run.identity, "diverged state")
+        state = pack(error.state, checkpoints.classes, run.identity, "diverged state")
         write_whole(run.folder / DIVERGED, state)
         error.args = (f"{error}; the state is in {run.folder.name}/{DIVERGED}",)
         raise
-    if part.to_keep and not ended:
+    if part.to_keep and opened.done < part.options.steps:
         checkpoints.keep(trainer.state())
-    return trained, ended
+    return trained
 
 
 def _evaluation(scene: Scene, options: TrainerOptions) -> Evaluate | None:

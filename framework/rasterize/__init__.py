@@ -24,7 +24,10 @@ _free: list[Workspace] = []  # workspaces not in use; two renders may be waiting
 
 def borrow() -> Workspace:
     """A workspace nobody else uses; `give_back` it when nothing of it is needed any more."""
-    return _free.pop() if _free else Workspace()
+    try:
+        return _free.pop()
+    except IndexError:  # asking first would leave another thread the time to take the last one
+        return Workspace()
 
 
 def give_back(work: Workspace) -> None:

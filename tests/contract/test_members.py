@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+from collections.abc import Iterator
 from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
@@ -19,6 +20,7 @@ from framework.errors import UserError
 from framework.members import IDLE, join, member_seed, thinner
 from framework.metrics import psnr
 from framework.options import TrainerOptions
+from framework.parallel import set_threads
 from framework.progress import Silent
 from framework.record import parameters_sha256
 from framework.trainer import Trained
@@ -50,6 +52,12 @@ class Stopping(Silent):
         self.notes.append(text)
 
 
+@pytest.fixture(autouse=True)
+def _threads() -> Iterator[None]:
+    yield
+    set_threads(0)
+
+
 def start(seed: int) -> Gaussians:
     """Another set for every seed."""
     gaussians = _plane(1)[2]
@@ -58,8 +66,13 @@ def start(seed: int) -> Gaussians:
 
 
 def trained(
-    folder: Path, progress: Stopping | None = None, seed: int = 0, **changes: Any
+    folder: Path,
+    progress: Stopping | None = None,
+    seed: int = 0,
+    n_threads: int = 1,
+    **changes: Any,
 ) -> Trained:
+    set_threads(n_threads)
     views, depth, _ = _plane(1)
     run = Run(Scene("plane", "own", views, views.views[:1], "f"), depth, start, folder, "id", False)
     choices = {
@@ -112,9 +125,10 @@ def test_the_first_member_is_the_training_of_one(tmp_path: Path) -> None:
     assert len({member_seed(seed, k) for seed in range(3) for k in range(3)}) == 9
 
 
-def test_the_parts_are_told_as_one(tmp_path: Path) -> None:
+@pytest.mark.parametrize("n_threads", [1, 2, 3])
+def test_the_parts_are_told_as_one(tmp_path: Path, n_threads: int) -> None:
     progress = Stopping()
-    joined = trained(tmp_path, progress)
+    joined = trained(tmp_path, progress, n_threads=n_threads)
     assert progress.told == [(step, STEPS) for step in range(1, STEPS + 1)]
     rows = joined.history
     assert [row.step for row in rows] == list(range(1, STEPS + 1))
@@ -124,21 +138,39 @@ def test_the_parts_are_told_as_one(tmp_path: Path) -> None:
     assert joined.wall_s >= rows[-1].seconds
 
 
+@pytest.mark.parametrize("n_threads", [1, 2])
 @pytest.mark.parametrize("at", [5, 12, 13, 17, 24, 25, 27])
 def test_an_interrupted_one_ends_with_the_same_bits(
-    tmp_path: Path, at: int, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, at: int, n_threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In a member, between two, while they are tuned."""
+    """In a member, between two, while they are tuned; one after another and at the same time."""
     monkeypatch.setattr(Checkpoints, "due", lambda self: True)
     whole = trained(tmp_path / "whole")
     with pytest.raises(KeyboardInterrupt):
-        trained(tmp_path / "run", Stopping(at))
+        trained(tmp_path / "run", Stopping(at), n_threads=n_threads)
     progress = Stopping()
-    again = trained(tmp_path / "run", progress)
+    again = trained(tmp_path / "run", progress, n_threads=n_threads)
     assert parameters_sha256(again.gaussians) == parameters_sha256(whole.gaussians)
     assert [(r.step, r.loss) for r in again.history] == [(r.step, r.loss) for r in whole.history]
-    assert progress.told[0][0] == at and again.resumed == 1
-    assert len(progress.notes) == 1 and "going on at step" in progress.notes[0]
+    # the other member may have finished the step that it was in
+    assert at <= progress.told[0][0] <= at + n_threads - 1 and again.resumed == 1
+    assert progress.notes == [f"going on at step {progress.told[0][0] - 1} of {STEPS}"]
+
+
+def test_one_that_fails_ends_the_others(tmp_path: Path) -> None:
+    """A run that cannot succeed is not trained to its end."""
+    progress = Stopping(10)
+    with pytest.raises(KeyboardInterrupt):
+        trained(tmp_path, progress, n_threads=2, steps=500)
+    assert progress.told[-1][0] <= 11
+
+
+def test_members_at_the_same_time_share_the_seconds(tmp_path: Path) -> None:
+    alone, together = trained(tmp_path / "a"), trained(tmp_path / "b", n_threads=2)
+    for joined in (alone, together):
+        rows = joined.history
+        assert all(a.seconds <= b.seconds for a, b in pairwise(rows))
+        assert rows[23].seconds <= joined.wall_s
 
 
 @pytest.mark.parametrize(("members", "steps"), [(1, 12), (2, STEPS)])

@@ -38,7 +38,7 @@ class Files:
         return True
 
     def checkpoints(self, step: int) -> Checkpoints:
-        return Checkpoints(self.folder / str(step), "identity", self.chosen, 0)
+        return Checkpoints(self.folder / str(step), "identity", self.chosen)
 
     def check(self, state: TrainerState) -> None:
         plugins = dict(zip(NEUTRAL, self.chosen, strict=True))

@@ -1,13 +1,14 @@
-"""What `run_blocks` gives every block, and `run_tasks` every task."""
+"""What `run_blocks` gives every block, `run_tasks` and `run_together` every task."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 
 import pytest
 
-from framework.parallel import run_blocks, run_tasks, set_threads
+from framework.parallel import Abandoned, in_task, run_blocks, run_tasks, run_together, set_threads
 
 
 @pytest.fixture(params=[1, 3])
@@ -103,3 +104,34 @@ def test_tasks_may_run_blocks(threads: int) -> None:
     others: set[int] = set()
     run_blocks(lambda block, blocks: others.add(threading.get_ident()), blocks=40)
     assert len(others) <= threads
+
+
+def test_together_the_first_to_fail_ends_all() -> None:
+    """An error and an interrupt alike; what the others were at is abandoned at their next check."""
+    set_threads(2)
+    both, abandoned = threading.Barrier(2), list[int]()
+
+    def fails(check: Callable[[], None]) -> None:
+        both.wait(10)
+        raise KeyboardInterrupt
+
+    def works(check: Callable[[], None]) -> None:
+        both.wait(10)
+        try:
+            while True:
+                time.sleep(0.001)
+                check()
+        except Abandoned:
+            abandoned.append(1)
+            raise
+
+    for tasks in ([fails, works], [works, fails]):
+        with pytest.raises(KeyboardInterrupt):
+            run_together(tasks)
+    set_threads(0)
+    assert abandoned == [1, 1]
+
+
+def test_together_one_alone_has_all_threads(threads: int) -> None:
+    assert run_together([lambda check: in_task()]) == [False]
+    assert run_together([lambda check: in_task()] * 2) == [True, True]

@@ -44,7 +44,7 @@ def anything(state: TrainerState) -> None:
 
 @pytest.fixture
 def kept(tmp_path: Path) -> Checkpoints:
-    checkpoints = Checkpoints(tmp_path, "mine", [], 0)
+    checkpoints = Checkpoints(tmp_path, "mine", [])
     for step in (3, 20, 100):
         checkpoints.keep(state(step))
     return checkpoints
@@ -101,7 +101,7 @@ def test_one_whose_parts_do_not_fit_is_told_and_the_one_before_is_used(
 
 
 def test_another_runs_checkpoints_are_of_no_use(kept: Checkpoints, tmp_path: Path) -> None:
-    assert Checkpoints(tmp_path, "other", [], 0).newest(anything) is None
+    assert Checkpoints(tmp_path, "other", []).newest(anything) is None
     assert kept._paths() == []
 
 
@@ -120,7 +120,8 @@ def test_they_cost_at_most_a_fiftieth(tmp_path: Path, monkeypatch: pytest.Monkey
         now += 3.0
 
     monkeypatch.setattr(checkpoint, "write_whole", slow)
-    checkpoints = Checkpoints(tmp_path, "mine", [], 25_000_000)
+    checkpoints = Checkpoints(tmp_path, "mine", [])
+    checkpoints.begin(25_000_000)
     spent = 0.0
     for _ in range(2000):
         now += 1.0
@@ -152,5 +153,5 @@ def test_a_state_of_another_run_is_not_taken_apart(tmp_path: Path) -> None:
 def test_a_state_that_cannot_be_held_is_told(tmp_path: Path) -> None:
     odd = replace(state(1), plugins={"reg": PluginState(True, object())})
     with pytest.raises(UserError, match="plugin state: expected a state of numbers"):
-        Checkpoints(tmp_path, "mine", [], 0).keep(odd)
+        Checkpoints(tmp_path, "mine", []).keep(odd)
     assert list(tmp_path.iterdir()) == []

@@ -61,7 +61,7 @@ class Forgery:
         self.tree, self.tensors = encode(state, self.checkpoints().classes, "test")
 
     def checkpoints(self) -> Checkpoints:
-        return Checkpoints(self.folder, "identity", self.files.chosen, 0)
+        return Checkpoints(self.folder, "identity", self.files.chosen)
 
     def read(self, tree: Any, tensors: dict[str, Tensor]) -> TrainerState | None:
         """What a run makes of these contents under a right checksum."""
