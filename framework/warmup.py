@@ -25,6 +25,7 @@ import torch
 from framework import registry
 from framework.depth import build_provider
 from framework.errors import UserError
+from framework.initialize import INITIALIZERS
 from framework.jit import KERNEL_CACHE
 from framework.options import TrainerOptions
 from framework.progress import Progress, Silent, unwarned
@@ -47,7 +48,7 @@ class Warmup:
         self.config, self.progress = config, progress
         depth = {"depth": config["depth"]["name"]}
         chosen = depth | {group: config[group]["name"] for group in registry.GROUPS}
-        chosen["sh_degree"] = config["trainer"]["sh_degree"]
+        chosen |= {"sh_degree": config["trainer"]["sh_degree"], "init": config["init"]["name"]}
         # an option's value may call another kernel: warmed up once per process, without a word
         self.key = _key(chosen | {group: config[group] for group in (*registry.GROUPS, "depth")})
         self.markers = [KERNEL_CACHE / f"warm-{_key(names)}" for names in (chosen, depth)]
@@ -81,6 +82,7 @@ class Warmup:
         if self.beside is not None:
             self.beside.wait()  # if it failed, the next line compiles
         _estimate(self.config["depth"], training)
+        _initialize(self.config["init"], training, depth)
         _warm.add(self.key)
         for marker in self.markers if done else ():
             marker.parent.mkdir(parents=True, exist_ok=True)
@@ -110,6 +112,14 @@ def _estimate(depth: Mapping[str, Any], training: TrainingSet) -> None:
     options = dict(depth)
     with contextlib.suppress(UserError):  # a provider of files knows nothing of synthetic views
         build_provider(options.pop("name"), options).estimate(training)
+
+
+def _initialize(
+    init: Mapping[str, Any], training: TrainingSet, depth: tuple[DepthMap, ...]
+) -> None:
+    options = dict(init)
+    with contextlib.suppress(UserError):  # whatever it misses here
+        INITIALIZERS[options.pop("name")](**options).build(training, depth, 0, 0)
 
 
 def _train(

@@ -9,30 +9,20 @@ cameras stand: other cameras look through that ball, and what floats in it hides
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from scipy.ndimage import zoom
 
-from framework.geometry import project, unproject
-from framework.initialize.fusion import (
-    DepthView,
-    SurfacePixels,
-    by_centrality,
-    compare,
-    confident_view,
-    joined,
-    surface_pixels,
-)
+from framework.geometry import project
+from framework.initialize.fusion import Mapped, SurfacePixels, joined, surface_pixels
+from framework.initialize.sight import pushed_back
+from framework.parallel import run_tasks
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
-    from torch import Tensor
-
-    from framework.types import DepthMap, TrainingSet
 
     Array = NDArray[np.float64]
 
@@ -42,90 +32,45 @@ BALL = 1.5  # radius of the cameras' ball, in scene extents
 SAME_GUESS = 0.15  # relative depth difference up to which two views guess the same surface
 
 
-def complete(
-    training: TrainingSet, depth: tuple[DepthMap, ...], tolerance: float, detail: float
-) -> SurfacePixels:
+def complete(maps: Mapped, tolerance: float) -> SurfacePixels:
     """The guessed pixels of all training views, from the most central view to the outermost one.
 
     A pixel stays out where another view has a consistent or an earlier one a guessed surface, or
-    where some view looks through every place on its ray. tolerance, detail: as in `fusion.fuse`.
+    where some view looks through every place on its ray.
     """
-    order = by_centrality([view.camera for view in training.views])
-    maps = {i: confident_view(training.views[i], depth[i]) for i in order}
-    guesses: list[DepthView] = []
-    parts = []
-    for i in order:
-        others = [maps[j] for j in order if j != i]
-        guess = _guessed(training, i, maps[i], others, guesses, tolerance)
-        chosen = guess > 0
-        xyz = unproject(guess, maps[i].camera)[chosen]
-        parts.append(surface_pixels(training.views[i], xyz, guess[chosen], chosen, detail))
-        near = torch.where(chosen, guess, torch.inf)
-        guesses.append(DepthView(maps[i].camera, guess, near))
+    seen, views = maps.seen, range(len(maps.order))
+    starts = run_tasks([partial(_start, maps, v) for v in views])
+    ball = seen.centers.mean(0), BALL * maps.training.extent
+    guesses, parts = np.zeros_like(seen.depth), []
+    for v, start in zip(views, starts, strict=True):
+        near = (guesses, SAME_GUESS)
+        places, depth = pushed_back(seen, v, start, ball, STEPS, tolerance, near)
+        seen.image(guesses, v)[:] = depth
+        parts.append(surface_pixels(maps, v, places, depth, depth > 0))
     return joined(parts)
 
 
-def _guessed(
-    training: TrainingSet,
-    index: int,
-    own: DepthView,
-    others: Sequence[DepthView],
-    guesses: Sequence[DepthView],
-    tolerance: float,
-) -> Tensor:
-    """[H, W] guessed depth of view `index` where it has none of its own; 0 where it stays out."""
-    start = torch.from_numpy(filled(_with_points(training, index, own)))
-    empty, mask = (own.depth == 0) & (start > 0), training.views[index].mask
+def _start(maps: Mapped, v: int) -> Array:
+    """[H, W] the depth around, where view `v` has none of its own; 0 elsewhere."""
+    depth, mask = maps.seen.image(maps.seen.depth, v), maps.views[v].mask
+    around = filled(_with_points(maps, v))
+    empty = depth == 0
     if mask is not None:
-        empty &= mask > 0.5
-    center = own.camera.center
-    rays = unproject(torch.ones_like(start), own.camera)[empty] - center
-    z = _pushed_back(training, center, rays, start[empty], others, tolerance)
-    xyz, keep = center + z[:, None] * rays, z > 0
-    for seen in others:
-        keep &= ~compare(xyz, seen, tolerance)[0]
-    for seen in guesses:
-        keep &= ~compare(xyz, seen, SAME_GUESS)[0]
-    result = torch.zeros_like(start)
-    result[empty] = torch.where(keep, z, 0.0)
-    return result
+        empty &= mask.numpy() > 0.5
+    return np.where(empty, around, 0.0)
 
 
-def _with_points(training: TrainingSet, index: int, own: DepthView) -> Array:
+def _with_points(maps: Mapped, v: int) -> Array:
     """[H, W] the consistent depth and, where it has none, that of the sparse points it sees."""
-    depth: Array = own.depth.numpy().copy()
-    points = training.points
-    uv, z = project(points.xyz[points.visible[:, index]], own.camera)
+    depth: Array = maps.seen.image(maps.seen.depth, v).copy()
+    points, camera = maps.training.points, maps.views[v].camera
+    uv, z = project(points.xyz[points.visible[:, maps.order[v]]].to(torch.float64), camera)
     inside = (z > 0) & (uv >= 0).all(1)
-    inside &= (uv[:, 0] < own.camera.width) & (uv[:, 1] < own.camera.height)
+    inside &= (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
     column, row = uv[inside].long().unbind(1)
     at = (row.numpy(), column.numpy())
     depth[at] = np.where(depth[at] > 0, depth[at], z[inside].numpy())
     return depth
-
-
-def _pushed_back(
-    training: TrainingSet,
-    center: Tensor,
-    rays: Tensor,
-    depth: Tensor,
-    others: Sequence[DepthView],
-    tolerance: float,
-) -> Tensor:
-    """[P] `depth` times the smallest of `STEPS` that puts center + z rays [P, 3] outside the ball
-    of the cameras and before no surface of another view; 0 where none does."""
-    centers = torch.stack([view.camera.center for view in training.views])
-    middle, radius = centers.mean(0), BALL * training.extent
-    chosen, left = torch.zeros_like(depth), torch.arange(len(depth))
-    for factor in STEPS:
-        z = factor * depth[left]
-        xyz = center + z[:, None] * rays[left]
-        free = (xyz - middle).norm(dim=1) >= radius
-        for seen in others:
-            free[free.clone()] = ~compare(xyz[free], seen, tolerance)[1]
-        chosen[left[free]] = z[free]
-        left = left[~free]
-    return chosen
 
 
 def filled(depth: Array) -> Array:

@@ -13,14 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 
 import numpy as np
 import torch
-from scipy.ndimage import minimum_filter
-from torch import Tensor
 
-from framework.geometry import project, unproject
 from framework.initialize.sampling import detail_density
+from framework.initialize.sight import Sights, sights, unrepeated
+from framework.parallel import run_tasks
 from framework.types import Camera, DepthMap, TrainingSet, View
 
 
@@ -37,31 +37,43 @@ class SurfacePixels:
 
 
 @dataclass(frozen=True)
-class DepthView:
-    """A view's confident depth: depth [H, W] float64, 0 = none; nearest [H, W], the smallest depth
-    of the 3 x 3 neighbours, infinite where none has any."""
+class Mapped:
+    """The training views with their depth, from the most central to the outermost one.
 
-    camera: Camera
-    depth: Tensor
-    nearest: Tensor
-
-
-def fuse(
-    training: TrainingSet, depth: tuple[DepthMap, ...], tolerance: float, detail: float
-) -> SurfacePixels:
-    """The surface pixels of all training views; `detail`: see `sampling.detail_density`.
-
-    Raises ValueError when depth maps and views do not match in number or size.
+    order: their indices in `training`. seen: their confident depth. density: of each, [H, W]
+    float64, see `sampling.detail_density`.
     """
+
+    training: TrainingSet
+    order: tuple[int, ...]
+    seen: Sights
+    density: tuple[np.ndarray, ...]
+
+    @property
+    def views(self) -> list[View]:
+        """In this order."""
+        return [self.training.views[i] for i in self.order]
+
+
+def mapped(training: TrainingSet, depth: Sequence[DepthMap], detail: float) -> Mapped:
+    """Raises ValueError when depth maps and views do not match in number or size."""
     if len(depth) != len(training.views):
         raise ValueError(
-            f"fuse: expected one depth map per training view ({len(training.views)}), got"
+            f"mapped: expected one depth map per training view ({len(training.views)}), got"
             f" {len(depth)}"
         )
     order = by_centrality([view.camera for view in training.views])
     views = [training.views[i] for i in order]
-    maps = [confident_view(training.views[i], depth[i]) for i in order]
-    parts = [_added_pixels(i, views[i], maps, tolerance, detail) for i in range(len(views))]
+    density = run_tasks([partial(detail_density, view.image.numpy(), detail) for view in views])
+    return Mapped(training, tuple(order), sights(views, [depth[i] for i in order]), tuple(density))
+
+
+def fuse(maps: Mapped, tolerance: float) -> SurfacePixels:
+    """The surface pixels of all training views."""
+    parts = []
+    for v in range(len(maps.order)):
+        places, chosen = unrepeated(maps.seen, v, tolerance)
+        parts.append(surface_pixels(maps, v, places, maps.seen.image(maps.seen.depth, v), chosen))
     return joined(parts)
 
 
@@ -80,55 +92,11 @@ def by_centrality(cameras: list[Camera]) -> list[int]:
     return torch.argsort(relative, stable=True).tolist()
 
 
-def confident_view(view: View, estimate: DepthMap) -> DepthView:
-    """The depth that may be used, as float64."""
-    valid = (estimate.confidence > 0) & (estimate.depth > 0) & torch.isfinite(estimate.depth)
-    if view.mask is not None:
-        valid &= view.mask > 0.5
-    depth = torch.where(valid, estimate.depth, 0).to(torch.float64)
-    near = np.where(valid.numpy(), depth.numpy(), np.inf)
-    return DepthView(view.camera, depth, torch.from_numpy(minimum_filter(near, 3, mode="nearest")))
-
-
-def _added_pixels(
-    index: int, view: View, maps: list[DepthView], tolerance: float, detail: float
-) -> SurfacePixels:
-    """The pixels that view `index` of `maps` adds to those before."""
-    own = maps[index]
-    valid = own.depth > 0
-    xyz, z = unproject(own.depth, own.camera)[valid], own.depth[valid]
-    votes = torch.zeros(len(xyz), dtype=torch.int32)
-    repeated = torch.zeros(len(xyz), dtype=torch.bool)
-    for other, map_ in enumerate(maps):
-        if other == index:
-            continue
-        agrees, violated = compare(xyz, map_, tolerance)
-        votes += agrees.int() - violated.int()
-        if other < index:
-            repeated |= agrees
-    new = (votes >= 0) & ~repeated
-    chosen = valid.clone()
-    chosen[valid] = new
-    return surface_pixels(view, xyz[new], z[new], chosen, detail)
-
-
 def surface_pixels(
-    view: View, xyz: Tensor, z: Tensor, chosen: Tensor, detail: float
+    maps: Mapped, v: int, places: np.ndarray, depth: np.ndarray, chosen: np.ndarray
 ) -> SurfacePixels:
-    """The pixels `chosen` [H, W] of a view, at xyz [P, 3] and depth z [P]."""
+    """The pixels `chosen` [H, W] of a view, at places [H, W, 3] and depth [H, W]."""
+    view = maps.views[v]
     focal_px = float((view.camera.K[0, 0] * view.camera.K[1, 1]).sqrt())
-    density = detail_density(view.image.numpy(), detail)[chosen.numpy()]
-    rgb = view.image.permute(1, 2, 0)[chosen]
-    return SurfacePixels(xyz.numpy(), rgb.numpy(), (z / focal_px).numpy(), density)
-
-
-def compare(xyz: Tensor, seen: DepthView, tolerance: float) -> tuple[Tensor, Tensor]:
-    """[P] bool twice: `seen` measures the same surface at xyz [P, 3]; it looks through it."""
-    camera = seen.camera
-    uv, z = project(xyz, camera)
-    inside = (z > 0) & (uv >= 0).all(1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
-    column, row = torch.where(inside[:, None], uv, 0).long().unbind(1)
-    depth, nearest = seen.depth[row, column], seen.nearest[row, column]
-    agrees = inside & (depth > 0) & ((z - depth).abs() < tolerance * depth)
-    violated = inside & nearest.isfinite() & (z < (1 - tolerance) * nearest)
-    return agrees, violated
+    rgb = view.image.numpy()[:, chosen].T
+    return SurfacePixels(places[chosen], rgb, depth[chosen] / focal_px, maps.density[v][chosen])

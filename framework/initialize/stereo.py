@@ -63,23 +63,21 @@ class Stereo:
         import numpy as np
 
         from framework.initialize.completion import complete
-        from framework.initialize.fusion import fuse, joined
+        from framework.initialize.fusion import fuse, joined, mapped
         from framework.initialize.isotropic import isotropic_gaussians
         from framework.initialize.sampling import draw, inclusion_probabilities
-        from framework.parallel import run_tasks
         from framework.rng import stream
 
-        tasks = [functools.partial(fuse, training, depth, self.tolerance, self.detail)]
-        if self.completion > 0:
-            tasks.append(functools.partial(complete, training, depth, self.tolerance, self.detail))
-        pixels, *guessed = run_tasks(tasks)
+        maps = mapped(training, depth, self.detail)
+        pixels = fuse(maps, self.tolerance)
         require(
             len(pixels.xyz) >= FEWEST_PIXELS,
             f"init=stereo: expected at least {FEWEST_PIXELS} pixels with consistent depth in scene"
             f" {training.scene}, got {len(pixels.xyz)}; use init=sparse or another depth",
         )
-        thinner = [replace(guess, density=self.completion * guess.density) for guess in guessed]
-        pixels = joined([pixels, *thinner])
+        if self.completion > 0:
+            guess = complete(maps, self.tolerance)
+            pixels = joined([pixels, replace(guess, density=self.completion * guess.density)])
         probability = inclusion_probabilities(pixels.density, self._budget(training))
         chosen = draw(probability, stream(seed, "init/stereo"))
         scales = self.scale_factor * pixels.size[chosen] / np.sqrt(probability[chosen])

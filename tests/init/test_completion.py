@@ -11,7 +11,7 @@ import torch
 from framework.geometry import project
 from framework.initialize import Stereo
 from framework.initialize.completion import BALL, complete, filled
-from framework.initialize.fusion import SurfacePixels
+from framework.initialize.fusion import SurfacePixels, mapped
 from framework.types import DepthMap, TrainingSet
 from tests.init.synthetic import WALL_Z, camera, points, scene, three_views
 
@@ -29,7 +29,7 @@ def flat(depth: DepthMap, z: float) -> DepthMap:
 
 
 def completed(training: TrainingSet, depth: tuple[DepthMap, ...]) -> SurfacePixels:
-    return complete(training, depth, tolerance=0.03, detail=0.5)
+    return complete(mapped(training, depth, detail=0.5), tolerance=0.03)
 
 
 def test_full_depth_needs_no_guess() -> None:

@@ -11,13 +11,13 @@ import torch
 from framework.errors import UserError
 from framework.geometry import project
 from framework.initialize import Stereo
-from framework.initialize.fusion import SurfacePixels, by_centrality, fuse
+from framework.initialize.fusion import SurfacePixels, by_centrality, fuse, mapped
 from framework.types import DepthMap, Gaussians, TrainingSet
 from tests.init.synthetic import BOARD_HALF, BOARD_Z, WALL_Z, camera, scene, three_views
 
 
 def fused(training: TrainingSet, depth: tuple[DepthMap, ...]) -> SurfacePixels:
-    return fuse(training, depth, tolerance=0.03, detail=0.5)
+    return fuse(mapped(training, depth, detail=0.5), tolerance=0.03)
 
 
 def rgb(gaussians: Gaussians) -> torch.Tensor:
@@ -168,7 +168,9 @@ def test_too_little_depth_names_the_way_out() -> None:
 def test_every_view_needs_its_depth_map() -> None:
     training, depth = three_views()
     with pytest.raises(ValueError, match="one depth map per training view"):
-        fuse(training, depth[:2], 0.03, 0.5)
+        mapped(training, depth[:2], 0.5)
+    with pytest.raises(ValueError, match=r"expected a depth map \[48, 64\] like the camera"):
+        mapped(training, (depth[0], depth[2], depth[1]), 0.5)
 
 
 @pytest.mark.parametrize(
