@@ -8,7 +8,8 @@ PSNR   10 log10(1 / MSE) in dB; MSE over all pixels and channels, peak 1.
 SSIM   Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5, population covariance, K1 = .01,
        K2 = .03, peak 1; per channel, mean over channels and over the pixels whose window lies
        inside the image (a border of 5 px is left out), hence independent of any padding.
-FLIP   Andersson et al. 2020, LDR, 67 pixels per degree; float64 mean of the error map.
+FLIP   Andersson et al. 2020, LDR, 67 pixels per degree, see `framework.flip`; float64 mean of the
+       error map.
 LPIPS  Zhang et al. 2018, see `framework.lpips`; only with weights given by path.
 
 With a mask (1 = valid, threshold 0.5): PSNR over the valid pixels; the others are set to white in
@@ -20,13 +21,12 @@ here, so that reading records stays light.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -128,19 +128,21 @@ def _measured(
 ) -> list[ViewMetrics]:
     """The metrics of (view, render [3, H, W], seconds)."""
     pairs = [_pair(image, view.image, view.mask) for view, image, _ in renders]
-    ssims = _ssims(pairs)
+    tasks = [partial(metric, x, y) for metric in (_ssim, _flip) for x, y, _ in pairs]
+    found = parallel.run_tasks(tasks)
+    ssims, flips = found[: len(pairs)], found[len(pairs) :]
     return [
         ViewMetrics(
             view=view.name,
             tags=tuple(view.tags),
             psnr=_psnr(x, y, valid),
             ssim=similarity,
-            flip=_flip(x, y),  # on all threads by itself
+            flip=difference,
             lpips=_lpips(x, y, network),
             render_s=render_s,
         )
-        for (view, _, render_s), (x, y, valid), similarity in zip(
-            renders, pairs, ssims, strict=True
+        for (view, _, render_s), (x, y, valid), similarity, difference in zip(
+            renders, pairs, ssims, flips, strict=True
         )
     ]
 
@@ -206,38 +208,11 @@ def _ssim(x: np.ndarray, y: np.ndarray) -> Measurement:
     )
 
 
-def _ssims(pairs: Sequence[tuple[np.ndarray, np.ndarray, Any]]) -> list[Measurement]:
-    """SSIM of all pairs, on all threads."""
-    return parallel.run_tasks([partial(_ssim, x, y) for x, y, _ in pairs])
-
-
 def _flip(x: np.ndarray, y: np.ndarray) -> Measurement:
-    import flip_evaluator
+    from framework.flip import error_map
 
-    with _openmp_threads(parallel.threads()):
-        error_map, _, _ = flip_evaluator.evaluate(
-            (y / 255.0).astype(np.float32),
-            (x / 255.0).astype(np.float32),
-            "LDR",
-            applyMagma=False,
-            computeMeanError=False,
-        )
-    value = float(np.asarray(error_map, dtype=np.float64).mean())
+    value = float(error_map(y, x).mean(dtype=np.float64))
     return value if math.isfinite(value) else Missing("FLIP gave no finite value")
-
-
-@contextlib.contextmanager
-def _openmp_threads(n: int) -> Iterator[None]:
-    """FLIP's loops take as many threads as torch, whose OpenMP library it shares; a run has set
-    that to one. The error map is the same for any number."""
-    import torch
-
-    before = torch.get_num_threads()
-    torch.set_num_threads(n)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _lpips(x: np.ndarray, y: np.ndarray, network: Lpips | None) -> Measurement:

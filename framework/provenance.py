@@ -28,7 +28,7 @@ from framework.parallel import threads
 ROOT = Path(framework.__file__).resolve().parent.parent
 NEUTRAL_KEYS = ("threads", "force", "study", "traceback", "estimate", "hydra")
 PACKAGES = (
-    *("torch", "numpy", "numba", "llvmlite", "scipy", "scikit-image", "flip-evaluator"),
+    *("torch", "numpy", "numba", "llvmlite", "scipy", "scikit-image"),
     *("kornia", "pycolmap", "opencv-contrib-python-headless", "hydra-core"),
 )
 PLUGIN_ENTRY_POINTS = "fishersplat.plugins"

@@ -138,11 +138,11 @@ def _write_view(folder: Path, stem: str, view: View, rgb: Tensor) -> set[str]:
 
 def error_map(render: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """[H, W, 3] uint8 colours of the mean absolute difference of two [H, W, 3] uint8 images."""
-    import matplotlib
+    import cv2  # its map is matplotlib's to one level; importing that takes a run 0.15 s
 
     difference = np.abs(render.astype(np.float64) - truth.astype(np.float64)).mean(axis=2) / 255.0
-    colours = matplotlib.colormaps["magma"](np.clip(difference / ERROR_SCALE, 0.0, 1.0), bytes=True)
-    return np.ascontiguousarray(colours[..., :3])
+    levels = np.minimum(256 / ERROR_SCALE * difference, 255).astype(np.uint8)
+    return np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_MAGMA)[..., ::-1])
 
 
 def _numbers(name: str, cells: Sequence[str]) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import flip_evaluator
 import numpy as np
@@ -12,10 +11,13 @@ import torch
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torch import Tensor
 
-from framework import metrics, parallel
-from framework.metrics import Missing
+from framework import metrics
+from framework.flip import error_map
+from framework.metrics import Missing, quantise
 from framework.rng import stream
 from framework.types import Camera, View
+
+GREEN, BLUE = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 
 def image(purpose: str, height: int = 40, width: int = 53) -> Tensor:
@@ -82,47 +84,19 @@ def test_psnr_of_a_constant_offset() -> None:
     assert metrics.psnr(truth + 51 / 255, truth) == pytest.approx(20 * math.log10(5))
 
 
-def test_flip_is_the_mean_of_the_package_map_and_zero_for_equal_images() -> None:
-    truth = image("truth")
-    render = similar(truth)
-    pair = (on_disk(truth).astype(np.float32), on_disk(render).astype(np.float32))
-    _, mean, _ = flip_evaluator.evaluate(*pair, "LDR", applyMagma=False)
-    assert metrics.flip(render, truth) == pytest.approx(mean, abs=1e-5)
+def test_flip_is_that_of_the_authors_package() -> None:
+    """On images alike, unlike, of one colour, and smaller than a filter."""
+    truth, rng = image("truth"), stream(0, "flip")
+    noise = [torch.from_numpy(rng.random((3, 40, 50))) for _ in range(2)]
+    green, blue = (torch.zeros(3, 5, 4) + torch.tensor(c)[:, None, None] for c in (GREEN, BLUE))
+    for a, b in ((similar(truth), truth), noise, (green, blue), (0 * truth, 0 * truth + 1)):
+        pair = (on_disk(b).astype(np.float32), on_disk(a).astype(np.float32))
+        expected, _, _ = flip_evaluator.evaluate(*pair, "LDR", applyMagma=False)
+        found = error_map(quantise(b), quantise(a))
+        np.testing.assert_allclose(found, np.squeeze(expected), atol=1e-4)
+        assert metrics.flip(a, b) == pytest.approx(float(np.mean(expected)), abs=1e-5)
     assert metrics.flip(truth, truth) == 0.0
-
-
-def test_flip_is_the_same_on_any_number_of_threads() -> None:
-    """And leaves torch with as many as it had."""
-    truth = image("truth", 120, 160)
-    render, values = similar(truth), []
-    before = torch.get_num_threads()
-    for n in (1, 2, 3):
-        parallel.set_threads(n)
-        try:
-            values.append(metrics.flip(render, truth))
-        finally:
-            parallel.set_threads(0)
-    assert values[0] == values[1] == values[2] and torch.get_num_threads() == before
-
-
-def test_flip_runs_on_the_threads_of_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Though torch, whose OpenMP library it shares, is kept at one."""
-    truth, seen, evaluate = image("truth"), [], flip_evaluator.evaluate
-
-    def watched(*args: Any, **kwargs: Any) -> Any:
-        seen.append(torch.get_num_threads())
-        return evaluate(*args, **kwargs)
-
-    monkeypatch.setattr(flip_evaluator, "evaluate", watched)
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    parallel.set_threads(3)
-    try:
-        metrics.flip(truth, truth)
-    finally:
-        parallel.set_threads(0)
-        torch.set_num_threads(before)
-    assert seen == [3]
+    assert metrics.flip(green, blue) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_metrics_read_what_is_saved() -> None:
