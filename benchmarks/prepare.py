@@ -80,6 +80,7 @@ def prepared(overrides: Sequence[str]) -> Prepared:
     torch.set_num_threads(1)  # as a run does
     config = configured(overrides)
     with Warmup(config, Silent()) as warmup:
+        warmup.begin()
         warmup.finish()
     key = experiment._key(config["scene"])
     scene, _ = experiment._scene(key)

@@ -97,10 +97,11 @@ def _experiment(
         if done is not None:
             return done
         remove_temporaries(run_dir)
-        warmup.finish()
+        warmup.begin()
         progress.stage(f"depth {config['depth']['name']}")
         keys = _key(config["scene"]), _key(config["depth"])
         depth, timings["depth"] = _depth(*keys, files["depth"])
+        warmup.finish()
         record = RunRecord(
             identity=identity,
             config=dict(config),

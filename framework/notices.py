@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from framework.progress import Progress
 
 LOGGERS = ("framework", "plugins")  # the parents of every module's logger
+QUIET = "warm-up"  # a thread of that name is at something the user did not ask for
 
 
 class _Notes(logging.Handler):
@@ -23,6 +24,8 @@ class _Notes(logging.Handler):
         self._progress = progress
 
     def emit(self, record: logging.LogRecord) -> None:
+        if record.threadName == QUIET:
+            return
         text = " ".join(record.getMessage().split())
         warns = record.levelno >= logging.WARNING
         self._progress.note(f"{record.levelname.lower()}: {text}" if warns else text)

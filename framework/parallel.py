@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -87,11 +88,8 @@ def run_tasks(tasks: Sequence[Callable[[], Any]]) -> list[Any]:
     results: list[Any] = [None] * len(tasks)
 
     def run(index: int, _: int) -> None:
-        before, _local.in_task = in_task(), True
-        try:
+        with alone():
             results[index] = tasks[index]()
-        finally:
-            _local.in_task = before
 
     run_blocks(run, blocks=len(tasks))
     return results
@@ -125,6 +123,16 @@ def run_together(tasks: Sequence[Callable[[Callable[[], None]], Any]]) -> list[A
     if failed:
         raise failed[0]
     return results
+
+
+@contextmanager
+def alone() -> Iterator[None]:
+    """What this thread runs by `run_blocks` meanwhile runs on it alone, as in a task."""
+    before, _local.in_task = in_task(), True
+    try:
+        yield
+    finally:
+        _local.in_task = before
 
 
 def in_task() -> bool:

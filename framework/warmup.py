@@ -15,6 +15,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,9 @@ from framework.depth import build_provider
 from framework.errors import UserError
 from framework.initialize import INITIALIZERS
 from framework.jit import KERNEL_CACHE
+from framework.notices import QUIET
 from framework.options import TrainerOptions
+from framework.parallel import alone, threads
 from framework.progress import Progress, Silent, unwarned
 from framework.provenance import cpu_model
 from framework.rng import stream
@@ -35,14 +38,20 @@ from framework.trainer import Plugins, Trainer
 from framework.types import Camera, DepthMap, Gaussians, SparsePoints, TrainingSet, View
 
 WIDTH, HEIGHT, FOCAL, DISTANCE, STEP = 64, 48, 60.0, 3.0, 0.2
-STEPS = 12
+STEPS, LOAD_STEPS = 12, 6
 
 _warm: set[str] = set()  # keys this process has warmed up
 
 
 class Warmup:
     """The warm-up of one configuration: `with Warmup(config, progress)` as early as possible,
-    `finish()` before anything is timed. Does nothing a second time in a process."""
+    `begin()` before anything is timed, `finish()` before a training is. Does nothing a second time
+    in a process.
+
+    Kernels that no process compiled before are compiled by `begin`. Others are loaded by a thread
+    until `finish`: that is work of the interpreter, and what is done meanwhile, depth, hardly is.
+    So the depth of a process's first run is timed together with it.
+    """
 
     def __init__(self, config: Mapping[str, Any], progress: Progress) -> None:
         self.config, self.progress = config, progress
@@ -58,32 +67,58 @@ class Warmup:
             progress.compiling("kernels")
         if self.compiles and not self.markers[1].exists():
             self.beside = _start_beside(config["depth"])
+        self.loading: threading.Thread | None = None
 
     def __enter__(self) -> Warmup:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """A run that ends early does not leave the process beside to disturb what comes next."""
+        """A run that ends early does not leave anything beside it to disturb what comes next."""
+        if self.loading is not None:
+            self.loading.join()
         if self.beside is not None and self.beside.poll() is None:
             self.beside.terminate()
             self.beside.wait()
 
-    def finish(self) -> None:
-        """Compile or load what is still missing."""
+    def begin(self) -> None:
+        """Compile what is missing, or start to load it."""
         if self.key in _warm:
             return
         if self.compiles:
-            self.progress.compiling("kernels")
+            self._compile()
+        elif threads() == 1:
+            with unwarned():
+                self._load()
+        else:
+            self.loading = threading.Thread(target=self._load, name=QUIET)
+            self.loading.start()
+
+    def finish(self) -> None:
+        """Wait until all is loaded."""
+        if self.loading is not None:
+            self.loading.join()
+        _warm.add(self.key)
+
+    def _load(self) -> None:
+        # what fails here fails again where it is told
+        with contextlib.suppress(Exception), alone():
+            training, depth, gaussians = _plane(int(self.config["trainer"]["sh_degree"]))
+            _estimate(self.config["depth"], training)
+            _initialize(self.config["init"], training, depth)
+            _train(self.config, training, depth, gaussians, LOAD_STEPS)
+
+    def _compile(self) -> None:
+        self.progress.compiling("kernels")
         training, depth, gaussians = _plane(int(self.config["trainer"]["sh_degree"]))
         done = False
-        with contextlib.suppress(Exception):  # a broken plugin fails again, on the user's scene
-            _train(self.config, training, depth, gaussians)
+        # a broken plugin fails again, on the user's scene
+        with contextlib.suppress(Exception), unwarned():
+            _train(self.config, training, depth, gaussians, STEPS)
             done = True
         if self.beside is not None:
             self.beside.wait()  # if it failed, the next line compiles
         _estimate(self.config["depth"], training)
         _initialize(self.config["init"], training, depth)
-        _warm.add(self.key)
         for marker in self.markers if done else ():
             marker.parent.mkdir(parents=True, exist_ok=True)
             marker.touch()
@@ -127,16 +162,16 @@ def _train(
     training: TrainingSet,
     depth: tuple[DepthMap, ...],
     gaussians: Gaussians,
+    steps: int,
 ) -> None:
     options = dataclasses.replace(
-        TrainerOptions(**config["trainer"]), steps=STEPS, sh_every=1, evaluations=1
+        TrainerOptions(**config["trainer"]), steps=steps, sh_every=1, evaluations=1
     )
     always = {"start": 0.0, "stop": 1.0}  # also what the user lets act for a short while only
     plugins = Plugins(
         *(registry.build(group, {**config[group], **always}) for group in registry.GROUPS)
     )
-    with unwarned():
-        Trainer(training, depth, gaussians, options, plugins, 0, Silent()).run()
+    Trainer(training, depth, gaussians, options, plugins, 0, Silent(), tells=False).run()
 
 
 def _plane(sh_degree: int) -> tuple[TrainingSet, tuple[DepthMap, ...], Gaussians]:

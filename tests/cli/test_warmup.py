@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from framework import warmup
+from framework.notices import QUIET
+from framework.parallel import in_task, set_threads
 from framework.progress import Silent
 from framework.warmup import Warmup
 from tests.cli.conftest import composed
@@ -20,6 +25,12 @@ def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(warmup, "_warm", set())
 
 
+def warm(config: Any) -> None:
+    with Warmup(config, Silent()) as warmup:
+        warmup.begin()
+        warmup.finish()
+
+
 def test_one_that_failed_is_announced_again(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -28,12 +39,12 @@ def test_one_that_failed_is_announced_again(
 
     config = composed()
     monkeypatch.setattr(warmup, "_train", fails)
-    Warmup(config, Silent()).finish()
+    warm(config)
     assert not list(tmp_path.iterdir())
     monkeypatch.setattr(warmup, "_warm", set())
     assert Warmup(config, Silent()).compiles
     monkeypatch.setattr(warmup, "_train", lambda *_: None)
-    Warmup(config, Silent()).finish()
+    warm(config)
     monkeypatch.setattr(warmup, "_warm", set())
     assert not Warmup(config, Silent()).compiles
 
@@ -42,6 +53,41 @@ def test_another_value_is_warmed_up_without_a_word(monkeypatch: pytest.MonkeyPat
     trained: list[object] = []
     monkeypatch.setattr(warmup, "_train", lambda config, *_: trained.append(config))
     for form in ("block", "diagonal", "diagonal"):
-        Warmup(composed("reg=uar", f"reg.form={form}"), Silent()).finish()
+        warm(composed("reg=uar", f"reg.form={form}"))
     assert len(trained) == 2
     assert not Warmup(composed("reg=uar", "reg.p=0.2"), Silent()).compiles
+
+
+def test_what_is_compiled_already_is_loaded_beside(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a thread that says nothing, and a failure there is no failure here."""
+    config, seen = composed(), list[tuple[str, bool]]()
+
+    def loads(*_: object) -> None:
+        seen.append((threading.current_thread().name, in_task()))
+        raise RuntimeError("a broken plugin")
+
+    monkeypatch.setattr(warmup, "_train", lambda *_: None)
+    warm(config)
+    for n, expected in ((2, (QUIET, True)), (1, (threading.current_thread().name, True))):
+        monkeypatch.setattr(warmup, "_warm", set())
+        monkeypatch.setattr(warmup, "_train", loads)
+        set_threads(n)
+        warm(config)
+        set_threads(0)
+        assert seen.pop() == expected and not seen
+        warm(config)
+        assert not seen  # once per process
+
+
+def test_a_run_that_ends_early_waits_for_what_it_loads(monkeypatch: pytest.MonkeyPatch) -> None:
+    config, ended = composed(), list[bool]()
+    monkeypatch.setattr(warmup, "_train", lambda *_: None)
+    warm(config)
+    monkeypatch.setattr(warmup, "_warm", set())
+    monkeypatch.setattr(warmup, "_train", lambda *_: (time.sleep(0.2), ended.append(True)))
+    set_threads(2)
+    with pytest.raises(ValueError, match="depth"), Warmup(config, Silent()) as warmup_:
+        warmup_.begin()
+        raise ValueError("depth")
+    set_threads(0)
+    assert ended == [True]
