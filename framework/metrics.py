@@ -127,9 +127,10 @@ def _measured(
     renders: Sequence[tuple[View, Tensor, float]], network: Lpips | None
 ) -> list[ViewMetrics]:
     """The metrics of (view, render [3, H, W], seconds)."""
-    pairs = [_pair(image, view.image, view.mask) for view, image, _ in renders]
-    tasks = [partial(metric, x, y) for metric in (_ssim, _flip) for x, y, _ in pairs]
-    found = parallel.run_tasks(tasks)
+    pairs = parallel.run_tasks([partial(_pair, r, view.image, view.mask) for view, r, _ in renders])
+    found = parallel.run_tasks(
+        [partial(metric, x, y) for metric in (_ssim, _flip) for x, y, _ in pairs]
+    )
     ssims, flips = found[: len(pairs)], found[len(pairs) :]
     return [
         ViewMetrics(

@@ -22,7 +22,7 @@ from framework.initialize import INITIALIZERS
 from framework.members import IDLE, in_turn, join, member_seed, tuning_options
 from framework.metrics import Missing, psnr
 from framework.options import TrainerOptions
-from framework.parallel import run_together, threads
+from framework.parallel import run_tasks, run_together, threads
 from framework.plugin import Plugin
 from framework.progress import Part, Parts, Progress
 from framework.rasterize import rasterize
@@ -225,7 +225,9 @@ def _evaluation(scene: Scene, options: TrainerOptions) -> Evaluate | None:
 
     def test_psnr(current: Gaussians, background: Tensor, sh_degree: int) -> float | None:
         render = renderer(current, background, sh_degree, near)
-        values = [psnr(render(view.camera), view.image, view.mask) for view in scene.test]
+        images = [render(view.camera) for view in scene.test]
+        pairs = zip(images, scene.test, strict=True)
+        values = run_tasks([partial(psnr, image, view.image, view.mask) for image, view in pairs])
         finite = [value for value in values if not isinstance(value, Missing)]
         return sum(finite) / len(finite) if len(finite) == len(values) else None
 
