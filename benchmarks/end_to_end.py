@@ -3,8 +3,9 @@
     python benchmarks/end_to_end.py [--runs 5] [--output FILE] [OVERRIDE ...]
 
 Each run is a fresh process doing what `python run.py OVERRIDE ...` does, into an empty folder, with
-kernels cached by one before. A stage's time is without the stages inside it; medians over the runs.
-The machine should be idle. Writes a markdown table to FILE, or prints it.
+kernels cached by one before. A stage's time is without the stages inside it, on the main thread: of
+members that are trained at the same time it is the first's, with the wait for the others. Medians
+over the runs. The machine should be idle. Writes a markdown table to FILE, or prints it.
 """
 
 from __future__ import annotations

@@ -95,16 +95,16 @@ def test_a_thinner_gaussian_has_its_share_of_the_optical_depth() -> None:
     assert thinner(np.array([0.0, 0.5]), 1) == pytest.approx([0.0, 0.5])
 
 
-@pytest.mark.parametrize("n", [2, 3])
-def test_a_model_joined_with_itself_renders_as_before(tmp_path: Path, n: int) -> None:
-    one = trained(tmp_path, members=1, steps=60)
+def test_a_model_joined_with_itself_renders_as_before(tmp_path: Path) -> None:
+    one = trained(tmp_path, members=1, steps=60, evaluations=1)
     camera = _plane(1)[0].views[0].camera
-    before, joined = (
+    before, *joined = (
         renderer(gaussians, one.background, one.sh_degree, 0.01)(camera)
-        for gaussians in (one.gaussians, join([one.gaussians] * n))
+        for gaussians in (one.gaussians, *(join([one.gaussians] * n) for n in (2, 3)))
     )
-    difference = psnr(joined, before)
-    assert isinstance(difference, float) and difference > 32
+    for image in joined:
+        difference = psnr(image, before)
+        assert isinstance(difference, float) and difference > 32
 
 
 def test_gaussians_with_bands_stay_first() -> None:
