@@ -64,7 +64,8 @@ def in_turn(rounds: Sequence[Sequence[Trained]], steps: int, gaussians: Gaussian
     `gaussians`.
 
     Parts of one round were trained at the same time. Their rows follow each other all the same, as
-    if each had had the whole machine for its share of the round's seconds.
+    if each had had the whole machine for its share of the round's seconds. Of a run that was taken
+    up with another number of threads the rounds are those of the last process.
     """
     history, before, steps_before = [], 0.0, 0
     for parts in rounds:

@@ -12,10 +12,11 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
-from functools import partial
 from typing import Any
 
 BLOCKS = 16  # blocks per parallel call, fixed, so that no result can depend on the thread count
+
+WAKE_S = 0.1  # a signal that another thread got does not wake one that waits for ever
 
 _pool: ThreadPoolExecutor | None = None
 _pool_key: tuple[int, int] = (0, 0)
@@ -96,33 +97,49 @@ def run_tasks(tasks: Sequence[Callable[[], Any]]) -> list[Any]:
 
 
 def run_together(tasks: Sequence[Callable[[Callable[[], None]], Any]]) -> list[Any]:
-    """What long `tasks` return, in order, as `run_tasks`; a single one has all threads.
+    """What long `tasks` return, in order, each on one thread; a single one has all threads.
 
     Each is given a function to call every now and then, which raises Abandoned once another has
-    failed or the caller was interrupted. Raises what the first to fail raised.
+    failed or the caller was interrupted. Raises what the first to fail raised, when all have ended.
     """
+    results: list[Any] = [None] * len(tasks)
     failed: list[BaseException] = []
 
     def check() -> None:
         if failed:
             raise Abandoned
 
-    def guarded(task: Callable[[Callable[[], None]], Any]) -> Any:
+    def work(index: int) -> None:
         try:
-            return task(check)
+            with alone():
+                results[index] = tasks[index](check)
         except BaseException as error:
             failed.append(error)
+        finally:
+            ended[index].set()
 
     if len(tasks) == 1:
         return [tasks[0](check)]
+    # events, as an interrupted Thread.join takes the thread for ended (CPython 3.11)
+    ended = [threading.Event() for _ in tasks]
+    others = [threading.Thread(target=work, args=(index,)) for index in range(1, len(tasks))]
     try:
-        results = run_tasks([partial(guarded, task) for task in tasks])
-    except BaseException as error:  # an interrupt while waiting for the others
+        for thread in others:
+            thread.start()
+        work(0)
+        _wait(ended)
+    except BaseException as error:  # an interrupt outside the task, as while waiting for others
         failed.append(error)
-        raise
+        _wait([event for event, t in zip(ended[1:], others, strict=True) if t.ident is not None])
     if failed:
         raise failed[0]
     return results
+
+
+def _wait(events: Sequence[threading.Event]) -> None:
+    for event in events:
+        while not event.wait(WAKE_S):
+            pass
 
 
 @contextmanager
@@ -136,7 +153,7 @@ def alone() -> Iterator[None]:
 
 
 def in_task() -> bool:
-    """Whether this thread is at a task, so that its kernels have no other thread."""
+    """Whether what this thread runs has no other thread, as in a task."""
     return getattr(_local, "in_task", False)
 
 

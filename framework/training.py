@@ -6,6 +6,7 @@ that diverged leaves its state in `diverged.safetensors`.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -33,6 +34,7 @@ from framework.training_state import TrainerState
 from framework.types import Camera, DepthMap, Gaussians, Scene
 
 BYTES_PER_FLOAT, COPIES = 4, 3  # of every parameter: itself and two moments
+DIVERGING = threading.Lock()  # members may diverge at the same time, into one file
 
 
 def initial(
@@ -98,31 +100,35 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
 
     With `trainer.members` > 1 there are several trainings, each from its own draws, whose Gaussians
     are joined and tuned: what one of them got wrong by chance weighs less. The first is that of a
-    run with one member. As many as there are threads are trained at the same time, which takes less
-    time than all threads for one after another. Raises Diverged when a training diverges; the state
-    is in the run's folder then.
+    run with one member. As many as there are threads are trained at the same time, one thread each,
+    which takes less time than all threads for one after another, unless there are two for each.
+    Raises Diverged when a training diverges; the state is in the run's folder then.
     """
     if run.force:
         remove_checkpoints(run.folder)
     options = TrainerOptions(**config["trainer"])
-    parts = [_open(run, part) for part in _parts(config, options)]
-    n_steps, done = sum(p.part.options.steps for p in parts), [part.done for part in parts]
-    kept = [part.kept for part in parts if part.kept is not None]
+    parts = _parts(config, options)
+    opened = {index: _open(run, part) for index, part in enumerate(parts)}
+    kept = [part.kept for part in opened.values() if part.kept is not None]
+    n_steps, done = sum(part.options.steps for part in parts), sum(state.step for state in kept)
     resumed = 1 + max(state.resumed for state in kept) if kept else 0
     if kept:
-        progress.note(f"going on at step {sum(done)} of {n_steps}")
-    whole, starts = Parts(progress, n_steps, done), dict[int, Gaussians]()
+        progress.note(f"going on at step {done} of {n_steps}")
+    whole = Parts(progress, n_steps, [part.done for part in opened.values()])
+    del kept  # each is its training's, and goes with it
+    starts = dict[int, Gaussians]()
 
     def task(index: int, check: Callable[[], None], sh_from: int = 0) -> Trained:
         part = Part(whole, index, check)
-        return _train(run, parts[index], starts.pop(index), part, resumed, sh_from)
+        return _train(run, opened.pop(index), starts.pop(index), part, resumed, sh_from)
 
     n, rounds = options.members, list[list[Trained]]()
-    for first in range(0, n, threads()):
-        members = range(first, min(n, first + threads()))
+    at_once = threads() if threads() < 2 * n else 1
+    for first in range(0, n, at_once):
+        members = range(first, min(n, first + at_once))
         if n > 1:
             progress.stage(f"members {', '.join(str(k + 1) for k in members)} of {n}")
-        starts.update((k, run.start(parts[k].part.seed)) for k in members)
+        starts.update((k, run.start(parts[k].seed)) for k in members)
         rounds.append(run_together([partial(task, k) for k in members]))
     if n == 1:
         return rounds[0][0]
@@ -209,8 +215,10 @@ def _train(
         trained = trainer.run()
     except Diverged as error:
         state = pack(error.state, checkpoints.classes, run.identity, "diverged state")
-        write_whole(run.folder / DIVERGED, state)
-        error.args = (f"{error}; the state is in {run.folder.name}/{DIVERGED}",)
+        with DIVERGING:
+            write_whole(run.folder / DIVERGED, state)
+        name = f"{part.name}, " if part.name else ""
+        error.args = (f"{name}{error}; the state is in {run.folder.name}/{DIVERGED}",)
         raise
     if part.to_keep and opened.done < part.options.steps:
         checkpoints.keep(trainer.state())

@@ -1,4 +1,4 @@
-"""Compile every kernel a run will need before anything is timed.
+"""Compile every kernel a run will need before anything is timed, or load it before a training is.
 
 numba compiles on first use and keeps the result on disk. So the first run on a machine does a few
 steps on three tiny synthetic views with the same depth provider, trainer options and plugins; it
@@ -17,6 +17,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +49,10 @@ class Warmup:
     `begin()` before anything is timed, `finish()` before a training is. Does nothing a second time
     in a process.
 
-    Kernels that no process compiled before are compiled by `begin`. Others are loaded by a thread
-    until `finish`: that is work of the interpreter, and what is done meanwhile, depth, hardly is.
-    So the depth of a process's first run is timed together with it.
+    Kernels that no process compiled before are compiled by `begin`. Others are loaded: the depth
+    provider's by `begin`, the rest by a thread until `finish`: that is work of the interpreter, and
+    what is done meanwhile, depth, hardly is. So the depth of a process's first run is timed
+    together with it.
     """
 
     def __init__(self, config: Mapping[str, Any], progress: Progress) -> None:
@@ -86,7 +88,9 @@ class Warmup:
             return
         if self.compiles:
             self._compile()
-        elif threads() == 1:
+            return
+        _estimate(self.config["depth"], _plane(0)[0])
+        if threads() == 1:
             with unwarned():
                 self._load()
         else:
@@ -100,12 +104,14 @@ class Warmup:
         _warm.add(self.key)
 
     def _load(self) -> None:
-        # what fails here fails again where it is told
-        with contextlib.suppress(Exception), alone():
-            training, depth, gaussians = _plane(int(self.config["trainer"]["sh_degree"]))
-            _estimate(self.config["depth"], training)
-            _initialize(self.config["init"], training, depth)
-            _train(self.config, training, depth, gaussians, LOAD_STEPS)
+        training, depth, gaussians = _plane(int(self.config["trainer"]["sh_degree"]))
+        with alone():
+            for load in (
+                partial(_initialize, self.config["init"], training, depth),
+                partial(_train, self.config, training, depth, gaussians, LOAD_STEPS),
+            ):
+                with contextlib.suppress(Exception):  # it fails again where it is told
+                    load()
 
     def _compile(self) -> None:
         self.progress.compiling("kernels")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,13 @@ from tests.cli.conftest import composed
 
 
 @pytest.fixture(autouse=True)
-def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
     monkeypatch.setattr(warmup, "KERNEL_CACHE", tmp_path)
     monkeypatch.setattr(warmup, "_start_beside", lambda depth: None)
     monkeypatch.setattr(warmup, "_estimate", lambda depth, training: None)
     monkeypatch.setattr(warmup, "_warm", set())
+    yield
+    set_threads(0)
 
 
 def warm(config: Any) -> None:
@@ -73,7 +76,6 @@ def test_what_is_compiled_already_is_loaded_beside(monkeypatch: pytest.MonkeyPat
         monkeypatch.setattr(warmup, "_train", loads)
         set_threads(n)
         warm(config)
-        set_threads(0)
         assert seen.pop() == expected and not seen
         warm(config)
         assert not seen  # once per process
@@ -89,5 +91,4 @@ def test_a_run_that_ends_early_waits_for_what_it_loads(monkeypatch: pytest.Monke
     with pytest.raises(ValueError, match="depth"), Warmup(config, Silent()) as warmup_:
         warmup_.begin()
         raise ValueError("depth")
-    set_threads(0)
     assert ended == [True]

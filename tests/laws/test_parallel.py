@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -108,7 +109,6 @@ def test_tasks_may_run_blocks(threads: int) -> None:
 
 def test_together_the_first_to_fail_ends_all() -> None:
     """An error and an interrupt alike; what the others were at is abandoned at their next check."""
-    set_threads(2)
     both, abandoned = threading.Barrier(2), list[int]()
 
     def fails(check: Callable[[], None]) -> None:
@@ -128,8 +128,25 @@ def test_together_the_first_to_fail_ends_all() -> None:
     for tasks in ([fails, works], [works, fails]):
         with pytest.raises(KeyboardInterrupt):
             run_together(tasks)
-    set_threads(0)
     assert abandoned == [1, 1]
+
+
+def test_an_interrupt_while_others_are_at_work_ends_them_first() -> None:
+    """The caller waits for them: they may be writing into a folder it gives back."""
+    ended = list[int]()
+
+    def works(check: Callable[[], None]) -> None:
+        signal.raise_signal(signal.SIGINT)
+        try:
+            while True:
+                time.sleep(0.05)
+                check()
+        finally:
+            ended.append(1)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_together([lambda check: None, works])
+    assert ended == [1]
 
 
 def test_together_one_alone_has_all_threads(threads: int) -> None:
