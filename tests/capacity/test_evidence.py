@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import logging
 import math
+import threading
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,14 +16,15 @@ import torch
 
 from framework import registry
 from framework.errors import UserError
+from framework.notices import QUIET, noted
 from framework.options import TrainerOptions
-from framework.progress import Silent
+from framework.progress import Silent, unwarned
 from framework.record import parameters_sha256
 from framework.rng import stream
 from framework.rounds import training_information
 from framework.trainer import Evaluate, Plugins, Trained, Trainer
 from framework.types import Gaussians, TrainingSet
-from framework.warmup import _plane, _train
+from framework.warmup import STEPS, _plane, _train
 from plugins.capacity.evidence import (
     FEWEST,
     HANDFUL,
@@ -131,12 +134,23 @@ def test_a_scene_of_one_colour_ends_with_a_handful_and_says_so(
     assert "hardly a Gaussian pays for its description" in message and "\n" not in message
 
 
-def test_the_warm_up_tells_nothing_of_its_plane(caplog: pytest.LogCaptureFixture) -> None:
+def test_the_warm_up_tells_nothing_of_its_plane() -> None:
+    """Neither while it compiles nor in its thread; elsewhere the same training is told of."""
     config: dict[str, Any] = {group: {"name": "none"} for group in ("augment", "reg")}
     config |= {"capacity": {"name": "evidence"}, "trainer": {}}
-    with caplog.at_level(logging.WARNING, "plugins"):
-        _train(config, *_plane(0))
-    assert not caplog.records
+    notes = list[str]()
+    progress = Silent()
+    progress.note = notes.append  # type: ignore[method-assign]
+    train = partial(_train, config, *_plane(0), STEPS)
+    with noted(progress):
+        with unwarned():
+            train()
+        for name in (QUIET, "another"):
+            assert notes == []
+            thread = threading.Thread(target=train, name=name)
+            thread.start()
+            thread.join()
+    assert notes
 
 
 def test_the_size_follows_the_content() -> None:
