@@ -7,6 +7,7 @@ multiplies the render and the target, so nothing outside it leaks in; see `raste
 from __future__ import annotations
 
 import functools
+import threading
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,7 @@ from torch.autograd.function import once_differentiable
 
 from framework.parallel import run_blocks
 from framework.rasterize import photometric
+from framework.rasterize.lending import Lender
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,16 @@ def _ones(height: int, width: int) -> np.ndarray:
     return np.ones((height, width), np.float32)
 
 
+_own = threading.local()
+
+
+def _lender() -> Lender:
+    """This thread's, as trainings may run at the same time."""
+    if not hasattr(_own, "lender"):
+        _own.lender = Lender()
+    return _own.lender  # type: ignore[no-any-return]
+
+
 class _Photometric(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, rgb: Tensor, target: Target, ssim_weight: float) -> Tensor:
@@ -62,8 +74,7 @@ class _Photometric(torch.autograd.Function):
                 f"photometric_loss: expected float32 {target.image.shape}, got {pixels.dtype}"
                 f" {pixels.shape}"
             )
-        gradient = torch.empty(rgb.shape)
-        sums = np.empty((2, *pixels.shape[:2]), np.float32)
+        gradient, sums = _lender().lend([pixels.shape, (2, *pixels.shape[:2])])
         run_blocks(
             photometric.loss_and_gradient,
             pixels,
@@ -75,10 +86,10 @@ class _Photometric(torch.autograd.Function):
             np.float32(1 / pixels.size),
             sums[0],
             sums[1],
-            gradient.numpy(),
+            gradient,
             blocks=photometric.BANDS,
         )
-        ctx.gradient = gradient
+        ctx.gradient = torch.from_numpy(gradient)
         ssim, l1 = sums.sum(axis=(1, 2), dtype=np.float64) / pixels.size
         return torch.tensor((1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), dtype=torch.float32)
 

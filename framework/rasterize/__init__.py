@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from framework.errors import UserError
+from framework.rasterize.lending import Lender
 from framework.rasterize.pipeline import Arrays, Image, Workspace
 from framework.types import Camera, Gaussians, Render
 
@@ -63,52 +64,53 @@ class _Rasterize(torch.autograd.Function):
         ctx.set_materialize_grads(False)
         tensors = (means, quats, log_scales, opacity_logits, sh0, shN, factors, offset)
         work = borrow()
-        radii = torch.empty(len(means))
+        size, n = (camera.height, camera.width), len(means)
+        shapes = [(4, *size), size if with_depth else (0, 0), (n,)]
+        kept = any(ctx.needs_input_grad)  # in a step; others may hold on to what they render
+        lend = work.images.lend if kept else Lender().lend
+        planes, depth, radii = lend(shapes)
         arrays = Arrays(*(_numpy(t) for t in tensors))
-        work.project(arrays, camera, degree, near, radii.numpy())
+        work.project(arrays, camera, degree, near, radii)
         work.sort()
         work.bin()
-        planes = torch.empty(4, camera.height, camera.width)
-        depth = torch.empty(camera.height, camera.width) if with_depth else torch.empty(0, 0)
-        rgb, alpha = planes[:3], planes[3]
-        work.blend(background, Image(rgb.numpy(), alpha.numpy(), depth.numpy()))
-        ctx.mark_non_differentiable(radii)
-        if any(ctx.needs_input_grad):
+        image = Image(planes[:3], planes[3], depth)
+        work.blend(background, image)
+        outputs = tuple(map(torch.from_numpy, (image.rgb, image.alpha, image.depth, radii)))
+        ctx.mark_non_differentiable(outputs[-1])
+        if kept:
             ctx.work = work
-            ctx.planes, ctx.depth = planes, depth
+            ctx.image = image  # arrays: a tensor that an output is a view of would hold ctx itself
             ctx.shapes = [t.shape for t in tensors]
         else:
             give_back(work)
-        return rgb, alpha, depth, radii
+        return outputs
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> Any:
-        work, planes, depth = ctx.work, ctx.planes, ctx.depth
+        work = ctx.work
         if work is None:
             raise RuntimeError("rasterize: this render's gradient was already taken")
         ctx.work = None
-        work.blend_backward(*_backward_images(planes.numpy(), depth.numpy(), grads))
-        gradients = [torch.empty(shape) for shape in ctx.shapes]
-        work.project_backward(Arrays(*(g.numpy() for g in gradients)))
+        work.blend_backward(*_backward_images(ctx.image, grads))
+        gradients = work.gradients.lend(ctx.shapes)
+        work.project_backward(Arrays(*gradients))
         give_back(work)
-        return (*gradients, None, None, None, None, None)
+        return (*map(torch.from_numpy, gradients), None, None, None, None, None)
 
 
-def _backward_images(
-    planes: np.ndarray, depth: np.ndarray, grads: tuple[Tensor | None, ...]
-) -> tuple[Image, Image]:
-    """The render (planes [4, H, W]: colours and alpha) and the gradient in it, as the kernel reads
-    them: with alpha and depth, or with neither for a loss of the colours alone."""
+def _backward_images(image: Image, grads: tuple[Tensor | None, ...]) -> tuple[Image, Image]:
+    """The render and the gradient in it, as the kernel reads them: with alpha and depth, or with
+    neither for a loss of the colours alone."""
 
     def gradient(given: Tensor | None, like: np.ndarray) -> np.ndarray:
         return np.zeros_like(like) if given is None else _numpy(given)
 
-    rgb, alpha = planes[:3], planes[3]
+    rgb, alpha, depth = image.rgb, image.alpha, image.depth
     g_rgb, g_alpha, g_depth = grads[:3]
     if g_alpha is None and g_depth is None:
         nothing = np.empty((0, 0), np.float32)
-        return Image(rgb, alpha, depth), Image(gradient(g_rgb, rgb), nothing, nothing)
+        return image, Image(gradient(g_rgb, rgb), nothing, nothing)
     whole = depth if depth.size else np.zeros_like(alpha)
     given = Image(gradient(g_rgb, rgb), gradient(g_alpha, alpha), gradient(g_depth, alpha))
     return Image(rgb, alpha, whole), given

@@ -6,9 +6,7 @@ brings its gradient to the parameters. A workspace belongs to one render until i
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -16,9 +14,9 @@ from framework.errors import UserError
 from framework.parallel import BLOCKS, run_blocks, threads
 from framework.rasterize import binning, blend, information, moments, projection
 from framework.rasterize.constants import ROW
+from framework.rasterize.lending import Lender, aligned, grown
 from framework.types import Camera
 
-LINE = 64  # bytes that a processor loads at once
 TILE_BLOCKS = 59  # odd, so that a block's tiles do not all lie in the same columns
 
 
@@ -54,20 +52,6 @@ def camera_row(camera: Camera, near: float) -> np.ndarray:
     return np.array(row, np.float32)
 
 
-def _empty(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
-    """Uninitialised and on a cache line, as `np.empty` is not: a row of 16 floats that lies across
-    two lines is prefetched by halves and loaded twice."""
-    count = math.prod(shape) * np.dtype(dtype).itemsize
-    buffer = np.empty(count + LINE, np.uint8)
-    skip = -buffer.ctypes.data % LINE
-    return buffer[skip : skip + count].view(dtype).reshape(shape)
-
-
-def _grown(buffer: np.ndarray, n: int) -> np.ndarray:
-    """The buffer itself, or one of at least n rows in its place."""
-    return buffer if len(buffer) >= n else _empty((n + n // 4, *buffer.shape[1:]), buffer.dtype)
-
-
 class Workspace:
     """Buffers for renders of up to some number of Gaussians and tile entries."""
 
@@ -81,6 +65,7 @@ class Workspace:
         self.slopes = np.empty((0, 16), np.float32)
         self.slots: list[np.ndarray] = []
         self.mixed: list[np.ndarray] = []
+        self.images, self.gradients = Lender(), Lender()
         self._tiles = (0, 0)
 
     def _fit_image(self, columns: int, bands: int) -> None:
@@ -105,7 +90,7 @@ class Workspace:
         if n > self._capacity:
             self._capacity = n + n // 4
             size = self._capacity
-            self._rows = _empty((size, ROW), np.float32)
+            self._rows = aligned((size, ROW), np.float32)
             self._clipped = np.empty(size, np.uint8)
             self._bound, self._start = np.empty(size, np.int32), np.empty(size + 1, np.int32)
             self._touched, self._n_parts = np.empty(size, np.int32), np.empty(size, np.int32)
@@ -162,7 +147,7 @@ class Workspace:
     def bin(self) -> None:
         """The tiles' lists, front to back, and the strips' lists of parts."""
         entries = int(self.start[self.n_visible])
-        self.items = _grown(self.items, entries)
+        self.items = grown(self.items, entries)
         self.n_parts[:] = 0
         run_blocks(
             binning.count_tiles,
@@ -190,8 +175,8 @@ class Workspace:
             self.strip_items,
             self.n_slots,
         )
-        self.lists = _grown(self.lists, int(self.offsets[-1]))
-        self.parts = _grown(self.parts, int(self.bounds[-1]))
+        self.lists = grown(self.lists, int(self.offsets[-1]))
+        self.parts = grown(self.parts, int(self.bounds[-1]))
         run_blocks(
             binning.fill_tiles,
             self.n_visible,
@@ -227,13 +212,13 @@ class Workspace:
     def _scratch(self, kept: list[np.ndarray]) -> list[np.ndarray]:
         """Slots for every thread that works on a strip, as many as the fullest has."""
         n, size = min(threads(), len(self.n_slots)), int(self.n_slots.max())
-        kept[:] = [_grown(slots, size) for slots in kept[:n]]
-        kept += [_empty((size + size // 4, 16), np.float32) for _ in range(n - len(kept))]
+        kept[:] = [grown(slots, size) for slots in kept[:n]]
+        kept += [aligned((size + size // 4, 16), np.float32) for _ in range(n - len(kept))]
         return [slots.reshape(-1) for slots in kept]
 
     def blend_backward(self, image: Image, gradient: Image) -> None:
         """Gradient in the image -> per (Gaussian, strip) sums in `sums`."""
-        self.sums = _grown(self.sums, int(self.bounds[-1]))
+        self.sums = grown(self.sums, int(self.bounds[-1]))
         run_blocks(
             blend.blend_backward,
             self.width,
@@ -260,14 +245,14 @@ class Workspace:
         """slopes and cross of `moments.blend_moments`; empty at SH degree 0."""
         if self.degree == 0:
             return self.slopes[:0], self.cross[:0]
-        self.slopes = _grown(self.slopes, len(self.rows))
-        self.cross = _grown(self.cross, int(self.bounds[-1]))
+        self.slopes = grown(self.slopes, len(self.rows))
+        self.cross = grown(self.cross, int(self.bounds[-1]))
         return self.slopes, self.cross
 
     def blend_moments(self, image: Image) -> None:
         """Second moments of the image's derivatives -> `sums`, and with view-dependent colour
         `slopes` and `cross`; see `moments.blend_moments` and `information`."""
-        self.sums = _grown(self.sums, int(self.bounds[-1]))
+        self.sums = grown(self.sums, int(self.bounds[-1]))
         slopes, cross = self._direction_buffers()
         slots = self._scratch(self.slots)
         mixed = self._scratch(self.mixed) if self.degree > 0 else [cross.reshape(-1)] * len(slots)

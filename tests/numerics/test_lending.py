@@ -1,0 +1,104 @@
+"""Memory that a step lends again is nobody else's at that time."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from framework.losses import Target, photometric_loss
+from framework.rasterize import rasterize
+from framework.rasterize.lending import Lender
+from tests.numerics.scenes import random_case
+
+SHAPES = [(3, 5), (7,), (0, 0)]
+
+
+def addresses(arrays: list[np.ndarray]) -> list[int]:
+    return [array.ctypes.data for array in arrays]
+
+
+def test_arrays_of_one_call_lie_apart_on_cache_lines() -> None:
+    first, second, third = Lender().lend(SHAPES)
+    assert [first.shape, second.shape, third.shape] == SHAPES
+    assert first.dtype == np.float32 and first.flags.c_contiguous
+    assert all(address % 64 == 0 for address in addresses([first, second]))
+    assert not np.shares_memory(first, second)
+
+
+def test_what_nobody_holds_is_lent_again() -> None:
+    lender = Lender()
+    first = addresses(lender.lend(SHAPES))  # an assertion would hold the arrays meanwhile
+    second = addresses(lender.lend(SHAPES))
+    assert first == second
+
+
+@pytest.mark.parametrize(
+    "held_by",
+    [
+        lambda array: array,
+        lambda array: array[1:, 2],
+        torch.from_numpy,
+        lambda array: torch.from_numpy(array).detach()[0],
+        lambda array: torch.from_numpy(array).reshape(-1).numpy(),
+    ],
+    ids=["array", "view", "tensor", "detached", "array of a tensor"],
+)
+def test_what_somebody_holds_is_not(held_by: Callable[[np.ndarray], object]) -> None:
+    lender = Lender()
+    held = held_by(lender.lend(SHAPES)[0])
+    others = [lender.lend(SHAPES) for _ in range(20)]
+    assert not any(np.shares_memory(np.asarray(held), array) for other in others for array in other)
+
+
+def test_more_are_lent_than_kept() -> None:
+    lender = Lender()
+    held = [lender.lend(SHAPES) for _ in range(20)]
+    assert len({address for arrays in held for address in addresses(arrays[:2])}) == 40
+    assert len(lender._buffers) <= 4
+
+
+def test_a_larger_array_gets_more() -> None:
+    lender = Lender()
+    lender.lend([(4,)])
+    (large,) = lender.lend([(1000, 3)])
+    assert large.shape == (1000, 3)
+
+
+def _step(pull: Tensor) -> tuple[int, tuple[Tensor, ...]]:
+    """Address of the image, gradients."""
+    case = random_case(3, n=40)
+    camera, leaves = case.camera, case.gaussians.map(lambda t: t.requires_grad_())
+    target = Target.of(torch.zeros(3, camera.height, camera.width))
+    render = rasterize(leaves, camera, means2d_offset=pull)
+    loss = photometric_loss(render.rgb, target)
+    return render.rgb.data_ptr(), torch.autograd.grad(loss, [leaves.means, leaves.shN, pull])
+
+
+def test_a_step_leaves_nothing_to_the_garbage_collector() -> None:
+    pull = torch.zeros(40, 2, requires_grad=True)
+    _step(pull)
+    gc.collect()
+    gc.disable()
+    try:
+        seen = []
+        for _ in range(3):
+            image, gradients = _step(pull)
+            seen.append((image, *(g.data_ptr() for g in gradients)))
+            del gradients
+    finally:
+        gc.enable()
+    assert seen[0] == seen[1] == seen[2]
+
+
+def test_gradients_that_are_kept_do_not_change() -> None:
+    pull = torch.zeros(40, 2, requires_grad=True)
+    _, kept = _step(pull)
+    copies = [gradient.clone() for gradient in kept]
+    for _ in range(6):
+        _step(pull + 0.5)
+    assert all(torch.equal(a, b) for a, b in zip(kept, copies, strict=True))
