@@ -5,7 +5,8 @@
 The step is what training runs: `rasterize` (SH degree 3), `photometric_loss`, backward by autograd,
 `Adam`, at 504x378 on `benchmarks.scene`. Stages are timed inside it; what they leave over
 (autograd, allocation) is the column `rest`. Every round runs in fresh processes, ours and the
-prototype's in turn, so that a slow minute of the machine hits both. `wall` is the median over all
+prototype's in turn, so that a slow minute of the machine hits both. What two cores can give at most
+is measured by two processes of one thread each, at the same time. `wall` is the median over all
 steps of all rounds; `CPU` is the processor time of the whole process per step, which other programs
 disturb less: `--clock cpu` measures the stages by it too, for a machine that is not idle. Prints a
 markdown table, and writes it to FILE.
@@ -25,6 +26,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from subprocess import PIPE
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -66,8 +68,10 @@ class Stopwatch:
                 setattr(owner, name, method)
 
 
-def measure(count: int, threads: int, steps: int, clock: str) -> Steps:
-    """Run `steps` training steps after WARM_UP ones, in this process."""
+def measure(
+    count: int, threads: int, steps: int, clock: str, wait: Callable[[], object] = lambda: None
+) -> Steps:
+    """Run `steps` training steps after WARM_UP ones and `wait`, in this process."""
     import torch
 
     from framework.parallel import set_threads
@@ -79,6 +83,7 @@ def measure(count: int, threads: int, steps: int, clock: str) -> Steps:
     step = training_step(count, watch)
     for _ in range(WARM_UP):
         step()
+    wait()
     wall, cpu = [], []
     with watch.watching(Workspace):
         for times in watch.times.values():
@@ -123,15 +128,44 @@ def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable
     return step
 
 
-def _run_ours(options: argparse.Namespace, threads: int) -> list[Steps]:
-    """`measure` for all counts in one fresh process."""
+def _run_ours(options: argparse.Namespace, threads: int, processes: int = 1) -> list[Steps]:
+    """`measure` for all counts in each of some fresh processes, which start every count at the same
+    time."""
     command = [sys.executable, __file__, "--worker", "--threads", str(threads)]
     command += ["--steps", str(options.steps), "--clock", options.clock]
     command += ["--counts", *map(str, options.counts)]
-    output = subprocess.run(
-        command, cwd=ROOT, env=_environment(threads), check=True, capture_output=True, text=True
-    ).stdout
-    return [Steps(**json.loads(line)) for line in output.splitlines()]
+    workers = [Worker(command, _environment(threads)) for _ in range(processes)]
+    found: list[Steps] = []
+    for _ in options.counts:
+        for worker in workers:
+            worker.read()
+        for worker in workers:
+            worker.go()
+        found += [Steps(**json.loads(worker.read())) for worker in workers]
+    for worker in workers:
+        worker.process.wait()
+    return found
+
+
+class Worker:
+    """A process that says when it is ready and then waits to be told to go."""
+
+    def __init__(self, command: list[str], environment: dict[str, str]) -> None:
+        self.process = subprocess.Popen(
+            command, cwd=ROOT, env=environment, text=True, stdin=PIPE, stdout=PIPE
+        )
+
+    def read(self) -> str:
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        if not line:
+            raise SystemExit(f"step.py: a worker ended with code {self.process.wait()}, see above")
+        return line
+
+    def go(self) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write("\n")
+        self.process.stdin.flush()
 
 
 def _run_prototype(folder: Path, threads: int, cache: Path) -> dict[int, tuple[float, float]]:
@@ -146,19 +180,28 @@ def _run_prototype(folder: Path, threads: int, cache: Path) -> dict[int, tuple[f
     return {int(m[1]): (float(m[2]), float(m[3])) for m in lines}
 
 
+def _wait() -> None:
+    """Until whoever started this process tells all of them to go."""
+    print("ready", flush=True)
+    sys.stdin.readline()
+
+
 def _environment(threads: int) -> dict[str, str]:
     return {**os.environ, "OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
 
 
 def run_rounds(options: argparse.Namespace) -> Results:
     """Ours and the prototype's in turn, `options.rounds` times."""
-    results = Results({}, {})
+    results = Results({}, {}, {})
     with tempfile.TemporaryDirectory() as cache:
         for number in range(options.rounds):
             for threads in options.threads:
                 print(f"round {number + 1} of {options.rounds}, {threads} threads", file=sys.stderr)
                 for steps in _run_ours(options, threads):
                     results.ours.setdefault((steps.count, threads), []).append(steps)
+                if threads == 2:
+                    for steps in _run_ours(options, 1, processes=2):
+                        results.pairs.setdefault(steps.count, []).append(steps)
                 if options.prototype is not None:
                     timings = _run_prototype(options.prototype, threads, Path(cache))
                     for count, pair in timings.items():
@@ -186,7 +229,7 @@ def main() -> None:
     options = _options()
     if options.worker:
         for count in options.counts:
-            steps = measure(count, options.threads[0], options.steps, options.clock)
+            steps = measure(count, options.threads[0], options.steps, options.clock, _wait)
             print(json.dumps(asdict(steps)), flush=True)
         return
     results = run_rounds(options)

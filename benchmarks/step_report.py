@@ -37,9 +37,11 @@ class Steps:
 
 @dataclass
 class Results:
-    """All rounds. ours: by (count, threads). prototype: (wall, CPU) ms per round, same keys."""
+    """All rounds. ours: by (count, threads). pairs: of two processes of one thread each at the same
+    time, by count. prototype: (wall, CPU) ms per round, by (count, threads)."""
 
     ours: dict[tuple[int, int], list[Steps]]
+    pairs: dict[int, list[Steps]]
     prototype: dict[tuple[int, int], list[tuple[float, float]]]
 
     @property
@@ -49,6 +51,9 @@ class Results:
 
     def wall(self, count: int, threads: int) -> float:
         return statistics.median(t for s in self.ours[count, threads] for t in s.wall_ms)
+
+    def pair_wall(self, count: int) -> float:
+        return statistics.median(t for s in self.pairs[count] for t in s.wall_ms)
 
     def cpu(self, count: int, threads: int) -> float:
         """The mean, as the prototype reports it."""
@@ -88,7 +93,7 @@ def stage_table(results: Results, clock: str) -> list[str]:
 def comparison_table(results: Results) -> list[str]:
     """Single-thread totals beside the prototype's, and what the second thread brings."""
     header = ["Gaussians", "ours, 1 thread", "prototype", "ratio of wall", "ratio of CPU"]
-    header += ["ours, 2 threads", "speed-up", "prototype's speed-up"]
+    header += ["ours, 2 threads", "speed-up", "of two processes", "prototype's speed-up"]
     rows: list[list[object]] = []
     for count in sorted({c for c, _ in results.ours}):
         rows.append([count, *_beside(results, count), *_speed_up(results, count)])
@@ -107,13 +112,13 @@ def _beside(results: Results, count: int) -> list[object]:
 
 def _speed_up(results: Results, count: int) -> list[object]:
     if not {(count, 1), (count, 2)} <= results.ours.keys():
-        return ["-"] * 3
-    wall = results.wall(count, 2)
-    gain = f"{results.wall(count, 1) / wall:.2f}"
+        return ["-"] * 4
+    alone, wall = results.wall(count, 1), results.wall(count, 2)
+    gains = [f"{alone / wall:.2f}", f"{2 * alone / results.pair_wall(count):.2f}"]
     if not {(count, 1), (count, 2)} <= results.prototype.keys():
-        return [wall, gain, "-"]
+        return [wall, *gains, "-"]
     other = results.prototype_wall(count, 1) / results.prototype_wall(count, 2)
-    return [wall, gain, f"{other:.2f}"]
+    return [wall, *gains, f"{other:.2f}"]
 
 
 def report(results: Results, command: str, clock: str) -> str:
