@@ -31,11 +31,11 @@ class Stopwatch:
         return self._cpu_time() - self._cpu
 
     @contextmanager
-    def paused(self) -> Iterator[None]:
-        """What is done inside does not count."""
+    def paused(self) -> Iterator[float]:
+        """What is done inside does not count; gives the seconds counted before it."""
         wall, cpu = time.perf_counter(), self._cpu_time()
         try:
-            yield
+            yield wall - self._wall
         finally:
             self._wall += time.perf_counter() - wall
             self._cpu += self._cpu_time() - cpu

@@ -121,8 +121,8 @@ class Trainer:
             loss = self._train_step(self._next_items())
             self.step += 1
             if self.step in evaluations or self.step % every == 0:
-                with self.watch.paused():
-                    self._record(loss, self.step in evaluations)
+                with self.watch.paused() as seconds:
+                    self._record(loss, seconds, self.step in evaluations)
             n = len(self.params)
             self.progress.step(self.step, self.options.steps, loss, n, self.psnr)
             if self.keeper is not None and self.keeper.due():
@@ -358,9 +358,9 @@ class Trainer:
             log=self.logged.__setitem__,
         )
 
-    def _record(self, loss: float, evaluating: bool) -> None:
+    def _record(self, loss: float, seconds: float, evaluating: bool) -> None:
         """A row of the history; on evaluation steps with the test PSNR."""
-        seconds, psnr = self.watch.wall_s, None
+        psnr: float | None = None
         if evaluating and self.evaluate is not None:
             psnr = self.evaluate(self.params.clone(), self.background, self._sh_degree())
             self.psnr = psnr
