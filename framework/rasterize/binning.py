@@ -20,16 +20,30 @@ from typing import Any
 import numpy as np
 
 from framework.jit import inlined, kernel
-from framework.rasterize.simd import load, prefetch, store, zeros
+from framework.rasterize.simd import (
+    LANES,
+    ceil,
+    floor,
+    load,
+    load16,
+    maximum,
+    minimum,
+    neg,
+    prefetch,
+    splat,
+    store,
+    store_whole,
+    zeros,
+)
 
 STRIPS = 16  # at most; fixed, so that no sum can depend on the thread count
 MAX_GAUSSIANS = 1 << 23  # what fits beside two rows in an int32
 
-_AHEAD = 8  # Gaussians between asking for one's row and using it
+_AHEAD = 32  # Gaussians between asking for one's row and using it, two sixteens
 
 f4 = np.float32
 ZERO, ONE, HALF = f4(0), f4(1), f4(0.5)
-_LOG2_255 = f4(math.log2(255))
+_LOG2_255, _TILE = f4(math.log2(255)), f4(1 / 16)
 
 
 @kernel
@@ -76,31 +90,46 @@ def depth_order(
 
 
 @inlined
-def _ceil(x: Any) -> int:
-    """As math.ceil, which would call a function, for which all registers are saved."""
-    whole = int(x)
-    return whole + (x > f4(whole))
-
-
-@inlined
-def _floor(x: Any) -> int:
-    whole = int(x)
-    return whole - (x < f4(whole))
-
-
-@inlined
 def _edge(at: Any, x0: Any, x1: Any, ellipse: Any, sign: Any) -> Any:
-    """dy of the ellipse's upper (sign -1) or lower branch where it is farthest from dy = 0 in the
+    """dy of the ellipses' upper (sign -1) or lower branch where it is farthest from dy = 0 in the
     columns x0 ... x1 of dx; its extreme point lies at dx = at.
 
     ellipse: (half-sides rx, ry; 1 / rx; b / c; level / c) of a dx^2 + 2 b dx dy + c dy^2 = level;
     c (dy + b/c dx)^2 = level (1 - (dx/rx)^2): nothing cancels.
     """
     rx, ry, over_rx, shear, height = ellipse
-    dx = max(-rx, min(rx, max(x0, min(x1, at))))
+    dx = maximum(neg(rx), minimum(rx, maximum(x0, minimum(x1, at))))
     share = dx * over_rx
-    root = math.sqrt(max(ZERO, height * (ONE - share * share)))
-    return max(-ry, min(ry, sign * root - shear * dx))
+    root = math.sqrt(maximum(zeros(), height * (ONE - share * share)))
+    return maximum(neg(ry), minimum(ry, sign * root - shear * dx))
+
+
+@inlined
+def _reached(gathered: Any, width: int, height: int, columns: Any, reach: Any) -> None:
+    """Which tiles sixteen ellipses touch. gathered: their rows, flat [16 16]. columns [2, 16], out:
+    each one's first and last column of tiles. reach [2, 16 x columns], out: the first and the last
+    row of pixels in each of those, sixteen ellipses at a time; the first is after the last where a
+    column has none."""
+    row = load16(gathered, 0)
+    u, v, rx, ry = row[0], row[1], row[10], row[11]
+    ellipse = (rx, ry, ONE / rx, row[15], neg(row[5] + _LOG2_255) / row[4])
+    summit = -HALF * row[3] / row[2] * ry  # dx of the ellipse's lowest point (largest dy)
+    left = floor(maximum(ceil(u - rx - HALF), zeros()) * _TILE)
+    right = floor(minimum(floor(u + rx - HALF), splat(f4(width - 1))) * _TILE)
+    store_whole(columns[0], 0, left)
+    store_whole(columns[1], 0, right)
+    widest, o = 0, splat(ONE)
+    for lane in range(LANES):
+        widest = max(widest, columns[1, lane] - columns[0, lane] + 1)
+    x0 = f4(16) * left + HALF - u
+    for j in range(widest):
+        x1 = x0 + f4(15)
+        top = ceil(v + _edge(neg(summit), x0, x1, ellipse, -ONE) - HALF)
+        bottom = floor(v + _edge(summit, x0, x1, ellipse, ONE) - HALF)
+        # either is within or just outside the image: a larger one may be no int32
+        store_whole(reach[0], j * LANES, minimum(maximum(top, zeros()), splat(f4(height))))
+        store_whole(reach[1], j * LANES, maximum(minimum(bottom, splat(f4(height - 1))), neg(o)))
+        x0 = x0 + f4(16)
 
 
 @kernel
@@ -125,42 +154,42 @@ def count_tiles(
     (tile << 9 | 256 where a part begins | last row << 4 | first row); touched[k] = how many,
     n_parts[order[k]] = in how many strips; histogram[block, tile], strip_items[block, strip] and
     strip_parts[block, strip] are the numbers of items and parts. strips: of every tile."""
-    columns = (width + 15) // 16
+    n_columns = (width + 15) // 16
     histogram[block, :], strip_items[block, :], strip_parts[block, :] = 0, 0, 0
     flat = rows.reshape(-1)
-    for k in range(n * block // blocks, n * (block + 1) // blocks):
-        i = order[k]
-        prefetch(flat, order[min(k + _AHEAD, n - 1)] * 16)
-        row = rows[i]
-        u, v, rx, ry = row[0], row[1], row[10], row[11]
-        left = max(0, _ceil(u - rx - HALF))
-        right = min(width - 1, _floor(u + rx - HALF))
-        ellipse = (rx, ry, ONE / rx, row[15], -(row[5] + _LOG2_255) / row[4])
-        summit = -HALF * row[3] / row[2] * ry  # dx of the ellipse's lowest point (largest dy)
-        at, strip, count = start[k], -1, 0
-        for column in range(left // 16, right // 16 + 1):
-            x0 = f4(column * 16) + HALF - u
-            x1 = x0 + f4(15)
-            top = max(0, _ceil(v + _edge(-summit, x0, x1, ellipse, -ONE) - HALF))
-            low = _floor(v + _edge(summit, x0, x1, ellipse, ONE) - HALF)
-            bottom = min(height - 1, low)
-            if top > bottom:
-                continue
-            begins = 0
-            if strips[column] != strip:
-                strip, begins = strips[column], 256
-                strip_parts[block, strip] += 1
-                count += 1
-            strip_items[block, strip] += bottom // 16 - top // 16 + 1
-            for band in range(top // 16, bottom // 16 + 1):
-                tile = band * columns + column
-                first = max(0, top - band * 16)
-                last = min(15, bottom - band * 16)
-                items[at] = tile << 9 | begins | last << 4 | first
-                histogram[block, tile] += 1
+    gathered, columns = np.zeros(LANES * LANES, np.float32), np.empty((2, LANES), np.int32)
+    reach = np.empty((2, n_columns * LANES), np.int32)
+    end = n * (block + 1) // blocks
+    for base in range(n * block // blocks, end, LANES):
+        for k in range(base, min(base + LANES, end)):
+            prefetch(flat, order[min(k + _AHEAD, n - 1)] * 16)
+            store(gathered, (k - base) * 16, load(flat, order[k] * 16))
+        _reached(gathered, width, height, columns, reach)
+        for lane in range(min(LANES, end - base)):
+            at, strip, count = start[base + lane], -1, 0
+            first_column = columns[0, lane]
+            for column in range(first_column, columns[1, lane] + 1):
+                place = (column - first_column) * LANES + lane
+                top, bottom = reach[0, place], reach[1, place]
+                if top > bottom:
+                    continue
                 begins = 0
-                at += 1
-        touched[k], n_parts[i] = at - start[k], count
+                if strips[column] != strip:
+                    strip, begins = strips[column], 256
+                    strip_parts[block, strip] += 1
+                    count += 1
+                upper, lower = top >> 4, bottom >> 4
+                strip_items[block, strip] += lower - upper + 1
+                for band in range(upper, lower + 1):
+                    tile = band * n_columns + column
+                    first = max(0, top - band * 16)
+                    last = min(15, bottom - band * 16)
+                    items[at] = tile << 9 | begins | last << 4 | first
+                    histogram[block, tile] += 1
+                    begins = 0
+                    at += 1
+            k = base + lane
+            touched[k], n_parts[order[k]] = at - start[k], count
 
 
 @inlined
