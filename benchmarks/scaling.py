@@ -20,6 +20,7 @@ from typing import Any
 
 import numba
 import numpy as np
+import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -100,6 +101,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=7, help="measured steps of a case in a round")
     parser.add_argument("--output", type=Path)
     given = parser.parse_args()
+    torch.set_num_threads(1)  # as a run does: its idle threads would spin on the other core
     sizes = [(factor, count) for factor in given.factors for count in given.counts]
     times: dict[tuple[float, int, int], list[float]] = defaultdict(list)
     for turn in range(given.rounds):

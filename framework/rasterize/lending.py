@@ -1,7 +1,7 @@
 """Memory for what a step makes and drops, as images and gradients, lent again instead of allocated.
 
-Every 4 KB of new memory are a page fault, which takes longer than computing what goes there: with
-200,000 Gaussians the gradient's faults were a third of the step's time.
+Every 4 KB of new memory are a page fault, which takes longer than computing what goes there; what
+that cost is in benchmarks/results/step.md.
 """
 
 from __future__ import annotations
