@@ -5,11 +5,11 @@
 The step is what training runs: `rasterize` (SH degree 3), `photometric_loss`, backward by autograd,
 `Adam`, at 504x378 on `benchmarks.scene`. Stages are timed inside it; what they leave over
 (autograd, allocation) is the column `rest`. Every round runs in fresh processes, ours and the
-prototype's in turn, so that a slow minute of the machine hits both. What two cores can give at most
-is measured by two processes of one thread each, at the same time. `wall` is the median over all
-steps of all rounds; `CPU` is the processor time of the whole process per step, which other programs
-disturb less: `--clock cpu` measures the stages by it too, for a machine that is not idle. Prints a
-markdown table, and writes it to FILE.
+prototype's in turn, so that a slow minute of the machine hits both. For comparison with two
+threads there are two processes of one thread each, at the same time, which share nothing. `wall` is
+the median over all steps of all rounds; `CPU` is the processor time of the whole process per step,
+which other programs disturb less: `--clock cpu` measures the stages by it too, for a machine that
+is not idle. Prints a markdown table, and writes it to FILE.
 """
 
 from __future__ import annotations

@@ -65,10 +65,10 @@ class _Rasterize(torch.autograd.Function):
         tensors = (means, quats, log_scales, opacity_logits, sh0, shN, factors, offset)
         work = borrow()
         size, n = (camera.height, camera.width), len(means)
-        shapes = [(4, *size), size if with_depth else (0, 0), (n,)]
         kept = any(ctx.needs_input_grad)  # in a step; others may hold on to what they render
-        lend = work.images.lend if kept else Lender().lend
-        planes, depth, radii = lend(shapes)
+        images, sizes = work.images if kept else Lender(), work.radii if kept else Lender()
+        planes, depth = images.lend([(4, *size), size if with_depth else (0, 0)])
+        (radii,) = sizes.lend([(n,)])
         arrays = Arrays(*(_numpy(t) for t in tensors))
         work.project(arrays, camera, degree, near, radii)
         work.sort()
@@ -79,7 +79,7 @@ class _Rasterize(torch.autograd.Function):
         ctx.mark_non_differentiable(outputs[-1])
         if kept:
             ctx.work = work
-            ctx.image = image  # arrays: a tensor that an output is a view of would hold ctx itself
+            ctx.save_for_backward(*outputs[:3])  # as attributes they would hold ctx, and it them
             ctx.shapes = [t.shape for t in tensors]
         else:
             give_back(work)
@@ -91,9 +91,10 @@ class _Rasterize(torch.autograd.Function):
         work = ctx.work
         if work is None:
             raise RuntimeError("rasterize: this render's gradient was already taken")
+        image = Image(*map(_numpy, ctx.saved_tensors))
         ctx.work = None
-        work.blend_backward(*_backward_images(ctx.image, grads))
-        gradients = work.gradients.lend(ctx.shapes)
+        work.blend_backward(*_backward_images(image, grads))
+        gradients = [*work.gradients.lend(ctx.shapes[:-1]), *work.pulls.lend(ctx.shapes[-1:])]
         work.project_backward(Arrays(*gradients))
         give_back(work)
         return (*map(torch.from_numpy, gradients), None, None, None, None, None)

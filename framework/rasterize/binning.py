@@ -95,13 +95,14 @@ def _edge(at: Any, x0: Any, x1: Any, ellipse: Any, sign: Any) -> Any:
     columns x0 ... x1 of dx; its extreme point lies at dx = at.
 
     ellipse: (half-sides rx, ry; 1 / rx; b / c; level / c) of a dx^2 + 2 b dx dy + c dy^2 = level;
-    c (dy + b/c dx)^2 = level (1 - (dx/rx)^2): nothing cancels.
+    c (dy + b/c dx)^2 = level (1 - (dx/rx)^2): nothing cancels. An ellipse may be a point (rx = 0):
+    what is not a number then becomes the limit beside it, never more rows than the box has.
     """
     rx, ry, over_rx, shear, height = ellipse
-    dx = maximum(neg(rx), minimum(rx, maximum(x0, minimum(x1, at))))
+    dx = maximum(minimum(maximum(minimum(at, x1), x0), rx), neg(rx))
     share = dx * over_rx
-    root = math.sqrt(maximum(zeros(), height * (ONE - share * share)))
-    return maximum(neg(ry), minimum(ry, sign * root - shear * dx))
+    root = math.sqrt(maximum(height * (ONE - share * share), zeros()))
+    return maximum(minimum(sign * root - shear * dx, ry), neg(ry))
 
 
 @inlined
@@ -121,15 +122,14 @@ def _reached(gathered: Any, width: int, height: int, columns: Any, reach: Any) -
     widest, o = 0, splat(ONE)
     for lane in range(LANES):
         widest = max(widest, columns[1, lane] - columns[0, lane] + 1)
-    x0 = f4(16) * left + HALF - u
     for j in range(widest):
+        x0 = f4(16) * (left + f4(j)) + HALF - u
         x1 = x0 + f4(15)
         top = ceil(v + _edge(neg(summit), x0, x1, ellipse, -ONE) - HALF)
         bottom = floor(v + _edge(summit, x0, x1, ellipse, ONE) - HALF)
         # either is within or just outside the image: a larger one may be no int32
         store_whole(reach[0], j * LANES, minimum(maximum(top, zeros()), splat(f4(height))))
         store_whole(reach[1], j * LANES, maximum(minimum(bottom, splat(f4(height - 1))), neg(o)))
-        x0 = x0 + f4(16)
 
 
 @kernel

@@ -65,7 +65,8 @@ class Workspace:
         self.slopes = np.empty((0, 16), np.float32)
         self.slots: list[np.ndarray] = []
         self.mixed: list[np.ndarray] = []
-        self.images, self.gradients = Lender(), Lender()
+        # apart, as who keeps one of a lender's arrays keeps all that were lent with it
+        self.images, self.gradients, self.radii, self.pulls = (Lender() for _ in range(4))
         self._tiles = (0, 0)
 
     def _fit_image(self, columns: int, bands: int) -> None:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from framework.losses import Target, photometric_loss
+from framework.parallel import run_together
 from framework.rasterize import rasterize
 from framework.rasterize.lending import Lender
 from tests.numerics.scenes import random_case
@@ -102,3 +103,41 @@ def test_gradients_that_are_kept_do_not_change() -> None:
     for _ in range(6):
         _step(pull + 0.5)
     assert all(torch.equal(a, b) for a, b in zip(kept, copies, strict=True))
+
+
+@pytest.mark.parametrize("part", ["rgb", "alpha", "depth"])
+def test_a_render_that_is_changed_in_place_has_no_gradient(part: str) -> None:
+    """It is what the gradient is computed from."""
+    case = random_case(3, n=40)
+    leaves = case.gaussians.map(lambda t: t.requires_grad_())
+    render = rasterize(leaves, case.camera)
+    getattr(render, part).mul_(0.5)
+    loss = render.rgb.sum() + render.alpha.sum() + render.depth.sum()
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        torch.autograd.grad(loss, [leaves.means])
+
+
+def test_what_a_plugin_may_keep_holds_no_image_and_no_other_gradient() -> None:
+    pull = torch.zeros(40, 2, requires_grad=True)
+    case = random_case(3, n=40)
+    leaves = case.gaussians.map(lambda t: t.requires_grad_())
+    seen = set()
+    held = []
+    for _ in range(6):
+        render = rasterize(leaves, case.camera, means2d_offset=pull)
+        gradients = torch.autograd.grad(render.rgb.sum(), [leaves.means, pull])
+        seen.add((render.rgb.data_ptr(), gradients[0].data_ptr()))
+        held += [render.radii, gradients[1]]
+        del render, gradients
+    assert len(seen) == 1
+    assert len({tensor.data_ptr() for tensor in held}) == len(held)
+
+
+def test_trainings_at_the_same_time_share_nothing() -> None:
+    def train() -> list[Tensor]:
+        pull = torch.zeros(40, 2, requires_grad=True)
+        return [gradient.clone() for _ in range(20) for gradient in _step(pull)[1]]
+
+    alone = train()
+    for found in run_together([lambda _: train(), lambda _: train()]):
+        assert all(torch.equal(a, b) for a, b in zip(found, alone, strict=True))
