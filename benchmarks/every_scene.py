@@ -44,7 +44,8 @@ def measured(scene: str, words: list[str], runs: int) -> list[str]:
         seconds = [profile(folder, line) for _ in range(runs)]
         record = json.loads((folder / "run" / "record.json").read_text())
         with (folder / "run" / "metrics.csv").open(newline="") as file:
-            views = {row["view"]: float(row["psnr"]) for row in csv.DictReader(file)}
+            # a view without a PSNR has none of its pixels masked in, or not one that differs
+            views = {r["view"]: float(r["psnr"]) for r in csv.DictReader(file) if r["psnr"]}
     total = statistics.median(run["total"] for run in seconds)
     parts = [
         statistics.median(sum(run.get(stage, 0.0) for stage in stages) for run in seconds)

@@ -199,7 +199,7 @@ def run_rounds(options: argparse.Namespace) -> Results:
                 print(f"round {number + 1} of {options.rounds}, {threads} threads", file=sys.stderr)
                 for steps in _run_ours(options, threads):
                     results.ours.setdefault((steps.count, threads), []).append(steps)
-                if threads == 2:
+                if threads == 2 and 1 in options.threads:
                     for steps in _run_ours(options, 1, processes=2):
                         results.pairs.setdefault(steps.count, []).append(steps)
                 if options.prototype is not None:

@@ -2,7 +2,7 @@
 
 Andersson et al. 2020, "FLIP: A Difference Evaluator for Alternating Images", HPG. Our own, as the
 authors' package takes several times as long: with it FLIP alone took 6 % of a short run, now PSNR,
-SSIM and FLIP together take 4 % (`benchmarks/end_to_end.py`). Tests compare with it.
+SSIM and FLIP together take 3 % (`benchmarks/end_to_end.py`). Tests compare with it.
 
 A colour pipeline blurs both images by what the eye no longer resolves and measures the distance of
 colours (0 to 1); a feature pipeline finds edges and points that only one of them has, which

@@ -66,9 +66,9 @@ class _Rasterize(torch.autograd.Function):
         work = borrow()
         size, n = (camera.height, camera.width), len(means)
         kept = any(ctx.needs_input_grad)  # in a step; others may hold on to what they render
-        images, sizes = work.images if kept else Lender(), work.radii if kept else Lender()
-        planes, depth = images.lend([(4, *size), size if with_depth else (0, 0)])
-        (radii,) = sizes.lend([(n,)])
+        of_images, of_radii = (work.images, work.radii) if kept else (Lender(), Lender())
+        planes, depth = of_images.lend([(4, *size), size if with_depth else (0, 0)])
+        (radii,) = of_radii.lend([(n,)])
         arrays = Arrays(*(_numpy(t) for t in tensors))
         work.project(arrays, camera, degree, near, radii)
         work.sort()

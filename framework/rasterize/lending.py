@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,7 @@ class Lender:
 
     def lend(self, shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
         """Uninitialised float32 arrays of these shapes, each on a cache line."""
-        ends = np.cumsum([-(-math.prod(shape) // _FLOATS) * _FLOATS for shape in shapes]).tolist()
+        ends = list(accumulate(-(-math.prod(shape) // _FLOATS) * _FLOATS for shape in shapes))
         place = self._free()
         flat = self._buffers[place] = grown(self._buffers[place], ends[-1])
         starts = [0, *ends[:-1]]
