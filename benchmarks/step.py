@@ -116,9 +116,9 @@ def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable
     optimizer = Adam(gaussians)
     loss_of = watch.wrap("loss", photometric_loss)
     update = watch.wrap("adam", optimizer.step)
+    offset = torch.zeros(count, 2, requires_grad=True)
 
     def step() -> None:
-        offset = torch.zeros(count, 2, requires_grad=True)
         render = rasterize(leaves, camera, means2d_offset=offset)
         loss = loss_of(render.rgb, target, 0.2)
         inputs = [tensor for _, tensor in leaves.items()]

@@ -48,6 +48,7 @@ class Adam:
     def __init__(self, gaussians: Gaussians) -> None:
         self._first = gaussians.map(_zeros_like)
         self._second = gaussians.map(_zeros_like)
+        self._views: tuple[Gaussians, list[tuple[np.ndarray, ...]]] | None = None
         self._steps = dict.fromkeys((name for name, _ in gaussians.items()), 0)
         self._coefficients = np.zeros((len(self._steps), 2), dtype=np.float32)
 
@@ -65,25 +66,40 @@ class Adam:
         gradient, in the tensor's own units. Raises ValueError when shapes or dtypes differ.
         """
         gradients = dict(grads.items())
+        if self._views is None or self._views[0] is not params:
+            self._views = params, self._flat_views(params)
         rows: list[tuple[np.ndarray, ...]] = []
         for k, (name, parameter) in enumerate(params.items()):
             gradient = gradients.get(name)
             if gradient is None:
                 rows.append(_NOTHING)
                 continue
-            first, second = getattr(self._first, name), getattr(self._second, name)
-            _check(name, parameter, gradient, first)
+            _check(name, gradient, parameter)
             self._steps[name] += 1
             self._coefficients[k] = _coefficients(self._steps[name], rates[name])
-            arrays = (parameter, gradient.contiguous(), first, second)
-            rows.append(tuple(_flat(t) for t in arrays))
+            p, m, v = self._views[1][k]
+            rows.append((p, _flat(gradient.contiguous()), m, v))
         p, g, m, v = zip(*rows, strict=True)
         broken = np.zeros((BLOCKS, len(rows)), dtype=np.int32)
         run_blocks(adam_kernel, p, g, m, v, self._coefficients, broken)
         return tuple(name for name, n in zip(self._steps, broken.sum(0), strict=True) if n > 0)
 
+    def _flat_views(self, params: Gaussians) -> list[tuple[np.ndarray, ...]]:
+        """Of every parameter and its moments, made once for many steps."""
+        views: list[tuple[np.ndarray, ...]] = []
+        for name, parameter in params.items():
+            first, second = getattr(self._first, name), getattr(self._second, name)
+            _check(name, first, parameter)
+            if not parameter.is_contiguous():
+                raise ValueError(
+                    f"Adam.{name}: expected a contiguous parameter, to update it in place"
+                )
+            views.append((_flat(parameter), _flat(first), _flat(second)))
+        return views
+
     def edit(self, keep: Tensor | None, bands: Tensor | None, append: Gaussians | None) -> None:
         """Follow a change of the set, see `types.edited`; the moments of new ones are zero."""
+        self._views = None
         new = None if append is None else append.map(_zeros_like)
         self._first = edited(self._first, keep, bands, new)
         self._second = edited(self._second, keep, bands, new)
@@ -100,6 +116,7 @@ class Adam:
 
     def load(self, state: AdamState) -> None:
         """Continue from a copy of `state`; the next steps equal those of the optimizer it is of."""
+        self._views = None
         self._first, self._second = state.first.clone(), state.second.clone()
         self._steps = dict(zip(self._steps, state.steps, strict=True))
 
@@ -159,19 +176,16 @@ def _zeros_like(tensor: Tensor) -> Tensor:
     return torch.zeros(tensor.shape, dtype=torch.float32)
 
 
-def _check(name: str, parameter: Tensor, gradient: Tensor, moment: Tensor) -> None:
-    if not (parameter.shape == gradient.shape == moment.shape):
+def _check(name: str, given: Tensor, parameter: Tensor) -> None:
+    """That a gradient or a moment fits its parameter."""
+    if given.shape != parameter.shape:
         raise ValueError(
             f"Adam.{name}: expected one shape for parameter, gradient and moments, got"
-            f" {tuple(parameter.shape)}, {tuple(gradient.shape)}, {tuple(moment.shape)};"
-            " call edit() when the set of Gaussians changes"
+            f" {tuple(parameter.shape)} and {tuple(given.shape)}; call edit() when the set of"
+            " Gaussians changes"
         )
-    if parameter.dtype != torch.float32 or gradient.dtype != torch.float32:
-        raise ValueError(
-            f"Adam.{name}: expected float32, got {parameter.dtype} and {gradient.dtype}"
-        )
-    if not parameter.is_contiguous():
-        raise ValueError(f"Adam.{name}: expected a contiguous parameter, to update it in place")
+    if parameter.dtype != torch.float32 or given.dtype != torch.float32:
+        raise ValueError(f"Adam.{name}: expected float32, got {parameter.dtype} and {given.dtype}")
 
 
 @kernel

@@ -99,6 +99,7 @@ class Trainer:
         self.background: Tensor = _mean_color(training) if fixed is None else fixed
         self.params = gaussians.clone().map(_parameter)
         self.optimizer = Adam(self.params)
+        self.pull = torch.zeros(0, 2, requires_grad=True)
         self.items = Items()
         self.pseudo: list[View] = []
         self.queue: list[tuple[View, ...]] = []
@@ -251,7 +252,7 @@ class Trainer:
         self, item: Item, reg: StepContext | None, factors: Tensor | None
     ) -> tuple[float, dict[str, Tensor], StepStats]:
         """The loss on one view, its gradient in every parameter, and what capacity plugins see."""
-        view, pull = item.view, torch.zeros(len(self.params), 2, requires_grad=True)
+        view, pull = item.view, self._pull()
         render = rasterize(
             self.params,
             view.camera,
@@ -269,6 +270,12 @@ class Trainer:
         *gradients, d_pull = torch.autograd.grad(loss, [*tensors.values(), pull])
         stats = StepStats(d_pull, render.radii, view.camera.width, view.camera.height)
         return float(loss.detach()), dict(zip(tensors, gradients, strict=True)), stats
+
+    def _pull(self) -> Tensor:
+        """Zeros [N, 2] whose gradient is that of the projected means; the same in every step."""
+        if len(self.pull) != len(self.params):
+            self.pull = torch.zeros(len(self.params), 2, requires_grad=True)
+        return self.pull
 
     def _where(self, item: Item) -> str:
         return f"training step {self.step} on view '{item.view.name}'"

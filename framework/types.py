@@ -11,6 +11,7 @@ Conventions, everywhere in the project:
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -47,7 +48,7 @@ class Camera:
                 f"camera: expected a size of at least 1x1, got {self.width}x{self.height}"
             )
 
-    @property
+    @cached_property
     def center(self) -> Tensor:
         """[3] float64, the camera's position in the world."""
         rotation, translation = self.viewmat[:3, :3], self.viewmat[:3, 3]

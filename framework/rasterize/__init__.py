@@ -6,6 +6,7 @@ twin (any dtype). Results and gradients have the same bits on any number of thre
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -139,13 +140,19 @@ def rasterize(
     """
     n = len(gaussians)
     degree = gaussians.sh_degree if sh_degree is None else min(sh_degree, gaussians.sh_degree)
-    factors = torch.ones(n) if opacity_factors is None else opacity_factors
-    offset = torch.zeros(n, 2) if means2d_offset is None else means2d_offset
+    factors = _filled(1.0, n) if opacity_factors is None else opacity_factors
+    offset = _filled(0.0, n, 2) if means2d_offset is None else means2d_offset
     colour = torch.zeros(3) if background is None else background
     tensors = (*(tensor for _, tensor in gaussians.items()), factors, offset)
     _check_shapes(n, gaussians, factors, offset, colour)
     outputs = _Rasterize.apply(*tensors, camera, _numpy(colour), degree, float(near), depth)
     return Render(*outputs)
+
+
+@functools.lru_cache(maxsize=4)
+def _filled(value: float, *shape: int) -> Tensor:
+    """Read only: the same for all renders of as many Gaussians."""
+    return torch.full(shape, value)
 
 
 def _check_shapes(

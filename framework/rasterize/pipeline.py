@@ -17,6 +17,7 @@ from framework.rasterize.constants import ROW
 from framework.rasterize.lending import Lender, aligned, grown
 from framework.types import Camera
 
+MAX_ENTRIES = 2**31 - 1  # an int32 counts them
 TILE_BLOCKS = 59  # odd, so that a block's tiles do not all lie in the same columns
 
 
@@ -45,10 +46,9 @@ class Image:
 
 def camera_row(camera: Camera, near: float) -> np.ndarray:
     """The camera as the kernels read it: float32[20], see `ewa`."""
-    rotation, translation = camera.viewmat[:3, :3], camera.viewmat[:3, 3]
-    K = camera.K
-    row = [*rotation.reshape(-1).tolist(), *translation.tolist(), *camera.center.tolist()]
-    row += [float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]), near]
+    pose, K = camera.viewmat.tolist(), camera.K.tolist()  # element by element takes far longer
+    row = [*pose[0][:3], *pose[1][:3], *pose[2][:3], *(line[3] for line in pose[:3])]
+    row += [*camera.center.tolist(), K[0][0], K[1][1], K[0][2], K[1][2], near]
     return np.array(row, np.float32)
 
 
@@ -138,11 +138,11 @@ class Workspace:
         self.n_visible, entries = binning.depth_order(
             self.rows, self.bound, self.keys, self.spare, self.order, self.start
         )
-        if entries > np.iinfo(np.int32).max:
+        if entries > MAX_ENTRIES:
             raise UserError(
-                f"rasterize: expected Gaussians that cover at most 2147483647 tiles, got {entries}"
-                f" on {self.width}x{self.height} pixels; they are too large, as after a training"
-                " that diverged: lower trainer.lr_scales, or the size of the images"
+                f"rasterize: expected Gaussians that cover at most {MAX_ENTRIES} tiles, got"
+                f" {entries} on {self.width}x{self.height} pixels; they are too large, as after a"
+                " training that diverged: lower trainer.lr_scales, or the size of the images"
             )
 
     def bin(self) -> None:
