@@ -34,6 +34,7 @@ from framework.files import MENDABLE, unwritable
 from framework.help import help_text
 from framework.naming import plain, register_resolvers, study_name
 from framework.orphans import end_with_parent
+from framework.progress import unread
 from framework.runner import Job
 from framework.study import Outcome, Refused, add_outcome, job_count, ledger
 from framework.trust import check_command
@@ -73,7 +74,7 @@ def main(argv: Sequence[str]) -> int:
         print(f"error: {one_line(error)}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader, for instance `head`, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        unread(sys.stdout)
         return 0
     except OSError as error:
         if error.errno not in MENDABLE:

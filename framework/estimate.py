@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from framework.progress import Silent, say, unwarned
 from framework.stopwatch import Stopwatch, duration
 
 TRIAL_STEPS = 24
@@ -39,15 +40,12 @@ def announce(configs: Sequence[Config], at_once: int = 1) -> float:
 
     at_once: how many runs the launcher does at a time.
     """
-    print(
-        f"estimate: trying out {min(MOST_TRIALS, len(configs))} short runs at most ...", flush=True
-    )
+    say(f"estimate: trying out {min(MOST_TRIALS, len(configs))} short runs at most ...")
     seconds, trials = estimate(configs, measure)
     share = f", {at_once} at a time" if at_once > 1 else ""
-    print(
+    say(
         f"estimate: about {duration(seconds / at_once)} for {len(configs)} runs{share} (from"
-        f" {trials} trials of {TRIAL_STEPS} steps; runs that are already complete take no time)",
-        flush=True,
+        f" {trials} trials of {TRIAL_STEPS} steps; runs that are already complete take no time)"
     )
     return seconds / at_once
 
@@ -83,7 +81,6 @@ def measure(config: Config) -> Cost:
     """Run `config` with few steps in a folder that goes again. The first run of a process waits for
     its kernels, so the trial is the second one."""
     from framework.experiment import run_experiment
-    from framework.progress import Silent, unwarned
 
     trainer = {**config["trainer"], "steps": TRIAL_STEPS}
     short = {**config, "trainer": trainer, "force": True}

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import shutil
 import sys
 import threading
@@ -27,6 +28,21 @@ SPEED_WINDOW_S = 5.0
 TTY_PERIOD_S = 0.2
 PLAIN_PERIOD_S = 10.0
 PLAIN_SHARE = 0.1
+
+
+def say(text: str) -> None:
+    """Print a line at once; without a word where nobody reads any more, as after `| head`."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        unread(sys.stdout)
+
+
+def unread(stream: TextIO) -> None:
+    """Let all that is still written to a stream without a reader go nowhere: a run goes on."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
 
 
 @contextlib.contextmanager
@@ -191,11 +207,16 @@ class Terminal:
         line = f"{self._label} · {text}"
         if len(line) > columns:
             line = f"{self._short_label} · {text if short is None else short}"
-        self._stream.write(f"\r\x1b[K{line[:columns]}")
-        self._stream.flush()
+        self._write(f"\r\x1b[K{line[:columns]}")
 
     def _line(self, text: str) -> None:
         """A line that stays."""
         start = "\r\x1b[K" if self._in_place else ""
-        self._stream.write(f"{start}{self._label} · {text}\n")
-        self._stream.flush()
+        self._write(f"{start}{self._label} · {text}\n")
+
+    def _write(self, text: str) -> None:
+        try:
+            self._stream.write(text)
+            self._stream.flush()
+        except BrokenPipeError:
+            unread(self._stream)

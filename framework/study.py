@@ -33,6 +33,7 @@ from framework.estimate import announce
 from framework.files import write_whole
 from framework.locks import locked
 from framework.naming import plain, study_dir
+from framework.progress import say
 from framework.stopwatch import Stopwatch, duration
 from framework.trust import check_composed
 
@@ -121,7 +122,7 @@ class StudyCallback(Callback):
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         told = "" if self._expected_s is None else f" (estimated {duration(self._expected_s)})"
-        print(f"{len(outcomes())} runs took {duration(self._watch.wall_s)}{told}", flush=True)
+        say(f"{len(outcomes())} runs took {duration(self._watch.wall_s)}{told}")
         build_reports()
 
 
@@ -205,7 +206,7 @@ def build_reports() -> None:
                 for path in folder.glob(".*.tmp"):  # of a process killed while it built the report
                     path.unlink()
                 report = build_report(folder)
-            print(f"report: {short_path(report)}", flush=True)
+            say(f"report: {short_path(report)}")
         except Exception as error:
             number = len(outcomes())
             bad_input, again = isinstance(error, UserError), f"python -m framework.report {folder}"

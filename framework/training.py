@@ -6,6 +6,7 @@ that diverged leaves its state in `diverged.safetensors`.
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -33,6 +34,7 @@ from framework.trainer import Evaluate, Plugins, Trained, Trainer
 from framework.training_state import TrainerState
 from framework.types import Camera, DepthMap, Gaussians, Scene
 
+LOG = logging.getLogger(__name__)
 BYTES_PER_FLOAT, COPIES = 4, 3  # of every parameter: itself and two moments
 DIVERGING = threading.Lock()  # members may diverge at the same time, into one file
 
@@ -107,6 +109,11 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
     if run.force:
         remove_checkpoints(run.folder)
     options = TrainerOptions(**config["trainer"])
+    if options.members == 1 and options.tuning != TrainerOptions.tuning:
+        LOG.warning(
+            f"trainer.tuning={options.tuning:g}: with trainer.members=1 nothing is joined that"
+            " could be tuned, so it changes nothing; set trainer.members=2 or more"
+        )
     parts = _parts(config, options)
     opened = {index: _open(run, part) for index, part in enumerate(parts)}
     kept = [part.kept for part in opened.values() if part.kept is not None]

@@ -211,6 +211,29 @@ def test_streams_may_be_closed(tmp_path: Path) -> None:
         assert done.returncode == 2 and "Traceback" not in done.stderr
 
 
+def test_a_run_goes_on_without_a_reader(tmp_path: Path) -> None:
+    """As after `| head -1`: what it tells then goes nowhere, and the rest is as ever."""
+    body = """
+def run_experiment(config, run_dir, progress, overrides):
+    progress.done("begun")
+    open("begun", "w").close()
+    while not os.path.exists("unread"):
+        time.sleep(0.01)
+    for _ in range(3):
+        progress.done("more")
+def build_report(folder):
+    open("built", "w").close()
+    return folder / "report.md"
+"""
+    process = _started(body, tmp_path)
+    assert process.stdout is not None and process.stderr is not None
+    assert "begun" in process.stdout.readline()
+    process.stdout.close()
+    (tmp_path / "unread").touch()
+    assert process.stderr.read() == ""
+    assert process.wait(60) == 0 and (tmp_path / "built").exists()
+
+
 def test_a_report_that_cannot_be_imported_is_told(tmp_path: Path) -> None:
     script = SCRIPT.replace("report.build_report = build_report", "")
     process = subprocess.run(

@@ -237,6 +237,17 @@ def test_what_did_nothing_is_told_once(tmp_path: Path, caplog: pytest.LogCapture
     assert caplog.text.count("ever active") == 1
 
 
+def test_tuning_without_members_to_tune_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING, "framework"):
+        trained(tmp_path / "two", members=2, tuning=0.5)
+        trained(tmp_path / "one", members=1, tuning=TrainerOptions.tuning)
+        assert "tuning" not in caplog.text
+        trained(tmp_path / "chosen", members=1, tuning=0.5)
+    assert caplog.text.count("trainer.tuning=0.5: with trainer.members=1") == 1
+
+
 @pytest.mark.parametrize("changes", [{"members": 0}, {"members": 17}, {"tuning": -0.1}])
 def test_options_out_of_range_are_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(UserError, match=rf"trainer\.{next(iter(changes))}: expected"):
