@@ -63,7 +63,8 @@ class Adam:
 
         grads: by tensor name, shaped like the parameters; a tensor without one (None or missing)
         is left alone, its moments too, as in torch. rates: learning rate of every tensor with a
-        gradient, in the tensor's own units. Raises ValueError when shapes or dtypes differ.
+        gradient, in the tensor's own units. Raises ValueError when shapes or dtypes differ. The
+        tensors of one `params` object must stay where they are in memory.
         """
         gradients = dict(grads.items())
         if self._views is None or self._views[0] is not params:

@@ -216,7 +216,6 @@ def test_a_run_goes_on_without_a_reader(tmp_path: Path) -> None:
     body = """
 def run_experiment(config, run_dir, progress, overrides):
     progress.done("begun")
-    open("begun", "w").close()
     while not os.path.exists("unread"):
         time.sleep(0.01)
     for _ in range(3):
