@@ -2,7 +2,7 @@
 
     python benchmarks/bands.py [--count 50000] [--rounds 5] [--output FILE]
 
-A step is `rasterize`, `photometric_loss`, their gradient and `Adam` on one thread, at 504x378 on
+A step is `render_gradient` of `photometric_gradient` and `Adam` on one thread, at 504x378 on
 `benchmarks.scene` with SH of degree 3; shares of bands are measured in turn. Milliseconds are CPU
 time, the median over the rounds. Writes a markdown table to FILE, or prints it.
 """
@@ -18,16 +18,17 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import numpy as np
 import torch
 from safetensors.torch import save
 
 from benchmarks.scene import HEIGHT, WIDTH, layered_scene
-from framework.losses import Target, photometric_loss
+from framework.losses import Target, photometric_gradient
 from framework.optim import Adam
 from framework.parallel import set_threads
 from framework.ply import write_ply
 from framework.provenance import cpu_model
-from framework.rasterize import rasterize
+from framework.rasterize import render_gradient
 from framework.rng import stream
 from framework.types import Camera, Gaussians
 
@@ -40,23 +41,22 @@ class Training:
     """Steps on one set of Gaussians."""
 
     def __init__(self, gaussians: Gaussians, camera: Camera) -> None:
-        self.leaves, self.camera = gaussians.map(lambda t: t.clone().requires_grad_()), camera
+        self.gaussians, self.camera = gaussians.clone(), camera
         self.adam = Adam(gaussians)
         image = stream(0, "benchmark-target").random((3, HEIGHT, WIDTH), dtype="float32")
         self.target = Target.of(torch.from_numpy(image))
 
     def milliseconds(self) -> float:
         """CPU time of a step, the mean of STEPS."""
-        names, leaves = zip(*self.leaves.items(), strict=True)
+        rates = dict.fromkeys([name for name, _ in self.gaussians.items()], 1e-5)
         start = time.process_time()
         for _ in range(STEPS):
-            render = rasterize(self.leaves, self.camera, depth=False)
-            loss = photometric_loss(render.rgb, self.target, 0.2)
-            gradients = torch.autograd.grad(loss, leaves)
-            self.adam.step(
-                self.leaves, dict(zip(names, gradients, strict=True)), dict.fromkeys(names, 1e-5)
-            )
+            found = render_gradient(self.gaussians, self.camera, self._slope)
+            self.adam.step(self.gaussians, found.parameters, rates)
         return 1e3 * (time.process_time() - start) / STEPS
+
+    def _slope(self, rgb: np.ndarray) -> np.ndarray:
+        return photometric_gradient(rgb, self.target)[1]
 
 
 def sizes(gaussians: Gaussians) -> tuple[int, int, int]:

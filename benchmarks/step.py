@@ -2,9 +2,9 @@
 
     python benchmarks/step.py [--prototype DIR] [--clock cpu] [--output FILE]
 
-The step is what training runs: `rasterize` (SH degree 3), `photometric_loss`, backward by autograd,
-`Adam`, at 504x378 on `benchmarks.scene`. Stages are timed inside it; what they leave over
-(autograd, allocation) is the column `rest`. Every round runs in fresh processes, ours and the
+The step is what training runs: `render_gradient` (SH degree 3) of `photometric_gradient`, `Adam`,
+at 504x378 on `benchmarks.scene`. Stages are timed inside it; what they leave over (Python between
+them) is the column `rest`. Every round runs in fresh processes, ours and the
 prototype's in turn, so that a slow minute of the machine hits both. For comparison with two
 threads there are two processes of one thread each, at the same time, which share nothing. `wall` is
 the median over all steps of all rounds; `CPU` is the processor time of the whole process per step,
@@ -101,29 +101,23 @@ def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable
     import torch
 
     from benchmarks.scene import layered_scene
-    from framework.losses import Target, photometric_loss
+    from framework.losses import Target, photometric_gradient
     from framework.optim import Adam
-    from framework.rasterize import rasterize
+    from framework.rasterize import render_gradient
     from framework.rng import stream
 
     gaussians, camera = layered_scene(count, factor=factor)
-    leaves = gaussians.map(lambda t: t.requires_grad_())
-    names = [name for name, _ in leaves.items()]
-    rates = dict.fromkeys(names, 1e-5)
+    rates = dict.fromkeys([name for name, _ in gaussians.items()], 1e-5)
     shape = (3, camera.height, camera.width)
     image = stream(0, "benchmark-target").random(shape, dtype="float32")
     target = Target.of(torch.from_numpy(image))
     optimizer = Adam(gaussians)
-    loss_of = watch.wrap("loss", photometric_loss)
+    loss_of = watch.wrap("loss", photometric_gradient)
     update = watch.wrap("adam", optimizer.step)
-    offset = torch.zeros(count, 2, requires_grad=True)
 
     def step() -> None:
-        render = rasterize(leaves, camera, means2d_offset=offset)
-        loss = loss_of(render.rgb, target, 0.2)
-        inputs = [tensor for _, tensor in leaves.items()]
-        gradients = torch.autograd.grad(loss, [*inputs, offset])
-        update(leaves, dict(zip(names, gradients, strict=False)), rates)
+        found = render_gradient(gaussians, camera, lambda rgb: loss_of(rgb, target)[1])
+        update(gaussians, found.parameters, rates)
 
     return step
 

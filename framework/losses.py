@@ -65,33 +65,45 @@ def _lender() -> Lender:
     return _own.lender  # type: ignore[no-any-return]
 
 
+def photometric_gradient(
+    rgb: np.ndarray, target: Target, ssim_weight: float = 0.2, weight: float = 1.0
+) -> tuple[float, np.ndarray]:
+    """`photometric_loss` times `weight` of a render [3, H, W] float32, and its gradient in it, in
+    memory that is lent again once nobody holds it. Raises ValueError for another shape or dtype."""
+    if rgb.dtype != np.float32 or rgb.shape != target.image.shape:
+        raise ValueError(
+            f"photometric_loss: expected float32 {target.image.shape}, got {rgb.dtype} {rgb.shape}"
+        )
+    gradient, sums = _lender().lend([rgb.shape, (2, *rgb.shape[:2])])
+    run_blocks(
+        photometric.loss_and_gradient,
+        rgb,
+        target.image,
+        target.mask,
+        target.mean,
+        target.variance,
+        np.float32(ssim_weight),
+        np.float32(1 / rgb.size),
+        sums[0],
+        sums[1],
+        gradient,
+        blocks=photometric.BANDS,
+    )
+    ssim, l1 = sums.sum(axis=(1, 2), dtype=np.float64) / rgb.size
+    loss = np.float32((1 - ssim_weight) * l1 + ssim_weight * (1 - ssim))
+    if weight != 1:
+        gradient *= np.float32(weight)
+    return float(loss * np.float32(weight)), gradient
+
+
 class _Photometric(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, rgb: Tensor, target: Target, ssim_weight: float) -> Tensor:
-        pixels = rgb.detach().contiguous().numpy()
-        if pixels.dtype != np.float32 or pixels.shape != target.image.shape:
-            raise ValueError(
-                f"photometric_loss: expected float32 {target.image.shape}, got {pixels.dtype}"
-                f" {pixels.shape}"
-            )
-        gradient, sums = _lender().lend([pixels.shape, (2, *pixels.shape[:2])])
-        run_blocks(
-            photometric.loss_and_gradient,
-            pixels,
-            target.image,
-            target.mask,
-            target.mean,
-            target.variance,
-            np.float32(ssim_weight),
-            np.float32(1 / pixels.size),
-            sums[0],
-            sums[1],
-            gradient,
-            blocks=photometric.BANDS,
+        loss, gradient = photometric_gradient(
+            rgb.detach().contiguous().numpy(), target, ssim_weight
         )
         ctx.gradient = torch.from_numpy(gradient)
-        ssim, l1 = sums.sum(axis=(1, 2), dtype=np.float64) / pixels.size
-        return torch.tensor((1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), dtype=torch.float32)
+        return torch.tensor(loss, dtype=torch.float32)
 
     @staticmethod
     @once_differentiable

@@ -7,18 +7,21 @@ outputs, hence results do not depend on the number of threads.
 
 from __future__ import annotations
 
+import functools
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from queue import SimpleQueue
 from typing import Any
 
 BLOCKS = 16  # blocks per parallel call, fixed, so that no result can depend on the thread count
 
 WAKE_S = 0.1  # a signal that another thread got does not wake one that waits for ever
 
-_pool: ThreadPoolExecutor | None = None
+_Job = Callable[[], None]
+
+_jobs: SimpleQueue[_Job | None] = SimpleQueue()  # what the pool's threads wait for
 _pool_key: tuple[int, int] = (0, 0)
 _threads = 0
 _local = threading.local()  # in_task: this thread is at a task of `run_tasks`
@@ -71,13 +74,26 @@ def run_blocks(
             for block in share:
                 kernel(block, blocks, *scratch[thread], *args)
 
-    helpers = [_executor(pool - 1).submit(work, thread) for thread in range(1, n)]
+    ended: SimpleQueue[BaseException | None] = SimpleQueue()
+
+    def help_with(thread: int) -> None:
+        try:
+            work(thread)
+        except BaseException as error:
+            ended.put(error)
+        else:
+            ended.put(None)
+
+    jobs = _jobs_of(pool - 1)
+    for thread in range(1, n):
+        jobs.put(functools.partial(help_with, thread))
     try:
         work(0)
-    finally:
-        wait(helpers)  # nobody may still write when the caller's buffers are reused
-    for helper in helpers:
-        helper.result()
+    finally:  # nobody may still write when the caller's buffers are reused
+        failed = [ended.get() for _ in range(1, n)]
+    for error in failed:
+        if error is not None:
+            raise error
 
 
 def run_tasks(tasks: Sequence[Callable[[], Any]]) -> list[Any]:
@@ -157,9 +173,21 @@ def in_task() -> bool:
     return getattr(_local, "in_task", False)
 
 
-def _executor(helpers: int) -> ThreadPoolExecutor:
-    global _pool, _pool_key
+def _jobs_of(helpers: int) -> SimpleQueue[_Job | None]:
+    """The queue of the pool's threads; a `ThreadPoolExecutor` takes ten times as long to hand a
+    job over, eight times per training step."""
+    global _jobs, _pool_key
     key = (os.getpid(), helpers)
-    if _pool is None or _pool_key != key:
-        _pool, _pool_key = ThreadPoolExecutor(helpers, thread_name_prefix="fishersplat"), key
-    return _pool
+    if _pool_key != key:
+        if _pool_key[0] == key[0]:
+            for _ in range(_pool_key[1]):
+                _jobs.put(None)  # which ends one of the threads there were
+        _jobs, _pool_key = SimpleQueue(), key
+        for _ in range(helpers):
+            threading.Thread(target=_serve, args=(_jobs,), name="fishersplat", daemon=True).start()
+    return _jobs
+
+
+def _serve(jobs: SimpleQueue[_Job | None]) -> None:
+    for job in iter(jobs.get, None):
+        job()

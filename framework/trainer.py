@@ -10,13 +10,13 @@ Gaussians.
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from framework import hooks, schedule
@@ -24,9 +24,9 @@ from framework.edits import apply_edits
 from framework.epoch import Item, Items, ordered
 from framework.errors import require
 from framework.fisher import FisherInformation, fisher_information
-from framework.guard import check_loss, diverged
+from framework.gradient import view_gradient
+from framework.guard import diverged
 from framework.initialize import background_color, random_background
-from framework.losses import photometric_loss
 from framework.optim import Adam, decay_opacities
 from framework.options import TrainerOptions
 from framework.plugin import StepContext, StepStats
@@ -99,7 +99,6 @@ class Trainer:
         self.background: Tensor = _mean_color(training) if fixed is None else fixed
         self.params = gaussians.clone().map(_parameter)
         self.optimizer = Adam(self.params)
-        self.pull = torch.zeros(0, 2, requires_grad=True)
         self.items = Items()
         self.pseudo: list[View] = []
         self.queue: list[tuple[View, ...]] = []
@@ -252,30 +251,20 @@ class Trainer:
         self, item: Item, reg: StepContext | None, factors: Tensor | None
     ) -> tuple[float, dict[str, Tensor], StepStats]:
         """The loss on one view, its gradient in every parameter, and what capacity plugins see."""
-        view, pull = item.view, self._pull()
-        render = rasterize(
+        penalty = None
+        if reg is not None and self.reg.plugged.plugin.weighted():
+            penalty = functools.partial(self._penalty, reg)
+        return view_gradient(
             self.params,
-            view.camera,
+            item,
+            self._where(item),
+            self.options.ssim_weight,
+            penalty,
             background=self._step_background(),
             sh_degree=self._sh_degree(),
             opacity_factors=factors,
-            means2d_offset=pull,
             near=self.near,
-            depth=reg is not None and self.reg.plugged.plugin.weighted(),
         )
-        loss = photometric_loss(render.rgb, item.target, self.options.ssim_weight) * view.weight
-        check_loss(float(loss.detach()), self._where(item), self.params.detach())
-        loss = loss + self._penalty(reg, view, render)  # a term that is not finite is its plugin's
-        tensors = dict(self.params.items())
-        *gradients, d_pull = torch.autograd.grad(loss, [*tensors.values(), pull])
-        stats = StepStats(d_pull, render.radii, view.camera.width, view.camera.height)
-        return float(loss.detach()), dict(zip(tensors, gradients, strict=True)), stats
-
-    def _pull(self) -> Tensor:
-        """Zeros [N, 2] whose gradient is that of the projected means; the same in every step."""
-        if len(self.pull) != len(self.params):
-            self.pull = torch.zeros(len(self.params), 2, requires_grad=True)
-        return self.pull
 
     def _where(self, item: Item) -> str:
         return f"training step {self.step} on view '{item.view.name}'"
@@ -293,10 +282,8 @@ class Trainer:
         factors, self.reg.state = hooks.opacity_factors(plugin, result, len(self.params))
         return factors
 
-    def _penalty(self, context: StepContext | None, view: View, render: Render) -> Tensor | float:
+    def _penalty(self, context: StepContext, view: View, render: Render) -> Tensor | float:
         """The regularizer's weighted loss term; 0 without one."""
-        if context is None:
-            return 0.0
         plugged, context = self.reg.plugged, replace(context, gaussians=self.params)
         result = plugged.plugin.loss(context, self.reg.state, view, render)
         term = hooks.loss_term(plugged.plugin, result)

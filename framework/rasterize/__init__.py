@@ -1,12 +1,16 @@
-"""One differentiable call: Gaussians and a camera -> a render.
+"""Gaussians and a camera -> a render, and the gradient of a loss on it.
 
-`rasterize` runs the numba kernels (float32); `reference.rasterize_reference` is its readable torch
-twin (any dtype). Results and gradients have the same bits on any number of threads.
+`rasterize` runs the numba kernels (float32) as one differentiable call;
+`reference.rasterize_reference` is its readable torch twin (any dtype). `render_gradient` takes the
+same gradient without autograd, as training does. Results and gradients have the same bits on any
+number of threads.
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,8 +23,18 @@ from framework.rasterize.lending import Lender
 from framework.rasterize.pipeline import Arrays, Image, Workspace
 from framework.types import Camera, Gaussians, Render
 
-__all__ = ["Arrays", "Image", "Workspace", "borrow", "give_back", "rasterize"]
+__all__ = [
+    "Arrays",
+    "Image",
+    "RenderGradient",
+    "Workspace",
+    "borrow",
+    "give_back",
+    "rasterize",
+    "render_gradient",
+]
 
+_NOTHING = np.empty((0, 0), np.float32)
 _free: list[Workspace] = []  # workspaces not in use; two renders may be waiting for gradients
 
 
@@ -44,6 +58,40 @@ def _numpy(tensor: Tensor) -> np.ndarray:
     return tensor.detach().contiguous().numpy()
 
 
+def _render(
+    work: Workspace,
+    tensors: Sequence[Tensor],
+    camera: Camera,
+    background: np.ndarray,
+    degree: int,
+    near: float,
+    with_depth: bool,
+    kept: bool,
+) -> tuple[Image, np.ndarray]:
+    """The image and radii [N]. kept: for a gradient, hence in memory that is lent again; others may
+    hold on to what they render."""
+    size, n = (camera.height, camera.width), len(tensors[0])
+    of_images, of_radii = (work.images, work.radii) if kept else (Lender(), Lender())
+    planes, depth = of_images.lend([(4, *size), size if with_depth else (0, 0)])
+    (radii,) = of_radii.lend([(n,)])
+    work.project(Arrays(*map(_numpy, tensors)), camera, degree, near, radii)
+    work.sort()
+    work.bin()
+    image = Image(planes[:3], planes[3], depth)
+    work.blend(background, image)
+    return image, radii
+
+
+def _pull_back(
+    work: Workspace, image: Image, gradient: Image, shapes: Sequence[torch.Size]
+) -> list[Tensor]:
+    """From the gradient in the image to that in the tensors, of these shapes, that made it."""
+    work.blend_backward(image, gradient)
+    arrays = [*work.gradients.lend(shapes[:-1]), *work.pulls.lend(shapes[-1:])]
+    work.project_backward(Arrays(*arrays))
+    return [torch.from_numpy(array) for array in arrays]
+
+
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(
@@ -64,18 +112,8 @@ class _Rasterize(torch.autograd.Function):
     ) -> Any:
         ctx.set_materialize_grads(False)
         tensors = (means, quats, log_scales, opacity_logits, sh0, shN, factors, offset)
-        work = borrow()
-        size, n = (camera.height, camera.width), len(means)
-        kept = any(ctx.needs_input_grad)  # in a step; others may hold on to what they render
-        of_images, of_radii = (work.images, work.radii) if kept else (Lender(), Lender())
-        planes, depth = of_images.lend([(4, *size), size if with_depth else (0, 0)])
-        (radii,) = of_radii.lend([(n,)])
-        arrays = Arrays(*(_numpy(t) for t in tensors))
-        work.project(arrays, camera, degree, near, radii)
-        work.sort()
-        work.bin()
-        image = Image(planes[:3], planes[3], depth)
-        work.blend(background, image)
+        work, kept = borrow(), any(ctx.needs_input_grad)
+        image, radii = _render(work, tensors, camera, background, degree, near, with_depth, kept)
         outputs = tuple(map(torch.from_numpy, (image.rgb, image.alpha, image.depth, radii)))
         ctx.mark_non_differentiable(outputs[-1])
         if kept:
@@ -94,11 +132,9 @@ class _Rasterize(torch.autograd.Function):
             raise RuntimeError("rasterize: this render's gradient was already taken")
         image = Image(*map(_numpy, ctx.saved_tensors))
         ctx.work = None
-        work.blend_backward(*_backward_images(image, grads))
-        gradients = [*work.gradients.lend(ctx.shapes[:-1]), *work.pulls.lend(ctx.shapes[-1:])]
-        work.project_backward(Arrays(*gradients))
+        gradients = _pull_back(work, *_backward_images(image, grads), ctx.shapes)
         give_back(work)
-        return (*map(torch.from_numpy, gradients), None, None, None, None, None)
+        return (*gradients, None, None, None, None, None)
 
 
 def _backward_images(image: Image, grads: tuple[Tensor | None, ...]) -> tuple[Image, Image]:
@@ -111,8 +147,7 @@ def _backward_images(image: Image, grads: tuple[Tensor | None, ...]) -> tuple[Im
     rgb, alpha, depth = image.rgb, image.alpha, image.depth
     g_rgb, g_alpha, g_depth = grads[:3]
     if g_alpha is None and g_depth is None:
-        nothing = np.empty((0, 0), np.float32)
-        return image, Image(gradient(g_rgb, rgb), nothing, nothing)
+        return image, Image(gradient(g_rgb, rgb), _NOTHING, _NOTHING)
     whole = depth if depth.size else np.zeros_like(alpha)
     given = Image(gradient(g_rgb, rgb), gradient(g_alpha, alpha), gradient(g_depth, alpha))
     return Image(rgb, alpha, whole), given
@@ -138,15 +173,57 @@ def rasterize(
     which saves a tenth of the blending. Differentiable in all tensors but the background.
     Raises UserError for other dtypes than float32 and for wrong shapes.
     """
-    n = len(gaussians)
-    degree = gaussians.sh_degree if sh_degree is None else min(sh_degree, gaussians.sh_degree)
-    factors = _filled(1.0, n) if opacity_factors is None else opacity_factors
-    offset = _filled(0.0, n, 2) if means2d_offset is None else means2d_offset
+    tensors = _tensors(gaussians, opacity_factors, means2d_offset)
+    degree, colour = _degree(gaussians, sh_degree), _colour(background)
+    return Render(*_Rasterize.apply(*tensors, camera, colour, degree, float(near), depth))
+
+
+@dataclass(frozen=True)
+class RenderGradient:
+    """The gradient of a loss on one render. parameters: by name, shaped as in `Gaussians`; means2d
+    [N, 2]: in the projected means, in pixels; radii [N] pixels, 0 = culled, of that render."""
+
+    parameters: dict[str, Tensor]
+    means2d: Tensor
+    radii: Tensor
+
+
+def render_gradient(
+    gaussians: Gaussians,
+    camera: Camera,
+    image_gradient: Callable[[np.ndarray], np.ndarray],
+    *,
+    background: Tensor | None = None,
+    sh_degree: int | None = None,
+    opacity_factors: Tensor | None = None,
+    near: float = 0.01,
+) -> RenderGradient:
+    """Render as `rasterize` does and bring the gradient of a loss of its colours to the parameters.
+
+    image_gradient: given the render's rgb [3, H, W] float32, returns the loss's gradient in it. The
+    same bits as autograd's, whose machinery, cold after each kernel, takes 3 to 5 % of a step more.
+    """
+    tensors, work = _tensors(gaussians, opacity_factors, None), borrow()
+    degree, colour = _degree(gaussians, sh_degree), _colour(background)
+    image, radii = _render(work, tensors, camera, colour, degree, near, False, True)
+    slope = Image(image_gradient(image.rgb), _NOTHING, _NOTHING)
+    *gradients, _, means2d = _pull_back(work, image, slope, [t.shape for t in tensors])
+    give_back(work)
+    names = [name for name, _ in gaussians.items()]
+    parameters = dict(zip(names, gradients, strict=True))
+    return RenderGradient(parameters, means2d, torch.from_numpy(radii))
+
+
+def _degree(gaussians: Gaussians, wanted: int | None) -> int:
+    return gaussians.sh_degree if wanted is None else min(wanted, gaussians.sh_degree)
+
+
+def _colour(background: Tensor | None) -> np.ndarray:
+    """The background [3], by default black."""
     colour = torch.zeros(3) if background is None else background
-    tensors = (*(tensor for _, tensor in gaussians.items()), factors, offset)
-    _check_shapes(n, gaussians, factors, offset, colour)
-    outputs = _Rasterize.apply(*tensors, camera, _numpy(colour), degree, float(near), depth)
-    return Render(*outputs)
+    if tuple(colour.shape) != (3,):
+        raise UserError(f"rasterize: expected background of shape [3], got {list(colour.shape)}")
+    return _numpy(colour)
 
 
 @functools.lru_cache(maxsize=4)
@@ -155,18 +232,27 @@ def _filled(value: float, *shape: int) -> Tensor:
     return torch.full(shape, value)
 
 
-def _check_shapes(
-    n: int, gaussians: Gaussians, factors: Tensor, offset: Tensor, colour: Tensor
-) -> None:
-    """The kernels do not check bounds."""
+def _tensors(
+    gaussians: Gaussians, factors: Tensor | None, offset: Tensor | None
+) -> tuple[Tensor, ...]:
+    """What is rendered, in the order of `Arrays`; shapes fit, as kernels do not check bounds."""
+    n = len(gaussians)
+    factors = _filled(1.0, n) if factors is None else factors
+    offset = _filled(0.0, n, 2) if offset is None else offset
     expected = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "opacity_logits": (n,)}
     banded = min(n, gaussians.shN.shape[0])
     expected |= {"sh0": (n, 1, 3), "shN": (banded, gaussians.shN.shape[1], 3)}
-    given = [(name, tensor, expected[name]) for name, tensor in gaussians.items()]
-    given += [("opacity_factors", factors, (n,)), ("means2d_offset", offset, (n, 2))]
-    for name, tensor, shape in [*given, ("background", colour, (3,))]:
-        if tuple(tensor.shape) != shape:
-            raise UserError(
-                f"rasterize: expected {name} of shape {list(shape)} for {n} Gaussians, got"
-                f" {list(tensor.shape)}"
-            )
+    given = dict(gaussians.items())
+    for name, tensor in given.items():
+        _check_shape(name, tensor, expected[name], n)
+    _check_shape("opacity_factors", factors, (n,), n)
+    _check_shape("means2d_offset", offset, (n, 2), n)
+    return (*given.values(), factors, offset)
+
+
+def _check_shape(name: str, tensor: Tensor, shape: tuple[int, ...], n: int) -> None:
+    if tuple(tensor.shape) != shape:
+        raise UserError(
+            f"rasterize: expected {name} of shape {list(shape)} for {n} Gaussians, got"
+            f" {list(tensor.shape)}"
+        )

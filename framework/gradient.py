@@ -1,0 +1,68 @@
+"""The training loss on one view and its gradient in every parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from framework.epoch import Item
+from framework.guard import check_loss
+from framework.losses import photometric_gradient, photometric_loss
+from framework.plugin import StepStats
+from framework.rasterize import rasterize, render_gradient
+from framework.types import Gaussians, Render, View
+
+Penalty = Callable[[View, Render], Tensor | float]
+Found = tuple[float, dict[str, Tensor], StepStats]
+
+
+def view_gradient(
+    params: Gaussians,
+    item: Item,
+    where: str,
+    ssim_weight: float,
+    penalty: Penalty | None = None,
+    **rendered: Any,
+) -> Found:
+    """The loss on a view, its gradient by the parameters' names, and what capacity plugins see.
+
+    penalty: a term that is added, of whatever its plugin likes, hence by autograd; without one the
+    gradient is taken directly, with the same bits. where: for messages. rendered: the options of
+    `rasterize` but offset and depth. Raises Diverged when the photometric loss is not finite.
+    """
+    if penalty is not None:
+        return _by_autograd(params, item, where, ssim_weight, penalty, **rendered)
+    view, loss = item.view, 0.0
+
+    def slope(rgb: np.ndarray) -> np.ndarray:
+        nonlocal loss
+        loss, gradient = photometric_gradient(rgb, item.target, ssim_weight, view.weight)
+        check_loss(loss, where, params.detach())
+        return gradient
+
+    found = render_gradient(params, view.camera, slope, **rendered)
+    stats = StepStats(found.means2d, found.radii, view.camera.width, view.camera.height)
+    return loss, found.parameters, stats
+
+
+def _by_autograd(
+    params: Gaussians,
+    item: Item,
+    where: str,
+    ssim_weight: float,
+    penalty: Penalty,
+    **rendered: Any,
+) -> Found:
+    view, offset = item.view, torch.zeros(len(params), 2, requires_grad=True)
+    render = rasterize(params, view.camera, means2d_offset=offset, **rendered)
+    loss = photometric_loss(render.rgb, item.target, ssim_weight) * view.weight
+    check_loss(float(loss.detach()), where, params.detach())
+    loss = loss + penalty(view, render)  # one that is not finite is its plugin's
+    tensors = dict(params.items())
+    *gradients, means2d = torch.autograd.grad(loss, [*tensors.values(), offset])
+    stats = StepStats(means2d, render.radii, view.camera.width, view.camera.height)
+    return float(loss.detach()), dict(zip(tensors, gradients, strict=True)), stats
