@@ -168,7 +168,7 @@ class Gaussians:
 
     def items(self) -> tuple[tuple[str, Tensor], ...]:
         """(name, tensor) pairs in the order of declaration."""
-        return tuple((f.name, getattr(self, f.name)) for f in fields(self))
+        return tuple((name, getattr(self, name)) for name in _NAMES)
 
     def map(self, function) -> Gaussians:  # type: ignore[no-untyped-def]
         """A new set with `function` applied to every tensor."""
@@ -208,13 +208,14 @@ class Gaussians:
         return replace(self, **changes)
 
 
+_NAMES = tuple(f.name for f in fields(Gaussians))  # looked up many times a step
+
+
 def concatenate(parts: list[Gaussians]) -> Gaussians:
     """The Gaussians of all `parts`, in order: first all that have SH bands above 0."""
     pieces = [part.rows(0, len(part.shN)) for part in parts]
     pieces += [part.rows(len(part.shN), len(part)) for part in parts]
-    return Gaussians(
-        **{f.name: torch.cat([getattr(p, f.name) for p in pieces]) for f in fields(Gaussians)}
-    )
+    return Gaussians(**{name: torch.cat([getattr(p, name) for p in pieces]) for name in _NAMES})
 
 
 def edited(

@@ -34,7 +34,7 @@ __all__ = [
     "render_gradient",
 ]
 
-_NOTHING = np.empty((0, 0), np.float32)
+_NOTHING, _BLACK = np.empty((0, 0), np.float32), np.zeros(3, np.float32)
 _free: list[Workspace] = []  # workspaces not in use; two renders may be waiting for gradients
 
 
@@ -220,10 +220,13 @@ def _degree(gaussians: Gaussians, wanted: int | None) -> int:
 
 def _colour(background: Tensor | None) -> np.ndarray:
     """The background [3], by default black."""
-    colour = torch.zeros(3) if background is None else background
-    if tuple(colour.shape) != (3,):
-        raise UserError(f"rasterize: expected background of shape [3], got {list(colour.shape)}")
-    return _numpy(colour)
+    if background is None:
+        return _BLACK
+    if tuple(background.shape) != (3,):
+        raise UserError(
+            f"rasterize: expected background of shape [3], got {list(background.shape)}"
+        )
+    return _numpy(background)
 
 
 @functools.lru_cache(maxsize=4)

@@ -17,7 +17,6 @@ import numpy as np
 LINE = 64  # bytes that a processor loads at once
 _FLOATS = LINE // 4
 _KEPT = 4  # buffers at most
-_UNSHARED = 2  # references to memory that nobody holds: of the kept view, and of an argument
 
 
 def aligned(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
@@ -34,28 +33,43 @@ def grown(buffer: np.ndarray, n: int) -> np.ndarray:
     return buffer if len(buffer) >= n else aligned((n + n // 4, *buffer.shape[1:]), buffer.dtype)
 
 
+class _Buffer:
+    """Memory and the arrays that lie in it, made once for as long as their shapes stay the same."""
+
+    def __init__(self) -> None:
+        self._flat = aligned((0,), np.float32)
+        self._shapes: list[tuple[int, ...]] = []
+        self._arrays: list[np.ndarray] = []
+
+    def free(self) -> bool:
+        """Whether nobody holds any of the arrays, nor a view or a tensor of one."""
+        # held by this list, by `array`, by the call; the memory by every array, `_flat`, the call
+        lent = any(sys.getrefcount(array) > 3 for array in self._arrays)
+        return not lent and sys.getrefcount(self._flat.base) == len(self._arrays) + 2
+
+    def arrays(self, shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
+        """Of these shapes, each on a cache line."""
+        if self._shapes != shapes:
+            ends = list(accumulate(-(-math.prod(shape) // _FLOATS) * _FLOATS for shape in shapes))
+            self._flat, self._shapes = grown(self._flat, ends[-1]), list(shapes)
+            self._arrays = [
+                self._flat[start : start + math.prod(shape)].reshape(shape)
+                for start, shape in zip([0, *ends[:-1]], shapes, strict=True)
+            ]
+        return self._arrays.copy()
+
+
 class Lender:
     """Lends arrays. Those of one call share a buffer, which is lent again once nobody holds any of
     them, nor a view or a tensor of one; nobody has to give anything back. For one thread."""
 
     def __init__(self) -> None:
-        self._buffers: list[np.ndarray] = []
+        self._buffers: list[_Buffer] = []
 
     def lend(self, shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
         """Uninitialised float32 arrays of these shapes, each on a cache line."""
-        ends = list(accumulate(-(-math.prod(shape) // _FLOATS) * _FLOATS for shape in shapes))
-        place = self._free()
-        flat = self._buffers[place] = grown(self._buffers[place], ends[-1])
-        starts = [0, *ends[:-1]]
-        return [
-            flat[start : start + math.prod(shape)].reshape(shape)
-            for start, shape in zip(starts, shapes, strict=True)
-        ]
-
-    def _free(self) -> int:
-        """The place of a buffer that nobody holds; of a new one if there is none."""
-        for place in range(len(self._buffers)):
-            if sys.getrefcount(self._buffers[place].base) == _UNSHARED:
-                return place
-        self._buffers = [*self._buffers[-_KEPT + 1 :], aligned((0,), np.float32)]
-        return len(self._buffers) - 1
+        for buffer in self._buffers:
+            if buffer.free():
+                return buffer.arrays(shapes)
+        self._buffers = [*self._buffers[-_KEPT + 1 :], _Buffer()]
+        return self._buffers[-1].arrays(shapes)
