@@ -57,9 +57,11 @@ class Adam:
         params: Gaussians,
         grads: Gaussians | Mapping[str, Tensor | None],
         rates: Mapping[str, float],
+        opacity_decay: float = 1.0,
     ) -> tuple[str, ...]:
-        """Update `params` in place; returns the names of tensors with a value or a second moment
-        that is not finite now, which a gradient that is not finite always causes.
+        """Update `params` in place, then multiply the activated opacities by `opacity_decay` in
+        (0, 1]; returns the names of tensors with a value or a second moment that is not finite now,
+        which a gradient that is not finite always causes.
 
         grads: by tensor name, shaped like the parameters; a tensor without one (None or missing)
         is left alone, its moments too, as in torch. rates: learning rate of every tensor with a
@@ -82,7 +84,8 @@ class Adam:
             rows.append((p, _flat(gradient.contiguous()), m, v))
         p, g, m, v = zip(*rows, strict=True)
         broken = np.zeros((BLOCKS, len(rows)), dtype=np.int32)
-        run_blocks(adam_kernel, p, g, m, v, self._coefficients, broken)
+        logits, decay = _flat(params.opacity_logits), np.float32(opacity_decay)
+        run_blocks(adam_kernel, p, g, m, v, self._coefficients, broken, logits, decay)
         return tuple(name for name, n in zip(self._steps, broken.sum(0), strict=True) if n > 0)
 
     def _flat_views(self, params: Gaussians) -> list[tuple[np.ndarray, ...]]:
@@ -150,17 +153,40 @@ def _adam_range(p, g, m, v, rate, correction):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def adam_kernel(block, n_blocks, p, g, m, v, coefficients, broken):  # type: ignore[no-untyped-def]
-    """Block `block` of one Adam update of several tensors.
+def _decay_range(logits, begin, end, decay):  # type: ignore[no-untyped-def]
+    """Multiply the opacities sigmoid(logits[begin:end]) by `decay` in (0, 1).
+
+    d sigmoid(l) = sigmoid(l'), l' = log d - log(1 - d + exp(-l)); Binocular3DGS applies such a
+    decay so that Gaussians which no view confirms fade.
+    """
+    log_decay, lowest = np.float32(math.log(decay)), splat(np.float32(LOWEST_LOGIT))
+    kept, scratch = np.float32(1) - decay, np.empty(LANES, np.float32)
+    for base in range(begin, end, LANES):
+        count = min(LANES, end - base)
+        # exp(88) overflows; an opacity of 1e-13 is as good as none
+        bounded = maximum(take1(logits, base, count, scratch), lowest)
+        decayed = log_decay - _LN2 * log2(kept + exp2(-bounded * _LOG2E))
+        put1(logits, base, count, scratch, maximum(decayed, lowest))
+
+
+@kernel
+def adam_kernel(  # type: ignore[no-untyped-def]
+    block, n_blocks, p, g, m, v, coefficients, broken, logits, decay
+):
+    """Block `block` of one Adam update of several tensors, and of the decay of opacities after it.
 
     p, g, m, v: tuples of flat float32 arrays (parameters, gradients, moments), all C-contiguous.
     coefficients: [len(p), 2] float32, see `_adam_range`. broken: [n_blocks, len(p)] int32, out.
+    logits [N], one of p unless it has no gradient, and decay: see `_decay_range`.
     """
     for k in range(len(p)):
         n = len(p[k])
         a, b = n * block // n_blocks, n * (block + 1) // n_blocks
         rate, correction = coefficients[k, 0], coefficients[k, 1]
         broken[block, k] = _adam_range(p[k][a:b], g[k][a:b], m[k][a:b], v[k][a:b], rate, correction)
+    if decay < 1:
+        n = len(logits)
+        _decay_range(logits, n * block // n_blocks, n * (block + 1) // n_blocks, decay)
 
 
 def _coefficients(step: int, rate: float) -> tuple[float, float]:
@@ -187,26 +213,3 @@ def _check(name: str, given: Tensor, parameter: Tensor) -> None:
         )
     if parameter.dtype != torch.float32 or given.dtype != torch.float32:
         raise ValueError(f"Adam.{name}: expected float32, got {parameter.dtype} and {given.dtype}")
-
-
-@kernel
-def _decay_range(block, n_blocks, logits, decay):  # type: ignore[no-untyped-def]
-    log_decay, lowest = np.float32(math.log(decay)), splat(np.float32(LOWEST_LOGIT))
-    kept, scratch = np.float32(1) - decay, np.empty(LANES, np.float32)
-    begin, end = len(logits) * block // n_blocks, len(logits) * (block + 1) // n_blocks
-    for base in range(begin, end, LANES):
-        count = min(LANES, end - base)
-        # exp(88) overflows; an opacity of 1e-13 is as good as none
-        bounded = maximum(take1(logits, base, count, scratch), lowest)
-        decayed = log_decay - _LN2 * log2(kept + exp2(-bounded * _LOG2E))
-        put1(logits, base, count, scratch, maximum(decayed, lowest))
-
-
-def decay_opacities(logits: Tensor, decay: float) -> None:
-    """Multiply the activated opacities by `decay` in (0, 1], in place on their logits [N].
-
-    d sigmoid(l) = sigmoid(l'), l' = log d - log(1 - d + exp(-l)); Binocular3DGS applies such a
-    decay so that Gaussians which no view confirms fade.
-    """
-    if decay < 1:
-        run_blocks(_decay_range, _flat(logits), np.float32(decay))

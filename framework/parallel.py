@@ -32,15 +32,17 @@ class Abandoned(Exception):
 
 
 def set_threads(n: int) -> None:
-    """Use `n` threads for kernels; 0 = all cores this process may run on."""
+    """Use `n` threads for kernels; 0 = all cores this process may run on now."""
     global _threads
-    _threads = int(n)
+    _threads = int(n) or _cores()
 
 
 def threads() -> int:
     """The number of threads in use."""
-    if _threads > 0:
-        return _threads
+    return _threads or _cores()
+
+
+def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

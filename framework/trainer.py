@@ -27,7 +27,7 @@ from framework.fisher import FisherInformation, fisher_information
 from framework.gradient import view_gradient
 from framework.guard import diverged
 from framework.initialize import background_color, random_background
-from framework.optim import Adam, decay_opacities
+from framework.optim import Adam
 from framework.options import TrainerOptions
 from framework.plugin import StepContext, StepStats
 from framework.progress import Progress
@@ -240,10 +240,10 @@ class Trainer:
             for name, gradient in more.items():
                 gradients[name].add_(gradient)
         rates = schedule.learning_rates(self.options, self.step, self.extent)
-        broken = self.optimizer.step(self.params, gradients, rates)
+        decay = self.options.opacity_decay
+        broken = self.optimizer.step(self.params, gradients, rates, decay)
         if broken:
             raise diverged(broken, self._where(items[0]), self.params.detach(), gradients)
-        decay_opacities(self.params.opacity_logits, self.options.opacity_decay)
         self._edit(stats)
         return value
 

@@ -196,9 +196,9 @@ def test_a_pseudo_view_adds_its_weighted_gradient_to_its_step(
     gradients: list[dict[str, Tensor]] = []
     pulls: list[Tensor] = []
 
-    def noted(self: Adam, params: Gaussians, grads: Any, rates: Any) -> tuple[str, ...]:
+    def noted(self: Adam, params: Gaussians, grads: Any, *others: Any) -> tuple[str, ...]:
         gradients.append({name: gradient.clone() for name, gradient in grads.items()})
-        return step(self, params, grads, rates)
+        return step(self, params, grads, *others)
 
     def watched(self: Any, ctx: StepContext, state: Any, stats: StepStats) -> Any:
         pulls.append(stats.means2d_grad.clone())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from framework.optim import Adam, decay_opacities
+from framework.optim import Adam
 from framework.parallel import set_threads
 from framework.rng import stream
 from framework.types import Gaussians
@@ -187,20 +187,26 @@ def test_refuses_what_does_not_fit() -> None:
 
 
 def test_opacity_decay_multiplies_opacities_on_any_thread_count() -> None:
-    start, results = torch.linspace(-12, 12, 1001), []
-    for threads in (1, 3):
-        set_threads(threads)
-        results.append(start.clone())
-        decay_opacities(results[-1], 0.99)
-    assert torch.equal(*results)
-    torch.testing.assert_close(results[0].sigmoid(), 0.99 * start.sigmoid(), atol=2e-7, rtol=1e-6)
-    decay_opacities(results[1], 1.0)
-    assert torch.equal(*results)
+    """Also where no tensor has a gradient, and after the update where they do."""
+    start = torch.linspace(-12, 12, 1001)
+    for grads in ({}, dict(gradient(1001, 0).items())):
+        updated, results = gaussians(1001, "test/params").replace(opacity_logits=start.clone()), []
+        Adam(updated).step(updated, grads, RATES)
+        for threads in (1, 3):
+            set_threads(threads)
+            params = gaussians(1001, "test/params").replace(opacity_logits=start.clone())
+            Adam(params).step(params, grads, RATES, opacity_decay=0.99)
+            results.append(params)
+        assert equal(*results)
+        expected = 0.99 * updated.opacity_logits.sigmoid()
+        torch.testing.assert_close(results[0].opacities, expected, atol=2e-7, rtol=1e-6)
+        assert torch.equal(results[0].means, updated.means)
 
 
 def test_opacity_decay_stays_finite_forever() -> None:
     """A Gaussian no view ever sees fades to nothing, not to minus infinity."""
-    logits = torch.tensor([-2.2, 3.0])
+    params = gaussians(2, "test/params").replace(opacity_logits=torch.tensor([-2.2, 3.0]))
+    adam = Adam(params)
     for _ in range(20000):
-        decay_opacities(logits, 0.99)
-    assert torch.isfinite(logits).all() and (logits.sigmoid() < 1e-9).all()
+        adam.step(params, {}, RATES, opacity_decay=0.99)
+    assert torch.isfinite(params.opacity_logits).all() and (params.opacities < 1e-9).all()
