@@ -19,10 +19,6 @@ BLOCKS = 16  # blocks per parallel call, fixed, so that no result can depend on 
 
 WAKE_S = 0.1  # a signal that another thread got does not wake one that waits for ever
 
-_Job = Callable[[], None]
-
-_jobs: SimpleQueue[_Job | None] = SimpleQueue()  # what the pool's threads wait for
-_pool_key: tuple[int, int] = (0, 0)
 _threads = 0
 _local = threading.local()  # in_task: this thread is at a task of `run_tasks`
 
@@ -58,7 +54,7 @@ def run_blocks(
     lines, and then helps others with theirs. own: scratch that a thread has for itself, of which
     nothing is left after a block; as many threads as there are of it take part, at most. None: no
     such arguments.
-    Raises whatever a block raised. The pool is rebuilt after a fork or a change of thread count.
+    Raises whatever a block raised.
     """
     pool = threads()
     n = min(pool, len(own)) if own else pool
@@ -86,7 +82,7 @@ def run_blocks(
         else:
             ended.put(None)
 
-    jobs = _jobs_of(pool - 1)
+    jobs = _helpers(os.getpid(), pool - 1)
     for thread in range(1, n):
         jobs.put(functools.partial(help_with, thread))
     try:
@@ -175,21 +171,17 @@ def in_task() -> bool:
     return getattr(_local, "in_task", False)
 
 
-def _jobs_of(helpers: int) -> SimpleQueue[_Job | None]:
-    """The queue of the pool's threads; a `ThreadPoolExecutor` takes ten times as long to hand a
-    job over, eight times per training step."""
-    global _jobs, _pool_key
-    key = (os.getpid(), helpers)
-    if _pool_key != key:
-        if _pool_key[0] == key[0]:
-            for _ in range(_pool_key[1]):
-                _jobs.put(None)  # which ends one of the threads there were
-        _jobs, _pool_key = SimpleQueue(), key
-        for _ in range(helpers):
-            threading.Thread(target=_serve, args=(_jobs,), name="fishersplat", daemon=True).start()
-    return _jobs
+@functools.cache
+def _helpers(process: int, count: int) -> SimpleQueue[Callable[[], None]]:
+    """The queue that `count` threads of this process take jobs from; a process that is forked has
+    none of its parent's. A `ThreadPoolExecutor` takes longer to hand a job over, eight times per
+    training step."""
+    jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
+    for _ in range(count):
+        threading.Thread(target=_serve, args=(jobs,), name="fishersplat", daemon=True).start()
+    return jobs
 
 
-def _serve(jobs: SimpleQueue[_Job | None]) -> None:
-    for job in iter(jobs.get, None):
-        job()
+def _serve(jobs: SimpleQueue[Callable[[], None]]) -> None:
+    while True:
+        jobs.get()()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 import time
@@ -74,6 +75,42 @@ def test_no_more_threads_take_part_than_there_is_scratch(threads: int) -> None:
     own: list[tuple[list[int]]] = [([],)]
     run_blocks(lambda block, blocks, mine: mine.append(block), blocks=40, own=own)
     assert own == [(list(range(40)),)]
+
+
+def test_a_forked_process_has_threads_of_its_own(threads: int) -> None:
+    """Its parent's do not exist there: who waited for them would wait for ever."""
+    run_blocks(lambda block, blocks: None)
+    child = os.fork()
+    if child == 0:
+        signal.alarm(20)
+        seen: list[int] = []
+        run_blocks(lambda block, blocks: seen.append(block), blocks=40)
+        os._exit(0 if sorted(seen) == list(range(40)) else 1)
+    assert os.waitpid(child, 0)[1] == 0
+
+
+def test_threads_of_several_callers(threads: int) -> None:
+    """Each call ends when its own blocks are done, whoever else uses the pool, also the first."""
+    counts, go = [0] * 8, threading.Barrier(8)
+
+    def calls(caller: int) -> None:
+        def kernel(block: int, blocks: int, mine: list[int]) -> None:
+            time.sleep(0.0005)
+            mine.append(block)
+
+        go.wait(20)
+        for _ in range(10):
+            seen: list[int] = []
+            run_blocks(kernel, seen, blocks=10)
+            counts[caller] += len(seen)
+
+    set_threads(threads + 3)
+    callers = [threading.Thread(target=calls, args=(caller,)) for caller in range(8)]
+    for caller in callers:
+        caller.start()
+    for caller in callers:
+        caller.join(20)
+    assert counts == [100] * 8
 
 
 def test_tasks_give_their_results_in_order(threads: int) -> None:
