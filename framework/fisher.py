@@ -46,17 +46,17 @@ def fisher_information(
     arrays += [np.ones(n, np.float32), np.zeros((n, 2), np.float32)]
     image = _render(work, Arrays(*arrays), camera, degree, near, colour)
     work.blend_moments(image)
-    block, diagonal = torch.empty(n, 6, 6), torch.empty(n, 14)
-    work.information(block.numpy(), diagonal.numpy())
+    block, diagonal = work.blocks.lend([(n, 6, 6), (n, 14)])
+    work.information(block, diagonal)
     visible = torch.from_numpy(work.n_parts > 0)
     give_back(work)
-    return FisherInformation(block, diagonal, visible)
+    return FisherInformation(torch.from_numpy(block), torch.from_numpy(diagonal), visible)
 
 
 def _render(
     work: Workspace, arrays: Arrays, camera: Camera, degree: int, near: float, colour: np.ndarray
 ) -> Image:
-    planes = np.empty((4, camera.height, camera.width), np.float32)
+    (planes,) = work.images.lend([(4, camera.height, camera.width)])
     image = Image(planes[:3], planes[3], np.empty((0, 0), np.float32))  # the moments need no depth
     work.project(arrays, camera, degree, near, np.empty(len(arrays.means), np.float32))
     work.sort()

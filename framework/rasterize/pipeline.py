@@ -67,6 +67,7 @@ class Workspace:
         self.mixed: list[np.ndarray] = []
         # apart, as who keeps one of a lender's arrays keeps all that were lent with it
         self.images, self.gradients, self.radii, self.pulls = (Lender() for _ in range(4))
+        self.blocks = Lender()
         self._tiles = (0, 0)
 
     def _fit_image(self, columns: int, bands: int) -> None:

@@ -123,10 +123,13 @@ class Uar(DropoutRegularizer):
 
         from framework.information import uncertainty
 
-        first, *others = (ctx.fisher(view.camera) for view in ctx.views)
+        views = iter(ctx.views)
+        first = ctx.fisher(next(views).camera)
         blocks, visible = first.block.double(), first.visible
-        for information in others:
-            blocks, visible = blocks + information.block, visible | information.visible
+        for view in views:
+            information = ctx.fisher(view.camera)
+            blocks += information.block  # in place: new memory takes longer than the sum
+            visible |= information.visible
         if self.form == "diagonal":
             blocks = blocks * torch.eye(blocks.shape[-1])
         scores = uncertainty(blocks, visible, ctx.extent, self.regulariser)
