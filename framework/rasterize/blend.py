@@ -110,8 +110,8 @@ def blend(
     alpha: Any,
     depth: Any,
 ) -> None:
-    """Render tiles block, block + blocks, ...; rgb flat [3 H W], alpha and depth flat [H W]; depth
-    may be empty: it is left out then, which saves a tenth of the time here."""
+    """Render a range of tiles, as neighbours share Gaussians; rgb flat [3 H W], alpha and depth
+    flat [H W]; depth may be empty: it is left out then, which saves a tenth of the time here."""
     with_depth = len(depth) > 0
     columns = (width + 15) // 16
     state = aligned(5 * 256 + 16)
@@ -120,7 +120,8 @@ def blend(
     limits = blend_limits()
     flat = rows.reshape(-1)
     last = len(lists) - 1
-    for tile in range(block, len(offsets) - 1, blocks):
+    n_tiles = len(offsets) - 1
+    for tile in range(n_tiles * block // blocks, n_tiles * (block + 1) // blocks):
         x, y = (tile % columns) * 16, (tile // columns) * 16
         clear_outside(transmittance, x, y, width, height)
         state[256:] = ZERO

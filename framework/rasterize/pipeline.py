@@ -18,7 +18,7 @@ from framework.rasterize.lending import Lender, aligned, grown
 from framework.types import Camera
 
 MAX_ENTRIES = 2**31 - 1  # an int32 counts them
-TILE_BLOCKS = 59  # odd, so that a block's tiles do not all lie in the same columns
+TILE_BLOCKS = 64  # small ones, as some tiles take far longer than others
 
 
 @dataclass(frozen=True)
