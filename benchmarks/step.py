@@ -5,9 +5,11 @@
 The step is what training runs: `render_gradient` (SH degree 3) of `photometric_gradient`, `Adam`,
 at 504x378 on `benchmarks.scene`. Stages are timed inside it; what they leave over (Python between
 them) is the column `rest`. Every round runs in fresh processes, ours and the
-prototype's in turn, so that a slow minute of the machine hits both. For comparison with two
-threads there are two processes of one thread each, at the same time, which share nothing. `wall` is
-the median over all steps of all rounds; `CPU` is the processor time of the whole process per step,
+prototype's in turn, so that a slow minute of the machine hits both; ours takes a few steps with one
+thread, a few with two, and a few with one beside a second process that does the same: both of them
+share nothing, so how much faster than one alone they are together is what the machine had to give
+at that time. The speed-ups are medians over such turns. `wall` is the median over all steps of all
+rounds; `CPU` is the processor time of the whole process per step,
 which other programs disturb less: `--clock cpu` measures the stages by it too, for a machine that
 is not idle. Prints a markdown table, and writes it to FILE.
 """
@@ -31,10 +33,10 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.step_report import STAGES, Results, Steps, report
+from benchmarks.step_report import STAGES, Results, Steps, Turn, report
 
 ROOT = Path(__file__).resolve().parents[1]
-WARM_UP = 5
+WARM_UP, TURN = 5, 5  # steps
 CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
 PROTOTYPE_LINE = re.compile(r"^(\d+) hash .*?wall/iter med ([\d.]+) .*?cpu/iter ([\d.]+)")
 
@@ -68,32 +70,43 @@ class Stopwatch:
                 setattr(owner, name, method)
 
 
-def measure(
-    count: int, threads: int, steps: int, clock: str, wait: Callable[[], object] = lambda: None
-) -> Steps:
-    """Run `steps` training steps after WARM_UP ones and `wait`, in this process."""
+def work(options: argparse.Namespace) -> None:
+    """What a worker does: for every count it says that it is ready, and then takes a turn for every
+    line with a number of threads that it is given."""
     import torch
 
     from framework.parallel import set_threads
     from framework.rasterize import Workspace
 
     torch.set_num_threads(1)  # as a run does: its idle threads would spin on the other core
-    set_threads(threads)
-    watch = Stopwatch(CLOCKS[clock])
-    step = training_step(count, watch)
-    for _ in range(WARM_UP):
-        step()
-    wait()
-    wall, cpu = [], []
+    watch = Stopwatch(CLOCKS[options.clock])
     with watch.watching(Workspace):
-        for times in watch.times.values():
-            times.clear()
-        for _ in range(steps):
-            start, cpu_start = time.perf_counter(), time.process_time()
-            step()
-            wall.append(1e3 * (time.perf_counter() - start))
-            cpu.append(1e3 * (time.process_time() - cpu_start))
-    return Steps(count, threads, watch.times, wall, cpu)
+        for count in options.counts:
+            step = training_step(count, watch)
+            for threads in options.threads:
+                set_threads(threads)
+                for _ in range(WARM_UP):
+                    step()
+            print("ready", flush=True)
+            while threads := int(sys.stdin.readline()):
+                set_threads(threads)
+                print(json.dumps(asdict(take_turn(step, watch))), flush=True)
+
+
+def take_turn(step: Callable[[], None], watch: Stopwatch) -> Steps:
+    """TURN steps, after one that finds the caches as another number of threads left them."""
+    found = Steps({name: [] for name in STAGES}, [], [])
+    step()
+    for times in watch.times.values():
+        times.clear()
+    for _ in range(TURN):
+        start, cpu_start = time.perf_counter(), time.process_time()
+        step()
+        found.wall_ms.append(1e3 * (time.perf_counter() - start))
+        found.cpu_ms.append(1e3 * (time.process_time() - cpu_start))
+    for name, times in watch.times.items():
+        found.stages[name] += times
+    return found
 
 
 def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable[[], None]:
@@ -122,29 +135,14 @@ def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable
     return step
 
 
-def _run_ours(options: argparse.Namespace, threads: int, processes: int = 1) -> list[Steps]:
-    """`measure` for all counts in each of some fresh processes, which start every count at the same
-    time."""
-    command = [sys.executable, __file__, "--worker", "--threads", str(threads)]
-    command += ["--steps", str(options.steps), "--clock", options.clock]
-    command += ["--counts", *map(str, options.counts)]
-    workers = [Worker(command, _environment(threads)) for _ in range(processes)]
-    found: list[Steps] = []
-    for _ in options.counts:
-        for worker in workers:
-            worker.read()
-        for worker in workers:
-            worker.go()
-        found += [Steps(**json.loads(worker.read())) for worker in workers]
-    for worker in workers:
-        worker.process.wait()
-    return found
-
-
 class Worker:
-    """A process that says when it is ready and then waits to be told to go."""
+    """A process that takes turns when it is told to."""
 
-    def __init__(self, command: list[str], environment: dict[str, str]) -> None:
+    def __init__(self, options: argparse.Namespace) -> None:
+        command = [sys.executable, __file__, "--worker", "--clock", options.clock]
+        command += ["--threads", *map(str, options.threads)]
+        command += ["--counts", *map(str, options.counts)]
+        environment = _environment(max(options.threads))
         self.process = subprocess.Popen(
             command, cwd=ROOT, env=environment, text=True, stdin=PIPE, stdout=PIPE
         )
@@ -156,10 +154,38 @@ class Worker:
             raise SystemExit(f"step.py: a worker ended with code {self.process.wait()}, see above")
         return line
 
-    def go(self) -> None:
+    def start(self, threads: int) -> None:
+        """Begin a turn; 0 threads: go on to the next count."""
         assert self.process.stdin is not None
-        self.process.stdin.write("\n")
+        self.process.stdin.write(f"{threads}\n")
         self.process.stdin.flush()
+
+    def end(self) -> Steps:
+        return Steps(**json.loads(self.read()))
+
+
+def _run_ours(options: argparse.Namespace, results: Results) -> None:
+    """All counts in two fresh processes, the second of which only works beside the first."""
+    workers = Worker(options), Worker(options)
+    first = workers[0]
+    for count in options.counts:
+        for worker in workers:
+            worker.read()
+        for _ in range(0, options.steps, TURN):
+            found: dict[int, Steps] = {}
+            for threads in options.threads:
+                first.start(threads)
+                found[threads] = first.end()
+                results.ours.setdefault((count, threads), []).append(found[threads])
+            if {1, 2} <= found.keys():
+                for worker in workers:
+                    worker.start(1)
+                both = [worker.end() for worker in workers]
+                results.turns.setdefault(count, []).append(Turn(found[1], found[2], both))
+        for worker in workers:
+            worker.start(0)
+    for worker in workers:
+        worker.process.wait()
 
 
 def _run_prototype(folder: Path, threads: int, cache: Path) -> dict[int, tuple[float, float]]:
@@ -174,12 +200,6 @@ def _run_prototype(folder: Path, threads: int, cache: Path) -> dict[int, tuple[f
     return {int(m[1]): (float(m[2]), float(m[3])) for m in lines}
 
 
-def _wait() -> None:
-    """Until whoever started this process tells all of them to go."""
-    print("ready", flush=True)
-    sys.stdin.readline()
-
-
 def _environment(threads: int) -> dict[str, str]:
     return {**os.environ, "OMP_NUM_THREADS": str(threads), "NUMBA_NUM_THREADS": str(threads)}
 
@@ -189,17 +209,12 @@ def run_rounds(options: argparse.Namespace) -> Results:
     results = Results({}, {}, {})
     with tempfile.TemporaryDirectory() as cache:
         for number in range(options.rounds):
-            for threads in options.threads:
-                print(f"round {number + 1} of {options.rounds}, {threads} threads", file=sys.stderr)
-                for steps in _run_ours(options, threads):
-                    results.ours.setdefault((steps.count, threads), []).append(steps)
-                if threads == 2 and 1 in options.threads:
-                    for steps in _run_ours(options, 1, processes=2):
-                        results.pairs.setdefault(steps.count, []).append(steps)
-                if options.prototype is not None:
-                    timings = _run_prototype(options.prototype, threads, Path(cache))
-                    for count, pair in timings.items():
-                        results.prototype.setdefault((count, threads), []).append(pair)
+            print(f"round {number + 1} of {options.rounds}", file=sys.stderr)
+            _run_ours(options, results)
+            for threads in options.threads if options.prototype is not None else []:
+                timings = _run_prototype(options.prototype, threads, Path(cache))
+                for count, pair in timings.items():
+                    results.prototype.setdefault((count, threads), []).append(pair)
     return results
 
 
@@ -207,7 +222,9 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Milliseconds by stage of one training step.")
     parser.add_argument("--counts", type=int, nargs="+", default=[20_000, 50_000, 100_000])
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
-    parser.add_argument("--steps", type=int, default=15, help="measured steps per round")
+    parser.add_argument(
+        "--steps", type=int, default=15, help=f"measured per round, in turns of {TURN}"
+    )
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--clock", choices=sorted(CLOCKS), default="wall", help="of the stages")
     parser.add_argument("--prototype", type=Path, help="folder with the prototype's iter_full.py")
@@ -222,9 +239,7 @@ def _options() -> argparse.Namespace:
 def main() -> None:
     options = _options()
     if options.worker:
-        for count in options.counts:
-            steps = measure(count, options.threads[0], options.steps, options.clock, _wait)
-            print(json.dumps(asdict(steps)), flush=True)
+        work(options)
         return
     results = run_rounds(options)
     command = f"python benchmarks/step.py --rounds {options.rounds} --steps {options.steps}"

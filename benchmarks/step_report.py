@@ -20,28 +20,50 @@ STAGES = {
     "adam": "Adam",
 }
 
+FREE = 1.9  # two processes that get this much more done than one alone have a core each
+
 
 @dataclass(frozen=True)
 class Steps:
-    """What one process measured with `count` Gaussians and `threads` threads.
+    """What one process measured in a turn, or several. stages: milliseconds of every step by key of
+    STAGES. wall_ms, cpu_ms: of every whole step."""
 
-    stages: milliseconds of every step by key of STAGES. wall_ms, cpu_ms: of every whole step.
-    """
-
-    count: int
-    threads: int
     stages: dict[str, list[float]]
     wall_ms: list[float]
     cpu_ms: list[float]
 
+    @property
+    def wall(self) -> float:
+        return statistics.median(self.wall_ms)
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Steps that followed one another: with one thread alone, with two, and in two processes of one
+    thread each at the same time."""
+
+    one: Steps
+    two: Steps
+    both: list[Steps]
+
+    @property
+    def speed_up(self) -> float:
+        """Of two threads."""
+        return self.one.wall / self.two.wall
+
+    @property
+    def gain(self) -> float:
+        """How many steps two processes take while one takes one alone."""
+        return sum(self.one.wall / steps.wall for steps in self.both)
+
 
 @dataclass
 class Results:
-    """All rounds. ours: by (count, threads). pairs: of two processes of one thread each at the same
-    time, by count. prototype: (wall, CPU) ms per round, by (count, threads)."""
+    """All rounds. ours: by (count, threads). turns: by count. prototype: (wall, CPU) ms per round,
+    by (count, threads)."""
 
     ours: dict[tuple[int, int], list[Steps]]
-    pairs: dict[int, list[Steps]]
+    turns: dict[int, list[Turn]]
     prototype: dict[tuple[int, int], list[tuple[float, float]]]
 
     @property
@@ -51,9 +73,6 @@ class Results:
 
     def wall(self, count: int, threads: int) -> float:
         return statistics.median(t for s in self.ours[count, threads] for t in s.wall_ms)
-
-    def pair_wall(self, count: int) -> float:
-        return statistics.median(t for s in self.pairs[count] for t in s.wall_ms)
 
     def cpu(self, count: int, threads: int) -> float:
         """The mean, as the prototype reports it."""
@@ -93,7 +112,8 @@ def stage_table(results: Results, clock: str) -> list[str]:
 def comparison_table(results: Results) -> list[str]:
     """Single-thread totals beside the prototype's, and what the second thread brings."""
     header = ["Gaussians", "ours, 1 thread", "prototype", "ratio of wall", "ratio of CPU"]
-    header += ["ours, 2 threads", "speed-up", "of two processes", "prototype's speed-up"]
+    header += ["ours, 2 threads", "speed-up (quartiles)", "of two processes"]
+    header += [f"speed-up where that is {FREE} or more (turns)", "prototype's speed-up"]
     rows: list[list[object]] = []
     for count in sorted({c for c, _ in results.ours}):
         rows.append([count, *_beside(results, count), *_speed_up(results, count)])
@@ -110,15 +130,23 @@ def _beside(results: Results, count: int) -> list[object]:
     return [wall, other, f"{wall / other:.2f}", f"{cpu / other_cpu:.2f}"]
 
 
+def _quartiles(values: list[float]) -> str:
+    low, middle, high = statistics.quantiles(values, n=4) if len(values) > 1 else values * 3
+    return f"{middle:.2f} ({low:.2f} to {high:.2f})"
+
+
 def _speed_up(results: Results, count: int) -> list[object]:
     if not {(count, 1), (count, 2)} <= results.ours.keys():
-        return ["-"] * 4
-    alone, wall = results.wall(count, 1), results.wall(count, 2)
-    gains = [f"{alone / wall:.2f}", f"{2 * alone / results.pair_wall(count):.2f}"]
+        return ["-"] * 5
+    turns = results.turns[count]
+    free = [turn.speed_up for turn in turns if turn.gain >= FREE]
+    gains: list[object] = [results.wall(count, 2), _quartiles([turn.speed_up for turn in turns])]
+    gains += [_quartiles([turn.gain for turn in turns])]
+    gains += [f"{statistics.median(free):.2f} ({len(free)} of {len(turns)})" if free else "-"]
     if not {(count, 1), (count, 2)} <= results.prototype.keys():
-        return [wall, *gains, "-"]
+        return [*gains, "-"]
     other = results.prototype_wall(count, 1) / results.prototype_wall(count, 2)
-    return [wall, *gains, f"{other:.2f}"]
+    return [*gains, f"{other:.2f}"]
 
 
 def report(results: Results, command: str, clock: str) -> str:
