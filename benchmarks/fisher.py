@@ -30,21 +30,16 @@ TARGET = 1.3
 
 def _works(count: int, degree: int) -> dict[str, Callable[[], None]]:
     """What is compared, by name; all on the same Gaussians and camera."""
-    import torch
-
     from benchmarks.scene import HEIGHT, WIDTH, layered_scene
     from framework.fisher import fisher_information
-    from framework.rasterize import rasterize
+    from framework.rasterize import render_gradient
     from framework.rng import stream
 
     gaussians, camera = layered_scene(count)
-    leaves = gaussians.clone().map(lambda t: t.requires_grad_())
     noise = stream(0, "benchmark-gradient").random((3, HEIGHT, WIDTH), dtype="float32")
-    gradient = torch.from_numpy(noise)
 
     def both_ways() -> None:
-        render = rasterize(leaves, camera, sh_degree=degree)
-        torch.autograd.grad(render.rgb, [tensor for _, tensor in leaves.items()], gradient)
+        render_gradient(gaussians, camera, lambda rgb: noise, sh_degree=degree)
 
     def fisher() -> None:
         fisher_information(gaussians, camera, sh_degree=degree)
