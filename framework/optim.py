@@ -184,7 +184,7 @@ def adam_kernel(  # type: ignore[no-untyped-def]
         a, b = n * block // n_blocks, n * (block + 1) // n_blocks
         rate, correction = coefficients[k, 0], coefficients[k, 1]
         broken[block, k] = _adam_range(p[k][a:b], g[k][a:b], m[k][a:b], v[k][a:b], rate, correction)
-    if decay < 1:
+    if decay < 1 and not np.any(broken[block]):  # of what broke the error tells what it is
         n = len(logits)
         _decay_range(logits, n * block // n_blocks, n * (block + 1) // n_blocks, decay)
 

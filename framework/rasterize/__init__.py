@@ -201,7 +201,8 @@ def render_gradient(
     """Render as `rasterize` does and bring the gradient of a loss of its colours to the parameters.
 
     image_gradient: given the render's rgb [3, H, W] float32, returns the loss's gradient in it. The
-    same bits as autograd's, whose machinery, cold after each kernel, takes 3 to 5 % of a step more.
+    same bits as autograd's, whose machinery takes its time as it is cold after each kernel. Raises
+    UserError as `rasterize`.
     """
     tensors, work = _tensors(gaussians, opacity_factors, None), borrow()
     degree, colour = _degree(gaussians, sh_degree), _colour(background)

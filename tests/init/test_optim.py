@@ -203,6 +203,16 @@ def test_opacity_decay_multiplies_opacities_on_any_thread_count() -> None:
         assert torch.equal(results[0].means, updated.means)
 
 
+def test_what_broke_does_not_decay() -> None:
+    """Infinity decays to a finite logit, and then nobody could tell what went wrong."""
+    params = gaussians(40, "test/params")
+    rates = {**RATES, "opacity_logits": 3e38}
+    with np.errstate(over="ignore"):
+        broken = Adam(params).step(params, gradient(40, 0), rates, opacity_decay=0.99)
+    assert broken == ("opacity_logits",)
+    assert not torch.isfinite(params.opacity_logits).any()
+
+
 def test_opacity_decay_stays_finite_forever() -> None:
     """A Gaussian no view ever sees fades to nothing, not to minus infinity."""
     params = gaussians(2, "test/params").replace(opacity_logits=torch.tensor([-2.2, 3.0]))
