@@ -2,10 +2,10 @@
 
     python benchmarks/fisher.py [--clock wall] [--output FILE]
 
-The scene is `benchmarks.scene`: 504x378, SH degree 3 stored. Render + gradient (`rasterize` and
-its backward by autograd) and `fisher_information` run in turn in one process; the table has the
-medians of the stages and of the whole. The default clock is the processor time of the process,
-which other programs disturb less than wall time; so it is one thread's work, whatever the threads.
+The scene is `benchmarks.scene`: 504x378, SH degree 3 stored. Render + gradient (`render_gradient`,
+as training takes it) and `fisher_information` run in turn in one process; the table has the medians
+of the stages and of the whole. The default clock is the processor time of the process, which other
+programs disturb less than wall time; so it is one thread's work, whatever the threads.
 Prints a markdown table, and writes it to FILE.
 """
 

@@ -4,14 +4,14 @@
 
 The step is what training runs: `render_gradient` (SH degree 3) of `photometric_gradient`, `Adam`,
 at 504x378 on `benchmarks.scene`. Stages are timed inside it; what they leave over (Python between
-them) is the column `rest`. Every round runs in fresh processes, ours and the
-prototype's in turn, so that a slow minute of the machine hits both; ours takes a few steps with one
-thread, a few with two, and a few with one beside a second process that does the same: both of them
-share nothing, so how much faster than one alone they are together is what the machine had to give
-at that time. The speed-ups are medians over such turns. `wall` is the median over all steps of all
-rounds; `CPU` is the processor time of the whole process per step,
-which other programs disturb less: `--clock cpu` measures the stages by it too, for a machine that
-is not idle. Prints a markdown table, and writes it to FILE.
+them) is the column `rest`. Every round runs in fresh processes, ours and the prototype's in turn,
+so that a slow minute of the machine hits both; ours takes a few steps with one thread, a few with
+two, and a few with one beside a second process that does the same: both of them share nothing, so
+how much faster than one alone they are together tells what the machine had to give at that time, if
+a little too much, as the slower one is alone for its last steps. The speed-ups are medians over
+such turns. `wall` is the median over all steps of all rounds; `CPU` is the processor time of the
+whole process per step, which other programs disturb less: `--clock cpu` measures the stages by it
+too, for a machine that is not idle. Prints a markdown table, and writes it to FILE.
 """
 
 from __future__ import annotations
@@ -116,6 +116,7 @@ def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable
     from benchmarks.scene import layered_scene
     from framework.losses import Target, photometric_gradient
     from framework.optim import Adam
+    from framework.options import TrainerOptions
     from framework.rasterize import render_gradient
     from framework.rng import stream
 
@@ -130,7 +131,7 @@ def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable
 
     def step() -> None:
         found = render_gradient(gaussians, camera, lambda rgb: loss_of(rgb, target)[1])
-        update(gaussians, found.parameters, rates)
+        update(gaussians, found.parameters, rates, TrainerOptions.opacity_decay)
 
     return step
 
@@ -178,10 +179,12 @@ def _run_ours(options: argparse.Namespace, results: Results) -> None:
                 found[threads] = first.end()
                 results.ours.setdefault((count, threads), []).append(found[threads])
             if {1, 2} <= found.keys():
+                first.start(1)
+                again = first.end()
                 for worker in workers:
                     worker.start(1)
                 both = [worker.end() for worker in workers]
-                results.turns.setdefault(count, []).append(Turn(found[1], found[2], both))
+                results.turns.setdefault(count, []).append(Turn(found[1], found[2], again, both))
         for worker in workers:
             worker.start(0)
     for worker in workers:
@@ -231,6 +234,8 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--output", type=Path)
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.steps < TURN or options.steps % TURN:
+        parser.error(f"--steps: expected a multiple of {TURN}, got {options.steps}")
     if options.prototype is not None and not (options.prototype / "iter_full.py").is_file():
         parser.error(f"--prototype: expected a folder with iter_full.py, got {options.prototype}")
     return options

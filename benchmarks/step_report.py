@@ -39,11 +39,13 @@ class Steps:
 
 @dataclass(frozen=True)
 class Turn:
-    """Steps that followed one another: with one thread alone, with two, and in two processes of one
-    thread each at the same time."""
+    """Steps that followed one another: with one thread, with two, with one again, and in two
+    processes of one thread each at the same time. Of each ratio the other's slow moments are
+    none."""
 
     one: Steps
     two: Steps
+    again: Steps
     both: list[Steps]
 
     @property
@@ -54,7 +56,7 @@ class Turn:
     @property
     def gain(self) -> float:
         """How many steps two processes take while one takes one alone."""
-        return sum(self.one.wall / steps.wall for steps in self.both)
+        return sum(self.again.wall / steps.wall for steps in self.both)
 
 
 @dataclass

@@ -21,7 +21,8 @@ from framework.types import Camera, Gaussians
 @dataclass(frozen=True)
 class FisherInformation:
     """block [N, 6, 6]: (mean, log-scale). diagonal [N, 14]: mean 3, log-scale 3, quat 4, opacity
-    logit 1, sh0 3. visible [N] bool: touched a pixel's box. All zeros for what the view misses."""
+    logit 1, sh0 3. visible [N] bool: touched a pixel's box. All zeros for what the view misses. The
+    first two share memory that is lent again once nobody holds either."""
 
     block: Tensor
     diagonal: Tensor

@@ -17,7 +17,7 @@ from framework.rasterize import rasterize, render_gradient
 from framework.types import Gaussians, Render, View
 
 Penalty = Callable[[View, Render], Tensor | float]
-Found = tuple[float, dict[str, Tensor], StepStats]
+ViewGradient = tuple[float, dict[str, Tensor], StepStats]
 
 
 def view_gradient(
@@ -27,7 +27,7 @@ def view_gradient(
     ssim_weight: float,
     penalty: Penalty | None = None,
     **rendered: Any,
-) -> Found:
+) -> ViewGradient:
     """The loss on a view, its gradient by the parameters' names, and what capacity plugins see.
 
     penalty: a term that is added, of whatever its plugin likes, hence by autograd; without one the
@@ -38,13 +38,13 @@ def view_gradient(
         return _by_autograd(params, item, where, ssim_weight, penalty, **rendered)
     view, loss = item.view, 0.0
 
-    def slope(rgb: np.ndarray) -> np.ndarray:
+    def image_gradient(rgb: np.ndarray) -> np.ndarray:
         nonlocal loss
         loss, gradient = photometric_gradient(rgb, item.target, ssim_weight, view.weight)
         check_loss(loss, where, params.detach())
         return gradient
 
-    found = render_gradient(params, view.camera, slope, **rendered)
+    found = render_gradient(params, view.camera, image_gradient, **rendered)
     stats = StepStats(found.means2d, found.radii, view.camera.width, view.camera.height)
     return loss, found.parameters, stats
 
@@ -56,7 +56,7 @@ def _by_autograd(
     ssim_weight: float,
     penalty: Penalty,
     **rendered: Any,
-) -> Found:
+) -> ViewGradient:
     view, offset = item.view, torch.zeros(len(params), 2, requires_grad=True)
     render = rasterize(params, view.camera, means2d_offset=offset, **rendered)
     loss = photometric_loss(render.rgb, item.target, ssim_weight) * view.weight

@@ -30,6 +30,8 @@ class Abandoned(Exception):
 def set_threads(n: int) -> None:
     """Use `n` threads for kernels; 0 = all cores this process may run on now."""
     global _threads
+    if n < 0:
+        raise ValueError(f"set_threads: expected 0 or more, got {n}")
     _threads = int(n) or _cores()
 
 

@@ -40,12 +40,15 @@ class _Buffer:
         self._flat = aligned((0,), np.float32)
         self._shapes: list[tuple[int, ...]] = []
         self._arrays: list[np.ndarray] = []
+        self._unheld = self._references()
+
+    def _references(self) -> list[int]:
+        """Of every array, which tensors hold, and of the memory, which views hold."""
+        return [sys.getrefcount(array) for array in (*self._arrays, self._flat.base)]
 
     def free(self) -> bool:
         """Whether nobody holds any of the arrays, nor a view or a tensor of one."""
-        # held by this list, by `array`, by the call; the memory by every array, `_flat`, the call
-        lent = any(sys.getrefcount(array) > 3 for array in self._arrays)
-        return not lent and sys.getrefcount(self._flat.base) == len(self._arrays) + 2
+        return self._references() == self._unheld
 
     def arrays(self, shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
         """Of these shapes, each on a cache line."""
@@ -56,6 +59,7 @@ class _Buffer:
                 self._flat[start : start + math.prod(shape)].reshape(shape)
                 for start, shape in zip([0, *ends[:-1]], shapes, strict=True)
             ]
+            self._unheld = self._references()
         return self._arrays.copy()
 
 

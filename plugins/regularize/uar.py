@@ -126,10 +126,12 @@ class Uar(DropoutRegularizer):
         views = iter(ctx.views)
         first = ctx.fisher(next(views).camera)
         blocks, visible = first.block.double(), first.visible
+        del first  # one at a time, and sums in place: new memory takes longer than the sums
         for view in views:
             information = ctx.fisher(view.camera)
-            blocks += information.block  # in place: new memory takes longer than the sum
+            blocks += information.block
             visible |= information.visible
+            del information
         if self.form == "diagonal":
             blocks = blocks * torch.eye(blocks.shape[-1])
         scores = uncertainty(blocks, visible, ctx.extent, self.regulariser)

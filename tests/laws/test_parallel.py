@@ -82,10 +82,12 @@ def test_a_forked_process_has_threads_of_its_own(threads: int) -> None:
     run_blocks(lambda block, blocks: None)
     child = os.fork()
     if child == 0:
-        signal.alarm(20)
         seen: list[int] = []
-        run_blocks(lambda block, blocks: seen.append(block), blocks=40)
-        os._exit(0 if sorted(seen) == list(range(40)) else 1)
+        try:  # whatever happens, pytest may not go on here
+            signal.alarm(20)
+            run_blocks(lambda block, blocks: seen.append(block), blocks=40)
+        finally:
+            os._exit(0 if sorted(seen) == list(range(40)) else 1)
     assert os.waitpid(child, 0)[1] == 0
 
 

@@ -8,13 +8,13 @@ import pytest
 import torch
 
 from framework.epoch import Items
-from framework.gradient import Found, view_gradient
+from framework.gradient import ViewGradient, view_gradient
 from framework.guard import Diverged
 from framework.types import View
 from tests.numerics.scenes import crowded_case, random_case
 
 
-def bits(found: Found) -> list[Any]:
+def bits(found: ViewGradient) -> list[Any]:
     loss, gradients, stats = found
     tensors = [*gradients.values(), stats.means2d_grad, stats.radii]
     return [loss, list(gradients), *(tensor.numpy().tobytes() for tensor in tensors)]
