@@ -25,7 +25,7 @@ FREE = 1.9  # two processes that get this much more done than one alone have a c
 
 @dataclass(frozen=True)
 class Steps:
-    """What one process measured in a turn, or several. stages: milliseconds of every step by key of
+    """What one process measured in a turn. stages: milliseconds of every step by key of
     STAGES. wall_ms, cpu_ms: of every whole step."""
 
     stages: dict[str, list[float]]
@@ -40,8 +40,7 @@ class Steps:
 @dataclass(frozen=True)
 class Turn:
     """Steps that followed one another: with one thread, with two, with one again, and in two
-    processes of one thread each at the same time. Of each ratio the other's slow moments are
-    none."""
+    processes of one thread each at the same time. Each ratio has one thread's steps of its own."""
 
     one: Steps
     two: Steps

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from framework.rasterize import Arrays, Image, Workspace, borrow, give_back
+from framework.rasterize import Arrays, Image, borrow, give_back
 from framework.types import Camera, Gaussians
 
 
@@ -45,22 +45,13 @@ def fisher_information(
     work = borrow()
     arrays = [t.detach().contiguous().numpy() for _, t in gaussians.items()]
     arrays += [np.ones(n, np.float32), np.zeros((n, 2), np.float32)]
-    image = _render(work, Arrays(*arrays), camera, degree, near, colour)
+    (planes,) = work.images.lend([(4, camera.height, camera.width)])
+    image = Image(planes[:3], planes[3], np.empty((0, 0), np.float32))  # the moments need no depth
+    radii = np.empty(n, np.float32)
+    work.render(Arrays(*arrays), camera, colour, degree, near, image, radii)
     work.blend_moments(image)
     block, diagonal = work.blocks.lend([(n, 6, 6), (n, 14)])
     work.information(block, diagonal)
     visible = torch.from_numpy(work.n_parts > 0)
     give_back(work)
     return FisherInformation(torch.from_numpy(block), torch.from_numpy(diagonal), visible)
-
-
-def _render(
-    work: Workspace, arrays: Arrays, camera: Camera, degree: int, near: float, colour: np.ndarray
-) -> Image:
-    (planes,) = work.images.lend([(4, camera.height, camera.width)])
-    image = Image(planes[:3], planes[3], np.empty((0, 0), np.float32))  # the moments need no depth
-    work.project(arrays, camera, degree, near, np.empty(len(arrays.means), np.float32))
-    work.sort()
-    work.bin()
-    work.blend(colour, image)
-    return image

@@ -75,11 +75,8 @@ def _render(
     of_images, of_radii = (work.images, work.radii) if kept else (Lender(), Lender())
     planes, depth = of_images.lend([(4, *size), size if with_depth else (0, 0)])
     (radii,) = of_radii.lend([(n,)])
-    work.project(Arrays(*map(_numpy, tensors)), camera, degree, near, radii)
-    work.sort()
-    work.bin()
     image = Image(planes[:3], planes[3], depth)
-    work.blend(background, image)
+    work.render(Arrays(*map(_numpy, tensors)), camera, background, degree, near, image, radii)
     return image, radii
 
 

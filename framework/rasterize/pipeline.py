@@ -211,6 +211,22 @@ class Workspace:
             blocks=TILE_BLOCKS,
         )
 
+    def render(
+        self,
+        arrays: Arrays,
+        camera: Camera,
+        background: np.ndarray,
+        degree: int,
+        near: float,
+        image: Image,
+        radii: np.ndarray,
+    ) -> None:
+        """All stages, into `image` and radii [N]."""
+        self.project(arrays, camera, degree, near, radii)
+        self.sort()
+        self.bin()
+        self.blend(background, image)
+
     def _scratch(self, kept: list[np.ndarray]) -> list[np.ndarray]:
         """Slots for every thread that works on a strip, as many as the fullest has."""
         n, size = min(threads(), len(self.n_slots)), int(self.n_slots.max())

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 from framework.epoch import Items
+from framework.errors import UserError
 from framework.gradient import ViewGradient, view_gradient
 from framework.guard import Diverged
+from framework.rasterize import render_gradient
 from framework.types import View
 from tests.numerics.scenes import crowded_case, random_case
 
@@ -51,3 +54,11 @@ def test_a_loss_that_is_not_finite_is_told_and_the_next_is_as_ever(penalty: Any)
     with pytest.raises(Diverged, match="here: expected a finite loss, got nan"):
         view_gradient(params, broken, "here", 0.2, penalty)
     assert bits(view_gradient(params, item, "here", 0.2, penalty)) == before
+
+
+@pytest.mark.parametrize("change", [lambda rgb: rgb[:, :-1], lambda rgb: rgb.astype(np.float64)])
+def test_a_gradient_that_does_not_fit_is_refused(change: Any) -> None:
+    """Kernels check no bounds, and compile anew for another type."""
+    case = random_case(1)
+    with pytest.raises(UserError, match=r"expected a float32 gradient of shape \[3, 47, 33\]"):
+        render_gradient(case.gaussians, case.camera, change)
