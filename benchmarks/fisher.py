@@ -3,7 +3,7 @@
     python benchmarks/fisher.py [--clock wall] [--output FILE]
 
 The scene is `benchmarks.scene`: 504x378, SH degree 3 stored. Render + gradient (`render_gradient`,
-as training takes it) and `fisher_information` run in turn in one process; the table has the medians
+pulled back) and `fisher_information` run in turn in one process; the table has the medians
 of the stages and of the whole. The default clock is the processor time of the process, which other
 programs disturb less than wall time; so it is one thread's work, whatever the threads.
 Prints a markdown table, and writes it to FILE.
@@ -39,7 +39,7 @@ def _works(count: int, degree: int) -> dict[str, Callable[[], None]]:
     noise = stream(0, "benchmark-gradient").random((3, HEIGHT, WIDTH), dtype="float32")
 
     def both_ways() -> None:
-        render_gradient(gaussians, camera, lambda rgb: noise, sh_degree=degree)
+        render_gradient(gaussians, camera, lambda rgb: noise, sh_degree=degree).pull_back()
 
     def fisher() -> None:
         fisher_information(gaussians, camera, sh_degree=degree)

@@ -16,8 +16,7 @@ STAGES = {
     "blend": "raster forward",
     "loss": "loss",
     "blend_backward": "raster backward",
-    "project_backward": "reduce + projection backward",
-    "adam": "Adam",
+    "update": "projection backward + Adam",
 }
 
 FREE = 1.9  # two processes that get this much more done than one alone have a core each

@@ -13,11 +13,31 @@ from framework.epoch import Item
 from framework.guard import check_loss
 from framework.losses import photometric_gradient, photometric_loss
 from framework.plugin import StepStats
-from framework.rasterize import rasterize, render_gradient
+from framework.rasterize import ScreenGradient, rasterize, render_gradient
 from framework.types import Gaussians, Render, View
 
 Penalty = Callable[[View, Render], Tensor | float]
 ViewGradient = tuple[float, dict[str, Tensor], StepStats]
+
+
+def screen_gradient(
+    params: Gaussians, item: Item, where: str, ssim_weight: float, **rendered: Any
+) -> tuple[float, ScreenGradient]:
+    """The loss on a view, and its gradient as far back as the screen.
+
+    where: for messages. rendered: the options of `rasterize` but offset and depth. Raises Diverged
+    when the loss is not finite.
+    """
+    view, loss = item.view, 0.0
+
+    def image_gradient(rgb: np.ndarray) -> np.ndarray:
+        nonlocal loss
+        loss, gradient = photometric_gradient(rgb, item.target, ssim_weight, view.weight)
+        check_loss(loss, where, params.detach())
+        return gradient
+
+    found = render_gradient(params, view.camera, image_gradient, **rendered)
+    return loss, found
 
 
 def view_gradient(
@@ -31,22 +51,19 @@ def view_gradient(
     """The loss on a view, its gradient by the parameters' names, and what capacity plugins see.
 
     penalty: a term that is added, of whatever its plugin likes, hence by autograd; without one the
-    gradient is taken directly, with the same bits. where: for messages. rendered: the options of
-    `rasterize` but offset and depth. Raises Diverged when the photometric loss is not finite.
+    gradient is taken directly, with the same bits. The others as for `screen_gradient`.
     """
     if penalty is not None:
         return _by_autograd(params, item, where, ssim_weight, penalty, **rendered)
-    view, loss = item.view, 0.0
+    loss, found = screen_gradient(params, item, where, ssim_weight, **rendered)
+    parameters, means2d = found.pull_back()
+    return loss, parameters, step_stats(item, means2d, found.radii)
 
-    def image_gradient(rgb: np.ndarray) -> np.ndarray:
-        nonlocal loss
-        loss, gradient = photometric_gradient(rgb, item.target, ssim_weight, view.weight)
-        check_loss(loss, where, params.detach())
-        return gradient
 
-    found = render_gradient(params, view.camera, image_gradient, **rendered)
-    stats = StepStats(found.means2d, found.radii, view.camera.width, view.camera.height)
-    return loss, found.parameters, stats
+def step_stats(item: Item, means2d: Tensor, radii: Tensor) -> StepStats:
+    """What capacity plugins see of a view's render and its gradient."""
+    camera = item.view.camera
+    return StepStats(means2d, radii, camera.width, camera.height)
 
 
 def _by_autograd(
@@ -64,5 +81,5 @@ def _by_autograd(
     loss = loss + penalty(view, render)  # one that is not finite is its plugin's
     tensors = dict(params.items())
     *gradients, means2d = torch.autograd.grad(loss, [*tensors.values(), offset])
-    stats = StepStats(means2d, render.radii, view.camera.width, view.camera.height)
+    stats = step_stats(item, means2d, render.radii)
     return float(loss.detach()), dict(zip(tensors, gradients, strict=True)), stats

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from framework.errors import UserError
+from framework.optim import AdamState
 from framework.types import Gaussians
 
 ADVICE = "lower trainer.lr_scale"
@@ -47,20 +48,17 @@ def check_appended(appended: Gaussians, where: str) -> None:
             )
 
 
-def diverged(
-    names: tuple[str, ...],
-    where: str,
-    gaussians: Gaussians,
-    gradients: Mapping[str, Tensor],
-) -> Diverged:
+def diverged(names: tuple[str, ...], where: str, gaussians: Gaussians, adam: AdamState) -> Diverged:
     """The error of a step that left the tensors `names` (parameters or moments) not finite.
 
-    gaussians: after the step; gradients: of it, by name.
+    gaussians, adam: after the step. A gradient is told by what it left in the moments, as it is not
+    kept itself: an infinite one is infinite in the first, NaN is NaN in the second.
     """
     name = names[0]
-    broken = {n: _broken(gradient) for n, gradient in gradients.items()}
-    if broken[name] > 0:
-        what = f"finite gradients, got NaN or infinity for {broken[name]} Gaussians in '{name}'"
+    first, second = getattr(adam.first, name), getattr(adam.second, name)
+    steep = _rows(torch.isinf(first) | torch.isnan(second))
+    if steep > 0:
+        what = f"finite gradients, got NaN or infinity for {steep} Gaussians in '{name}'"
     else:
         count = _broken(getattr(gaussians, name))
         what = (
@@ -68,11 +66,15 @@ def diverged(
             if count
             else f"gradients below 1e19, got larger ones in '{name}', whose squares overflow"
         )
-    state = {"where": where, "gaussians": gaussians, "gradients": dict(gradients)}
+    state = {"where": where, "gaussians": gaussians, "adam": adam}
     return Diverged(f"{where}: expected {what}; {ADVICE}", state)
 
 
 def _broken(tensor: Tensor) -> int:
     """The number of rows with a value that is not finite."""
-    rows = torch.isfinite(tensor.detach())[:, None].flatten(1)  # also of no Gaussian at all
-    return int((~rows.all(dim=1)).sum())
+    return _rows(~torch.isfinite(tensor.detach()))
+
+
+def _rows(marked: Tensor) -> int:
+    """How many have a mark; also of no Gaussian at all."""
+    return int(marked[:, None].flatten(1).any(dim=1).sum())

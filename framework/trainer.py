@@ -24,7 +24,13 @@ from framework.edits import apply_edits
 from framework.epoch import Item, Items, ordered
 from framework.errors import require
 from framework.fisher import FisherInformation, fisher_information
-from framework.gradient import view_gradient
+from framework.gradient import (
+    Penalty,
+    ViewGradient,
+    screen_gradient,
+    step_stats,
+    view_gradient,
+)
 from framework.guard import diverged
 from framework.initialize import background_color, random_background
 from framework.optim import Adam
@@ -232,39 +238,47 @@ class Trainer:
     def _train_step(self, items: tuple[Item, ...]) -> float:
         """One optimizer step on a real view, the first item, and the pseudo views that join it;
         returns the loss on the real one."""
-        reg = self._context_if_active(self.reg)
-        factors = self._opacity_factors(reg)
-        value, gradients, stats = self._gradients(items[0], reg, factors)
-        for item in items[1:]:
-            _, more, _ = self._gradients(item, reg, factors)
-            for name, gradient in more.items():
-                gradients[name].add_(gradient)
+        reg, first = self._context_if_active(self.reg), items[0]
+        penalty, rendered = self._penalty_of(reg), self._rendered(reg)
         rates = schedule.learning_rates(self.options, self.step, self.extent)
-        decay = self.options.opacity_decay
-        broken = self.optimizer.step(self.params, gradients, rates, decay)
+        decay, ssim_weight = self.options.opacity_decay, self.options.ssim_weight
+        if len(items) == 1 and penalty is None:
+            loss, found = screen_gradient(
+                self.params, first, self._where(first), ssim_weight, **rendered
+            )
+            broken, means2d = self.optimizer.follow(found, rates, decay)
+            stats = step_stats(first, means2d, found.radii)
+        else:
+            loss, gradients, stats = self._gradients(first, penalty, rendered)
+            for item in items[1:]:
+                for name, gradient in self._gradients(item, penalty, rendered)[1].items():
+                    gradients[name].add_(gradient)
+            broken = self.optimizer.step(self.params, gradients, rates, decay)
         if broken:
-            raise diverged(broken, self._where(items[0]), self.params.detach(), gradients)
+            state = self.optimizer.state()
+            raise diverged(broken, self._where(first), self.params.detach(), state)
         self._edit(stats)
-        return value
+        return loss
 
     def _gradients(
-        self, item: Item, reg: StepContext | None, factors: Tensor | None
-    ) -> tuple[float, dict[str, Tensor], StepStats]:
-        """The loss on one view, its gradient in every parameter, and what capacity plugins see."""
-        penalty = None
-        if reg is not None and self.reg.plugged.plugin.weighted():
-            penalty = functools.partial(self._penalty, reg)
-        return view_gradient(
-            self.params,
-            item,
-            self._where(item),
-            self.options.ssim_weight,
-            penalty,
-            background=self._step_background(),
-            sh_degree=self._sh_degree(),
-            opacity_factors=factors,
-            near=self.near,
-        )
+        self, item: Item, penalty: Penalty | None, rendered: dict[str, Any]
+    ) -> ViewGradient:
+        where, ssim_weight = self._where(item), self.options.ssim_weight
+        return view_gradient(self.params, item, where, ssim_weight, penalty, **rendered)
+
+    def _penalty_of(self, reg: StepContext | None) -> Penalty | None:
+        if reg is None or not self.reg.plugged.plugin.weighted():
+            return None
+        return functools.partial(self._penalty, reg)
+
+    def _rendered(self, reg: StepContext | None) -> dict[str, Any]:
+        """How the step renders its views."""
+        return {
+            "background": self._step_background(),
+            "sh_degree": self._sh_degree(),
+            "opacity_factors": self._opacity_factors(reg),
+            "near": self.near,
+        }
 
     def _where(self, item: Item) -> str:
         return f"training step {self.step} on view '{item.view.name}'"

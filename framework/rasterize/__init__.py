@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,7 @@ from framework.types import Camera, Gaussians, Render
 __all__ = [
     "Arrays",
     "Image",
-    "RenderGradient",
+    "ScreenGradient",
     "Workspace",
     "borrow",
     "give_back",
@@ -80,11 +79,8 @@ def _render(
     return image, radii
 
 
-def _pull_back(
-    work: Workspace, image: Image, gradient: Image, shapes: Sequence[torch.Size]
-) -> list[Tensor]:
-    """From the gradient in the image to that in the tensors, of these shapes, that made it."""
-    work.blend_backward(image, gradient)
+def _pull_back(work: Workspace, shapes: Sequence[tuple[int, ...]]) -> list[Tensor]:
+    """From the gradient on the screen to that in the tensors, of these shapes, that made it."""
     arrays = [*work.gradients.lend(shapes[:-1]), *work.pulls.lend(shapes[-1:])]
     work.project_backward(Arrays(*arrays))
     return [torch.from_numpy(array) for array in arrays]
@@ -131,7 +127,8 @@ class _Rasterize(torch.autograd.Function):
             raise RuntimeError("rasterize: this render's gradient was already taken")
         image = Image(*map(_numpy, ctx.saved_tensors))
         ctx.work = None
-        gradients = _pull_back(work, *_backward_images(image, grads), ctx.shapes)
+        work.blend_backward(*_backward_images(image, grads))
+        gradients = _pull_back(work, ctx.shapes)
         give_back(work)
         return (*gradients, None, None, None, None, None)
 
@@ -177,14 +174,33 @@ def rasterize(
     return Render(*_Rasterize.apply(*tensors, camera, colour, degree, float(near), depth))
 
 
-@dataclass(frozen=True)
-class RenderGradient:
-    """The gradient of a loss on one render. parameters: by name, shaped as in `Gaussians`; means2d
-    [N, 2]: in the projected means, in pixels; radii [N] pixels, 0 = culled, of that render."""
+class ScreenGradient:
+    """The gradient of a loss on one render, as far back as the Gaussians on the screen.
 
-    parameters: dict[str, Tensor]
-    means2d: Tensor
-    radii: Tensor
+    `pull_back` or `framework.optim.Adam.follow` takes it to the parameters, once, as it holds the
+    render's workspace. gaussians: what was rendered. radii [N]: in pixels, 0 = culled.
+    """
+
+    def __init__(self, work: Workspace, gaussians: Gaussians, radii: np.ndarray) -> None:
+        self._work: Workspace | None = work
+        self.gaussians, self.radii = gaussians, torch.from_numpy(radii)
+
+    def pull_back(self) -> tuple[dict[str, Tensor], Tensor]:
+        """The gradient in every tensor of `gaussians`, by name, and in the projected means [N, 2],
+        in pixels."""
+        work, tensors = self.take(), dict(self.gaussians.items())
+        n = len(self.gaussians)
+        shapes = [*(tuple(t.shape) for t in tensors.values()), (n,), (n, 2)]
+        *gradients, _, means2d = _pull_back(work, shapes)
+        give_back(work)
+        return dict(zip(tensors, gradients, strict=True)), means2d
+
+    def take(self) -> Workspace:
+        """The render's workspace, for who gives it back."""
+        if self._work is None:
+            raise RuntimeError("render_gradient: this gradient was already used")
+        work, self._work = self._work, None
+        return work
 
 
 def render_gradient(
@@ -196,8 +212,8 @@ def render_gradient(
     sh_degree: int | None = None,
     opacity_factors: Tensor | None = None,
     near: float = 0.01,
-) -> RenderGradient:
-    """Render as `rasterize` does and bring the gradient of a loss of its colours to the parameters.
+) -> ScreenGradient:
+    """Render as `rasterize` does, and the gradient of a loss of its colours.
 
     image_gradient: given the render's rgb [3, H, W] float32, returns the loss's gradient in it. The
     same bits as autograd's in less time. Raises UserError as `rasterize`, and for a gradient of
@@ -213,12 +229,8 @@ def render_gradient(
             f"render_gradient: expected a float32 gradient of shape {list(image.rgb.shape)}, got"
             f" {in_rgb.dtype} {list(in_rgb.shape)}"
         )
-    gradient = Image(in_rgb, _NOTHING, _NOTHING)
-    *gradients, _, means2d = _pull_back(work, image, gradient, [t.shape for t in tensors])
-    give_back(work)
-    names = [name for name, _ in gaussians.items()]
-    parameters = dict(zip(names, gradients, strict=True))
-    return RenderGradient(parameters, means2d, torch.from_numpy(radii))
+    work.blend_backward(image, Image(in_rgb, _NOTHING, _NOTHING))
+    return ScreenGradient(work, gaussians, radii)
 
 
 def _degree(gaussians: Gaussians, wanted: int | None) -> int:

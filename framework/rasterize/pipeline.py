@@ -7,6 +7,7 @@ brings its gradient to the parameters. A workspace belongs to one render until i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -304,6 +305,12 @@ class Workspace:
             own=list(zip(slots, mixed, strict=True)),
         )
 
+    def backward_inputs(self) -> tuple[Any, ...]:
+        """What `projection.project_backward` reads beside the parameters that lie flat."""
+        rows, sums = self.rows.reshape(-1), self.sums.reshape(-1)
+        of_all = self.arrays.shN, self.arrays.factors, self.degree, self.camera
+        return *of_all, rows, self.clipped, self.first, sums
+
     def project_backward(self, gradient: Arrays) -> None:
         """Sums in `sums` -> gradients of every parameter (all of `gradient` is overwritten)."""
         arrays = self.arrays
@@ -313,14 +320,7 @@ class Workspace:
             arrays.quats.reshape(-1),
             arrays.log_scales.reshape(-1),
             arrays.logits,
-            arrays.shN,
-            arrays.factors,
-            self.degree,
-            self.camera,
-            self.rows.reshape(-1),
-            self.clipped,
-            self.first,
-            self.sums.reshape(-1),
+            *self.backward_inputs(),
             gradient.means.reshape(-1),
             gradient.quats.reshape(-1),
             gradient.log_scales.reshape(-1),

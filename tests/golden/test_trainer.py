@@ -17,6 +17,7 @@ from framework.optim import Adam
 from framework.options import TrainerOptions
 from framework.plugin import Augmenter, Edits, Regularizer, StepContext, StepStats
 from framework.progress import Silent
+from framework.rasterize import ScreenGradient
 from framework.record import parameters_sha256
 from framework.registry import Plugged
 from framework.trainer import Plugins, Trained, Trainer
@@ -200,11 +201,16 @@ def test_a_pseudo_view_adds_its_weighted_gradient_to_its_step(
         gradients.append({name: gradient.clone() for name, gradient in grads.items()})
         return step(self, params, grads, *others)
 
+    def whole_first(self: Adam, found: ScreenGradient, *others: Any) -> tuple[Any, Tensor]:
+        tensors, means2d = found.pull_back()
+        return noted(self, found.gaussians, tensors, *others), means2d
+
     def watched(self: Any, ctx: StepContext, state: Any, stats: StepStats) -> Any:
         pulls.append(stats.means2d_grad.clone())
         return update(self, ctx, state, stats)
 
     monkeypatch.setattr(Adam, "step", noted)
+    monkeypatch.setattr(Adam, "follow", whole_first)
     monkeypatch.setattr(Fixed, "update", watched)
     for plugins in (None, *(_plugins(augment=Plugged(Darker(), w, 0.0, 1.0)) for w in (0.5, 1.0))):
         _train(plugins, steps=1, coarse_factor=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,20 @@ from framework.epoch import Items
 from framework.errors import UserError
 from framework.gradient import ViewGradient, view_gradient
 from framework.guard import Diverged
-from framework.rasterize import render_gradient
-from framework.types import View
-from tests.numerics.scenes import crowded_case, random_case
+from framework.optim import Adam
+from framework.parallel import set_threads
+from framework.rasterize import ScreenGradient, render_gradient
+from framework.types import Gaussians, View
+from tests.numerics.scenes import Case, crowded_case, random_case
+
+RATES = {"means": 1e-3, "quats": 1e-3, "log_scales": 5e-3, "opacity_logits": 0.05}
+RATES |= {"sh0": 2.5e-3, "shN": 1.25e-4}
+
+
+@pytest.fixture(autouse=True)
+def _restore_threads() -> Iterator[None]:
+    yield
+    set_threads(0)
 
 
 def bits(found: ViewGradient) -> list[Any]:
@@ -62,3 +74,66 @@ def test_a_gradient_that_does_not_fit_is_refused(change: Any) -> None:
     case = random_case(1)
     with pytest.raises(UserError, match=r"expected a float32 gradient of shape \[3, 47, 33\]"):
         render_gradient(case.gaussians, case.camera, change)
+
+
+def on_screen(gaussians: Gaussians, case: Case) -> ScreenGradient:
+    """Of a loss with another gradient in every pixel."""
+    return render_gradient(
+        gaussians,
+        case.camera,
+        lambda rgb: np.sin(1e3 * rgb).astype(np.float32),
+        background=case.background,
+        opacity_factors=case.factors,
+        near=0.2,
+    )
+
+
+def bits_of(gaussians: Gaussians) -> list[bytes]:
+    return [tensor.numpy().tobytes() for _, tensor in gaussians.items()]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("degree", range(4))
+def test_an_update_from_the_screen_is_that_of_the_whole_gradient(degree: int, threads: int) -> None:
+    """Parameters, moments and what capacity plugins see; in blocks of more than one piece, some of
+    whose Gaussians have no bands above 0, or are not seen."""
+    set_threads(threads)
+    case = random_case(degree, n=9001, footprint=1.0)
+    whole = case.gaussians.replace(shN=case.gaussians.shN[:5003].contiguous())
+    pieces = whole.clone()
+    by_step, by_follow = Adam(whole), Adam(pieces)
+    for decay in (1.0, 0.9, 0.9):
+        gradient = on_screen(whole, case)
+        tensors, means2d = gradient.pull_back()
+        assert by_step.step(whole, tensors, RATES, decay) == ()
+        found = on_screen(pieces, case)
+        assert torch.equal(found.radii, gradient.radii)
+        broken, seen = by_follow.follow(found, RATES, decay)
+        assert broken == () and torch.equal(seen, means2d)
+        assert bits_of(pieces) == bits_of(whole)
+    assert seen.abs().sum() > 0 and (found.radii == 0).any()
+    one, other = by_step.state(), by_follow.state()
+    assert one.steps == other.steps
+    assert bits_of(one.first) == bits_of(other.first)
+    assert bits_of(one.second) == bits_of(other.second)
+
+
+def test_an_update_from_the_screen_names_what_is_not_finite() -> None:
+    case = crowded_case(1)
+    params = case.gaussians
+    logits = params.opacity_logits.clone()
+    optimizer = Adam(params)
+    found = render_gradient(params, case.camera, lambda rgb: np.full_like(rgb, np.nan))
+    broken, _ = optimizer.follow(found, RATES, opacity_decay=0.5)
+    assert {"means", "opacity_logits", "sh0"} <= set(broken)
+    still = torch.isfinite(params.opacity_logits)
+    assert torch.isnan(params.opacity_logits[found.radii > 0]).any() and still.any()
+    assert torch.equal(params.opacity_logits[still], logits[still])  # nothing decayed beside it
+
+
+def test_a_gradient_is_used_once() -> None:
+    case = random_case(1)
+    found = on_screen(case.gaussians, case)
+    found.pull_back()
+    with pytest.raises(RuntimeError, match="this gradient was already used"):
+        Adam(case.gaussians).follow(found, RATES)
