@@ -160,22 +160,22 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
         seeds = [word for word in job if word.startswith("seed=")]
         method = tuple(word for word in job if word not in seeds)
         if method in checked:
+            composed = checked[method]
             for seed in parser.parse_overrides(seeds):
-                checked[method].seed = seed.value()
-            check(plain(checked[method]))
-            studies[_study_dir(checked[method])].append(plain(checked[method]))
-            continue
-        with composing():
-            composed = loader.load_sweep_config(config, job)
-        check_composed(composed)
-        checked[method] = composed
+                composed.seed = seed.value()
+        else:
+            with composing():
+                composed = checked[method] = loader.load_sweep_config(config, job)
+            check_composed(composed)
         check(plain(composed))
+        # the seed may be part of either folder
         studies.setdefault(_study_dir(composed), []).append(plain(composed))
         folder = f"{composed.hydra.sweep.dir}/{composed.hydra.sweep.subdir}"
         if folder in taken:
             raise UserError(
                 f"multirun: expected a folder for each run, got {folder} for both"
                 f" '{' '.join(taken[folder])}' and '{' '.join(job)}'; give each its own study=NAME"
+                " or hydra.sweep.subdir"
             )
         taken[folder] = job
     return studies

@@ -49,6 +49,15 @@ def test_spelling_does_not_change_the_folder(runs: FakeRuns) -> None:
         assert folder.name.startswith("safi-uar-s")
 
 
+@pytest.mark.filterwarnings("error")  # Hydra turns what a callback raises into a warning
+def test_the_folder_may_be_named_by_the_seed(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["hydra.sweep.dir=own", "hydra.sweep.subdir=${seed}", "seed=0,1", "-m"]) == 0
+    assert runs.folders == [Path("own/0"), Path("own/1")]
+    assert capsys.readouterr().out.splitlines()[-1] == "report: own/1/report.md"
+
+
 def test_an_option_changes_the_folder(runs: FakeRuns) -> None:
     main([])
     main(["trainer.steps=301"])

@@ -55,6 +55,7 @@ CASES = {
     "scene=colmap,embedded -m": ["scene.path: required by scene=colmap"],
     "augment=safi -m seed=1,2": ["expected -m first or last", "after 'augment=safi'"],
     "threads=1,2 -m": ["multirun: expected a folder for each run", "study=NAME"],
+    "hydra.sweep.subdir=x seed=0,1 -m": ["expected a folder for each run", "hydra.sweep.subdir"],
     "seed=0,1": ["seed"],
     "--nonsense": ["command line: unrecognized arguments: --nonsense"],
     "--cfg job -m": ["command line: expected -m or a flag that only informs"],
