@@ -2,9 +2,9 @@
 
     python benchmarks/bands.py [--count 50000] [--rounds 5] [--output FILE]
 
-A step is `render_gradient` of `photometric_gradient` and `Adam.follow` on one thread, at 504x378 on
-`benchmarks.scene` with SH of degree 3; shares of bands are measured in turn. Milliseconds are CPU
-time, the median over the rounds. Writes a markdown table to FILE, or prints it.
+A step is `render_gradient` of `photometric_gradient` and `Adam.step_from` on one thread, at 504x378
+on `benchmarks.scene` with SH of degree 3; shares of bands are measured in turn. Milliseconds are
+CPU time, the median over the rounds. Writes a markdown table to FILE, or prints it.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Training:
         rates = dict.fromkeys([name for name, _ in self.gaussians.items()], 1e-5)
         start = time.process_time()
         for _ in range(STEPS):
-            self.adam.follow(render_gradient(self.gaussians, self.camera, self._slope), rates)
+            self.adam.step_from(render_gradient(self.gaussians, self.camera, self._slope), rates)
         return 1e3 * (time.process_time() - start) / STEPS
 
     def _slope(self, rgb: np.ndarray) -> np.ndarray:

@@ -3,14 +3,14 @@
     python benchmarks/step.py [--prototype DIR] [--clock cpu] [--output FILE]
 
 The step is what training runs: `render_gradient` (SH degree 3) of `photometric_gradient` and
-`Adam.follow`, at 504x378 on `benchmarks.scene`. Stages are timed inside it; what they leave over
+`Adam.step_from`, at 504x378 on `benchmarks.scene`. Stages are timed inside it; what they leave over
 (Python between them) is the column `rest`. Every round runs in fresh processes, ours and the
 prototype's in turn, so that a slow minute of the machine hits both; ours takes a few steps with one
 thread, a few with two, and a few with one beside a second process that does the same: both of them
 share nothing, so how much faster than one alone they are together tells what the machine had to
-give at that time, if a little too much, as the slower one is alone for its last steps. The speed-
-ups are medians over such turns. `wall` is the median over all steps of all rounds; `CPU` is the
-processor time of the whole process per step, which other programs disturb less: `--clock cpu`
+give at that time, if a little too much, as the slower one is alone for its last steps. The
+speed-ups are medians over such turns. `wall` is the median over all steps of all rounds; `CPU` is
+the processor time of the whole process per step, which other programs disturb less: `--clock cpu`
 measures the stages by it too, for a machine that is not idle. Prints a markdown table, and writes
 it to FILE.
 """
@@ -128,7 +128,7 @@ def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable
     target = Target.of(torch.from_numpy(image))
     optimizer = Adam(gaussians)
     loss_of = watch.wrap("loss", photometric_gradient)
-    update = watch.wrap("update", optimizer.follow)
+    update = watch.wrap("update", optimizer.step_from)
 
     def step() -> None:
         update(

@@ -86,7 +86,7 @@ def adam_kernel(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def follow_kernel(  # type: ignore[no-untyped-def]
+def pull_back_and_step(  # type: ignore[no-untyped-def]
     block,
     n_blocks,
     scratch,

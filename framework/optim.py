@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from framework.adam_kernels import BETA1, BETA2, CHUNK, adam_kernel, follow_kernel
+from framework.adam_kernels import BETA1, BETA2, CHUNK, adam_kernel, pull_back_and_step
 from framework.parallel import BLOCKS, run_blocks, threads
 from framework.rasterize import ScreenGradient, give_back
 from framework.rasterize.lending import aligned
@@ -81,24 +81,24 @@ class Adam:
         run_blocks(adam_kernel, p, g, m, v, self._coefficients, broken, logits, decay)
         return self._names(broken)
 
-    def follow(
+    def step_from(
         self, gradient: ScreenGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
     ) -> tuple[tuple[str, ...], Tensor]:
-        """`step` of what was rendered by the gradient that `gradient.pull_back` returns, with the
-        same bits, but that gradient never is in memory as a whole: a few Gaussians' at a time is
-        used while the cache has it. Uses `gradient` up.
+        """`step` of what was rendered, by the gradient that `gradient.pull_back` returns: the same
+        bits, but that gradient never is in memory as a whole, a few Gaussians' at a time is used
+        while the cache has it. Uses `gradient` up.
 
         Returns what `step` does and, as `pull_back`, the gradient in the projected means [N, 2].
         """
         params = gradient.gaussians
         p, m, v = zip(*self._views_of(params), strict=True)
+        work = gradient.take()
         for k, name in enumerate(self._steps):
             self._count(k, name, rates)
         broken = np.zeros((BLOCKS, len(p)), dtype=np.int32)
-        work = gradient.take()
         (means2d,) = work.pulls.lend([(len(params), 2)])
         run_blocks(
-            follow_kernel,
+            pull_back_and_step,
             p,
             *work.backward_inputs(),
             means2d.reshape(-1),

@@ -246,7 +246,7 @@ class Trainer:
             loss, found = screen_gradient(
                 self.params, first, self._where(first), ssim_weight, **rendered
             )
-            broken, means2d = self.optimizer.follow(found, rates, decay)
+            broken, means2d = self.optimizer.step_from(found, rates, decay)
             stats = step_stats(first, means2d, found.radii)
         else:
             loss, gradients, stats = self._gradients(first, penalty, rendered)

@@ -210,7 +210,7 @@ def test_a_pseudo_view_adds_its_weighted_gradient_to_its_step(
         return update(self, ctx, state, stats)
 
     monkeypatch.setattr(Adam, "step", noted)
-    monkeypatch.setattr(Adam, "follow", whole_first)
+    monkeypatch.setattr(Adam, "step_from", whole_first)
     monkeypatch.setattr(Fixed, "update", watched)
     for plugins in (None, *(_plugins(augment=Plugged(Darker(), w, 0.0, 1.0)) for w in (0.5, 1.0))):
         _train(plugins, steps=1, coarse_factor=1)
