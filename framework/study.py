@@ -21,7 +21,7 @@ from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from framework.cache import cache_dir
 from framework.collector import import_uncollected
@@ -150,7 +150,9 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
     taken: dict[str, list[str]] = {}
     studies: dict[Path, list[dict[str, Any]]] = {}
     seen: set[tuple[str, ...]] = set()
-    for job in jobs:
+    words = OmegaConf.to_container(config.hydra.sweep, resolve=False)
+    by_overrides = "overrid" in str(words)  # hydra.job.override_dirname or hydra.overrides
+    for number, job in enumerate(jobs):
         if tuple(job) in seen:
             raise UserError(
                 f"multirun: expected each run once, got '{' '.join(job)}' twice; sweep each value"
@@ -159,7 +161,7 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
         seen.add(tuple(job))
         seeds = [word for word in job if word.startswith("seed=")]
         method = tuple(word for word in job if word not in seeds)
-        if method in checked:
+        if method in checked and not by_overrides:
             composed = checked[method]
             for seed in parser.parse_overrides(seeds):
                 composed.seed = seed.value()
@@ -168,6 +170,8 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
                 composed = checked[method] = loader.load_sweep_config(config, job)
             check_composed(composed)
         check(plain(composed))
+        with open_dict(composed):
+            composed.hydra.job.num = number  # as the launcher will, after this
         # the seed may be part of either folder
         studies.setdefault(_study_dir(composed), []).append(plain(composed))
         folder = f"{composed.hydra.sweep.dir}/{composed.hydra.sweep.subdir}"

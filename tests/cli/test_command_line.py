@@ -50,12 +50,23 @@ def test_spelling_does_not_change_the_folder(runs: FakeRuns) -> None:
 
 
 @pytest.mark.filterwarnings("error")  # Hydra turns what a callback raises into a warning
-def test_the_folder_may_be_named_by_the_seed(
-    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("subdir", "names"),
+    [
+        ("${seed}", ["0", "1"]),
+        ("${hydra.job.override_dirname}", ["reg=uar,seed=0", "reg=uar,seed=1"]),
+        ("run-${hydra.job.num}", ["run-0", "run-1"]),
+    ],
+)
+def test_the_folder_may_be_named_by_the_run(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str], subdir: str, names: list[str]
 ) -> None:
-    assert main(["hydra.sweep.dir=own", "hydra.sweep.subdir=${seed}", "seed=0,1", "-m"]) == 0
-    assert runs.folders == [Path("own/0"), Path("own/1")]
-    assert capsys.readouterr().out.splitlines()[-1] == "report: own/1/report.md"
+    line = ["hydra.sweep.dir=own", f"hydra.sweep.subdir={subdir}", "reg=uar", "seed=0,1", "-m"]
+    assert main(line) == 0
+    assert runs.folders == [Path("own") / name for name in names]
+    told = capsys.readouterr()
+    assert told.out.splitlines()[-1] == f"report: own/{names[1]}/report.md"
+    assert told.err == ""
 
 
 def test_an_option_changes_the_folder(runs: FakeRuns) -> None:
