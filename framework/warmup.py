@@ -26,10 +26,13 @@ import torch
 
 from framework import registry
 from framework.depth import build_provider
+from framework.epoch import Items
 from framework.errors import UserError
+from framework.gradient import screen_gradient, view_gradient
 from framework.initialize import INITIALIZERS
 from framework.jit import KERNEL_CACHE
 from framework.notices import QUIET
+from framework.optim import Adam
 from framework.options import TrainerOptions
 from framework.parallel import alone, threads
 from framework.progress import Progress, Silent, unwarned
@@ -178,6 +181,16 @@ def _train(
         *(registry.build(group, {**config[group], **always}) for group in registry.GROUPS)
     )
     Trainer(training, depth, gaussians, options, plugins, 0, Silent(), tells=False).run()
+    _update(training.views[0], gaussians.clone())
+
+
+def _update(view: View, gaussians: Gaussians) -> None:
+    """Both ways of a gradient to the parameters: plugins and their draws decide which a step takes,
+    in a run perhaps another than in these few steps."""
+    item, adam = Items().get(view, 1), Adam(gaussians)
+    rates = dict.fromkeys(dict(gaussians.items()), 0.0)
+    adam.step_from(screen_gradient(gaussians, item, "warm-up", 0.2)[1], rates)
+    adam.step(gaussians, view_gradient(gaussians, item, "warm-up", 0.2)[1], rates)
 
 
 def _plane(sh_degree: int) -> tuple[TrainingSet, tuple[DepthMap, ...], Gaussians]:

@@ -12,8 +12,10 @@ import pytest
 
 from framework import warmup
 from framework.notices import QUIET
+from framework.optim import Adam
 from framework.parallel import in_task, set_threads
 from framework.progress import Silent
+from framework.trainer import Trainer
 from framework.warmup import Warmup
 from tests.cli.conftest import composed
 
@@ -92,3 +94,21 @@ def test_a_run_that_ends_early_waits_for_what_it_loads(monkeypatch: pytest.Monke
         warmup_.begin()
         raise ValueError("depth")
     assert ended == [True]
+
+
+def test_both_ways_of_a_gradient_are_warmed_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A regularizer's loss term, which the warm-up has in all of its steps and a run perhaps not in
+    its first, keeps them from one of the two."""
+
+    def penalty(*_: object) -> float:
+        return 0.0
+
+    ways: list[str] = []
+    for name in ("step", "step_from"):
+        way = getattr(Adam, name)
+        monkeypatch.setattr(
+            Adam, name, lambda *given, way=way, name=name: (ways.append(name), way(*given))[1]
+        )
+    monkeypatch.setattr(Trainer, "_penalty_of", lambda *_: penalty)
+    warm(composed("trainer.sh_degree=1"))
+    assert set(ways) == {"step", "step_from"}
