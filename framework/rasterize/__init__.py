@@ -187,7 +187,7 @@ class ScreenGradient:
 
     def pull_back(self) -> tuple[dict[str, Tensor], Tensor]:
         """The gradient in every tensor of `gaussians`, by name, and in the projected means [N, 2],
-        in pixels."""
+        in pixels. Raises RuntimeError the second time."""
         work, tensors = self.take(), dict(self.gaussians.items())
         n = len(self.gaussians)
         shapes = [*(tuple(t.shape) for t in tensors.values()), (n,), (n, 2)]
@@ -196,7 +196,7 @@ class ScreenGradient:
         return dict(zip(tensors, gradients, strict=True)), means2d
 
     def take(self) -> Workspace:
-        """The render's workspace, for who gives it back."""
+        """The render's workspace, for who gives it back. Raises RuntimeError the second time."""
         if self._work is None:
             raise RuntimeError("render_gradient: this gradient was already used")
         work, self._work = self._work, None

@@ -39,7 +39,7 @@ from framework.rasterize.simd import (
 STRIPS = 16  # at most; fixed, so that no sum can depend on the thread count
 MAX_GAUSSIANS = 1 << 23  # what fits beside two rows in an int32
 
-_AHEAD = 32  # Gaussians between asking for one's row and using it, two sixteens
+_AHEAD = 32  # Gaussians between asking for what is one's and using it, two sixteens
 
 f4 = np.float32
 ZERO, ONE, HALF = f4(0), f4(1), f4(0.5)
@@ -152,7 +152,7 @@ def count_tiles(
 ) -> None:
     """List the tiles of the Gaussian order[k], for the k of this block, into items[start[k]...] as
     (tile << 9 | 256 where a part begins | last row << 4 | first row); touched[k] = how many,
-    n_parts[order[k]] = in how many strips; histogram[block, tile], strip_items[block, strip] and
+    n_parts[k] = in how many strips; histogram[block, tile], strip_items[block, strip] and
     strip_parts[block, strip] are the numbers of items and parts. strips: of every tile."""
     n_columns = (width + 15) // 16
     histogram[block, :], strip_items[block, :], strip_parts[block, :] = 0, 0, 0
@@ -189,7 +189,7 @@ def count_tiles(
                     begins = 0
                     at += 1
             k = base + lane
-            touched[k], n_parts[order[k]] = at - start[k], count
+            touched[k], n_parts[k] = at - start[k], count
 
 
 @inlined
@@ -208,6 +208,8 @@ def _places(counts: Any, offsets: Any) -> None:
 
 @kernel
 def prefix_tiles(
+    n: int,
+    order: Any,
     n_parts: Any,
     first: Any,
     histogram: Any,
@@ -217,14 +219,18 @@ def prefix_tiles(
     strip_items: Any,
     n_slots: Any,
 ) -> None:
-    """first [N + 1]: a Gaussian's first part; histogram, strip_parts and strip_items become every
-    block's first place: in the tiles' lists, which begin at offsets, in the strips' lists of parts,
-    which begin at bounds, and among a strip's own slots, of which there are n_slots."""
+    """n_parts [n]: of the Gaussians order[k]. first [N + 1]: a Gaussian's first part; histogram,
+    strip_parts and strip_items become every block's first place: in the tiles' lists, which begin
+    at offsets, in the strips' lists of parts, which begin at bounds, and among a strip's own slots,
+    of which there are n_slots."""
+    first[:] = 0
+    for k in range(n):  # here: threads that scatter into one array wait for each other's lines
+        first[order[k]] = n_parts[k]
     total = 0
-    for i in range(len(n_parts)):
+    for i in range(len(first)):
+        count = first[i]
         first[i] = total
-        total += n_parts[i]
-    first[len(n_parts)] = total
+        total += count
     _places(histogram, offsets)
     _places(strip_parts, bounds)
     for strip in range(strip_items.shape[1]):
@@ -257,7 +263,10 @@ def fill_tiles(
     lists [parts, 2]: which part it is, and its first slot."""
     places, next_slot, next_part = histogram[block], strip_items[block], strip_parts[block]
     flat, flat_parts = lists.reshape(-1), parts.reshape(-1)
+    for tile in range(0, len(places), LANES):  # another thread wrote these
+        prefetch(places, tile)
     for k in range(n * block // blocks, n * (block + 1) // blocks):
+        prefetch(first, order[min(k + _AHEAD, n - 1)])
         i = order[k]
         strip, slot, part = 0, next_slot[0], first[i]  # the first item begins a part
         for j in range(start[k], start[k] + touched[k]):

@@ -151,7 +151,6 @@ class Workspace:
         """The tiles' lists, front to back, and the strips' lists of parts."""
         entries = int(self.start[self.n_visible])
         self.items = grown(self.items, entries)
-        self.n_parts[:] = 0
         run_blocks(
             binning.count_tiles,
             self.n_visible,
@@ -169,6 +168,8 @@ class Workspace:
             self.strip_parts,
         )
         binning.prefix_tiles(
+            self.n_visible,
+            self.order,
             self.n_parts,
             self.first,
             self.histogram,

@@ -353,7 +353,7 @@ def lowest_bit(typing_context, bits):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def prefetch(typing_context, array, index):  # type: ignore[no-untyped-def]
-    """Ask for the cache line of array[index] (flat float32); never faults."""
+    """Ask for the cache line of array[index] (flat, of four bytes each); never faults."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         address = _address(context, builder, signature.args[0], values[0], values[1])

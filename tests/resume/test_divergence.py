@@ -6,16 +6,18 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from framework import registry, training
+from framework import gradient, registry, training
 from framework.checkpoint import unpack
 from framework.depth import build_provider
 from framework.errors import UserError
-from framework.guard import Diverged
+from framework.guard import Diverged, diverged
 from framework.initialize import INITIALIZERS
+from framework.losses import photometric_gradient
 from framework.optim import Adam, AdamState
 from framework.options import TrainerOptions
 from framework.plugin import Capacity, Edits, Regularizer, StepContext, StepStats
@@ -82,6 +84,37 @@ def test_a_gradient_that_is_not_finite_is_caught_at_its_step() -> None:
     assert "\n" not in str(caught.value) and "trainer.lr_scale" in str(caught.value)
 
 
+def test_so_is_one_that_goes_straight_into_the_update(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a regularizer's loss term, as most trainings."""
+    taken = []
+
+    def steep(*given: Any) -> tuple[float, np.ndarray]:
+        loss, image = photometric_gradient(*given)
+        taken.append(loss)
+        return loss, image * np.float32("nan") if len(taken) == 3 else image
+
+    monkeypatch.setattr(gradient, "photometric_gradient", steep)
+    with pytest.raises(Diverged, match=r"training step 2 on view 'plane-\d': expected finite grad"):
+        train()
+    assert len(taken) == 3
+
+
+@pytest.mark.parametrize(
+    ("slope", "told"),
+    [
+        (float("nan"), "finite gradients, got NaN or infinity for 2 Gaussians in 'quats'"),
+        (-float("inf"), "finite gradients, got NaN or infinity for 2 Gaussians in 'quats'"),
+        (1e20, "gradients below 1e19, got larger ones in 'quats', whose squares overflow"),
+    ],
+)
+def test_a_gradient_is_told_by_what_it_left_in_the_moments(slope: float, told: str) -> None:
+    params = make_gaussians(8, 1)
+    adam, slopes = Adam(params), params.map(torch.ones_like)
+    slopes.quats[2:4] = slope
+    broken = adam.step(params, slopes, dict.fromkeys(dict(params.items()), 0.1))
+    assert str(diverged(broken, "here", params, adam.state())).startswith(f"here: expected {told};")
+
+
 def test_what_a_capacity_adds_is_checked() -> None:
     with pytest.raises(Diverged, match=r"step 0: expected the capacity plugin.*'quats' of 1"):
         train(capacity=BrokenChildren())
@@ -102,7 +135,11 @@ def test_a_parameter_that_overflows_is_caught() -> None:
     params = make_gaussians(8, 0)
     params.means[3] = 3.4e38
     grads = params.map(lambda t: -torch.ones_like(t))
-    assert Adam(params).step(params, grads, {n: 3e37 for n, _ in params.items()})[0] == "means"
+    adam = Adam(params)
+    broken = adam.step(params, grads, {n: 3e37 for n, _ in params.items()})
+    assert broken[0] == "means"
+    told = str(diverged(broken, "here", params, adam.state()))
+    assert "finite parameters, got NaN or infinity for 1 Gaussians in 'means'" in told
 
 
 def test_the_state_is_left_for_inspection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
