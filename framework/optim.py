@@ -1,4 +1,4 @@
-"""Adam over the tensors of a `Gaussians`: one numba kernel, in place, no allocation per step.
+"""Adam over the tensors of a `Gaussians`: numba kernels, in place.
 
 Kingma & Ba 2015, "Adam", algorithm 1, with the constants of 3DGS: beta = (0.9, 0.999), eps = 1e-15.
 Plain twin: `torch.optim.Adam` (tests compare).
@@ -72,7 +72,8 @@ class Adam:
                 rows.append(_NOTHING)
                 continue
             _check(name, gradient, parameter)
-            self._count(k, name, rates)
+            self._steps[name] += 1
+            self._coefficients[k] = _coefficients(self._steps[name], rates[name])
             p, m, v = views[k]
             rows.append((p, _flat(gradient.contiguous()), m, v))
         p, g, m, v = zip(*rows, strict=True)
@@ -84,17 +85,19 @@ class Adam:
     def step_from(
         self, gradient: ScreenGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
     ) -> tuple[tuple[str, ...], Tensor]:
-        """`step` of what was rendered, by the gradient that `gradient.pull_back` returns: the same
+        """`step` of `gradient.gaussians`, in place, by what `gradient.pull_back` returns: the same
         bits, but that gradient never is in memory as a whole, a few Gaussians' at a time is used
         while the cache has it. Uses `gradient` up.
 
         Returns what `step` does and, as `pull_back`, the gradient in the projected means [N, 2].
+        Raises ValueError as `step`, and RuntimeError if `gradient` was used before.
         """
         params = gradient.gaussians
         p, m, v = zip(*self._views_of(params), strict=True)
-        work = gradient.take()
-        for k, name in enumerate(self._steps):
-            self._count(k, name, rates)
+        steps = {name: n + 1 for name, n in self._steps.items()}
+        coefficients = [_coefficients(n, rates[name]) for name, n in steps.items()]
+        work = gradient.take()  # what raises did so before
+        self._steps, self._coefficients[:] = steps, coefficients
         broken = np.zeros((BLOCKS, len(p)), dtype=np.int32)
         (means2d,) = work.pulls.lend([(len(params), 2)])
         run_blocks(
@@ -111,11 +114,6 @@ class Adam:
         )
         give_back(work)
         return self._names(broken), torch.from_numpy(means2d)
-
-    def _count(self, k: int, name: str, rates: Mapping[str, float]) -> None:
-        """One more update of tensor number k."""
-        self._steps[name] += 1
-        self._coefficients[k] = _coefficients(self._steps[name], rates[name])
 
     def _own(self, size: int) -> list[tuple[np.ndarray]]:
         """Scratch for every thread."""
