@@ -131,9 +131,8 @@ def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable
     update = watch.wrap("update", optimizer.step_from)
 
     def step() -> None:
-        update(
-            render_gradient(gaussians, camera, lambda rgb: loss_of(rgb, target)[1]), rates, DECAY
-        )
+        found = render_gradient(gaussians, camera, lambda rgb: loss_of(rgb, target)[1])
+        update(found, rates, DECAY)
 
     return step
 

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from framework.jit import kernel
+from framework.jit import inlined, kernel
 from framework.rasterize.chunks import put1, span, take1
 from framework.rasterize.projection import project_backward
 from framework.rasterize.simd import LANES, exp2, log2, maximum, splat
@@ -85,73 +85,72 @@ def adam_kernel(  # type: ignore[no-untyped-def]
         _decay_range(logits, n * block // n_blocks, n * (block + 1) // n_blocks, decay)
 
 
+@inlined
+def _pieces(scratch, n, banded, per_shN):  # type: ignore[no-untyped-def]
+    """Room in the scratch for the gradients of n <= CHUNK Gaussians: of the six tensors, the last
+    of `banded` of them, and of the opacity factors."""
+    return (
+        scratch[: 3 * n],
+        scratch[3 * CHUNK : 3 * CHUNK + 4 * n],
+        scratch[7 * CHUNK : 7 * CHUNK + 3 * n],
+        scratch[10 * CHUNK : 10 * CHUNK + n],
+        scratch[11 * CHUNK : 11 * CHUNK + 3 * n],
+        scratch[15 * CHUNK : 15 * CHUNK + per_shN * banded],
+        scratch[14 * CHUNK : 14 * CHUNK + n],
+    )
+
+
+@inlined
+def _pull_back(a, b, p, seen, g, g_offset):  # type: ignore[no-untyped-def]
+    """`project_backward` for Gaussians a ... b - 1 alone, into the pieces g. seen: what it reads
+    beside p."""
+    shN, factors, degree, camera, rows, clipped, first, sums = seen
+    project_backward(
+        0,
+        1,
+        p[0][3 * a : 3 * b],
+        p[1][4 * a : 4 * b],
+        p[2][3 * a : 3 * b],
+        p[3][a:b],
+        shN[a:b],
+        factors[a:b],
+        degree,
+        camera,
+        rows[16 * a : 16 * b],
+        clipped[a:b],
+        first[a : b + 1],
+        sums,
+        g[0],
+        g[1],
+        g[2],
+        g[3],
+        g[4],
+        g[5].reshape(len(shN[a:b]), shN.shape[1], 3),
+        g[6],
+        g_offset[2 * a : 2 * b],
+    )
+
+
 @kernel
 def pull_back_and_step(  # type: ignore[no-untyped-def]
-    block,
-    n_blocks,
-    scratch,
-    p,
-    shN,
-    factors,
-    degree,
-    camera,
-    rows,
-    clipped,
-    first,
-    sums,
-    g_offset,
-    m,
-    v,
-    coefficients,
-    broken,
-    decay,
+    block, n_blocks, scratch, p, seen, g_offset, m, v, coefficients, broken, decay
 ):
     """Block `block` of `project_backward` and `adam_kernel` in one: the gradient of CHUNK Gaussians
     at a time goes to the scratch, from where it is used while the cache has it.
 
-    p, m, v: flat, of all the tensors of `Gaussians` in their order; shN [M, K, 3]: that of p.
-    scratch: float32[CHUNK (15 + 3 K)]. The others as in the two kernels.
+    p, m, v: flat, of all the tensors of `Gaussians` in their order. seen: what the former reads
+    beside them, the first is shN [M, K, 3]. scratch: float32[CHUNK (15 + 3 K)]. The others as in
+    the two kernels.
     """
+    shN = seen[0]
     per_shN = 3 * shN.shape[1]
     widths = (3, 4, 3, 1, 3, per_shN)
     begin, end = span(len(p[3]), block, n_blocks)
     broken[block, :] = 0
     for a in range(begin, end, CHUNK):
         b = min(a + CHUNK, end)
-        n = b - a
-        banded = min(b, len(shN)) - min(a, len(shN))
-        g = (
-            scratch[: 3 * n],
-            scratch[3 * CHUNK : 3 * CHUNK + 4 * n],
-            scratch[7 * CHUNK : 7 * CHUNK + 3 * n],
-            scratch[10 * CHUNK : 10 * CHUNK + n],
-            scratch[11 * CHUNK : 11 * CHUNK + 3 * n],
-            scratch[15 * CHUNK : 15 * CHUNK + per_shN * banded],
-        )
-        project_backward(
-            0,
-            1,
-            p[0][3 * a : 3 * b],
-            p[1][4 * a : 4 * b],
-            p[2][3 * a : 3 * b],
-            p[3][a:b],
-            shN[a:b],
-            factors[a:b],
-            degree,
-            camera,
-            rows[16 * a : 16 * b],
-            clipped[a:b],
-            first[a : b + 1],
-            sums,
-            g[0],
-            g[1],
-            g[2],
-            g[3],
-            g[4],
-            g[5].reshape(banded, shN.shape[1], 3),
-            scratch[14 * CHUNK : 14 * CHUNK + n],
-            g_offset[2 * a : 2 * b],
-        )
+        g = _pieces(scratch, b - a, min(b, len(shN)) - min(a, len(shN)), per_shN)
+        _pull_back(a, b, p, seen, g, g_offset)
         for k in range(len(p)):
             i, j = widths[k] * a, widths[k] * b
             rate, correction = coefficients[k, 0], coefficients[k, 1]

@@ -103,7 +103,7 @@ class Adam:
         run_blocks(
             pull_back_and_step,
             p,
-            *work.backward_inputs(),
+            work.backward_inputs(),
             means2d.reshape(-1),
             m,
             v,
