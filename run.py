@@ -2,7 +2,7 @@
 
 import sys
 
-from framework.runner import command
+from framework.command.entry import command
 
 if __name__ == "__main__":
     command(sys.argv[1:])

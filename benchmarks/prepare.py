@@ -15,15 +15,16 @@ sys.path.insert(0, str(ROOT))
 import torch  # noqa: E402
 from hydra import compose, initialize_config_dir  # noqa: E402
 
-from framework import experiment, registry  # noqa: E402
-from framework.config import CONF_DIR, check, register_config  # noqa: E402
-from framework.naming import plain  # noqa: E402
+from framework import registry  # noqa: E402
+from framework.command.config.naming import plain  # noqa: E402
+from framework.command.config.schema import CONF_DIR, check, register_config  # noqa: E402
 from framework.options import TrainerOptions  # noqa: E402
-from framework.progress import Progress, Silent  # noqa: E402
-from framework.trainer import Evaluate, Plugins, Trained, Trainer  # noqa: E402
-from framework.training import Run, initial, train  # noqa: E402
+from framework.records.progress import Progress, Silent  # noqa: E402
+from framework.run import experiment  # noqa: E402
+from framework.run.training import Run, initial, train  # noqa: E402
+from framework.run.warmup import Warmup  # noqa: E402
+from framework.train.trainer import Evaluate, Plugins, Trained, Trainer  # noqa: E402
 from framework.types import DepthMap, Gaussians, Scene  # noqa: E402
-from framework.warmup import Warmup  # noqa: E402
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from framework.rng import stream
+from framework.compute.rng import stream
 from framework.types import Camera, Gaussians
 
 WIDTH, HEIGHT, FOCAL_PX = 504, 378, 400.0

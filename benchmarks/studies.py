@@ -16,7 +16,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from framework.record import HISTORY_CSV, METRICS_CSV, RECORD
+from framework.records.record import HISTORY_CSV, METRICS_CSV, RECORD
 from framework.report import build_report
 
 TITLE = "study"

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import numpy as np
     from torch import Tensor
 
-    from framework.fisher import FisherInformation
+    from framework.fisher.information import FisherInformation
     from framework.types import Camera, DepthMap, Gaussians, Render, View
 
 __all__ = ["Augmenter", "Capacity", "Edits", "Regularizer", "StepContext", "StepStats", "register"]

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from framework.compute.jit import kernel
+from framework.compute.parallel import run_blocks
 from framework.depth.transfer import pixel_transfer
-from framework.jit import kernel
-from framework.parallel import run_blocks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

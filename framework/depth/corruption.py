@@ -27,7 +27,7 @@ import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
 
-from framework.rng import stream
+from framework.compute.rng import stream
 from framework.types import DepthMap
 
 if TYPE_CHECKING:

@@ -23,13 +23,13 @@ from framework.depth.consistency import agreeing_views
 from framework.depth.plane_sweep import PlaneSweep
 from framework.depth.read import resample
 from framework.errors import UserError, require
-from framework.provenance import file_sha256
+from framework.files.whole import file_sha256
 from framework.types import DepthMap
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from framework.depth.depth_anything_3 import DepthAnything3
+    from framework.depth.options import DepthAnything3Options
     from framework.types import TrainingSet
 
 WHERE = "depth=depth_anything_3"
@@ -49,7 +49,7 @@ class Prediction:
     confidence: NDArray[np.float64]
 
 
-def predict_views(training: TrainingSet, options: DepthAnything3) -> tuple[DepthMap, ...]:
+def predict_views(training: TrainingSet, options: DepthAnything3Options) -> tuple[DepthMap, ...]:
     """See `framework.depth.depth_anything_3.DepthAnything3.measure`."""
     predicted = predict(training, options)
     size = (training.views[0].camera.width, training.views[0].camera.height)
@@ -68,7 +68,7 @@ def predict_views(training: TrainingSet, options: DepthAnything3) -> tuple[Depth
     return tuple(maps)
 
 
-def predict(training: TrainingSet, options: DepthAnything3) -> Prediction:
+def predict(training: TrainingSet, options: DepthAnything3Options) -> Prediction:
     """What the network says of the training views, with depth in scene units as it sees them."""
     images = [_pixels(view.image) for view in training.views]
     sizes = sorted({image.shape[:2] for image in images})
@@ -143,7 +143,7 @@ def _prediction(answer: Any, n: int, unit: float) -> Prediction:
 
 
 def _in_scene_units(
-    training: TrainingSet, depths: list[NDArray[np.float64]], options: DepthAnything3
+    training: TrainingSet, depths: list[NDArray[np.float64]], options: DepthAnything3Options
 ) -> list[NDArray[np.float64]]:
     """The depths [H, W] times one factor per view."""
     if options.align == "none":
@@ -171,7 +171,7 @@ def _like_sweep(
     return depth * fit_scale(depth[both], swept.depth.numpy().astype(np.float64)[both])
 
 
-def weights_folder(options: DepthAnything3) -> Path:
+def weights_folder(options: DepthAnything3Options) -> Path:
     """The folder of the weights; those on the hub are downloaded into its cache if not there."""
     folder = Path(options.weights).expanduser()
     if not folder.is_dir():
@@ -186,7 +186,7 @@ def weights_folder(options: DepthAnything3) -> Path:
     return folder
 
 
-def _download(options: DepthAnything3) -> Path:
+def _download(options: DepthAnything3Options) -> Path:
     try:
         from huggingface_hub import snapshot_download
 
@@ -204,7 +204,7 @@ def _download(options: DepthAnything3) -> Path:
         ) from problem
 
 
-def weights_sha256(options: DepthAnything3) -> str:
+def weights_sha256(options: DepthAnything3Options) -> str:
     """See `framework.depth.depth_anything_3.DepthAnything3.fingerprint`."""
     _api()
     try:

@@ -10,20 +10,20 @@ import cv2
 import numpy as np
 import torch
 
-from framework.arrays import read_npy, read_npz
 from framework.depth.align import align
 from framework.depth.consistency import agreeing_views
 from framework.errors import UserError, require
-from framework.limits import IMAGE_PIXELS
-from framework.paths import inside
-from framework.provenance import file_sha256
+from framework.files.arrays import read_npy, read_npz
+from framework.files.limits import IMAGE_PIXELS
+from framework.files.paths import inside
+from framework.files.whole import file_sha256
 from framework.scenes.images import image_size
 from framework.types import DepthMap, TrainingSet
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from framework.depth.from_file import DepthFile
+    from framework.depth.options import DepthFileOptions
 
 SUFFIXES = (".npy", ".npz", ".png")
 ASPECT_TOLERANCE = 0.02
@@ -61,7 +61,7 @@ def _with_suffixes(image: Path) -> list[Path]:
     return [path for path in candidates if path.is_file()]
 
 
-def find_files(training: TrainingSet, options: DepthFile) -> list[Path]:
+def find_files(training: TrainingSet, options: DepthFileOptions) -> list[Path]:
     """The depth files of all training views, in their order; UserError unless each has its own."""
     folder = Path(options.path).expanduser()
     require(
@@ -82,7 +82,7 @@ def find_files(training: TrainingSet, options: DepthFile) -> list[Path]:
     return list(owners)
 
 
-def files_sha256(training: TrainingSet, options: DepthFile) -> str:
+def files_sha256(training: TrainingSet, options: DepthFileOptions) -> str:
     """See `framework.depth.from_file.DepthFile.fingerprint`."""
     digest = hashlib.sha256()
     for file in find_files(training, options):
@@ -115,7 +115,7 @@ def _load_png(file: Path, scale: float) -> NDArray[np.float64]:
     return image.astype(np.float64) / scale
 
 
-def load_map(file: Path, options: DepthFile) -> NDArray[np.float64]:
+def load_map(file: Path, options: DepthFileOptions) -> NDArray[np.float64]:
     """The values of one file, [h, w] float64, 0 = unknown. UserError on invalid ones."""
     is_png = file.suffix == ".png"
     values = _load_png(file, options.png_scale) if is_png else _load_array(file)
@@ -159,7 +159,7 @@ def resample(values: NDArray[np.float64], width: int, height: int) -> NDArray[np
 
 
 def read_view(
-    training: TrainingSet, index: int, file: Path, options: DepthFile
+    training: TrainingSet, index: int, file: Path, options: DepthFileOptions
 ) -> NDArray[np.float32]:
     """Aligned depth [H, W] float32 of one training view from its `file`, 0 = unknown."""
     view = training.views[index]
@@ -177,7 +177,7 @@ def read_view(
     )
 
 
-def read_views(training: TrainingSet, options: DepthFile) -> tuple[DepthMap, ...]:
+def read_views(training: TrainingSet, options: DepthFileOptions) -> tuple[DepthMap, ...]:
     """See `framework.depth.from_file.DepthFile.measure`."""
     files = find_files(training, options)
     indices = range(len(training.views))

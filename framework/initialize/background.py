@@ -42,7 +42,7 @@ def random_background(seed: int, step: int) -> Tensor:
     import numpy as np
     import torch
 
-    from framework.rng import stream
+    from framework.compute.rng import stream
 
     return torch.from_numpy(stream(seed, "background", step).random(3).astype(np.float32))
 

@@ -16,10 +16,10 @@ import numpy as np
 import torch
 from scipy.ndimage import zoom
 
+from framework.compute.parallel import run_tasks
 from framework.geometry import project
 from framework.initialize.fusion import Mapped, SurfacePixels, joined, surface_pixels
 from framework.initialize.sight import pushed_back
-from framework.parallel import run_tasks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

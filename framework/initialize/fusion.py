@@ -18,9 +18,9 @@ from functools import partial
 import numpy as np
 import torch
 
+from framework.compute.parallel import run_tasks
 from framework.initialize.sampling import detail_density
 from framework.initialize.sight import Sights, sights, unrepeated
-from framework.parallel import run_tasks
 from framework.types import Camera, DepthMap, TrainingSet, View
 
 

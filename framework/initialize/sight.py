@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from scipy.ndimage import minimum_filter
 
-from framework.jit import kernel
-from framework.parallel import run_blocks, run_tasks
+from framework.compute.jit import kernel
+from framework.compute.parallel import run_blocks, run_tasks
 from framework.types import Camera, DepthMap, View
 
 CENTER = 30  # where it begins in a row of `Sights.cameras`

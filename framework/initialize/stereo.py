@@ -62,11 +62,11 @@ class Stereo:
         """
         import numpy as np
 
+        from framework.compute.rng import stream
         from framework.initialize.completion import complete
         from framework.initialize.fusion import fuse, joined, mapped
         from framework.initialize.isotropic import isotropic_gaussians
         from framework.initialize.sampling import draw, inclusion_probabilities
-        from framework.rng import stream
 
         maps = mapped(training, depth, self.detail)
         pixels = fuse(maps, self.tolerance)

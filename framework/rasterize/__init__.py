@@ -177,8 +177,8 @@ def rasterize(
 class ScreenGradient:
     """The gradient of a loss on one render, as far back as the Gaussians on the screen.
 
-    `pull_back` or `framework.optim.Adam.step_from` takes it to the parameters, once, as it holds
-    the render's workspace. gaussians: what was rendered. radii [N]: in pixels, 0 = culled.
+    `pull_back` or `framework.train.optim.Adam.step_from` takes it to the parameters, once, as it
+    holds the render's workspace. gaussians: what was rendered. radii [N]: in pixels, 0 = culled.
     """
 
     def __init__(self, work: Workspace, gaussians: Gaussians, radii: np.ndarray) -> None:

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from framework.jit import inlined, kernel
-from framework.rasterize.simd import LANES, fma, lane_sums, load, splat, store, zeros
+from framework.compute.jit import inlined, kernel
+from framework.compute.simd import LANES, fma, lane_sums, load, splat, store, zeros
 
 f4 = np.float32
 

@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from framework.compute.parallel import BLOCKS, run_blocks, threads
 from framework.errors import UserError
-from framework.parallel import BLOCKS, run_blocks, threads
-from framework.rasterize import binning, blend, information, moments, projection
 from framework.rasterize.constants import ROW
 from framework.rasterize.lending import Lender, aligned, grown
+from framework.rasterize.project import information, projection
+from framework.rasterize.tile import binning, blend, moments
 from framework.types import Camera
 
 MAX_ENTRIES = 2**31 - 1  # an int32 counts them

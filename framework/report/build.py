@@ -7,14 +7,15 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from framework.files import write_whole
-from framework.report import markdown, page
-from framework.report.collect import collect
+from framework.files.whole import write_whole
 from framework.report.export import TABLE, runs_csv
-from framework.report.gallery import gallery
-from framework.report.images import remove_pictures
+from framework.report.figures.images import remove_pictures
+from framework.report.figures.views import own_scenes
+from framework.report.page import html as page
+from framework.report.page import markdown
+from framework.report.page.gallery import gallery
 from framework.report.sections import document
-from framework.report.views import own_scenes
+from framework.report.study.collect import collect
 
 REPORT, PAGE = "report.md", "report.html"
 

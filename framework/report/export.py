@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from framework.metrics import METRICS
-from framework.report.collect import ReportRun, Study
+from framework.metrics.values import METRICS
+from framework.report.study.collect import ReportRun, Study
 
 TABLE = "runs.csv"
 

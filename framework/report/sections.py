@@ -9,16 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from framework.report import capacities, curves, gaps, modelsize, stress, tables, tradeoff
-from framework.report.collect import Study
-from framework.report.document import Block, Bullets, Document, Heading, Picture, Text, table
-from framework.report.figures import chart_picture
-from framework.report.finding import sentence, sentences
-from framework.report.images import draw_images, draw_sigma_maps
-from framework.report.labels import outside
-from framework.report.outcomes import Outcomes, outcomes
-from framework.report.provenance import provenance_blocks
-from framework.report.published import PUBLISHED, SOURCE
+from framework.report.figures import curves, modelsize, stress, tradeoff
+from framework.report.figures.files import chart_picture
+from framework.report.figures.images import draw_images, draw_sigma_maps
+from framework.report.parts.document import Block, Bullets, Document, Heading, Picture, Text, table
+from framework.report.statistics.outcomes import Outcomes, outcomes
+from framework.report.study.collect import Study
+from framework.report.study.labels import outside
+from framework.report.text import capacities, gaps, tables
+from framework.report.text.finding import sentence, sentences
+from framework.report.text.provenance import provenance_blocks
+from framework.report.text.published import PUBLISHED, SOURCE
 
 WORDS = ("Scene", "Method", "Compared with", "Parameters", "Folder", "Capacity")
 DEFINITIONS = (

@@ -13,8 +13,8 @@ import struct
 from pathlib import Path
 
 from framework.errors import UserError, require
-from framework.limits import MODEL_BYTES, check_size
-from framework.paths import inside
+from framework.files.limits import MODEL_BYTES, check_size
+from framework.files.paths import inside
 from framework.scenes.colmap_text import check_text
 
 PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 10, 8, 8)  # by COLMAP's camera model id

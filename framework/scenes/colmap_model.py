@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from framework.errors import UserError, require
-from framework.limits import MODEL_CELLS, SIDE_PIXELS
+from framework.files.limits import MODEL_CELLS, SIDE_PIXELS
 from framework.scenes import colmap_files
 from framework.scenes.assemble import Tracks
 from framework.scenes.lens import Distortion, Lens

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
-from framework.paths import inside
+from framework.files.paths import inside
 from framework.scenes.options import check_choice, check_folder_options, check_images
 from framework.scenes.splits import protocol
 

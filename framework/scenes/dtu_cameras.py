@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from framework.arrays import read_npz
 from framework.errors import UserError, require
+from framework.files.arrays import read_npz
 from framework.scenes.lens import Lens
 
 FILES = ("cameras_sphere.npz", "cameras.npz")

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
-from framework.limits import IMAGE_BYTES, check_pixels, check_size
-from framework.paths import inside
+from framework.files.limits import IMAGE_BYTES, check_pixels, check_size
+from framework.files.paths import inside
 
 if TYPE_CHECKING:
     import numpy as np

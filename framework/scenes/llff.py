@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import check_option, require
-from framework.limits import SIDE_PIXELS
+from framework.files.limits import SIDE_PIXELS
 from framework.scenes.options import check_folder_options, check_images
 from framework.scenes.splits import protocol
 
@@ -82,7 +82,7 @@ def _read_poses(path: Path, files: list[Path]) -> NDArray[np.float64]:
     """[n, 17] rows for n images. Raises UserError unless they are complete and sensible."""
     import numpy as np
 
-    from framework.arrays import read_npy
+    from framework.files.arrays import read_npy
 
     require(path.is_file(), f"{path}: expected LLFF poses, found no file; is scene.path right?")
     rows = read_npy(path)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from framework.errors import UserError, require
-from framework.limits import SCENE_BYTES
+from framework.files.limits import SCENE_BYTES
 from framework.scenes.assemble import Shot, intrinsics
 from framework.scenes.images import image_size, read_image, resize_ratio
 from framework.scenes.lens import PINHOLE, Distortion, Lens, undistort

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from framework.errors import UserError, require
-from framework.ply_counts import check_counts
+from framework.records.ply_counts import check_counts
 from framework.scenes.assemble import Tracks
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from framework.errors import UserError, require
-from framework.limits import SIDE_PIXELS, TEXT_BYTES, check_size
-from framework.paths import inside
+from framework.files.limits import SIDE_PIXELS, TEXT_BYTES, check_size
+from framework.files.paths import inside
 from framework.scenes.images import SUFFIXES
 from framework.scenes.lens import Distortion, Lens
 

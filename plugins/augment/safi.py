@@ -10,15 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from framework.methods.warping import ThresholdAugmenter
 from framework.plugin import StepContext, register
-from framework.warping import ThresholdAugmenter
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from framework.types import Camera, Gaussians, View
 
-FORMS = ("trace", "log")  # see framework.information.information_gains
+FORMS = ("trace", "log")  # see framework.fisher.scores.information_gains
 APPROXIMATIONS = ("diagonal", "block")
 
 
@@ -94,7 +94,7 @@ class Safi(ThresholdAugmenter):
     def scores(
         self, ctx: StepContext, selection: Snapshot | None, camera: Camera
     ) -> tuple[list[float], Snapshot]:
-        from framework.information import gains_over, information_gains
+        from framework.fisher.scores import gains_over, information_gains
 
         snapshot = selection
         if snapshot is None or self._outdated(snapshot, ctx.epoch):
@@ -110,7 +110,7 @@ class Safi(ThresholdAugmenter):
         return 0 < self.refresh_epochs <= epoch - snapshot.epoch
 
     def _snapshot(self, ctx: StepContext) -> Snapshot:
-        from framework.information import block_prior, shared_prior, variances
+        from framework.fisher.scores import block_prior, shared_prior, variances
 
         gaussians, degree = ctx.gaussians.clone(), ctx.sh_degree
         views = [self._information(ctx, gaussians, degree, v.camera) for v in ctx.views]

@@ -16,8 +16,8 @@ import math
 from dataclasses import dataclass
 
 from framework.errors import require
+from framework.methods.rounds import RoundsCapacity, Selection, TrainingInformation
 from framework.plugin import StepContext, register
-from framework.rounds import RoundsCapacity, Selection, TrainingInformation
 
 GROWTH = 1.25  # largest ratio of the numbers after and before a round
 
@@ -45,7 +45,7 @@ class Budget(RoundsCapacity):
     def selected(self, ctx: StepContext, known: TrainingInformation) -> Selection:
         import torch
 
-        from framework.information import removal_energy
+        from framework.fisher.scores import removal_energy
 
         n = len(ctx.gaussians)
         wanted = self._wanted(n, self.rounds_left(ctx))

@@ -1,5 +1,5 @@
 """`capacity=evidence`: a Gaussian stays only while it pays for its description, and so do its SH
-bands above 0, judged alike by `framework.bands`.
+bands above 0, judged alike by `framework.methods.bands`.
 
 Derivation. Pixels are image + noise of variance s2. With parameters a priori from N(m, diag(v)),
 the Laplace approximation of the evidence (MacKay 1992) with Gaussian i over that without is
@@ -37,15 +37,15 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from framework.methods.rounds import SH0, RoundsCapacity, Selection, TrainingInformation
 from framework.plugin import StepContext, register
-from framework.rounds import SH0, RoundsCapacity, Selection, TrainingInformation
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from torch import Tensor
 
-    from framework.fisher import FisherInformation
+    from framework.fisher.information import FisherInformation
     from framework.types import Gaussians
 
     Array = NDArray[np.float64]
@@ -118,7 +118,7 @@ class Evidence(RoundsCapacity):
         """(G, C), each [N] nats."""
         import numpy as np
 
-        from framework.information import removal_energy
+        from framework.fisher.scores import removal_energy
 
         energy = removal_energy(known.total.diagonal, gaussians.opacity_logits).numpy()
         if self.criterion == "bic":
@@ -138,7 +138,7 @@ class Evidence(RoundsCapacity):
         import numpy as np
         import torch
 
-        from framework.bands import bands_evidence
+        from framework.methods.bands import bands_evidence
 
         gaussians = ctx.gaussians
         if not 0 < gaussians.sh_degree == ctx.sh_degree:
@@ -181,7 +181,7 @@ def description_cost(gaussians: Gaussians, information: FisherInformation, noise
     where the addition theorem makes a coefficient's mean information that of sh0."""
     import numpy as np
 
-    from framework.bands import prior_variance
+    from framework.methods.bands import prior_variance
 
     g = gaussians
     columns = (g.means, g.log_scales, g.quats, g.opacity_logits[:, None], g.sh0[:, 0])

@@ -5,7 +5,7 @@ Its sensitivity is log det of the 6x6 Fisher block about mean and log-scale, sum
 training views. The paper prunes 80 % after 30,000 steps, trains 5,000, prunes half of the rest and
 trains 5,000 more; the defaults are the same shares of a training of any length. Two things differ
 from its code: a block that few views leave singular gets a relative prior (`uncertainty` in
-`framework.information`; without one all such Gaussians tie at minus infinity), and the views are
+`framework.fisher.scores`; without one all such Gaussians tie at minus infinity), and the views are
 taken at full resolution.
 """
 
@@ -64,8 +64,8 @@ class FisherPrune(Capacity):
         """[N] bool: the `n` with the largest log determinant."""
         import torch
 
-        from framework.information import uncertainty
-        from framework.rounds import training_information
+        from framework.fisher.scores import uncertainty
+        from framework.methods.rounds import training_information
 
         known = training_information(ctx).total
         scores = uncertainty(known.block, known.visible, ctx.extent, self.regulariser)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from framework.dropout import DropoutRegularizer
+from framework.methods.dropout import DropoutRegularizer
 from framework.plugin import StepContext, register
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ class Uar(DropoutRegularizer):
         """Rank the Gaussians by their uncertainty after all training views."""
         import torch
 
-        from framework.information import uncertainty
+        from framework.fisher.scores import uncertainty
 
         views = iter(ctx.views)
         first = ctx.fisher(next(views).camera)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from framework.dropout import DropoutRegularizer
+from framework.methods.dropout import DropoutRegularizer
 from framework.plugin import StepContext, register
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import torch
 
-from framework.fisher import FisherInformation, fisher_information
+from framework.fisher.information import FisherInformation, fisher_information
 from framework.plugin import StepContext, StepStats
 from framework.rasterize import rasterize
 from framework.types import Camera, Gaussians, Render

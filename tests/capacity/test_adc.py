@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 import torch
 
+from framework.compute.rng import stream
 from framework.errors import UserError
 from framework.plugin import Edits, StepContext, StepStats
 from framework.registry import build
-from framework.rng import stream
 from framework.types import Gaussians, concatenate
 from plugins.capacity.adc import AdaptiveDensityControl, Pull
 

@@ -15,16 +15,16 @@ import pytest
 import torch
 
 from framework import registry
+from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.notices import QUIET, noted
+from framework.methods.rounds import training_information
 from framework.options import TrainerOptions
-from framework.progress import Silent, unwarned
-from framework.record import parameters_sha256
-from framework.rng import stream
-from framework.rounds import training_information
-from framework.trainer import Evaluate, Plugins, Trained, Trainer
+from framework.records.notices import QUIET, noted
+from framework.records.progress import Silent, unwarned
+from framework.records.record import parameters_sha256
+from framework.run.warmup import STEPS, _plane, _train
+from framework.train.trainer import Evaluate, Plugins, Trained, Trainer
 from framework.types import Gaussians, TrainingSet
-from framework.warmup import STEPS, _plane, _train
 from plugins.capacity.evidence import (
     FEWEST,
     HANDFUL,

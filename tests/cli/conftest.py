@@ -10,11 +10,12 @@ import pytest
 from hydra import compose, initialize_config_dir
 
 import framework.report
-from framework import estimate, runner
-from framework.config import CONF_DIR, register_config
+from framework.command import runner
+from framework.command.config.naming import plain
+from framework.command.config.schema import CONF_DIR, register_config
+from framework.command.job import Job
+from framework.command.studies import estimate
 from framework.errors import UserError
-from framework.naming import plain
-from framework.runner import Job
 
 
 def composed(*overrides: str) -> dict[str, Any]:

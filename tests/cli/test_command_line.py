@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from framework.cli import main
-from framework.config import SWEEPS_DIR
+from framework.command.cli import main
+from framework.command.config.schema import SWEEPS_DIR
 from framework.errors import UserError
 from tests.cli.conftest import FakeRuns
 

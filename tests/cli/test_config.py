@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from framework.config import CONF_DIR, OBJECT_GROUPS, check, choices
+from framework.command.config.naming import run_name, study_dir, study_name
+from framework.command.config.schema import CONF_DIR, OBJECT_GROUPS, check, choices
 from framework.errors import UserError
-from framework.naming import run_name, study_dir, study_name
 from tests.cli.conftest import composed
 
 ALL = [(group, name) for group in OBJECT_GROUPS for name in choices(group)]

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from framework.cli import main
-from framework.config import CONF_DIR, OBJECT_GROUPS, ROOT, SWEEPS_DIR, choices
+from framework.command.cli import main
+from framework.command.config.schema import CONF_DIR, OBJECT_GROUPS, ROOT, SWEEPS_DIR, choices
 from tests.cli.conftest import FakeRuns, composed
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from framework.cli import main
+from framework.command.cli import main
 from framework.errors import UserError
 from tests.cli.conftest import FakeRuns
 

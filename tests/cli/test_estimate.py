@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from framework.cli import main
-from framework.estimate import MOST_TRIALS, Cost, estimate
-from framework.stopwatch import duration
+from framework.command.cli import main
+from framework.command.studies.estimate import MOST_TRIALS, Cost, estimate
+from framework.compute.stopwatch import duration
 from tests.cli.conftest import FakeRuns
 
 
@@ -38,7 +38,7 @@ def test_nothing_is_tried_unasked(runs: FakeRuns, capsys: pytest.CaptureFixture[
 
 
 def test_runs_at_once_share_the_time(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
-    from framework.estimate import announce
+    from framework.command.studies.estimate import announce
 
     assert announce([config(seed=s) for s in range(4)], at_once=2) == pytest.approx(48 / 2)
     assert "2 at a time" in capsys.readouterr().out

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import pytest
 import yaml
 
-from framework.cli import main
-from framework.config import OBJECT_GROUPS, choices, rows
-from framework.help import option_meanings
-from framework.meanings import from_yaml, meanings
+from framework.command.cli import main
+from framework.command.config.help import option_meanings
+from framework.command.config.meanings import from_yaml, meanings
+from framework.command.config.schema import OBJECT_GROUPS, choices, rows
 from framework.options import TrainerOptions
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from framework.config import ROOT
+from framework.command.config.schema import ROOT
 
 
 def test_failures_in_other_processes_reach_the_exit_code(tmp_path: Path) -> None:

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from framework.config import ROOT
+from framework.command.config.schema import ROOT
 
 HEAVY = ("torch", "numba", "pandas", "matplotlib", "scipy", "skimage", "cv2", "pycolmap", "kornia")
 REPORT_HEAVY = f"""
 import sys
-from framework.cli import main
+from framework.command.cli import main
 code = main(sys.argv[1:])
 print("HEAVY", [name for name in {HEAVY} if name in sys.modules])
 sys.exit(code)
@@ -66,7 +66,7 @@ def test_an_import_is_kept_from_the_collector_once() -> None:
     """What an import made is exempted, what came later is not; the collector is as it was."""
     code = """
 import gc
-from framework.collector import import_uncollected
+from framework.command.collector import import_uncollected
 gc.callbacks.append(lambda phase, info: print("collected"))
 import_uncollected("decimal")
 frozen = gc.get_freeze_count()

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from framework import schedule
-from framework.cli import main
-from framework.config import check
+from framework.command.cli import main
+from framework.command.config.schema import check
 from framework.options import TrainerOptions
+from framework.train import schedule
 from tests.cli.conftest import FakeRuns
 from tests.cli.test_config import composed
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from framework.progress import Terminal
+from framework.records.progress import Terminal
 
 LABEL = "[run 4 of 12] safi+uar seed 1"
 

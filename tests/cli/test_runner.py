@@ -11,23 +11,23 @@ from pathlib import Path
 
 import pytest
 
-from framework.config import ROOT
+from framework.command.config.schema import ROOT
 
 # a command whose run and report are those of the script, in place of the framework's
 SCRIPT = """
 import os, signal, sys, time, types
 from pathlib import Path
-from framework import runner
+from framework.command import entry, runner
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 
-run, report = types.ModuleType("framework.experiment"), types.ModuleType("framework.report")
+run, report = types.ModuleType("framework.run.experiment"), types.ModuleType("framework.report")
 {body}
 run.run_experiment = run_experiment
 report.build_report = build_report
-sys.modules |= {{"framework.experiment": run, "framework.report": report}}
+sys.modules |= {{"framework.run.experiment": run, "framework.report": report}}
 runner.REPORT = ("framework.report",)
-runner.command(sys.argv[1:])
+entry.command(sys.argv[1:])
 """
 GOOD = """
 def run_experiment(config, run_dir, progress, overrides):
@@ -95,7 +95,7 @@ def test_a_study_stays_in_one_process(tmp_path: Path) -> None:
     [
         ('from framework.errors import UserError; raise UserError("a: expected b, got c")', 2,
          "error: a: expected b, got c\n"),
-        ('from framework.locks import Busy; raise Busy("x: expected nobody")', 3,
+        ('from framework.files.locks import Busy; raise Busy("x: expected nobody")', 3,
          "error: x: expected nobody; then the same command again\n"),
         ('raise PermissionError(13, "Permission denied", "/secret")', 2,
          "error: /secret: expected what may be opened, got 'Permission denied'; change its rights"
@@ -250,10 +250,10 @@ def test_what_cannot_be_told_there_is_told_here(tmp_path: Path) -> None:
     body = (
         _raising('raise ValueError("x")')
         + """
-import framework.failures
+import framework.command.studies.failures
 from framework.errors import UserError
 def tell(job, error): raise UserError("ledger: expected room, got none")
-framework.failures.tell = tell
+framework.command.studies.failures.tell = tell
 """
     )
     code, _, err = _ended(body, tmp_path)

@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from framework import warmup
-from framework.notices import QUIET
-from framework.optim import Adam
-from framework.parallel import in_task, set_threads
-from framework.progress import Silent
-from framework.trainer import Trainer
-from framework.warmup import Warmup
+from framework.compute.parallel import in_task, set_threads
+from framework.records.notices import QUIET
+from framework.records.progress import Silent
+from framework.run import warmup
+from framework.run.warmup import Warmup
+from framework.train.optim import Adam
+from framework.train.trainer import Trainer
 from tests.cli.conftest import composed
 
 

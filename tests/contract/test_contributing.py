@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from framework.config import ROOT
+from framework.command.config.schema import ROOT
 
 EXAMPLES = ("smooth_depth", "two_nearest")
 

@@ -9,11 +9,12 @@ from typing import Any, ClassVar
 import pytest
 import torch
 
-from framework import hooks, registry
+from framework import registry
 from framework.errors import UserError
 from framework.plugin import Augmenter, Capacity, Edits, Regularizer, register
+from framework.run.warmup import _plane
+from framework.train import hooks
 from framework.types import View
-from framework.warmup import _plane
 
 VIEW = _plane(0)[0].views[0]
 GRADIENT = torch.zeros((), requires_grad=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from framework.config import ROOT
+from framework.command.config.schema import ROOT
 
 FRAMEWORK = sorted((ROOT / "framework").rglob("*.py"))
 PLUGINS = sorted((ROOT / "plugins").rglob("*.py"))

@@ -16,19 +16,19 @@ import pytest
 import torch
 from scipy.integrate import quad
 
-from framework.checkpoint import Checkpoints
+from framework.compute.parallel import set_threads
 from framework.errors import UserError
-from framework.guard import Diverged
-from framework.members import IDLE, join, member_seed, thinner
-from framework.metrics import psnr
+from framework.metrics.evaluate import psnr
 from framework.options import TrainerOptions
-from framework.parallel import set_threads
-from framework.progress import Silent
-from framework.record import DIVERGED, parameters_sha256
-from framework.trainer import Trained
-from framework.training import Run, renderer, train
+from framework.records.progress import Silent
+from framework.records.record import DIVERGED, parameters_sha256
+from framework.run.members import IDLE, join, member_seed, thinner
+from framework.run.training import Run, renderer, train
+from framework.run.warmup import _plane
+from framework.train.guard import Diverged
+from framework.train.resume.checkpoint import Checkpoints
+from framework.train.trainer import Trained
 from framework.types import Gaussians, Scene
-from framework.warmup import _plane
 from tests.contract.test_training import EAGER, NEUTRAL
 
 OPTIONS = TrainerOptions(steps=12, sh_degree=1, sh_every=4, evaluations=2, members=2, tuning=0.5)

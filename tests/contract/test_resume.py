@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 
 from framework import registry
-from framework.checkpoint import Checkpoints
 from framework.options import TrainerOptions
-from framework.progress import Silent
-from framework.record import parameters_sha256
-from framework.state_check import check_state
-from framework.trainer import Plugins, Trained, Trainer
-from framework.training_state import TrainerState
-from framework.warmup import _plane
+from framework.records.progress import Silent
+from framework.records.record import parameters_sha256
+from framework.run.warmup import _plane
+from framework.train.resume.checkpoint import Checkpoints
+from framework.train.resume.state_check import check_state
+from framework.train.resume.training_state import TrainerState
+from framework.train.trainer import Plugins, Trained, Trainer
 from tests.contract.test_training import ACTING, ALL, EAGER, NEUTRAL, content_sha256
 
 OPTIONS = TrainerOptions(steps=20, sh_degree=1, sh_every=4, evaluations=2)

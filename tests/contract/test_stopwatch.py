@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from framework import stopwatch
-from framework.stopwatch import Stopwatch
+from framework.compute import stopwatch
+from framework.compute.stopwatch import Stopwatch
 
 
 class Clock:

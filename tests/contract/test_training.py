@@ -20,11 +20,11 @@ from torch import Tensor
 from framework import registry
 from framework.options import TrainerOptions
 from framework.plugin import Augmenter, Capacity, Edits, Regularizer, StepContext, StepStats
-from framework.progress import Silent
-from framework.record import parameters_sha256
-from framework.trainer import Plugins, Trained, Trainer
+from framework.records.progress import Silent
+from framework.records.record import parameters_sha256
+from framework.run.warmup import _plane
+from framework.train.trainer import Plugins, Trained, Trainer
 from framework.types import View
-from framework.warmup import _plane
 
 ALL = [(group, name) for group in registry.GROUPS for name in registry.names(group)]
 NEUTRAL = {"augment": "none", "reg": "none", "capacity": "fixed"}

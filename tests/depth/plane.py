@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from framework.rng import stream
+from framework.compute.rng import stream
 from framework.types import Camera, SparsePoints, TrainingSet, View
 
 NORMAL = np.array([0.25, -0.15, -1.0])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from framework.compute.rng import stream
 from framework.depth import PROVIDERS, build_provider
 from framework.depth.corruption import BIAS, BLUR_LENGTH, HOLES, NOISE, corrupt, normal_field
 from framework.depth.provider import CORRUPTIONS
 from framework.errors import UserError
-from framework.rng import stream
 from framework.types import DepthMap
 from tests.depth.plane import plane_scene
 

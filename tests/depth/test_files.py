@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 import torch
 
+from framework.compute.rng import stream
 from framework.depth import PROVIDERS, build_provider
 from framework.depth.align import fit_scale, fit_scale_shift
 from framework.depth.read import find_file, resample
 from framework.errors import UserError
-from framework.rng import stream
 from framework.types import TrainingSet
 from tests.depth.plane import plane_depth, plane_scene
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from framework.depth import reference
-from framework.depth.aggregate import aggregate_columns, aggregate_rows
+from framework.compute.parallel import run_blocks
+from framework.compute.rng import stream
 from framework.depth.consistency import agreeing_views
-from framework.depth.match import COST_ONE
+from framework.depth.matching import reference
+from framework.depth.matching.aggregate import aggregate_columns, aggregate_rows
+from framework.depth.matching.match import COST_ONE
+from framework.depth.matching.select import select_planes
+from framework.depth.matching.sweep import cost_volume, grey
 from framework.depth.plane_sweep import PlaneSweep
-from framework.depth.select import select_planes
-from framework.depth.sweep import cost_volume, grey
 from framework.depth.transfer import pixel_transfer
-from framework.parallel import run_blocks
-from framework.rng import stream
 from tests.depth.plane import plane_depth, plane_scene
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from framework.depth.bounds import FARTHER, NEARER, depth_bounds
-from framework.depth.neighbours import angle_weight, choose_neighbours
+from framework.depth.matching.bounds import FARTHER, NEARER, depth_bounds
+from framework.depth.matching.neighbours import angle_weight, choose_neighbours
 from framework.types import TrainingSet
 from tests.depth.plane import FAR, NEAR, camera, no_points, plane_scene, view
 

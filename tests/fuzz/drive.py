@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from framework.config import ROOT
+from framework.command.config.schema import ROOT
 
 WALL_S = 600
 

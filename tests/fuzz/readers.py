@@ -11,16 +11,16 @@ import numpy as np
 import torch
 from PIL import Image
 
-from framework.checkpoint import pack, unpack
+from framework.command.config.trust import check_config_files
 from framework.depth.from_file import DepthFile
 from framework.depth.read import load_map
 from framework.errors import UserError
-from framework.lpips import load as load_lpips
-from framework.ply import read_ply, write_ply
-from framework.record import read_run
+from framework.metrics.lpips import load as load_lpips
+from framework.records.ply import read_ply, write_ply
+from framework.records.record import read_run
 from framework.scenes import load_scene
 from framework.scenes.images import read_image
-from framework.trust import check_config_files
+from framework.train.resume.checkpoint import pack, unpack
 from framework.types import Gaussians
 from tests.metrics.test_lpips import features, state_dict
 from tests.record.fakes import fake_run, make_gaussians
@@ -110,7 +110,7 @@ def _lpips(folder: Path) -> None:
 
 
 def _classes() -> list[type]:
-    from framework.checkpoint import state_classes
+    from framework.train.resume.checkpoint import state_classes
 
     return state_classes([])
 

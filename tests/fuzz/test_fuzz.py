@@ -1,5 +1,5 @@
 """Mutated inputs of every reader: each ends in the documented error or in a correct read; no crash,
-no hang, no memory beyond the limit. `benchmarks/fuzz.py` does the same for longer."""
+no hang, no memory beyond the limit. `benchmarks/safety/fuzz.py` does the same for longer."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from framework.arrays import read_npy
 from framework.errors import UserError, printable_line
-from framework.paths import inside
+from framework.files.arrays import read_npy
+from framework.files.paths import inside
 from tests.fuzz.drive import fuzz
 from tests.fuzz.readers import READERS
 

@@ -21,8 +21,8 @@ import tempfile
 import traceback
 from pathlib import Path
 
+from framework.compute.rng import stream
 from framework.errors import LONGEST
-from framework.rng import stream
 from tests.fuzz.mutate import mutate
 from tests.fuzz.readers import READERS, Reader
 

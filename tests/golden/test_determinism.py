@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from framework.config import register_config, rows
-from framework.experiment import run_experiment
+from framework.command.config.schema import register_config, rows
 from framework.options import TrainerOptions
-from framework.progress import Silent
-from framework.record import RunRecord
+from framework.records.progress import Silent
+from framework.records.record import RunRecord
+from framework.run.experiment import run_experiment
 
 SCENE = {"width": 96, "height": 72, "supersampling": 2}
 STEPS = 40

@@ -12,17 +12,19 @@ from typing import Any
 import pytest
 from hydra import compose, initialize_config_dir
 
-from framework import experiment, parallel, registry, training
-from framework.config import CONF_DIR, choices, register_config
-from framework.epoch import PSEUDO, Item, ordered
-from framework.naming import plain
+from framework import registry
+from framework.command.config.naming import plain
+from framework.command.config.schema import CONF_DIR, choices, register_config
+from framework.compute import parallel
 from framework.options import TrainerOptions
-from framework.progress import Silent
-from framework.record import parameters_sha256
-from framework.trainer import Trainer
-from framework.training import Run, initial, train
+from framework.records.progress import Silent
+from framework.records.record import parameters_sha256
+from framework.run import experiment, training
+from framework.run.training import Run, initial, train
+from framework.run.warmup import _plane
+from framework.train.epoch import PSEUDO, Item, ordered
+from framework.train.trainer import Trainer
 from framework.types import View
-from framework.warmup import _plane
 
 STEPS = 16
 METHODS = [

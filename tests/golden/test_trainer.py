@@ -10,19 +10,20 @@ import pytest
 import torch
 from torch import Tensor
 
-from framework import registry, schedule
-from framework.epoch import Items, box_mean
+from framework import registry
 from framework.errors import UserError
-from framework.optim import Adam
 from framework.options import TrainerOptions
 from framework.plugin import Augmenter, Edits, Regularizer, StepContext, StepStats
-from framework.progress import Silent
 from framework.rasterize import ScreenGradient
-from framework.record import parameters_sha256
+from framework.records.progress import Silent
+from framework.records.record import parameters_sha256
 from framework.registry import Plugged
-from framework.trainer import Plugins, Trained, Trainer
+from framework.run.warmup import _plane
+from framework.train import schedule
+from framework.train.epoch import Items, box_mean
+from framework.train.optim import Adam
+from framework.train.trainer import Plugins, Trained, Trainer
 from framework.types import PSEUDO, Camera, Gaussians, View
-from framework.warmup import _plane
 from plugins.capacity.fixed import Fixed
 
 

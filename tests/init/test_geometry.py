@@ -9,6 +9,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from framework.compute.rng import stream
 from framework.geometry import (
     axis_angle_matrix,
     covariances,
@@ -18,7 +19,6 @@ from framework.geometry import (
     rotation_matrices,
     unproject,
 )
-from framework.rng import stream
 from framework.types import Camera
 from tests.init.synthetic import camera
 

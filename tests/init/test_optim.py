@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from framework.optim import Adam
-from framework.parallel import set_threads
-from framework.rng import stream
+from framework.compute.parallel import set_threads
+from framework.compute.rng import stream
+from framework.train.optim import Adam
 from framework.types import Gaussians
 
 RATES = {

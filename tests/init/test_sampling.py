@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from framework.compute.rng import stream
 from framework.initialize.sampling import FLOOR, detail_density, draw, inclusion_probabilities
-from framework.rng import stream
 
 densities = st.lists(st.floats(0.01, 100), min_size=2, max_size=60).map(np.array)
 

@@ -9,11 +9,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from framework.compute.parallel import set_threads
+from framework.compute.rng import stream
 from framework.geometry import project, unproject
 from framework.initialize.fusion import Mapped, mapped
 from framework.initialize.sight import pushed_back, unrepeated
-from framework.parallel import set_threads
-from framework.rng import stream
 from framework.types import Camera, DepthMap
 from tests.init.synthetic import three_views
 

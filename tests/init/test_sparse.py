@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 
+from framework.compute.rng import stream
 from framework.errors import UserError
 from framework.initialize import INITIALIZERS, Sparse, background_color, random_background
-from framework.rng import stream
 from framework.types import Gaussians
 from tests.init.synthetic import camera, points, scene
 

@@ -9,10 +9,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from framework.fisher import fisher_information
-from framework.losses import Target, photometric_loss
-from framework.parallel import set_threads
+from framework.compute.parallel import set_threads
+from framework.fisher.information import fisher_information
 from framework.rasterize import rasterize
+from framework.rasterize.losses import Target, photometric_loss
 from framework.types import Camera, Gaussians
 from tests.numerics.scenes import Case, random_case, wide_case
 

@@ -10,7 +10,14 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from framework.parallel import Abandoned, in_task, run_blocks, run_tasks, run_together, set_threads
+from framework.compute.parallel import (
+    Abandoned,
+    in_task,
+    run_blocks,
+    run_tasks,
+    run_together,
+    set_threads,
+)
 
 
 @pytest.fixture(params=[1, 3])

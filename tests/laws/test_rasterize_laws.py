@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from framework.compute.rng import stream
 from framework.errors import UserError
 from framework.rasterize import rasterize
 from framework.rasterize.reference import cutoff_margin, project, rasterize_reference
-from framework.rng import stream
 from framework.types import Camera, Gaussians, Render
 from tests.numerics.scenes import Case, random_case, rotation_matrix
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from framework.parallel import set_threads
+from framework.compute.parallel import set_threads
 from framework.rasterize import rasterize
 from tests.laws.render_bits import render_bits
 from tests.numerics.scenes import random_case, wide_case

@@ -7,13 +7,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from framework.edits import apply_edits
 from framework.errors import UserError
-from framework.fisher import fisher_information
-from framework.optim import Adam
+from framework.fisher.information import fisher_information
 from framework.plugin import Edits
 from framework.rasterize import rasterize
 from framework.rasterize.reference import cutoff_margin, project, rasterize_reference
+from framework.train.edits import apply_edits
+from framework.train.optim import Adam
 from framework.types import Gaussians, concatenate
 from tests.numerics.scenes import Case, random_case
 from tests.record.fakes import make_gaussians

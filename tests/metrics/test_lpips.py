@@ -10,9 +10,10 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from framework import lpips, metrics
+from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.rng import stream
+from framework.metrics import evaluate as metrics
+from framework.metrics import lpips
 
 CUTS = {"VGG-16": (4, 9, 16, 23, 30), "AlexNet": (2, 5, 8, 10, 12)}
 

@@ -11,10 +11,11 @@ import torch
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torch import Tensor
 
-from framework import metrics
-from framework.flip import error_map
-from framework.metrics import Missing, quantise
-from framework.rng import stream
+from framework.compute.rng import stream
+from framework.metrics import evaluate as metrics
+from framework.metrics.evaluate import quantise
+from framework.metrics.flip import error_map
+from framework.metrics.values import Missing
 from framework.types import Camera, View
 
 GREEN, BLUE = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)

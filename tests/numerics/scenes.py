@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from framework.rng import stream
+from framework.compute.rng import stream
 from framework.types import Camera, Gaussians
 
 SIZES = ((40, 30), (33, 47), (48, 32), (16, 16), (65, 19), (21, 50), (7, 5))

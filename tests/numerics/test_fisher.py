@@ -14,9 +14,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from framework.fisher import FisherInformation, fisher_information
-from framework.information import block_prior, information_gains, uncertainty
-from framework.parallel import set_threads
+from framework.compute.parallel import set_threads
+from framework.fisher.information import FisherInformation, fisher_information
+from framework.fisher.scores import block_prior, information_gains, uncertainty
 from framework.rasterize.constants import ALPHA_MAX
 from framework.rasterize.reference import cutoff_margin, project, rasterize_reference
 from framework.types import Camera, Gaussians

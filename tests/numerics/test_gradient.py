@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from framework.epoch import Items
+from framework.compute.parallel import set_threads
 from framework.errors import UserError
-from framework.gradient import ViewGradient, view_gradient
-from framework.guard import Diverged
-from framework.optim import Adam
-from framework.parallel import set_threads
 from framework.rasterize import ScreenGradient, render_gradient
+from framework.train.epoch import Items
+from framework.train.gradient import ViewGradient, view_gradient
+from framework.train.guard import Diverged
+from framework.train.optim import Adam
 from framework.types import Gaussians, View
 from tests.numerics.scenes import Case, crowded_case, random_case
 

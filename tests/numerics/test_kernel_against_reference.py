@@ -12,9 +12,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from framework.compute.rng import stream
 from framework.rasterize import rasterize
 from framework.rasterize.reference import cutoff_margin, project, rasterize_reference
-from framework.rng import stream
 from framework.types import Gaussians, Render
 from tests.numerics.scenes import Case, crowded_case, random_case, wide_case
 

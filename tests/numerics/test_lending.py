@@ -10,11 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from framework import losses
-from framework.losses import Target, photometric_loss
-from framework.parallel import run_together
-from framework.rasterize import rasterize
+from framework.compute.parallel import run_together
+from framework.rasterize import losses, rasterize
 from framework.rasterize.lending import Lender
+from framework.rasterize.losses import Target, photometric_loss
 from tests.numerics.scenes import random_case
 
 SHAPES = [(3, 5), (7,), (0, 0)]

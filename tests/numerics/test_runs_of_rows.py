@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from framework.jit import kernel
+from framework.compute.jit import kernel
+from framework.compute.rng import stream
+from framework.compute.simd import store
 from framework.rasterize import Arrays, Workspace
 from framework.rasterize.constants import ALPHA_MIN
-from framework.rasterize.simd import store
-from framework.rasterize.tiles import first_alphas, next_run, run_of, seen_from
-from framework.rng import stream
+from framework.rasterize.tile.tiles import first_alphas, next_run, run_of, seen_from
 from framework.types import Camera
 
 N = 3000

@@ -10,8 +10,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from framework.rasterize import Arrays, Workspace, binning
-from framework.rng import stream
+from framework.compute.rng import stream
+from framework.rasterize import Arrays, Workspace
+from framework.rasterize.tile import binning
 from framework.types import Camera, Gaussians
 
 f4 = np.float32

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from numba.core.codegen import get_host_cpu_features
 
-from framework.config import ROOT
+from framework.command.config.schema import ROOT
 
 # matching costs of stereo on noise: loops that LLVM vectorises by itself
 COSTS = """
 import hashlib
 import numpy as np
-from framework.depth.match import match_costs
+from framework.depth.matching.match import match_costs
 
 rng = np.random.default_rng(0)
 height, width, planes, radius = 21, 53, 3, 2

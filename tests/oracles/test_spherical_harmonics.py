@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from scipy.special import sph_harm_y
 
+from framework.compute.rng import stream
 from framework.rasterize.reference import sh_basis
-from framework.rng import stream
 
 
 def test_basis_equals_scipy() -> None:

@@ -9,9 +9,9 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from framework.fisher import FisherInformation, fisher_information
+from framework.compute.rng import stream
+from framework.fisher.information import FisherInformation, fisher_information
 from framework.plugin import StepContext
-from framework.rng import stream
 from framework.types import Camera, DepthMap, Gaussians, Render, View
 from tests.warp.stage import camera, exact, photograph
 

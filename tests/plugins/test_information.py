@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from framework.information import (
+from framework.compute.rng import stream
+from framework.fisher.scores import (
     NOISE,
     block_prior,
     information_gain,
@@ -16,7 +17,6 @@ from framework.information import (
     shared_prior,
     uncertainty,
 )
-from framework.rng import stream
 
 
 def diagonals(seed: int, n: int = 200, p: int = 14) -> torch.Tensor:

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import torch
 
+from framework.compute.rng import stream
 from framework.errors import UserError
+from framework.methods.warping import WarpingAugmenter, mean_neighbour_distance, perturbed, within
 from framework.plugin import StepContext
-from framework.rng import stream
 from framework.types import Camera, View
-from framework.warping import WarpingAugmenter, mean_neighbour_distance, perturbed, within
 from plugins.augment.safi import Safi
 from tests.plugins.fakes import Log, context, stage, wall_of_gaussians
 from tests.warp.stage import camera, photograph

@@ -9,8 +9,8 @@ import pytest
 
 from framework import registry
 from framework.errors import UserError
+from framework.methods.warping import ThresholdAugmenter, WarpingAugmenter, center_distances
 from framework.types import Camera
-from framework.warping import ThresholdAugmenter, WarpingAugmenter, center_distances
 from plugins.augment.dba import Dba
 from plugins.augment.euclidean import Euclidean
 from plugins.augment.full_set import FullSet

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 import torch
 
+from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.fisher import FisherInformation
+from framework.fisher.information import FisherInformation
 from framework.plugin import StepContext
-from framework.rng import stream
 from framework.types import Camera
 from plugins.regularize.uar import Ranking, Uar
 from tests.plugins.fakes import context, known_information, wall_of_gaussians

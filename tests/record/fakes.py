@@ -9,10 +9,17 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from framework.metrics import evaluate_view
-from framework.provenance import strict_json
-from framework.record import HistoryRow, RunRecord, SceneInfo, StageTime, provenance, write_run
-from framework.rng import stream
+from framework.compute.rng import stream
+from framework.metrics.evaluate import evaluate_view
+from framework.records.provenance import strict_json
+from framework.records.record import (
+    HistoryRow,
+    RunRecord,
+    SceneInfo,
+    StageTime,
+    provenance,
+    write_run,
+)
 from framework.types import Camera, Gaussians, View
 
 TAGS = (("interpolating",), ("interpolating",), ("extrapolating",), ("extrapolating",))

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from framework import experiment
-from framework.notices import noted
-from framework.progress import Terminal
+from framework.records.notices import noted
+from framework.records.progress import Terminal
+from framework.run import experiment
 from tests.record.test_reuse import Told, group, run_experiment, small_config
 
 LOG = logging.getLogger("framework.scenes.anything")

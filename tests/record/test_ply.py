@@ -10,7 +10,7 @@ import torch
 from plyfile import PlyData
 
 from framework.errors import UserError
-from framework.ply import read_ply, write_ply
+from framework.records.ply import read_ply, write_ply
 from tests.record.fakes import make_gaussians
 
 

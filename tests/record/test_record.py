@@ -13,12 +13,14 @@ import pytest
 import torch
 from PIL import Image
 
-from framework import files, provenance, record
 from framework.errors import UserError
-from framework.metrics import Missing, evaluate_view, psnr
-from framework.ply import read_ply
-from framework.record import find_complete, read_record, read_run, write_failed, write_run
-from framework.run_files import error_map, file_stems
+from framework.files import whole as files
+from framework.metrics.evaluate import evaluate_view, psnr
+from framework.metrics.values import Missing
+from framework.records import provenance, record
+from framework.records.ply import read_ply
+from framework.records.record import find_complete, read_record, read_run, write_failed, write_run
+from framework.records.run_files import error_map, file_stems
 from tests.record.fakes import fake_run, make_config, make_gaussians, make_view, noisy
 
 
@@ -228,7 +230,7 @@ def test_error_map_scale() -> None:
 
 
 def test_masks_are_saved(tmp_path: Path) -> None:
-    from framework.run_files import write_renders
+    from framework.records.run_files import write_renders
 
     view = replace(make_view(0), mask=torch.ones(48, 64))
     write_renders(tmp_path, ["v"], [(view, view.image)])
@@ -241,7 +243,7 @@ def test_peak_memory_is_plausible() -> None:
 
 def test_reading_needs_no_torch(run_dir: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from framework.record import read_run;"
+        "import sys; from pathlib import Path; from framework.records.record import read_run;"
         f"read_run(Path({str(run_dir)!r})); assert 'torch' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=provenance.ROOT)

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 import torch
 
-from framework import experiment
-from framework.checkpoint import FOLDER
-from framework.config import register_config, rows
-from framework.experiment import run_experiment
-from framework.locks import LOCK
-from framework.metrics import Missing
+from framework.command.config.schema import register_config, rows
+from framework.files.locks import LOCK
+from framework.metrics.values import Missing
 from framework.options import TrainerOptions
-from framework.progress import Silent
-from framework.record import RunRecord
+from framework.records.progress import Silent
+from framework.records.record import RunRecord
+from framework.run import experiment
+from framework.run.experiment import run_experiment
 from framework.scenes import load_scene
+from framework.train.resume.checkpoint import FOLDER
 
 SCENE = {"width": 96, "height": 72, "supersampling": 2}
 

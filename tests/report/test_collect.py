@@ -10,11 +10,11 @@ import pytest
 import yaml
 
 from framework.errors import UserError
-from framework.record import SceneInfo, write_failed
-from framework.report import tradeoff
-from framework.report.capacities import contests, sentences
-from framework.report.collect import collect
-from framework.report.labels import USUAL, method_labels, scene_labels
+from framework.records.record import SceneInfo, write_failed
+from framework.report.figures import tradeoff
+from framework.report.study.collect import collect
+from framework.report.study.labels import USUAL, method_labels, scene_labels
+from framework.report.text.capacities import contests, sentences
 from tests.cli.conftest import composed
 from tests.record.fakes import fake_run, make_config
 

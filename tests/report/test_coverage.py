@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from framework.report.breakdown import break_down
-from framework.report.robustness import wilson
-from framework.report.statistics import compare, spread
-from framework.report.variance import brown_forsythe, compare_sigmas, mean_deviation
-from framework.rng import stream
+from framework.compute.rng import stream
+from framework.report.statistics.breakdown import break_down
+from framework.report.statistics.estimates import compare, spread
+from framework.report.statistics.robustness import wilson
+from framework.report.statistics.variance import brown_forsythe, compare_sigmas, mean_deviation
 
 TOLERANCE = 0.02
 DRAWS = 1500

@@ -1,4 +1,4 @@
-"""A report of many records stays quick; `benchmarks/report.py` measures a thousand."""
+"""A report of many records stays quick; `benchmarks/speed/report.py` measures a thousand."""
 
 from __future__ import annotations
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
-from framework.report import modelsize
-from framework.report.axes import STRESSES
-from framework.report.chart import draw
-from framework.report.stress import Panel
+from framework.report.figures import modelsize
+from framework.report.figures.stress import Panel
+from framework.report.parts.chart import draw
+from framework.report.study.axes import STRESSES
 
 VIEWS = next(axis for axis in STRESSES if axis.short == "n_views")
 

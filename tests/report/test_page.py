@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from framework.record import write_failed
-from framework.report import build_report, gallery
-from framework.report.collect import collect
+from framework.records.record import write_failed
+from framework.report import build_report
+from framework.report.page import gallery
+from framework.report.study.collect import collect
 from tests.record.fakes import fake_run, make_config
 
 HOSTILE = (

@@ -7,7 +7,15 @@ import itertools
 import numpy as np
 import pytest
 
-from framework.report.palette import DARK, DASHES, LIGHT, MARKERS, color_index, dash_index, luma
+from framework.report.parts.palette import (
+    DARK,
+    DASHES,
+    LIGHT,
+    MARKERS,
+    color_index,
+    dash_index,
+    luma,
+)
 
 # Machado, Oliveira and Fernandes (2009), severity 1, on linear RGB
 DEFICIENCIES = {

@@ -15,16 +15,16 @@ import pytest
 from PIL import Image
 from scipy import stats
 
-from framework.provenance import ROOT
-from framework.record import write_failed
+from framework.records.provenance import ROOT
+from framework.records.record import write_failed
 from framework.report import build_report
 from framework.report.__main__ import main
-from framework.report.collect import collect
-from framework.report.finding import sentence, sentences
-from framework.report.markdown import render
-from framework.report.outcomes import outcomes
+from framework.report.figures.views import choose_views
+from framework.report.page.markdown import render
 from framework.report.sections import document
-from framework.report.views import choose_views
+from framework.report.statistics.outcomes import outcomes
+from framework.report.study.collect import collect
+from framework.report.text.finding import sentence, sentences
 from tests.record.fakes import fake_run, make_config
 
 
@@ -351,7 +351,8 @@ def test_bad_folder_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFi
 def test_importing_the_report_needs_no_torch() -> None:
     code = (
         "import sys, framework.report, framework.report.build;"
-        "bad = {'torch', 'numba', 'framework.trainer'} & set(sys.modules); assert not bad, bad"
+        "bad = {'torch', 'numba', 'framework.train.trainer'} & set(sys.modules);"
+        "assert not bad, bad"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from framework.record import RunRecord
-from framework.report import tradeoff
-from framework.report.statistics import spread
+from framework.records.record import RunRecord
+from framework.report.figures import tradeoff
+from framework.report.statistics.estimates import spread
 
 
 def entry(method: str, psnr: float, gaussians: int) -> tradeoff.Entry:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from framework.report.statistics import compare, holm, spread
-from framework.rng import stream
+from framework.compute.rng import stream
+from framework.report.statistics.estimates import compare, holm, spread
 
 
 def test_spread_of_known_values() -> None:

@@ -8,9 +8,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from framework.report.axes import STRESSES
-from framework.report.breakdown import break_down
-from framework.report.stress import Limit, sentence
+from framework.report.figures.stress import Limit, sentence
+from framework.report.statistics.breakdown import break_down
+from framework.report.study.axes import STRESSES
 
 VIEWS = next(axis for axis in STRESSES if axis.short == "n_views")
 STRENGTH = next(axis for axis in STRESSES if axis.short == "strength")

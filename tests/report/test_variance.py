@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from framework.report.breakdown import break_down
-from framework.report.robustness import wilson
-from framework.report.variance import c4, compare_sigmas, mean_deviation, seeds_needed
-from framework.rng import stream
+from framework.compute.rng import stream
+from framework.report.statistics.breakdown import break_down
+from framework.report.statistics.robustness import wilson
+from framework.report.statistics.variance import c4, compare_sigmas, mean_deviation, seeds_needed
 
 
 def test_the_comparison_is_scipys_levene_about_the_median() -> None:

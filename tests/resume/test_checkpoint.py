@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from framework import checkpoint
-from framework.checkpoint import Checkpoints, remove_checkpoints
 from framework.errors import UserError
-from framework.optim import Adam
-from framework.record import parameters_sha256
-from framework.training_state import PluginState, TrainerState
+from framework.records.record import parameters_sha256
+from framework.train.optim import Adam
+from framework.train.resume import checkpoint
+from framework.train.resume.checkpoint import Checkpoints, remove_checkpoints
+from framework.train.resume.training_state import PluginState, TrainerState
 from tests.record.fakes import make_gaussians
 
 

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from framework import disk
-from framework.cli import main
-from framework.disk import check_room, run_bytes
+from framework.command.cli import main
+from framework.command.studies import disk
+from framework.command.studies.disk import check_room, run_bytes
 from framework.errors import UserError
-from framework.files import write_whole
-from framework.progress import Silent
-from framework.record import read_record
+from framework.files.whole import write_whole
+from framework.records.progress import Silent
+from framework.records.record import read_record
 from framework.scenes import load_scene
 from tests.cli.conftest import FakeRuns, runs
 from tests.record.fakes import make_config
@@ -67,7 +67,7 @@ def test_a_run_on_a_full_disk_can_be_done_later(tmp_path: Path) -> None:
 def test_a_failure_that_cannot_be_written_does_not_end_the_study(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from framework import record
+    from framework.records import record
 
     def full(path: Path, content: bytes | str) -> None:
         raise UserError(f"{path}: expected to write it, got 'No space left on device'")

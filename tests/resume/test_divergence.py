@@ -11,21 +11,23 @@ import pytest
 import torch
 from torch import Tensor
 
-from framework import gradient, registry, training
-from framework.checkpoint import unpack
+from framework import registry
 from framework.depth import build_provider
 from framework.errors import UserError
-from framework.guard import Diverged, diverged
 from framework.initialize import INITIALIZERS
-from framework.losses import photometric_gradient
-from framework.optim import Adam, AdamState
 from framework.options import TrainerOptions
 from framework.plugin import Capacity, Edits, Regularizer, StepContext, StepStats
-from framework.progress import Silent
+from framework.rasterize.losses import photometric_gradient
+from framework.records.progress import Silent
 from framework.registry import Plugged
-from framework.trainer import Plugins, Trained, Trainer
+from framework.run import training
+from framework.run.warmup import _plane
+from framework.train import gradient
+from framework.train.guard import Diverged, diverged
+from framework.train.optim import Adam, AdamState
+from framework.train.resume.checkpoint import unpack
+from framework.train.trainer import Plugins, Trained, Trainer
 from framework.types import Camera, Gaussians, Scene, TrainingSet, View
-from framework.warmup import _plane
 from tests.record.fakes import make_gaussians
 
 OPTIONS = TrainerOptions(steps=6, evaluations=1)

@@ -1,4 +1,4 @@
-"""Real processes, really killed: a small share of `benchmarks/kill.py`."""
+"""Real processes, really killed: a small share of `benchmarks/safety/kill.py`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from framework.config import ROOT
+from framework.command.config.schema import ROOT
 
 
 def test_a_study_killed_again_and_again_equals_an_undisturbed_one(tmp_path: Path) -> None:

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from framework.cli import main
-from framework.config import ROOT
-from framework.locks import LOCK, Busy, locked, remove_stale
+from framework.command.cli import main
+from framework.command.config.schema import ROOT
+from framework.files.locks import LOCK, Busy, locked, remove_stale
 from tests.cli.conftest import FakeRuns, runs
 
 __all__ = ["runs"]
 
 HOLD = (
-    "import sys, time; from pathlib import Path; from framework.locks import locked\n"
+    "import sys, time; from pathlib import Path; from framework.files.locks import locked\n"
     "with locked(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
 )
 

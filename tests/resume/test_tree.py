@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from framework.errors import UserError
-from framework.tree import decode, encode
+from framework.files.tree import decode, encode
 
 
 @dataclass(frozen=True)

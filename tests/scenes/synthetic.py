@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from framework.rng import stream
+from framework.compute.rng import stream
 
 WIDTH, HEIGHT, FOCAL = 40, 30, 50.0
 Point = tuple[tuple[float, float, float], Sequence[int]]  # xyz, indices of the images in its track

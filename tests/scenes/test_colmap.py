@@ -13,8 +13,8 @@ import pytest
 import torch
 from PIL import Image
 
+from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.rng import stream
 from framework.scenes import load_scene
 from framework.scenes.assemble import intrinsics
 from framework.scenes.images import resize_ratio

@@ -10,8 +10,8 @@ import pytest
 import torch
 from PIL import Image
 
+from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.rng import stream
 from framework.scenes import load_scene
 from framework.scenes.dtu import DARK_RUN, background
 from framework.scenes.dtu_cameras import decompose

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import torch
 
+from framework.compute.parallel import set_threads
 from framework.errors import UserError
-from framework.parallel import set_threads
 from framework.scenes import Embedded, load_scene
 from framework.scenes.embedded import generate, rig
 from framework.types import Scene, View

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.rng import stream
 from framework.scenes import photo
 from framework.scenes.assemble import Shot, intrinsics
 from framework.scenes.lens import Distortion, distorted_pixels, undistort

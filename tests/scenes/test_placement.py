@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from framework.rng import stream
+from framework.compute.rng import stream
 from framework.scenes.assemble import Shot, Tracks, assemble
 from framework.scenes.placement import REACH, _near_hull, placement
 

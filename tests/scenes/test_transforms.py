@@ -14,8 +14,8 @@ import torch
 from PIL import Image
 from plyfile import PlyData, PlyElement
 
+from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.rng import stream
 from framework.scenes import load_scene
 from framework.scenes.lens import Distortion, undistort
 from framework.types import Scene

@@ -17,10 +17,10 @@ import torch
 from safetensors.torch import save
 from torch import Tensor
 
-from framework.checkpoint import KEY, Checkpoints
 from framework.errors import UserError
-from framework.training_state import TrainerState
-from framework.tree import encode
+from framework.files.tree import encode
+from framework.train.resume.checkpoint import KEY, Checkpoints
+from framework.train.resume.training_state import TrainerState
 from tests.contract.test_resume import Files, plugins, train
 from tests.contract.test_training import ACTING
 

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from framework import limits, trust
-from framework.cli import main
-from framework.config import CONF_DIR, SWEEPS_DIR
+from framework.command.cli import main
+from framework.command.config import trust
+from framework.command.config.schema import CONF_DIR, SWEEPS_DIR
 from framework.errors import UserError
+from framework.files import limits
 from tests.cli.conftest import FakeRuns, runs
 
 __all__ = ["runs"]  # the fixture

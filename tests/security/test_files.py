@@ -17,16 +17,16 @@ import pytest
 import torch
 from PIL import Image
 
-from framework import limits
-from framework.archives import open_zip
-from framework.arrays import read_npy, read_npz
-from framework.config import ROOT
+from framework.command.config.schema import ROOT
 from framework.depth.read import find_file
 from framework.errors import UserError
-from framework.lpips import load as load_lpips
-from framework.ply import read_ply
-from framework.ply_counts import check_counts
-from framework.record import read_record, read_run
+from framework.files import limits
+from framework.files.archives import open_zip
+from framework.files.arrays import read_npy, read_npz
+from framework.metrics.lpips import load as load_lpips
+from framework.records.ply import read_ply
+from framework.records.ply_counts import check_counts
+from framework.records.record import read_record, read_run
 from framework.scenes import load_scene
 from framework.scenes.images import list_images, read_image
 from tests.metrics.test_lpips import features, state_dict
@@ -144,7 +144,7 @@ def test_zip_bombs_are_refused_before_they_are_unpacked(tmp_path: Path) -> None:
 def test_archives_of_very_many_members_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("framework.archives.CONTENTS_BYTES", 10_000)
+    monkeypatch.setattr("framework.files.archives.CONTENTS_BYTES", 10_000)
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         for number in range(300):
             archive.writestr(f"{number}", b"")
@@ -263,10 +263,10 @@ def test_the_report_opens_no_file_outside_its_run(tmp_path: Path, stem: str) -> 
 
 def test_large_text_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_dir = fake_run(tmp_path)
-    monkeypatch.setattr("framework.run_files.TEXT_BYTES", 100)
+    monkeypatch.setattr("framework.records.run_files.TEXT_BYTES", 100)
     with pytest.raises(UserError, match="expected a file of at most 100 bytes, got"):
         read_run(run_dir)
-    monkeypatch.setattr("framework.record.TEXT_BYTES", 100)
+    monkeypatch.setattr("framework.records.record.TEXT_BYTES", 100)
     with pytest.raises(UserError, match="expected a file of at most 100 bytes, got"):
         read_record(run_dir / "record.json")
 

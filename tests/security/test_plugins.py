@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from framework.config import ROOT
+from framework.command.config.schema import ROOT
 
 PLUGIN = """
 from dataclasses import dataclass

@@ -8,11 +8,11 @@ from functools import lru_cache
 import numpy as np
 import torch
 
-from framework.fisher import FisherInformation, fisher_information
+from framework.compute.parallel import run_blocks
+from framework.compute.rng import stream
+from framework.fisher.information import FisherInformation, fisher_information
 from framework.initialize import Stereo
-from framework.parallel import run_blocks
 from framework.plugin import StepContext
-from framework.rng import stream
 from framework.scenes import Embedded, load_scene
 from framework.scenes.embedded.build import build_world, camera_tiles
 from framework.scenes.embedded.trace import trace_rows

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from framework import registry
+from framework.methods.warping import WarpingAugmenter
 from framework.types import Camera
-from framework.warp import Warped, prepare, warp
-from framework.warping import WarpingAugmenter
+from framework.warp.zbuffer import Warped, prepare, warp
 from tests.warp.rig import context, embedded, truth
 
 METHODS = [

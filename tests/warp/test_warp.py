@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from framework import parallel
+from framework.compute import parallel
 from framework.errors import UserError
 from framework.types import Camera, DepthMap, View
-from framework.warp import Warped, prepare, relative_projection, warp, warp_views
+from framework.warp.zbuffer import Warped, prepare, relative_projection, warp, warp_views
 from tests.warp.stage import HALF, SQUARE, camera, exact, photograph
 
 

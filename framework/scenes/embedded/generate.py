@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from framework.cache import cache_dir
-from framework.files import write_whole
+from framework.files.cache import cache_dir
+from framework.files.whole import write_whole
 from framework.scenes.assemble import Shot, Tracks, assemble, intrinsics
 from framework.scenes.embedded import rig
 from framework.scenes.embedded.vectors import Vector
 
 if TYPE_CHECKING:
-    from framework.scenes.embedded import Embedded
+    from framework.scenes.embedded.options import EmbeddedOptions
     from framework.types import Scene
 
 log = logging.getLogger(__name__)
@@ -41,13 +41,13 @@ class Pictures(NamedTuple):
         return hashlib.sha256(self.images.tobytes() + self.depths.tobytes()).hexdigest()
 
 
-def _positions(options: Embedded) -> tuple[list[Vector], list[Vector]]:
+def _positions(options: EmbeddedOptions) -> tuple[list[Vector], list[Vector]]:
     return rig.training_positions(options.n_views), list(rig.TEST_POSITIONS)
 
 
-def _render(options: Embedded) -> Pictures:
+def _render(options: EmbeddedOptions) -> Pictures:
     """All views, training first."""
-    from framework.parallel import run_blocks
+    from framework.compute.parallel import run_blocks
     from framework.scenes.embedded.build import build_world, camera_tiles
     from framework.scenes.embedded.trace import trace_rows
 
@@ -66,7 +66,7 @@ def _render(options: Embedded) -> Pictures:
     return Pictures(images, depths)
 
 
-def _cache_file(options: Embedded) -> Path:
+def _cache_file(options: EmbeddedOptions) -> Path:
     # the photos do not know that their poses will be told wrong
     seen = dataclasses.replace(options, pose_noise=0.0)
     key = hashlib.sha256(repr(sorted(dataclasses.asdict(seen).items())).encode())
@@ -92,7 +92,7 @@ def _read(path: Path) -> Pictures | None:
     return None
 
 
-def _pictures(options: Embedded) -> Pictures:
+def _pictures(options: EmbeddedOptions) -> Pictures:
     path = _cache_file(options)
     cached = _read(path)
     if cached is not None:
@@ -115,8 +115,8 @@ def _world_to_camera(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     return viewmat
 
 
-def load(options: Embedded) -> Scene:
-    """The scene under the protocol `rig` (see `Embedded`)."""
+def load(options: EmbeddedOptions) -> Scene:
+    """The scene under the protocol `rig` (see `EmbeddedOptions`)."""
     from framework.scenes.embedded.points import sparse_points
 
     pictures = _pictures(options)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from framework.rng import stream
+from framework.compute.rng import stream
 from framework.scenes.embedded.vectors import Vector, looking
 
 FOCAL_WIDTHS = 0.9  # focal length in units of the image width: 58 degrees across

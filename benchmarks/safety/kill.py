@@ -1,0 +1,240 @@
+"""Is anything lost or changed when the runs of a study are killed? Exits with 1 if so.
+
+One small study runs undisturbed. Then the same study is begun again and again and its process is
+killed by SIGKILL, half of the times at a random moment, else while it writes a certain file: a
+checkpoint, a table, a record, the report. After each kill the same command is given again. When a
+study is complete it must equal the undisturbed one (`benchmarks/studies.py` tells in what), hold no
+leftovers, and no run may have been done twice; then a new one is begun, until all kills are spent.
+
+Every attempt is a process forked from one that has imported everything and compiled the kernels.
+
+    python benchmarks/safety/kill.py [--kills 52] [--steps 80] [--output benchmarks/results/kill.md]
+
+`--small` kills once at each kind of moment, in a study of two shorter runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.studies import digests, leftovers, parameters  # noqa: E402
+from framework.compute.rng import stream  # noqa: E402
+
+STUDY = [
+    *("-m", "augment=safi", "reg=none,uar", "seed=0,1", "threads=1", "study=kill"),
+    *("scene.width=96", "scene.height=72", "init.budget=1500", "trainer.evaluations=2"),
+]
+SMALL = [  # for the tests: two runs
+    *("-m", "augment=safi", "reg=none,uar", "threads=1", "study=kill", "depth=ground_truth"),
+    *("scene.width=64", "scene.height=48", "scene.supersampling=1", "init.budget=300"),
+    *("trainer.evaluations=1",),
+]
+SMALL_COST_TIMES = 3  # short runs end before a checkpoint is due otherwise, on a quick machine
+CLOCK = "any moment"
+WRITES = {  # what is being written -> its temporary file, relative to the study
+    "a checkpoint": "runs/*/checkpoints/.step-*.tmp",
+    "a render": "runs/*/renders/.*.tmp",
+    "the Gaussians": "runs/*/.point_cloud.ply.*.tmp",
+    "a table": "runs/*/.*.csv.*.tmp",
+    "a record": "runs/*/.record.json.*.tmp",
+    "the report or a figure": ".*.tmp",
+}
+
+
+@dataclass
+class Tally:
+    """killed: kills by target; caught: of those, how many left a half-written file. studies:
+    completed, of them unequal to the undisturbed one. doubled, lost: runs. resumed: trainings that
+    went on from a checkpoint."""
+
+    killed: Counter[str] = field(default_factory=Counter)
+    caught: Counter[str] = field(default_factory=Counter)
+    studies: int = 0
+    unequal: int = 0
+    doubled: int = 0
+    lost: int = 0
+    resumed: int = 0
+
+
+def begin(folder: Path, words: list[str]) -> int:
+    """Give the command `words` in `folder`, in a process of its own; returns its id."""
+    child = os.fork()
+    if child:
+        return child
+    os.chdir(folder)
+    quiet = os.open(folder / "log.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    os.dup2(quiet, 1)
+    os.dup2(quiet, 2)
+    from framework.command import cli
+
+    os._exit(cli.main(words))
+
+
+def ended(child: int, wait: bool = False) -> int | None:
+    """The exit code of `child`, negative for a signal; None while it runs."""
+    pid, status = os.waitpid(child, 0 if wait else os.WNOHANG)
+    return None if pid == 0 else os.waitstatus_to_exitcode(status)
+
+
+def attempt(folder: Path, words: list[str], target: str, delay_s: float) -> int:
+    """Begin, kill at the target or after `delay_s`; returns the exit code (-9: killed)."""
+    study, child = folder / "reports" / "kill", begin(folder, words)
+    until = time.monotonic() + delay_s
+    while (code := ended(child)) is None:
+        due = (
+            time.monotonic() >= until
+            if target == CLOCK
+            else time.monotonic() >= until and any(study.glob(WRITES[target]))
+        )
+        if due:
+            os.kill(child, signal.SIGKILL)
+            code = ended(child, wait=True)
+            assert code is not None
+            return code
+        time.sleep(0.0005)
+    return code
+
+
+def records(study: Path) -> dict[str, tuple[int, int]]:
+    """Which record files there are; one that was written again differs."""
+    found = study.glob("runs/*/record.json")
+    return {p.parent.name: (p.stat().st_ino, p.stat().st_mtime_ns) for p in found}
+
+
+def one_study(
+    folder: Path,
+    words: list[str],
+    targets: list[str],
+    whole_s: float,
+    late: float,
+    tally: Tally,
+    name: str,
+) -> Path:
+    """Kill and begin again until the study is complete; spends `targets` from the end. late: up to
+    this share of the study's time a file may be written before its kind is waited for."""
+    folder.mkdir()
+    study, known, number = folder / "reports" / "kill", dict[str, tuple[int, int]](), 0
+    while True:
+        target = targets[-1] if targets else CLOCK
+        draw = stream(0, f"kill/{name}", number).random()
+        number += 1
+        wait_s = draw * whole_s * (0.6 if target == CLOCK else late) if targets else 1e9
+        code = attempt(folder, words, target, wait_s)
+        now = records(study)
+        tally.doubled += sum(now[run] != record for run, record in known.items() if run in now)
+        tally.lost += len(known.keys() - now.keys())
+        known = now
+        if code != -signal.SIGKILL:
+            if code != 0:
+                log = (folder / "log.txt").read_text()
+                raise SystemExit(f"the study ended with {code}: {log}")
+            return study
+        targets.pop()
+        tally.killed[target] += 1
+        pattern = "**/.*.tmp" if target == CLOCK else WRITES[target]
+        tally.caught[target] += any(study.glob(pattern))
+
+
+def measure(words: list[str], targets: list[str], late: float, work: Path) -> Tally:
+    """All kills, the last of `targets` first; prints a line per completed study."""
+    (work / "whole").mkdir()
+    started = time.monotonic()
+    code = ended(begin(work / "whole", words), wait=True)
+    if code != 0:
+        log = (work / "whole" / "log.txt").read_text()
+        raise SystemExit(f"the undisturbed study ended with {code}: {log}")
+    whole_s, study = time.monotonic() - started, work / "whole" / "reports" / "kill"
+    expected, hashes = digests(study), parameters(study)
+    tally, kills = Tally(), len(targets)
+    while targets:
+        name = f"{tally.studies}"
+        study = one_study(work / name, words, targets, whole_s, late, tally, name)
+        found = digests(study)
+        differ = sorted(k for k in {*found, *expected} if found.get(k) != expected.get(k))
+        equal = not differ and parameters(study) == hashes
+        tally.studies += 1
+        tally.unequal += not equal or bool(leftovers(study))
+        tally.resumed += (work / name / "log.txt").read_text().count("going on at step")
+        if tally.studies > 2 * kills + 4:
+            raise SystemExit(f"{targets[-1]} never happened; give more --steps")
+        killed = sum(tally.killed.values())
+        print(f"study {name}: {killed} of {kills} kills, equal: {equal}", *differ)
+    return tally
+
+
+def moments(kills: int) -> list[str]:
+    """What to kill at: half of the times at random, else at each kind of file in turn."""
+    names = list(WRITES)
+    return [CLOCK if i % 2 == 0 else names[i // 2 % len(names)] for i in range(kills)][::-1]
+
+
+def table(tally: Tally, command: str, runs: int) -> str:
+    lines = [f"`{command}`", ""]
+    lines += ["| killed by SIGKILL at | times | file found half-written |", "|---|---|---|"]
+    for target in (CLOCK, *WRITES):
+        lines.append(f"| {target} | {tally.killed[target]} | {tally.caught[target]} |")
+    lines += [
+        "",
+        f"{sum(tally.killed.values())} kills over {tally.studies} studies of {runs} runs;"
+        f" {tally.resumed} trainings went on from a checkpoint."
+        f" Studies that differ from the undisturbed one (parameters, metrics, renders, report):"
+        f" {tally.unequal}. Runs lost: {tally.lost}. Runs done twice: {tally.doubled}.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def warm_up(work: Path, study: list[str]) -> None:
+    """Import and compile in this process what its forks will need."""
+    from framework.command import cli
+
+    here = Path.cwd()
+    work.mkdir()
+    os.chdir(work)
+    words = [word.replace("none,", "").replace("0,1", "0") for word in study[1:]]
+    code = cli.main([*words, "trainer.steps=4"])
+    os.chdir(here)
+    if code != 0:
+        raise SystemExit(code)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kills", type=int, default=52)
+    parser.add_argument("--steps", type=int, default=80)
+    parser.add_argument("--output", type=Path)
+    parser.add_argument("--small", action="store_true")
+    given = parser.parse_args()
+    if given.small:
+        study, targets, late = SMALL, [CLOCK, *WRITES][::-1], 0.0
+    else:
+        study, targets, late = STUDY, moments(given.kills), 0.2
+    with tempfile.TemporaryDirectory() as folder:
+        warm_up(Path(folder) / "warm", study)
+        if given.small:
+            from framework.train.resume import checkpoint
+
+            checkpoint.COST_TIMES = SMALL_COST_TIMES
+        tally = measure([*study, f"trainer.steps={given.steps}"], targets, late, Path(folder))
+    shown = "--small" if given.small else f"--kills {given.kills}"
+    command = f"python benchmarks/safety/kill.py {shown} --steps {given.steps}"
+    text = table(tally, command, 2 if given.small else 4)
+    print(text)
+    if given.output is not None:
+        given.output.parent.mkdir(parents=True, exist_ok=True)
+        given.output.write_text(text, encoding="utf-8")
+    return int(bool(tally.unequal or tally.lost or tally.doubled))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,180 @@
+"""Where the wall time of one run goes, from the start of Python to its end.
+
+    python benchmarks/speed/end_to_end.py [--runs 5] [--output FILE] [OVERRIDE ...]
+
+Each run is a fresh process doing what `python run.py OVERRIDE ...` does, into an empty folder, with
+kernels cached by one before. A stage's time is without the stages inside it, on the main thread: of
+members that are trained at the same time it is the first's, with the wait for the others. Medians
+over the runs. The machine should be idle. Writes a markdown table to FILE, or prints it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import importlib
+import json
+import os
+import re
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+CHILD = "--child"
+# stage -> functions, as module and name, whose time it is
+STAGES = {
+    "scene": ["framework.run.experiment:load_scene"],
+    "depth, and loading kernels beside it": [
+        "framework.run.experiment:_depth",
+        "framework.run.warmup:Warmup.begin",
+        "framework.run.warmup:Warmup.finish",
+    ],
+    "initial Gaussians": ["framework.run.experiment:initial"],
+    "training: the steps themselves": ["framework.train.trainer:Trainer.run"],
+    "training: pseudo views": ["framework.train.trainer:Trainer._pseudo_views"],
+    "training: the regularizer's opacities": ["framework.train.trainer:Trainer._opacity_factors"],
+    "training: the capacity plugin": ["framework.train.trainer:Trainer._edit"],
+    "training: Fisher information": ["framework.train.trainer:fisher_information"],
+    "training: checkpoints": ["framework.train.resume.checkpoint:Checkpoints.keep"],
+    "test PSNR along the way": ["framework.train.trainer:Trainer._record"],
+    "evaluation: rendering": ["framework.run.experiment:evaluate"],
+    "evaluation: PSNR, SSIM, FLIP": ["framework.metrics.evaluate:_measured"],
+    "files": ["framework.run.experiment:write_run"],
+    "identity of code, packages and files": [
+        "framework.run.experiment:_files",
+        "framework.run.experiment:identity_of",
+        "framework.run.experiment:code_hash",
+    ],
+}
+START, REST = "Python, libraries, command line", "the rest of the run"
+REPORT, END = "report", "ending the process"
+
+
+class Clock:
+    """Seconds per stage, each without what is measured inside it."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._inside = [0.0]  # per open stage: time of the stages inside it
+
+    def watch(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(function)
+        def watched(*args: Any, **kwargs: Any) -> Any:
+            if threading.current_thread() is not threading.main_thread():
+                return function(*args, **kwargs)  # beside what is measured
+            start = time.perf_counter()
+            self._inside.append(0.0)
+            try:
+                return function(*args, **kwargs)
+            finally:
+                total = time.perf_counter() - start
+                self.seconds[stage] += total - self._inside.pop()
+                self._inside[-1] += total
+
+        return watched
+
+    @property
+    def measured(self) -> float:
+        return self._inside[0]
+
+
+def child(began: float, output: Path, overrides: list[str]) -> None:
+    """One run with a clock around its stages; `began` is the time when the process was started."""
+    from framework.command import runner
+
+    clock, done = Clock(), runner._done
+    ended = began
+
+    def watched(job: Any) -> bool | str:
+        """The run, with a clock around its stages: what they call has just been imported."""
+        nonlocal ended
+        clock.seconds[START] = time.time() - began
+        for stage, places in STAGES.items():
+            for place in places:
+                module, _, path = place.partition(":")
+                *owners, name = path.split(".")
+                owner = functools.reduce(getattr, owners, importlib.import_module(module))
+                setattr(owner, name, clock.watch(stage, getattr(owner, name)))
+        well = done(job)
+        ended = time.time()
+        clock.seconds[REST] = ended - began - clock.seconds[START] - clock.measured
+        return well
+
+    runner._done = watched
+    code = runner.lone(overrides)
+    clock.seconds[REPORT] = time.time() - ended
+    output.write_text(json.dumps(clock.seconds))
+    os._exit(code)  # as run.py
+
+
+def profile(folder: Path, overrides: list[str]) -> dict[str, float]:
+    """Seconds per stage of one fresh process, with the `total` as its parent saw it."""
+    output = folder / "seconds.json"
+    line = [*overrides, "force=true", f"hydra.run.dir={folder / 'run'}"]
+    start = time.time()
+    command = [sys.executable, __file__, CHILD, repr(start), str(output), *line]
+    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    total = time.time() - start
+    if done.returncode:
+        sys.exit(done.stderr.decode().strip().splitlines()[-1])
+    stages = json.loads(output.read_text())
+    return {**stages, END: total - sum(stages.values()), "total": total}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--output", type=Path)
+    parser.add_argument("overrides", nargs="*")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        profile(folder, [*given.overrides, "trainer.steps=10"])
+        runs = [profile(folder, given.overrides) for _ in range(given.runs)]
+        record = json.loads((folder / "run" / "record.json").read_text())
+    from framework.records.provenance import cpu_model
+
+    median = {key: statistics.median(run.get(key, 0.0) for run in runs) for key in runs[0]}
+    total = median.pop("total")
+    line = re.sub(r"path=\S+", "path=DIR", " ".join(given.overrides))
+    psnr, gaussians = record["summary"]["psnr"]["mean"], record["gaussians"]
+    rows = [
+        f"| {stage} | {median[stage]:.2f} | {100 * median[stage] / total:.0f} % |"
+        for stage in (START, *STAGES, REST, REPORT, END)
+        if median.get(stage, 0.0) >= 0.005
+    ]
+    text = "\n".join(
+        [
+            "# One run from end to end",
+            "",
+            f"`python benchmarks/speed/end_to_end.py {line}` on {cpu_model()},"
+            f" {record['provenance']['threads']} threads: medians of {given.runs} runs;"
+            f" test PSNR {psnr:.2f} dB, {gaussians} Gaussians.",
+            "",
+            "| stage | seconds | share |",
+            "|---|---:|---:|",
+            *rows,
+            f"| **all** | {total:.2f} | |",
+            "",
+        ]
+    )
+    print(text)
+    if given.output:
+        given.output.write_text(text)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == [CHILD]:
+        child(float(sys.argv[2]), Path(sys.argv[3]), sys.argv[4:])
+    else:
+        main()

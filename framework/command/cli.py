@@ -1,0 +1,219 @@
+"""The command line: from arguments to runs, and from errors to one line and an exit code.
+
+Exit codes: 0 all runs are complete · 1 a bug or the machine · 2 bad input, no room or no right to
+write · 3 another process is still at some of the runs · 130 interrupted.
+
+Nothing heavy is imported here before a run really starts (`framework.command.runner` begins
+beside). Importing this module registers the resolvers that name run folders, which the processes
+of a launcher need too.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NoReturn
+
+import hydra
+from hydra._internal.utils import get_args_parser
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import DictConfig, OmegaConf
+
+from framework.command import runner
+from framework.command.complaints import USER_ERRORS, one_line
+from framework.command.config.help import help_text
+from framework.command.config.naming import plain, register_resolvers, study_name
+from framework.command.config.schema import (
+    CONF_DIR,
+    GROUPS,
+    OBJECT_GROUPS,
+    check,
+    choices,
+    register_config,
+)
+from framework.command.config.trust import check_command
+from framework.command.job import Job
+from framework.command.orphans import end_with_parent
+from framework.command.studies.failures import again, conclude, tell
+from framework.command.studies.study import Outcome, Refused, add_outcome, job_count, ledger
+from framework.errors import UserError
+from framework.files.whole import MENDABLE, unwritable
+from framework.records.progress import unread
+
+register_resolvers()
+
+MULTIRUN_FLAGS = ("-m", "--multirun")
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the command line `argv` (without the program's name); returns the exit code."""
+    try:
+        arguments = normalise(argv)
+        with _hydra_process(arguments):
+            register_config()
+            flags = _parse(arguments)
+            check_command(flags)
+            if flags.help:
+                print(help_text(flags.overrides))
+                return 0
+            application = hydra.main(
+                version_base="1.3", config_path=str(CONF_DIR), config_name="config"
+            )(task)
+            if _only_informs(flags):
+                application()
+                return 0
+            with ledger():
+                application()
+                return conclude()
+    except KeyboardInterrupt:
+        line = shlex.join(["python", "run.py", *argv])
+        print(f"error: interrupted; what is done is kept, go on with: {line}", file=sys.stderr)
+        return 130
+    except (Refused, *USER_ERRORS) as error:
+        if "traceback=true" in argv:
+            traceback.print_exc()
+        print(f"error: {one_line(error)}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # the reader, for instance `head`, has seen enough
+        unread(sys.stdout)
+        return 0
+    except OSError as error:
+        if error.errno not in MENDABLE:
+            raise
+        print(f"error: {unwritable(error, error.filename or 'output')}", file=sys.stderr)
+        return 2
+    except SystemExit as end:  # Hydra ends --help and its like this way
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
+
+
+def task(cfg: DictConfig) -> None:
+    """One run; Hydra calls it, perhaps in a launcher's fresh process.
+
+    An error ends this run and not its siblings: it goes into the record and the ledger.
+    """
+    end_with_parent()
+    job = _job(HydraConfig.get(), plain(cfg))
+    try:
+        check(job.config)  # finds plugins too, of which a launcher's fresh process knows nothing
+        job.config["study"] = study_name(job.config)
+        well = runner.run(job)
+    except Exception as error:
+        tell(job, error)
+    else:
+        if well:
+            add_outcome(Outcome(job.number, job.run_dir))
+
+
+def normalise(argv: Sequence[str]) -> list[str]:
+    """`argv` as Hydra accepts it. Raises UserError for a line it could not read.
+
+    A leading `+` goes from known groups: they are in the defaults list, where Hydra wants none.
+    """
+    arguments = [re.sub(rf"^\+(?=({'|'.join(GROUPS)})=)", "", argument) for argument in argv]
+    _check_multirun_flag(arguments)
+    _check_empty_choices(arguments)
+    flags = _parse(arguments)
+    if flags.multirun and _only_informs(flags):
+        raise UserError("command line: expected -m or a flag that only informs, got both; drop one")
+    if flags.resolve and not flags.cfg:
+        raise UserError("command line: expected --cfg beside --resolve, got none; add --cfg job")
+    return _options_of_swept_groups(arguments, flags.overrides) if flags.multirun else arguments
+
+
+def _check_multirun_flag(arguments: Sequence[str]) -> None:
+    """Hydra's parser takes -m only before or after all overrides."""
+    words = [i for i, argument in enumerate(arguments) if "=" in argument]
+    for flag in MULTIRUN_FLAGS:
+        if flag in arguments and words and words[0] < arguments.index(flag) < words[-1]:
+            raise UserError(
+                f"command line: expected {flag} first or last, got it in the middle, after"
+                f" '{arguments[arguments.index(flag) - 1]}'; move it to the end"
+            )
+
+
+def _check_empty_choices(arguments: Sequence[str]) -> None:
+    """`augment=` and `augment=null` would leave a group with options but nothing to have them."""
+    for argument in arguments:
+        group, equals, name = argument.partition("=")
+        if equals and group in OBJECT_GROUPS and name in ("", "null"):
+            known = ", ".join(choices(group))
+            raise UserError(f"{group}: expected a choice, got {name!r}; available: {known}")
+
+
+def _parse(arguments: Sequence[str]) -> Any:
+    """Hydra's flags; a line its parser refuses becomes a UserError."""
+
+    def refuse(message: str) -> NoReturn:
+        raise UserError(f"command line: {message}; --help tells what there is")
+
+    parser = get_args_parser()
+    parser.error = refuse  # type: ignore[method-assign]
+    return parser.parse_args(arguments)
+
+
+def _options_of_swept_groups(arguments: Sequence[str], overrides: Sequence[str]) -> list[str]:
+    """Make `augment.eta=1.5` beside `augment=safi,other` a sweep of one value.
+
+    Hydra first composes a configuration without the swept keys, where the group has its default
+    choice and the option does not exist.
+    """
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    swept = {o.key_or_group for o in parsed if o.is_sweep_override()} & set(OBJECT_GROUPS)
+    fixed = {
+        o.input_line
+        for o in parsed
+        if o.key_or_group.partition(".")[0] in swept
+        and "." in o.key_or_group
+        and not o.is_sweep_override()
+    }
+    return [re.sub("=(.*)", r"=choice(\1)", a, count=1) if a in fixed else a for a in arguments]
+
+
+def _only_informs(flags: Any) -> bool:
+    """True for `--help`, `--cfg` and the like, which start no run."""
+    return bool(flags.help or flags.hydra_help or flags.cfg or flags.info or flags.shell_completion)
+
+
+@contextmanager
+def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
+    """What `hydra.main` reads from the process: its arguments, and to leave errors to us."""
+    argv, full_error = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
+    sys.argv = [argv[0], *arguments]
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    try:
+        yield
+    finally:
+        sys.argv = argv
+        if full_error is None:
+            del os.environ["HYDRA_FULL_ERROR"]
+        else:
+            os.environ["HYDRA_FULL_ERROR"] = full_error
+
+
+def _job(hydra: Any, config: dict[str, Any]) -> Job:
+    """The run of a composed configuration; hydra: Hydra's part of it."""
+    method = "+".join(str(hydra.runtime.choices.get(group)) for group in ("augment", "reg"))
+    label, short = f"{method} seed {config['seed']}", f"{method} s{config['seed']}"
+    number = 0 if OmegaConf.is_missing(hydra.job, "num") else int(hydra.job.num)
+    total = job_count()
+    if total != 1:
+        label = f"[run {number + 1}{f' of {total}' if total else ''}] {label}"
+        short = f"[{number + 1}{f'/{total}' if total else ''}] {short}"
+    multirun = hydra.mode.name == "MULTIRUN"
+    return Job(
+        number=number,
+        run_dir=str(hydra.runtime.output_dir),
+        config=config,
+        overrides=[str(override) for override in hydra.overrides.task],
+        label=label,
+        short_label=short,
+        alone=not multirun or hydra.launcher._target_.endswith(".BasicLauncher"),
+        multirun=multirun,
+        again=again(hydra),
+    )

@@ -1,0 +1,115 @@
+"""The text of `--help`: every choice of every group in a line, and the options as composed.
+
+Hydra's own help composes the configuration once for each of its eighty groups, which takes longer
+than the promised 1.5 s; the names are read from the registry and the folders here.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+import textwrap
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import yaml
+from hydra import compose, initialize_config_dir
+from omegaconf import DictConfig, OmegaConf
+
+from framework import registry
+from framework.command.config.meanings import from_yaml, meanings
+from framework.command.config.schema import (
+    CONF_DIR,
+    GROUPS,
+    OBJECT_GROUPS,
+    SWEEPS_DIR,
+    choices,
+    rows,
+    tables,
+)
+from framework.options import TrainerOptions
+
+WIDTH = 80  # characters of a summary
+
+HEADER = """\
+fishersplat: sparse-view 3D Gaussian Splatting studies on a CPU
+
+  one run      python run.py augment=safi reg=uar
+  a study      python run.py +augment=safi +reg=uar seed=0,1,2 -m
+  own photos   python run.py scene=llff scene.path=DIR scene.n_views=3
+  named study  python run.py sweep=demo
+
+-m (a run for every combination of the values) goes first or last on the line.
+The report is written to reports/STUDY/report.md, each run to reports/STUDY/runs/NAME/.
+"""
+
+
+def help_text(overrides: Sequence[str]) -> str:
+    """The help for a command line with `overrides`, whose values it shows."""
+    lines = [line for group in GROUPS for line in _group_lines(group, _names(group))]
+    with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
+        options = "\n".join(_explained(compose("config", list(overrides))))
+    chosen = "\n".join(lines)
+    return f"{HEADER}\nChoices, GROUP=NAME:\n{chosen}\n\nOptions, KEY=VALUE:\n\n{options}\n"
+
+
+def _explained(config: DictConfig) -> Iterator[str]:
+    """The lines of the configuration, each with what it means."""
+    means = top = from_yaml((CONF_DIR / "config.yaml").read_text(encoding="utf-8"))
+    plain: Any = OmegaConf.to_container(config)
+    for line in yaml.safe_dump(plain, sort_keys=False, width=math.inf).splitlines():
+        key = line.split(":")[0]
+        if line == f"{key}:" and not line.startswith(" "):
+            means = option_meanings(key, plain[key]["name"]) if key in OBJECT_GROUPS else {}
+            means = {"trainer": meanings(TrainerOptions), "metrics": top}.get(key, means)
+        meaning = means.get(key.strip())
+        yield f"{line:<27} # {meaning}" if meaning else line
+
+
+def option_meanings(group: str, name: str) -> dict[str, str]:
+    """option -> its meaning, of the options of `group=name`. UserError for an unknown one."""
+    if group not in registry.GROUPS:
+        rows(group, name)
+        return meanings(tables()[group][name])
+    cls: Any = registry.lookup(group, name)
+    weight = {} if cls.weighted() else {"weight": "has no effect and is refused: no loss is added"}
+    return registry.MEANINGS | weight | meanings(cls)
+
+
+def _names(group: str) -> list[str]:
+    folder = SWEEPS_DIR if group == "sweep" else CONF_DIR / group
+    files = {path.stem for path in folder.glob("*.yaml")}
+    return sorted(files.union(choices(group) if group in OBJECT_GROUPS else ()))
+
+
+def _group_lines(group: str, names: Sequence[str]) -> Iterator[str]:
+    yield f"\n  {group}"
+    for name in names:
+        yield f"    {name:<20}{_summary(group, name)}".rstrip()
+
+
+def _summary(group: str, name: str) -> str:
+    """What a choice is, in a line: from its source's docstring or its file's first comment."""
+    if group not in OBJECT_GROUPS or name not in choices(group):
+        return _first_comment(group, name)
+    cls = registry.lookup(group, name) if group in registry.GROUPS else tables()[group][name]
+    title = f"`{group}={name}`: "
+    module_doc = sys.modules[cls.__module__].__doc__ or ""
+    if module_doc.startswith(title):
+        return _first_sentence(module_doc.removeprefix(title))
+    text = cls.__doc__ or ""
+    return "" if text.startswith(f"{cls.__name__}(") else _first_sentence(text)
+
+
+def _first_sentence(text: str) -> str:
+    # a full stop after an abbreviation ("et al. 2023") has no capital letter behind it
+    sentence = re.split(r"[.:](?=\s+[A-Z]|$)", " ".join(text.split()), maxsplit=1)[0]
+    return textwrap.shorten(sentence, WIDTH, placeholder=" ...")
+
+
+def _first_comment(group: str, name: str) -> str:
+    path = (SWEEPS_DIR if group == "sweep" else CONF_DIR / group) / f"{name}.yaml"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    comments = [line[2:] for line in lines if line.startswith("# ") and not line.startswith("# @")]
+    return _first_sentence(comments[0]) if comments else ""

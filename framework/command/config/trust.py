@@ -1,0 +1,269 @@
+"""What a configuration may ask of Hydra: data, never code.
+
+Hydra instantiates classes named in `hydra.callbacks`, `hydra.launcher` and `hydra.sweeper`, its log
+configurations may call any function, a `pkg://` search path imports a package, a flag unpickles a
+file, `hydra.job.env_set` and `oc.env` reach the environment. An experiment or a command line from a
+stranger could use any of them. So the command line is read before Hydra composes anything, and
+Hydra's part of the composed configuration before Hydra obeys it: what is not allowed here must be
+as `conf/config.yaml` has it.
+
+The output folders (`hydra.run.dir`, `hydra.sweep.dir`, `.subdir`) are the user's own choice: on the
+command line, not in a file.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import urllib.parse
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra import initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import ChoiceSweep, Override, RangeSweep
+from hydra.errors import HydraException
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+
+from framework.command.complaints import composing
+from framework.command.config.schema import CONF_DIR, SWEEPS_DIR
+from framework.errors import UserError, require
+from framework.files import limits
+
+LAUNCHERS = ("basic", "joblib")
+FREE = ("mode", "overrides", "runtime", "verbose", "help", "hydra_help", "defaults", "env")
+FOLDERS = ("run.dir", "sweep.dir", "sweep.subdir")
+REFUSED_FLAGS = {
+    "experimental_rerun": "a pickle can run code; give the run's overrides instead",
+    "config_path": "use hydra.searchpath=[file://DIR] for configurations of your own",
+    "config_name": "use hydra.searchpath=[file://DIR] and experiment=NAME of DIR/experiment",
+    "config_dir": "use hydra.searchpath=[file://DIR]",
+}
+QUIET = {"version": 1, "root": None, "disable_existing_loggers": False}  # hydra/*_logging=none
+LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+def check_command(flags: Any) -> None:
+    """Raise UserError for a command line that is not allowed, as typed or as composed.
+
+    flags: what Hydra's argument parser made of it. Nothing that it names is run.
+    """
+    for name, fix in REFUSED_FLAGS.items():
+        if getattr(flags, name) is not None:
+            raise UserError(f"--{name.replace('_', '-')}: expected no such flag, got one; {fix}")
+    overrides = OverridesParser.create().parse_overrides(list(flags.overrides))
+    folders = [CONF_DIR, SWEEPS_DIR, *_search_path(overrides)]
+    for folder in folders:
+        check_config_files(folder)
+    with initialize_config_dir(version_base="1.3", config_dir=str(CONF_DIR)):
+        loader = GlobalHydra.instance().config_loader()
+        with composing():
+            composed = loader.load_configuration(
+                "config", flags.overrides, run_mode=RunMode.MULTIRUN, validate_sweep_overrides=False
+            )
+    check_composed(composed)
+    params = composed.hydra.sweeper.params or {}
+    check_run_count(overrides, params)
+    multirun = flags.multirun or composed.hydra.mode is RunMode.MULTIRUN
+    check_method(overrides, params if multirun else ())
+
+
+def check_composed(config: DictConfig) -> None:
+    """Raise UserError unless Hydra's part of a composed configuration is allowed."""
+    asked: Any = OmegaConf.to_container(config.hydra, resolve=False)
+    own = _own()
+    job = {key: asked["job"][key] for key in ("chdir", "env_set", "env_copy")}
+    _expect("job", job, {"chdir": False, "env_set": {}, "env_copy": []})
+    _expect("callbacks", asked["callbacks"], own["callbacks"])
+    _expect("output_subdir", asked["output_subdir"], ".hydra")
+    for logging in ("hydra_logging", "job_logging"):
+        _expect(logging, asked[logging], QUIET)
+    _check_folders(config, own)
+    _check_search_path(asked["searchpath"])
+    _check_launcher(asked["launcher"])
+    _check_sweeper(asked["sweeper"])
+    known = {*FREE, "job", "callbacks", "output_subdir", "hydra_logging", "job_logging"}
+    known |= {"run", "sweep", "searchpath", "launcher", "sweeper"}
+    for key in asked:
+        require(key in known, f"hydra.{key}: expected no such key, got one; remove it")
+
+
+def check_run_count(overrides: Sequence[Override], params: Mapping[Any, Any]) -> None:
+    """Raise UserError when the command asks for more than `limits.RUNS` runs, without listing
+    them. params: `hydra.sweeper.params`, which the overrides of the same keys replace."""
+    parser = OverridesParser.create()
+    swept = parser.parse_overrides([f"{key!s}={value}" for key, value in params.items()])
+    lengths = {override.get_key_element(): _length(override) for override in [*swept, *overrides]}
+    count = math.prod(lengths.values())
+    require(
+        count <= limits.RUNS,
+        f"multirun: expected at most {limits.RUNS:,} runs, got {count:,}; sweep fewer values",
+    )
+
+
+def check_method(overrides: Sequence[Override], swept: Iterable[Any]) -> None:
+    """Raise UserError for a method both of whose choices are replaced without a word: by others on
+    the command line, or by those that a sweep has for each of its runs (swept)."""
+    given = {override.get_key_element(): override.input_line for override in overrides}
+    if "method" in given and {"augment", "reg"} <= {*given, *swept}:
+        raise UserError(
+            f"{given['method']}: expected no method where augment and reg are chosen by themselves,"
+            " here or by a sweep, got one, which would change nothing; leave it out, or give"
+            " augment=NAME and reg=NAME in its place"
+        )
+
+
+def check_config_files(folder: Path) -> None:
+    """Raise UserError unless the YAML files of `folder` are small, few and flat.
+
+    No aliases: nine lines of them can stand for a billion values.
+    """
+    files = sorted(folder.rglob("*.yaml"))
+    require(
+        len(files) <= limits.CONFIG_FILES,
+        f"{folder}: expected at most {limits.CONFIG_FILES} .yaml files, got {len(files)}; give the"
+        " folder that holds the configurations alone",
+    )
+    for file in files:
+        limits.check_size(file, limits.CONFIG_BYTES)
+        _check_yaml(file)
+
+
+def refuse_environment(*_: Any) -> Any:
+    """Takes the place of OmegaConf's `oc.env`: records and reports are published, secrets not."""
+    raise UserError(
+        "${oc.env:...}: expected a value, got the environment, which a configuration may not read;"
+        " write the value, or give it on the command line as KEY=$VARIABLE"
+    )
+
+
+def _check_yaml(file: Path) -> None:
+    depth = 0
+    try:
+        for event in yaml.parse(file.read_bytes(), Loader=LOADER):
+            if isinstance(event, yaml.AliasEvent):
+                raise UserError(
+                    f"{file}: expected no YAML aliases, got *{event.anchor} in line"
+                    f" {event.start_mark.line + 1}; write the values out"
+                )
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            require(
+                depth <= limits.CONFIG_DEPTH,
+                f"{file}: expected at most {limits.CONFIG_DEPTH} nested levels, got more in line"
+                f" {event.start_mark.line + 1}; write it flat",
+            )
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())[:160]
+        raise UserError(f"{file}: expected YAML, got something else ({reason})") from None
+
+
+def _search_path(overrides: Iterable[Override]) -> list[Path]:
+    """The folders that the command line adds, all checked."""
+    given = [o.value() for o in overrides if o.key_or_group == "hydra.searchpath"]
+    return [folder for value in given for folder in _check_search_path(value)]
+
+
+def _check_search_path(value: Any) -> list[Path]:
+    folders = []
+    for entry in value if isinstance(value, list) else [value]:
+        text = str(entry)
+        require(
+            text.startswith("file://"),
+            f"hydra.searchpath: expected folders as [file://DIR], got {text[:100]!r}; a package"
+            " would be imported, which runs its code",
+        )
+        folders.append(Path(urllib.parse.unquote(text.removeprefix("file://"))))
+    return folders
+
+
+@functools.cache
+def _own() -> dict[str, Any]:
+    """Hydra's part of `conf/config.yaml`."""
+    own: Any = OmegaConf.to_container(OmegaConf.load(CONF_DIR / "config.yaml"), resolve=False)
+    return dict(own["hydra"])
+
+
+def _expect(key: str, got: Any, expected: Any) -> None:
+    require(
+        got == expected,
+        f"hydra.{key}: expected {expected}, as this project sets it, got {str(got)[:160]}; a"
+        " configuration cannot run code or reach the environment, remove it",
+    )
+
+
+def _check_folders(config: DictConfig, own: Mapping[str, Any]) -> None:
+    asked: Any = OmegaConf.to_container(config.hydra, resolve=False)
+    typed = {line.partition("=")[0].lstrip("+") for line in asked["overrides"]["hydra"]}
+    for key in FOLDERS:
+        section, _, name = key.partition(".")
+        require(
+            f"hydra.{key}" in typed or asked[section][name] == own[section][name],
+            f"hydra.{key}: expected it on the command line only, got {asked[section][name]!r} from"
+            " a configuration file; remove it there",
+        )
+
+
+def _check_launcher(got: Mapping[str, Any]) -> None:
+    """One of ours, with no option changed but the number of processes."""
+    known = {name: _stored(name) for name in LAUNCHERS}
+    title = " or ".join(f"hydra/launcher={name}" for name in LAUNCHERS)
+    target = got.get("_target_")
+    for stored in known.values():
+        if stored and stored["_target_"] == target:
+            changed = [k for k in got if k != "n_jobs" and got[k] != stored.get(k)]
+            require(
+                not changed,
+                f"hydra.launcher.{changed[0] if changed else ''}: expected no option but n_jobs,"
+                " got one; remove it",
+            )
+            _check_jobs(got.get("n_jobs", 1))
+            return
+    raise UserError(f"hydra.launcher: expected {title}, got {str(target)[:100]!r}; choose one")
+
+
+def _check_jobs(n_jobs: Any) -> None:
+    fits = isinstance(n_jobs, int) and -limits.PARALLEL_RUNS <= n_jobs <= limits.PARALLEL_RUNS
+    require(
+        fits and n_jobs != 0,
+        f"hydra.launcher.n_jobs: expected 1 to {limits.PARALLEL_RUNS} processes, or -1 for one per"
+        f" core, got {n_jobs!r}; choose a number",
+    )
+
+
+def _check_sweeper(got: Mapping[str, Any]) -> None:
+    expected = {"_target_": _stored("basic", "sweeper")["_target_"], "max_batch_size": None}
+    _expect("sweeper", {k: v for k, v in got.items() if k != "params"}, expected)
+    for key in got["params"] or {}:
+        require(
+            not str(key).lstrip("+~").startswith("hydra"),
+            f"hydra.sweeper.params: expected options of the run, got {key!r}; give it on the"
+            " command line",
+        )
+
+
+def _stored(name: str, kind: str = "launcher") -> dict[str, Any]:
+    """A launcher or sweeper as its plugin declares it; empty when it is not installed."""
+    try:
+        node = ConfigStore.instance().load(f"hydra/{kind}/{name}.yaml").node
+    except (HydraException, OSError):
+        return {}
+    stored: Any = OmegaConf.to_container(node, resolve=False)
+    return dict(stored)
+
+
+def _length(override: Override) -> int:
+    """The number of values an override sweeps over."""
+    value = override.value()
+    if isinstance(value, ChoiceSweep):
+        return len(value.list)
+    if isinstance(value, RangeSweep):
+        assert value.start is not None and value.stop is not None
+        require(value.step != 0, f"{override.input_line}: expected a step other than 0; change it")
+        return max(0, math.ceil((value.stop - value.start) / value.step))
+    return 1

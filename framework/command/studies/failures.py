@@ -1,0 +1,157 @@
+"""What a command did not complete: each run in its record and the ledger as it fails; at the end a
+short table on stderr, and the exit code.
+
+One line per failed run: where it is, what kind of failure, the reason; below it the command that
+does this run alone. A command of a single run ends with the reason alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+import shutil
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from framework.command.complaints import USER_ERRORS, one_line
+from framework.command.job import Job
+from framework.command.studies.study import (
+    REPORT,
+    Outcome,
+    add_outcome,
+    job_count,
+    outcomes,
+    short_path,
+)
+from framework.errors import UserError
+from framework.files.locks import Busy
+
+MOST_ROWS = 20
+LAUNCHING = ("hydra.mode=", "hydra/launcher=", "hydra.launcher.")
+
+
+def kind_of(error: BaseException) -> str:
+    """A word or two for what went wrong."""
+    if isinstance(error, UserError):
+        return error.kind
+    if isinstance(error, USER_ERRORS):
+        return UserError.kind
+    return "machine" if isinstance(error, OSError | MemoryError) else "bug"
+
+
+def tell(job: Job, raised: Exception) -> None:
+    """A run failed: into its record, unless it never began, and into the command's ledger."""
+    error, run_dir = _as_bad_input(raised), Path(job.run_dir)
+    message, kind = _shown(error, job.config["traceback"]), kind_of(error)
+    bad_input, busy = isinstance(error, USER_ERRORS), isinstance(error, Busy)
+    if busy:
+        pass  # it is the other process's to tell
+    elif job.multirun or not bad_input:
+        message = _recorded(job, message, kind)
+    else:  # a lone mistyped run is not worth a record, nor a folder
+        _discard(run_dir)
+    add_outcome(Outcome(job.number, job.run_dir, message, kind, job.again, bad_input, busy))
+
+
+def again(job: Any) -> str:
+    """The command that does this run alone, in the same folder. job: Hydra's part of its
+    configuration."""
+    own = [str(o) for o in job.overrides.hydra if not str(o).startswith(LAUNCHING)]
+    words = [*own, *(str(override) for override in job.overrides.task)]
+    multirun = ["-m"] if job.mode.name == "MULTIRUN" else []
+    return shlex.join(["python", "run.py", *words, *multirun])
+
+
+def conclude() -> int:
+    """Tell what the command did not complete; returns the exit code."""
+    ended = outcomes()
+    failed = [outcome for outcome in ended if outcome.error is not None and not outcome.busy]
+    busy = [outcome for outcome in ended if outcome.busy]
+    total = job_count() or len(ended)
+    lost = total - sum(outcome.kind != REPORT for outcome in ended)
+    if failed:
+        print("\n".join(_told(failed, total)), file=sys.stderr)
+    if lost > 0:
+        print(f"error: {lost} runs ended without telling how", file=sys.stderr)
+    if busy:
+        first = f"{busy[0].error}" if total == 1 else f"for instance {busy[0].error}"
+        count = "" if total == 1 else f"{len(busy)} of {total} runs are being done elsewhere, "
+        print(f"error: {count}{first}; then the same command again", file=sys.stderr)
+    if failed or lost > 0:
+        return 2 if lost <= 0 and all(outcome.bad_input for outcome in failed) else 1
+    return 3 if busy else 0
+
+
+def _told(failed: Sequence[Outcome], total: int) -> list[str]:
+    """The lines about failed runs."""
+    runs = [outcome for outcome in failed if outcome.kind != REPORT]
+    if total == 1 or not runs:
+        return [f"error: {outcome.error}" for outcome in failed]
+    lines = [
+        f"error: {len(runs)} of {total} runs failed; the same command does them again, the one"
+        " below each does it alone",
+        *_table(runs[:MOST_ROWS]),
+        *_rest(len(runs) - MOST_ROWS),
+    ]
+    return [*lines, *(f"error: {o.error}" for o in failed if o.kind == REPORT)]
+
+
+def _table(failed: Sequence[Outcome]) -> list[str]:
+    rows = [("run", "kind", "reason")]
+    rows += [(str(short_path(Path(o.run_dir))), o.kind, str(o.error)) for o in failed]
+    wide, kind_wide = (max(len(row[column]) for row in rows) for column in (0, 1))
+    lines = [f"  {run:{wide}}  {kind:{kind_wide}}  {reason}" for run, kind, reason in rows]
+    commands = [f"    {outcome.again}" for outcome in failed]
+    return [lines[0], *(line for pair in zip(lines[1:], commands, strict=True) for line in pair)]
+
+
+def _rest(count: int) -> list[str]:
+    return [f"  ... and {count} more, see the report"] if count > 0 else []
+
+
+def _as_bad_input(error: Exception) -> Exception:
+    """A file or folder that may not be opened is no bug; readers leave it to be told here."""
+    if not isinstance(error, PermissionError):
+        return error
+    told = UserError(
+        f"{error.filename}: expected what may be opened, got '{error.strerror}'; change its rights"
+        " or choose another, and run the same again"
+    )
+    told.__cause__ = error  # for traceback=true
+    return told
+
+
+def _shown(error: Exception, show: bool) -> str:
+    """The one-line message of a failed run; a bug shows its traceback at once."""
+    if isinstance(error, USER_ERRORS):
+        if show:
+            traceback.print_exception(error)
+        return one_line(error)
+    traceback.print_exception(error)
+    first = next(iter(str(error).splitlines()), "")
+    return f"{type(error).__name__}: {first}".rstrip(": ")
+
+
+def _recorded(job: Job, message: str, kind: str) -> str:
+    """Leave the error in the run's folder; returns it, with what kept it from being written."""
+    from framework.records.record import write_failed
+
+    try:
+        write_failed(Path(job.run_dir), job.config, job.overrides, message, kind=kind)
+    except UserError as error:
+        return message if str(error) in message else f"{message}; {error}"
+    return message
+
+
+def _discard(run_dir: Path) -> None:
+    """Remove what Hydra left of a run that never began, and a study of ours that is now empty."""
+    if [path.name for path in run_dir.iterdir()] != [".hydra"]:
+        return
+    shutil.rmtree(run_dir / ".hydra")
+    ours = run_dir.parents[:2] if run_dir.parent.name == "runs" else ()
+    with contextlib.suppress(OSError):  # not empty: other runs are there
+        for folder in (run_dir, *ours):
+            folder.rmdir()

@@ -1,0 +1,224 @@
+"""What joins the runs of one command: their number, their outcomes, and the report at the end.
+
+The runs may be processes of a launcher, so nothing is shared in memory: each run leaves a small
+file with its outcome in the ledger, a folder that the parent makes and the children know by an
+environment variable. A run without an outcome counts as failed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from framework.command.collector import import_uncollected
+from framework.command.complaints import USER_ERRORS, composing
+from framework.command.config.naming import plain, study_dir
+from framework.command.config.schema import check
+from framework.command.config.trust import check_composed
+from framework.command.studies.disk import check_room
+from framework.command.studies.estimate import announce
+from framework.compute.stopwatch import Stopwatch, duration
+from framework.errors import UserError
+from framework.files.cache import cache_dir
+from framework.files.locks import locked
+from framework.files.whole import write_whole
+from framework.records.progress import say
+
+LEDGER_VARIABLE = "FISHERSPLAT_LEDGER"
+JOBS_VARIABLE = "FISHERSPLAT_JOBS"
+REPORT = "report"  # the kind of failure of a report, which is no run
+
+
+class Refused(BaseException):
+    """Stops a multirun before its first run. Hydra turns a callback's `Exception` into a warning,
+    hence a `BaseException`; the cause is the user's error."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one run ended. error: one line, None if it went well. kind: of the error, a word or two.
+    again: the command that does this run alone. bad_input: the user's to fix. busy: not done, since
+    another process is at it."""
+
+    number: int
+    run_dir: str
+    error: str | None = None
+    kind: str = ""
+    again: str = ""
+    bad_input: bool = False
+    busy: bool = False
+
+
+@contextmanager
+def ledger() -> Iterator[Path]:
+    """An empty ledger folder, known to this process and its children, removed at the end."""
+    with tempfile.TemporaryDirectory(prefix="ledger-", dir=cache_dir()) as folder:
+        os.environ[LEDGER_VARIABLE] = folder
+        try:
+            yield Path(folder)
+        finally:
+            os.environ.pop(LEDGER_VARIABLE, None)
+            os.environ.pop(JOBS_VARIABLE, None)
+
+
+def add_outcome(outcome: Outcome) -> None:
+    """Write `outcome` into the ledger of the command this run belongs to."""
+    path = Path(os.environ[LEDGER_VARIABLE]) / f"{outcome.number:06d}.json"
+    write_whole(path, json.dumps(dataclasses.asdict(outcome)))
+
+
+def outcomes() -> list[Outcome]:
+    """The outcomes so far, in the order of the runs."""
+    paths = sorted(Path(os.environ[LEDGER_VARIABLE]).glob("*.json"))
+    return [Outcome(**json.loads(path.read_text(encoding="utf-8"))) for path in paths]
+
+
+def job_count() -> int | None:
+    """The number of runs of this command; None in a process that was started before it was
+    known."""
+    text = os.environ.get(JOBS_VARIABLE)
+    return None if text is None else int(text)
+
+
+class StudyCallback(Callback):
+    """Refuses a bad multirun before its first run; builds the reports after the last."""
+
+    def __init__(self) -> None:
+        self._watch = Stopwatch()
+        self._expected_s: float | None = None
+
+    def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
+        os.environ[JOBS_VARIABLE] = "1"
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        try:
+            jobs = sweep_jobs(config)
+            studies = check_jobs(config, jobs)
+            for folder, configs in studies.items():
+                check_room(folder, configs)
+            if config.estimate:
+                every = [run for configs in studies.values() for run in configs]
+                self._expected_s = announce(every, _at_once(config))
+        except USER_ERRORS as error:
+            raise Refused from error
+        os.environ[JOBS_VARIABLE] = str(len(jobs))
+        self._watch = Stopwatch()
+
+    def on_run_end(self, config: DictConfig, **kwargs: Any) -> None:
+        build_reports()
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        told = "" if self._expected_s is None else f" (estimated {duration(self._expected_s)})"
+        say(f"{len(outcomes())} runs took {duration(self._watch.wall_s)}{told}")
+        build_reports()
+
+
+def sweep_jobs(config: DictConfig) -> list[list[str]]:
+    """The overrides of every run of a multirun, as Hydra's own sweeper splits them."""
+    params = OmegaConf.to_container(config.hydra.sweeper.params or OmegaConf.create({}))
+    assert isinstance(params, dict)
+    lines = [f"{key!s}={value}" for key, value in params.items()]
+    lines += list(config.hydra.overrides.task)
+    parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
+    batches = BasicSweeper.split_arguments(parser.parse_overrides(lines), None)
+    return [list(job) for batch in batches for job in batch]
+
+
+def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dict[str, Any]]]:
+    """Raise the error of the first bad run, before hours went into the good ones; otherwise the
+    configurations of each study's runs, the seed aside.
+
+    Runs that differ in the seed alone are composed once, which takes a tenth of a second; their
+    seeds are checked one by one.
+    """
+    loader = GlobalHydra.instance().config_loader()
+    parser = OverridesParser.create(config_loader=loader)
+    checked: dict[tuple[str, ...], DictConfig] = {}
+    taken: dict[str, list[str]] = {}
+    studies: dict[Path, list[dict[str, Any]]] = {}
+    seen: set[tuple[str, ...]] = set()
+    words = OmegaConf.to_container(config.hydra.sweep, resolve=False)
+    by_overrides = "overrid" in str(words)  # hydra.job.override_dirname or hydra.overrides
+    for number, job in enumerate(jobs):
+        if tuple(job) in seen:
+            raise UserError(
+                f"multirun: expected each run once, got '{' '.join(job)}' twice; sweep each value"
+                " once"
+            )
+        seen.add(tuple(job))
+        seeds = [word for word in job if word.startswith("seed=")]
+        method = tuple(word for word in job if word not in seeds)
+        if method in checked and not by_overrides:
+            composed = checked[method]
+            for seed in parser.parse_overrides(seeds):
+                composed.seed = seed.value()
+        else:
+            with composing():
+                composed = checked[method] = loader.load_sweep_config(config, job)
+            check_composed(composed)
+        check(plain(composed))
+        with open_dict(composed):
+            composed.hydra.job.num = number  # as the launcher will, after this
+        # the seed may be part of either folder
+        studies.setdefault(_study_dir(composed), []).append(plain(composed))
+        folder = f"{composed.hydra.sweep.dir}/{composed.hydra.sweep.subdir}"
+        if folder in taken:
+            raise UserError(
+                f"multirun: expected a folder for each run, got {folder} for both"
+                f" '{' '.join(taken[folder])}' and '{' '.join(job)}'; give each its own study=NAME"
+                " or hydra.sweep.subdir"
+            )
+        taken[folder] = job
+    return studies
+
+
+def _at_once(config: DictConfig) -> int:
+    """How many runs the launcher does at a time."""
+    asked = int(config.hydra.launcher.get("n_jobs") or 1)
+    return asked if asked > 0 else os.cpu_count() or 1
+
+
+def _study_dir(composed: DictConfig) -> Path:
+    return study_dir(Path(composed.hydra.sweep.dir) / composed.hydra.sweep.subdir)
+
+
+def build_reports() -> None:
+    """Build the report of every study with a good run and tell where it is.
+
+    Hydra swallows a callback's exception, so a failed report becomes an outcome of its own.
+    """
+    good = [outcome for outcome in outcomes() if outcome.error is None]
+    for folder in sorted({study_dir(Path(outcome.run_dir)) for outcome in good}):
+        try:
+            import_uncollected("framework.report")
+            from framework.report import build_report
+
+            with locked(folder, wait=True):
+                for path in folder.glob(".*.tmp"):  # of a process killed while it built the report
+                    path.unlink()
+                report = build_report(folder)
+            say(f"report: {short_path(report)}")
+        except Exception as error:
+            number = len(outcomes())
+            bad_input, again = isinstance(error, UserError), f"python -m framework.report {folder}"
+            message = f"report of {short_path(folder)}: {type(error).__name__}: {error}"
+            add_outcome(Outcome(number, str(folder), message, REPORT, again, bad_input=bad_input))
+
+
+def short_path(path: Path) -> Path:
+    """`path` relative to the current folder if it lies below, else as it is."""
+    absolute = path.resolve()
+    return absolute.relative_to(Path.cwd()) if absolute.is_relative_to(Path.cwd()) else absolute

@@ -1,0 +1,60 @@
+"""How kernels are compiled: strict IEEE (no `fastmath`: it changes bits between processes), without
+the GIL, cached on disk.
+
+numba's own cache notices a change of a kernel's file but not of a helper it imports from another.
+So the cache is a folder of the user's cache named by a hash of all of the framework's sources that
+hold kernels (`NUMBA_CACHE_DIR` overrides it). Import `kernel` before decorating anything else.
+
+Where a CPU has AVX-512, LLVM still takes vectors of 256 bits unless it is told not to, as the first
+CPUs that had it slowed down. With all 512 the loops that it vectorises by itself take less time,
+those of stereo above all; no bit depends on it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core.codegen import get_host_cpu_features
+
+from framework.files.cache import cache_dir
+
+_STRICT: dict[str, Any] = {"nogil": True, "fastmath": False, "error_model": "numpy"}
+
+
+def _sources_hash() -> str:
+    """Of every source that defines kernels or vector operations, and of numba's version."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        source = path.read_bytes()
+        if b"numba" in source or b"framework.compute.jit" in source or path.name == "constants.py":
+            digest.update(path.name.encode() + source)
+    return digest.hexdigest()[:16]
+
+
+_config: Any = numba.config
+if not os.environ.get("NUMBA_CACHE_DIR"):
+    _config.CACHE_DIR = str(cache_dir() / "kernels" / _sources_hash())
+
+if _config.CPU_NAME is None and _config.CPU_FEATURES is None:  # nor has the user chosen any
+    _host = get_host_cpu_features()
+    if "+avx512f" in _host.split(","):
+        _config.CPU_FEATURES = f"{_host},-prefer-256-bit"
+
+KERNEL_CACHE = Path(_config.CACHE_DIR)
+
+
+def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile `function` as a kernel that Python calls."""
+    compiled: Callable[..., Any] = numba.njit(cache=True, **_STRICT)(function)
+    return compiled
+
+
+def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile `function` into the kernels that call it."""
+    compiled: Callable[..., Any] = numba.njit(inline="always", **_STRICT)(function)
+    return compiled

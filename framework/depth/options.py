@@ -1,0 +1,88 @@
+"""The options of the depth providers that take more than a line: what the code that estimates
+knows of them, below the providers themselves. Light to import."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+from framework.depth.provider import DepthProvider
+from framework.errors import check_option
+
+KINDS = ("depth", "inverse_depth")
+FILE_ALIGNMENTS = ("scale", "scale_shift", "none")
+INVALID = ("error", "mask")
+NETWORK_ALIGNMENTS = ("points", "plane_sweep", "none")
+PATCH = 14  # pixels per token; the network's input sizes are its multiples
+
+
+@dataclass(frozen=True)
+class PlaneSweepOptions(DepthProvider):
+    """Of `depth=plane_sweep`; penalties are in units of 1 - ZNCC."""
+
+    planes: int = 96  # of inverse depth, evenly spaced
+    radius: int = 3  # of the (2 r + 1)^2 window, pixels
+    neighbours: int = 4  # views each view is matched with, at most
+    penalty_small: float = 0.1  # P1: the match moves by one pixel from pixel to pixel
+    penalty_large: float = 1.0  # P2: it moves by more; less so across image edges
+    edge: float = 20.0  # P2 is divided by 1 + edge x grey difference
+    tolerance: float = 0.03  # relative depth difference at which two views still agree
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check = functools.partial(check_option, self, "depth")
+        check("planes", 3 <= self.planes <= 2048, "3 to 2048")
+        check("radius", 1 <= self.radius <= 15, "1 to 15 pixels")
+        check("neighbours", self.neighbours >= 1, "an integer >= 1")
+        check("penalty_small", 0 <= self.penalty_small <= 1, "a number in [0, 1]")
+        check(
+            "penalty_large",
+            self.penalty_small <= self.penalty_large <= 1,
+            f"a number from penalty_small = {self.penalty_small} to 1",
+        )
+        check("edge", self.edge >= 0, "a number >= 0")
+        check("tolerance", 0 < self.tolerance < 1, "a share in (0, 1)")
+
+
+@dataclass(frozen=True)
+class DepthFileOptions(DepthProvider):
+    """Of `depth=file`."""
+
+    path: str = ""  # folder of the depth maps
+    kind: str = "depth"  # what the maps hold: depth or inverse_depth
+    align: str = "scale"  # to the sparse points: scale, scale_shift or none (already scene units)
+    invalid: str = "error"  # NaN, infinity and negative values: error, or mask (unknown)
+    png_scale: float = 1000.0  # png values are divided by it
+    tolerance: float = 0.0  # relative, of a cross-view check as in plane_sweep; 0 = trust all
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check = functools.partial(check_option, self, "depth")
+        check("path", self.path != "", "the folder of the depth maps")
+        check("kind", self.kind in KINDS, f"one of {', '.join(KINDS)}")
+        check("align", self.align in FILE_ALIGNMENTS, f"one of {', '.join(FILE_ALIGNMENTS)}")
+        check("invalid", self.invalid in INVALID, f"one of {', '.join(INVALID)}")
+        check("png_scale", self.png_scale > 0, "a number > 0")
+        check("tolerance", 0 <= self.tolerance < 1, "a share in [0, 1)")
+
+
+@dataclass(frozen=True)
+class DepthAnything3Options(DepthProvider):
+    """Of `depth=depth_anything_3`."""
+
+    weights: str = "depth-anything/DA3-BASE"  # on the Hugging Face hub, or a local folder
+    revision: str = "main"  # branch, tag or commit on the hub
+    align: str = "points"  # each view's scale: sparse points, plane_sweep, or none (the poses')
+    process_res: int = 504  # longer side of the network's input, pixels
+    device: str = "cpu"  # of torch
+    tolerance: float = 0.05  # relative, of a cross-view check as in plane_sweep; 0 = trust all
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check = functools.partial(check_option, self, "depth")
+        check("weights", self.weights != "", "a name on the hub or a folder")
+        check("revision", self.revision != "", "a branch, tag or commit of the hub")
+        check("align", self.align in NETWORK_ALIGNMENTS, f"one of {', '.join(NETWORK_ALIGNMENTS)}")
+        check("process_res", self.process_res >= PATCH, f"at least {PATCH} pixels")
+        check("device", self.device != "", "a torch device (cpu, cuda)")
+        check("tolerance", 0 <= self.tolerance < 1, "a share in [0, 1)")

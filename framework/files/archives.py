@@ -1,0 +1,61 @@
+"""Zip archives from elsewhere (`.npz`, PyTorch weights): opened only within the limits.
+
+The size of the table of contents and the unpacked sizes are read before anything is allocated for
+them; Python's `zipfile` then never unpacks more than the stated size of a member.
+"""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+from pathlib import Path
+
+from framework.errors import UserError, require
+from framework.files.limits import MIB, check_size
+
+CONTENTS_BYTES = MIB  # of an archive's table of contents: about ten thousand members
+TAIL_BYTES = 22 + 65535  # the closing record with the longest comment
+CLOSING, LOCATOR, CLOSING_64 = b"PK\5\6", b"PK\6\7", b"PK\6\6"
+
+
+def open_zip(path: Path, unpacked_bytes: int) -> zipfile.ZipFile:
+    """The archive. Raises UserError when it is none, or its file, table of contents or unpacked
+    content is too large."""
+    check_size(path, unpacked_bytes)
+    contents = _contents_bytes(path)
+    require(
+        contents <= CONTENTS_BYTES,
+        f"{path}: expected a table of contents of at most {CONTENTS_BYTES:,} bytes, got"
+        f" {contents:,}; pack fewer files",
+    )
+    try:
+        archive = zipfile.ZipFile(path)
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, struct.error) as error:
+        raise UserError(
+            f"{path}: expected a zip archive, got a damaged one ({error}); write it again"
+        ) from None
+    unpacked = sum(member.file_size for member in archive.infolist())
+    if unpacked > unpacked_bytes:
+        archive.close()
+        raise UserError(
+            f"{path}: expected at most {unpacked_bytes:,} bytes when unpacked, got {unpacked:,};"
+            " use smaller arrays (the limits are in framework/files/limits.py)"
+        )
+    return archive
+
+
+def _contents_bytes(path: Path) -> int:
+    """The size of the table of contents that the archive's closing record states (PKWARE
+    APPNOTE 4.3.14 to 4.3.16); 0 without such a record, which `zipfile` refuses."""
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(0, size - TAIL_BYTES - 76))
+        tail = file.read()
+    at = tail.rfind(CLOSING)
+    if at < 0 or at + 22 > len(tail):
+        return 0
+    stated = int(struct.unpack_from("<L", tail, at + 12)[0])
+    record = at - 76
+    if record >= 0 and tail[at - 20 : at - 16] == LOCATOR and tail[record:].startswith(CLOSING_64):
+        stated = max(stated, int(struct.unpack_from("<Q", tail, record + 40)[0]))
+    return stated

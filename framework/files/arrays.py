@@ -1,0 +1,122 @@
+"""`.npy` and `.npz` files from elsewhere: plain numbers only, never pickled objects.
+
+The header's shape is compared with the bytes that are there before memory is taken for it; numpy's
+own `load` allocates what the header says.
+"""
+
+from __future__ import annotations
+
+import lzma
+import math
+import zipfile
+import zlib
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, Literal
+
+from framework.errors import UserError, require
+from framework.files.archives import open_zip
+from framework.files.limits import ARRAY_BYTES, check_size
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+KINDS = "biuf"  # bool, integers, floating point
+UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, zipfile.BadZipFile, zlib.error)
+
+
+def read_npy(path: Path) -> NDArray[Any]:
+    """The array of a `.npy` file. Raises UserError for a damaged, too large or non-numeric one."""
+    size = check_size(path, ARRAY_BYTES)
+    with path.open("rb") as file:
+        return _array(file, size, str(path))
+
+
+def read_npz(path: Path, keys: list[str], most_bytes: int = ARRAY_BYTES) -> list[NDArray[Any]]:
+    """The arrays named `keys` of a `.npz` file. Raises UserError as `read_npy`, or when one is
+    missing; `most_bytes` is for all members of the file together."""
+    with open_zip(path, most_bytes) as archive:
+        known = [name.removesuffix(".npy") for name in archive.namelist()]
+        missing = [key for key in keys if key not in known]
+        require(
+            not missing,
+            f"{path}: expected {_few(keys)}, got {_few(known)}; {len(missing)} missing (first:"
+            f" {missing[0] if missing else ''}), write them with numpy.savez(file, name=array)",
+        )
+        return [_member(archive, f"{key}.npy", path) for key in keys]
+
+
+def _few(names: list[str]) -> str:
+    """The first names of a list that may be long."""
+    shown = ", ".join(repr(name[:40]) for name in names[:4]) or "nothing"
+    return shown + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+
+
+def _member(archive: zipfile.ZipFile, name: str, path: Path) -> NDArray[Any]:
+    where = f"{path}: {name.removesuffix('.npy')}"
+    try:
+        info = archive.getinfo(name)
+        with archive.open(info) as stream:
+            return _array(stream, info.file_size, where)
+    except UserError:
+        raise
+    except (*UNREADABLE, KeyError, lzma.LZMAError) as error:
+        raise _damaged(where, error) from None
+
+
+def _array(stream: IO[bytes], size: int, where: str) -> NDArray[Any]:
+    """The array whose header comes next, the whole being `size` bytes."""
+    import numpy as np
+
+    shape, fortran, dtype, start = _header(stream, where)
+    require(
+        dtype.kind in KINDS and dtype.subdtype is None,
+        f"{where}: expected numbers, got type {str(dtype)[:60]}; save it as float32",
+    )
+    expected = start + math.prod(shape) * dtype.itemsize
+    require(
+        expected == size and size - start <= ARRAY_BYTES,
+        f"{where}: expected {expected:,} bytes for shape {str(shape)[:80]} {dtype}, got {size:,}"
+        f" (at most {ARRAY_BYTES:,}); the file is damaged or too large, write it again",
+    )
+    data = bytearray(size - start)
+    view, at = memoryview(data), 0
+    try:
+        while at < len(data):
+            got = stream.readinto(view[at:])  # type: ignore[attr-defined]
+            require(got > 0, f"{where}: expected {size:,} bytes, got fewer; it is truncated")
+            at += got
+    except UNREADABLE as error:
+        raise error if isinstance(error, UserError) else _damaged(where, error) from None
+    order: Literal["F", "C"] = "F" if fortran else "C"
+    try:
+        return np.ndarray(shape, dtype, buffer=data, order=order)
+    except ValueError as error:  # of several sides, one 0, another beyond all integers
+        raise _damaged(where, error) from None
+
+
+def _header(stream: IO[bytes], where: str) -> tuple[tuple[int, ...], bool, Any, int]:
+    """(shape, Fortran order, dtype, bytes of the header)."""
+    from numpy.lib import format as npy
+
+    readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+    try:
+        version = npy.read_magic(stream)
+        if version not in readers:
+            raise ValueError(f"version {version}")
+        shape, fortran, dtype = readers[version](stream)
+        start = stream.tell()
+    except Exception as error:  # a parser of Python text: tokenizer, recursion, unicode and others
+        raise _damaged(where, error) from None
+    require(
+        all(type(n) is int and n >= 0 for n in shape),
+        f"{where}: expected a shape of integers >= 0, got {str(shape)[:80]}; write it again",
+    )
+    return shape, fortran, dtype, start
+
+
+def _damaged(where: str, error: Exception) -> UserError:
+    reason = " ".join(str(error).split())[:120] or type(error).__name__
+    return UserError(
+        f"{where}: expected a numeric numpy array, got one that cannot be read ({reason}); write it"
+        " again with numpy.save or numpy.savez"
+    )

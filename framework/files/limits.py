@@ -1,0 +1,52 @@
+"""The stated limits: no input file and no configuration makes the program take more than this.
+
+Every reader checks what a header promises against these numbers and the file's size *before* it
+allocates. They are far above what sparse-view training on a CPU can use; who meets one gets a line
+that names it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from framework.errors import require
+
+MIB = 1 << 20
+
+IMAGE_PIXELS = 50_000_000  # of one image or depth map; a 45 megapixel photo fits
+IMAGE_BYTES = 4 * IMAGE_PIXELS  # of one image file
+SCENE_BYTES = 4096 * MIB  # of all images of a scene together, as float32
+SIDE_PIXELS = 65_500  # of an image's or camera's longer side
+ARRAY_BYTES = 8 * IMAGE_PIXELS  # of one array in a .npy or .npz
+PLY_BYTES = 1024 * MIB
+MODEL_BYTES = 512 * MIB  # of one file of a COLMAP model
+MODEL_CELLS = 250_000_000  # points x images of a COLMAP model: who sees what, a byte each
+CHECKPOINT_BYTES = 4096 * MIB
+WEIGHTS_BYTES = 512 * MIB  # of LPIPS weights, unpacked
+TEXT_BYTES = 64 * MIB  # of one JSON or CSV file
+CONFIG_BYTES = MIB // 4  # of one YAML file
+CONFIG_DEPTH = 32  # of nested lists and mappings in a YAML file
+CONFIG_FILES = 1000  # in a folder of configurations
+RUNS = 100_000  # of one command
+PARALLEL_RUNS = 256  # of the joblib launcher
+
+
+def check_size(path: Path, limit: int) -> int:
+    """The size of the file in bytes. Raises UserError when it is larger than `limit` bytes."""
+    size = path.stat().st_size
+    require(
+        size <= limit,
+        f"{path}: expected a file of at most {limit:,} bytes, got {size:,}; use a smaller one (the"
+        " limits are in framework/files/limits.py)",
+    )
+    return size
+
+
+def check_pixels(where: object, width: int, height: int) -> None:
+    """Raise UserError unless width x height is at least one pixel and at most `IMAGE_PIXELS`."""
+    fits = 0 < width <= SIDE_PIXELS and 0 < height <= SIDE_PIXELS
+    require(
+        fits and width * height <= IMAGE_PIXELS,
+        f"{where}: expected an image of 1 to {IMAGE_PIXELS:,} pixels with sides of at most"
+        f" {SIDE_PIXELS:,}, got {width}x{height}; resize it",
+    )

@@ -1,0 +1,349 @@
+"""A finished run on disk. Every file is written whole or not at all; `record.json` comes last, so
+a folder with a complete record is complete.
+
+    record.json        status, identity, config, scene, timings, summary, provenance
+    failed.json        only if the last attempt failed: its error and overrides; if the training
+                       diverged, diverged.safetensors beside it holds the state
+    metrics.csv        one row per test view; an empty cell is explained in its column `missing`
+    history.csv        one row per logged step: loss, PSNR, Gaussians, seconds of training
+    point_cloud.ply    the trained Gaussians, see `framework.records.ply`
+    renders/           <view>.png, <view>_truth.png, <view>_error.png (and <view>_mask.png)
+
+The error map is the absolute difference of the two 8-bit images, mean over channels, in the colour
+map `magma` (perceptually uniform) from 0 (black) to `ERROR_SCALE` (pale yellow), clipped there: one
+fixed scale for every run, so that maps compare across methods.
+
+Times are seconds: wall clock, and CPU time of the process. JSON is strict: what has no finite value
+is null with its reason beside it. Importing this module and reading records needs no torch.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from framework.errors import UserError, require
+from framework.files.limits import TEXT_BYTES, check_size
+from framework.files.whole import write_whole
+from framework.metrics.evaluate import mean_of
+from framework.metrics.values import METRICS, Measurement, Missing, ViewMetrics
+from framework.records.provenance import code_hash, identity_of, provenance, strict_json
+from framework.records.record_check import check_record
+from framework.records.run_files import (
+    ERROR_SCALE,
+    HISTORY_CSV,
+    METRICS_CSV,
+    RENDERS,
+    HistoryRow,
+    Table,
+    file_stems,
+    history_csv,
+    metrics_csv,
+    read_table,
+    write_renders,
+)
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.types import Gaussians, View
+
+__all__ = [
+    "ERROR_SCALE",
+    "TRAIN_STAGE",
+    "HistoryRow",
+    "Run",
+    "RunRecord",
+    "SceneInfo",
+    "StageTime",
+    "code_hash",
+    "find_complete",
+    "identity_of",
+    "parameters_sha256",
+    "provenance",
+    "read_record",
+    "read_run",
+    "write_failed",
+    "write_run",
+]
+
+TRAIN_STAGE = "train"  # the stage whose wall time the report calls train seconds
+METHOD_GROUPS = ("augment", "reg", "capacity", "depth", "init")
+RECORD, PLY = "record.json", "point_cloud.ply"
+FAILED, DIVERGED = "failed.json", "diverged.safetensors"
+
+
+@dataclass(frozen=True)
+class StageTime:
+    """Seconds of one stage: wall clock, and CPU time of the whole process."""
+
+    wall_s: float
+    cpu_s: float
+
+
+@dataclass(frozen=True)
+class SceneInfo:
+    """What was trained on. fingerprint: SHA-256 of all that was loaded; ids: view names."""
+
+    name: str
+    protocol: str
+    fingerprint: str
+    training: tuple[str, ...]
+    test: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """One run. `write_run` fills in the fields from `gaussians` down.
+
+    config: resolved. timings: by stage, in order; the training itself is `TRAIN_STAGE`.
+    provenance: see `framework.records.provenance`. resumed: how often an interrupted training was
+    taken up again; its time is the sum of the parts, the other stages' that of the last process.
+    sh_degree: the highest of any Gaussian. banded: how many have one above 0; None: all, or none
+    where it is 0. summary: mean over the test views of each metric. error: one line, of a failed
+    run.
+    """
+
+    identity: str
+    config: Mapping[str, Any]
+    overrides: tuple[str, ...]
+    scene: SceneInfo | None
+    timings: Mapping[str, StageTime]
+    provenance: Mapping[str, Any]
+    peak_memory_bytes: int = 0
+    resumed: int = 0
+    gaussians: int = 0
+    sh_degree: int = 0
+    banded: int | None = None
+    parameters_sha256: str = ""
+    ply_bytes: int = 0
+    summary: Mapping[str, Measurement] = field(default_factory=dict)
+    status: str = "complete"
+    error: str | None = None
+
+    @property
+    def seed(self) -> int:
+        """The config's seed."""
+        return int(self.config["seed"])
+
+    @property
+    def methods(self) -> dict[str, str]:
+        """The chosen plugin, depth provider and initializer by group."""
+        groups = {group: self.config.get(group) for group in METHOD_GROUPS}
+        return {g: str(c["name"]) for g, c in groups.items() if isinstance(c, Mapping)}
+
+    @property
+    def parameters(self) -> int:
+        """Stored numbers: of each Gaussian 14, and 3 for every SH coefficient above the first of
+        those that have any."""
+        banded = self.gaussians if self.banded is None else self.banded
+        return 14 * self.gaussians + 3 * ((self.sh_degree + 1) ** 2 - 1) * banded
+
+    @property
+    def train_s(self) -> float | None:
+        """Wall seconds of the training stage."""
+        stage = self.timings.get(TRAIN_STAGE)
+        return None if stage is None else stage.wall_s
+
+    @property
+    def train_cpu_s(self) -> float | None:
+        """CPU seconds of the training stage, of all threads."""
+        stage = self.timings.get(TRAIN_STAGE)
+        return None if stage is None else stage.cpu_s
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run read back. metrics, history: the two tables, empty for a failed run."""
+
+    run_dir: Path
+    record: RunRecord
+    metrics: Table
+    history: Table
+
+
+def write_run(
+    run_dir: Path,
+    record: RunRecord,
+    metrics: Sequence[ViewMetrics],
+    history: Sequence[HistoryRow],
+    gaussians: Gaussians,
+    background: Tensor,
+    renders: Sequence[tuple[View, Tensor]],
+) -> RunRecord:
+    """Write all files of a finished run; returns the record as written.
+
+    background: [3]. renders: the test views with their [3, H, W] images, in the order of `metrics`.
+    An old record is removed first, so that a half-repeated run never looks complete.
+    """
+    from framework.records.ply import write_ply
+
+    if [m.view for m in metrics] != [view.name for view, _ in renders]:
+        raise ValueError("write_run: expected metrics and renders of the same views in one order")
+    (run_dir / RECORD).unlink(missing_ok=True)
+    stems = file_stems([m.view for m in metrics])
+    write_renders(run_dir / RENDERS, stems, renders)
+    ply_bytes = write_ply(run_dir / PLY, gaussians, background)
+    write_whole(run_dir / METRICS_CSV, metrics_csv(metrics, stems))
+    write_whole(run_dir / HISTORY_CSV, history_csv(history))
+    finished = dataclasses.replace(
+        record,
+        gaussians=len(gaussians),
+        sh_degree=gaussians.sh_degree,
+        banded=len(gaussians.shN) if gaussians.sh_degree else None,
+        parameters_sha256=parameters_sha256(gaussians),
+        ply_bytes=ply_bytes,
+        summary={name: mean_of(metrics, name) for name in METRICS},
+        status="complete",
+        error=None,
+    )
+    _write_record(run_dir, finished)
+    for name in (FAILED, DIVERGED):  # of an earlier attempt
+        (run_dir / name).unlink(missing_ok=True)
+    return finished
+
+
+def write_failed(
+    run_dir: Path,
+    config: Mapping[str, Any],
+    overrides: Sequence[str],
+    error: str,
+    scene: SceneInfo | None = None,
+    kind: str = "bug",
+) -> RunRecord:
+    """Record a run that ended with `error` (one line) of this kind, so that a study's report can
+    tell it.
+
+    `failed.json` tells it of the last attempt; the record too, unless it is of a complete run,
+    which is kept.
+    """
+    error = " ".join(error.split())
+    told = {"error": error, "kind": kind, "overrides": list(overrides)}
+    write_whole(run_dir / FAILED, strict_json(told, indent=2) + "\n")
+    record = RunRecord(
+        identity="",
+        config=config,
+        overrides=tuple(overrides),
+        scene=scene,
+        timings={},
+        provenance=provenance(),
+        status="failed",
+        error=error,
+    )
+    if not _is_complete(run_dir):
+        _write_record(run_dir, record)
+    return record
+
+
+def _is_complete(run_dir: Path) -> bool:
+    try:
+        return read_record(run_dir / RECORD).status == "complete"
+    except UserError:  # no record yet, or a damaged one
+        return False
+
+
+def read_record(path: Path) -> RunRecord:
+    """The record in a `record.json`. Raises UserError when it is missing or damaged."""
+    require(path.is_file(), f"{path}: expected a run's record, found none; check the path")
+    check_size(path, TEXT_BYTES)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        check_record(content)
+        return _from_json(content)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise UserError(
+            f"{path}: expected a run's record, got a damaged one ({type(error).__name__}: {error});"
+            " delete that folder and run again"
+        ) from error
+
+
+def read_run(run_dir: Path) -> Run:
+    """A run with its tables, without torch. Raises UserError when files are missing or damaged."""
+    record = read_record(run_dir / RECORD)
+    if record.status != "complete":
+        return Run(run_dir, record, Table({}, {}), Table({}, {}))
+    for name in (METRICS_CSV, HISTORY_CSV):
+        require(
+            (run_dir / name).is_file(),
+            f"{run_dir / name}: expected it beside a complete record, found none; delete the folder"
+            " and run again",
+        )
+    try:
+        metrics, history = (read_table(run_dir / name) for name in (METRICS_CSV, HISTORY_CSV))
+    except UserError:
+        raise
+    except (ValueError, IndexError, OverflowError, csv.Error) as error:
+        raise UserError(
+            f"{run_dir}: expected {METRICS_CSV} and {HISTORY_CSV} as a run writes them, got damaged"
+            f" ones ({error}); delete that folder and run again"
+        ) from error
+    return Run(run_dir, record, metrics, history)
+
+
+def find_complete(run_dir: Path, identity: str) -> RunRecord | None:
+    """The record of a complete run with this identity in `run_dir`; None if there is none."""
+    if not all((run_dir / name).is_file() for name in (RECORD, METRICS_CSV, HISTORY_CSV, PLY)):
+        return None
+    try:
+        record = read_record(run_dir / RECORD)
+    except UserError:
+        # damaged or of an older layout: not the asked-for result, so it is run again
+        return None
+    return record if record.status == "complete" and record.identity == identity else None
+
+
+def parameters_sha256(gaussians: Gaussians) -> str:
+    """SHA-256 over name, type, shape and bits of every stored parameter."""
+    digest = hashlib.sha256()
+    for name, tensor in gaussians.items():
+        array = np.ascontiguousarray(tensor.detach().cpu().numpy())
+        digest.update(f"{name} {array.dtype.str} {array.shape}\0".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _write_record(run_dir: Path, record: RunRecord) -> None:
+    content = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
+    content["seed"] = record.config.get("seed")
+    content["methods"] = record.methods
+    content["parameters"] = record.parameters
+    content["scene"] = None if record.scene is None else dataclasses.asdict(record.scene)
+    content["timings"] = [{"stage": k, **dataclasses.asdict(v)} for k, v in record.timings.items()]
+    content["summary"] = {
+        name: {"mean": None, "missing": value.reason}
+        if isinstance(value, Missing)
+        else {"mean": value, "missing": None}
+        for name, value in record.summary.items()
+    }
+    write_whole(run_dir / RECORD, strict_json(content, indent=2) + "\n")
+
+
+def _from_json(content: dict[str, Any]) -> RunRecord:
+    scene = content["scene"]
+    lists = ("training", "test")
+    # records of before runs could be resumed and Gaussians could differ in their SH degree
+    content = {"resumed": 0, "banded": None, **content}
+    fields = {f.name: content[f.name] for f in dataclasses.fields(RunRecord)}
+    return RunRecord(
+        **fields
+        | {
+            "overrides": tuple(content["overrides"]),
+            "scene": scene and SceneInfo(**scene | {key: tuple(scene[key]) for key in lists}),
+            "timings": {
+                entry["stage"]: StageTime(entry["wall_s"], entry["cpu_s"])
+                for entry in content["timings"]
+            },
+            "summary": {
+                name: Missing(entry["missing"]) if entry["mean"] is None else entry["mean"]
+                for name, entry in content["summary"].items()
+            },
+        }
+    )

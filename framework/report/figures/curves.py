@@ -1,0 +1,73 @@
+"""The chart of test PSNR over the training time of each method."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from framework.report.figures.views import shown_methods
+from framework.report.parts.chart import Chart, Point, Series
+from framework.report.statistics.estimates import spread
+from framework.report.study.collect import ReportRun, Study
+from framework.report.study.labels import slug
+
+THIN_SEEDS = 12
+Evaluations = dict[int, tuple[float, float]]  # step -> seconds, test PSNR (dB)
+CAPTION = (
+    "Test PSNR at the evaluation steps against training seconds. Bold: mean over seeds of both at"
+    " equal steps, with the 95 % interval of the mean PSNR; thin: single seeds,"
+    f" the first {THIN_SEEDS} of many."
+)
+
+MEMBERS = (
+    " The trainings of a run with several members follow each other: quality falls where the next"
+    " begins, and the last point is that of the joined Gaussians."
+)
+
+
+def caption(study: Study, scene: str) -> str:
+    """What the chart shows, of members too where a run has some."""
+    trainers = [run.record.config["trainer"] for run in study.of(scene)]
+    return CAPTION + (MEMBERS if any(t.get("members", 1) > 1 for t in trainers) else "")
+
+
+def chart(study: Study, scene: str) -> Chart | None:
+    """None where no history of the scene has an evaluation."""
+    series: list[Series] = []
+    for method in shown_methods(study, scene):
+        found = study.of(scene, method)
+        index = study.families.index(found[0].method_label.family)
+        runs = [table for run in found if len(table := _evaluations(run))]
+        if runs:
+            series += _series(method, index, runs)
+    if not series:
+        return None
+    label = "training time (s, wall clock, without evaluation)"
+    return Chart(f"curves_{slug(scene)}", scene, label, "test PSNR (dB)", tuple(series))
+
+
+def _series(method: str, index: int, runs: Sequence[Evaluations]) -> list[Series]:
+    thin = []
+    if len(runs) > 1:
+        for run in runs[:THIN_SEEDS]:
+            points = tuple(Point(x, y, y, y) for x, y in run.values())
+            thin.append(Series(method, index, points, faint=True))
+    # a mean over fewer seeds at some steps would bend the curve
+    steps = sorted(set(runs[0]).intersection(*runs))
+    mean = tuple(_mean_point(step, [run[step] for run in runs]) for step in steps)
+    return [*thin, Series(f"{method} (n = {len(runs)})", index, mean)] if mean else thin
+
+
+def _mean_point(step: int, pairs: Sequence[tuple[float, float]]) -> Point:
+    found = spread([psnr for _, psnr in pairs])
+    low = high = found.mean
+    if found.mean_interval is not None:
+        low, high = found.mean_interval.low, found.mean_interval.high
+    seconds = sum(second for second, _ in pairs) / len(pairs)
+    return Point(seconds, found.mean, low, high, f"step {step}")
+
+
+def _evaluations(run: ReportRun) -> Evaluations:
+    history = run.run.history.numbers
+    rows = zip(history["step"], history["seconds"], history["test_psnr"], strict=True)
+    return {int(step): (float(s), float(psnr)) for step, s, psnr in rows if not math.isnan(psnr)}

@@ -1,0 +1,128 @@
+"""Pictures of a report: renders and error maps beside the ground truth, with one seed for every
+method; and maps of where the runs of one method disagree.
+
+Disagreement is the standard deviation (n - 1) over seeds of each pixel of the 8-bit renders, root
+mean square over the channels, in units of the full range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+
+from framework.records.run_files import ERROR_SCALE
+from framework.report.figures.files import grid_picture
+from framework.report.figures.views import (
+    ShownViews,
+    choose_views,
+    image_file,
+    psnr_of,
+    shown_methods,
+)
+from framework.report.parts.document import Picture
+from framework.report.parts.grid import Band, Cell, Scale
+from framework.report.statistics.numbers import significant
+from framework.report.study.collect import ReportRun, Study
+from framework.report.study.labels import outside, slug
+from framework.scenes.images import read_image
+
+SIGMA_SCALE, SIGMA_COLORS = 0.1, "viridis"
+FEWEST_SEEDS = 3  # a deviation of two values says little about a pixel
+
+
+def draw_images(study: Study, scene: str) -> Picture | None:
+    """Ground truth, render and error map of the same test views for every method."""
+    shown = choose_views(study, scene)
+    if not shown.views:
+        return None
+    bands = []
+    for view, why in shown.views:
+        truth = Cell("ground truth", read_image(image_file(shown.runs[0], view, "truth")))
+        renders = [
+            Cell(
+                f"{run.method}\n{_psnr_text(run, view)}",
+                read_image(image_file(run, view, "render")),
+            )
+            for run in shown.runs
+        ]
+        errors = [
+            Cell(f"error: {run.method}", read_image(image_file(run, view, "error")))
+            for run in shown.runs
+        ]
+        scale = Scale("mean absolute error", "magma", ERROR_SCALE)
+        groups = ((truth, *renders), tuple(errors))
+        bands.append(Band(f"{outside(view)} ({why})", groups, scale))
+    name, caption = f"images_{slug(scene)}", _images_caption(shown)
+    return grid_picture(study.out_dir, name, bands, f"Images of {scene}", caption, in_viewer=True)
+
+
+def remove_pictures(study: Study, scenes: Sequence[str]) -> None:
+    """Remove what an earlier report drew of these scenes."""
+    for scene in scenes:
+        for kind in ("images", "sigma"):
+            (study.out_dir / f"{kind}_{slug(scene)}.jpg").unlink(missing_ok=True)
+
+
+def draw_sigma_maps(study: Study, scene: str) -> Picture | None:
+    """Where the runs of each method disagree; None where no method has `FEWEST_SEEDS` seeds."""
+    shown = choose_views(study, scene)
+    groups = [
+        (method, runs)
+        for method in shown_methods(study, scene)
+        if len(runs := study.of(scene, method)) >= FEWEST_SEEDS
+    ]
+    if not groups or not shown.views:
+        return None
+    bands = []
+    for view, why in shown.views:
+        truth = Cell("ground truth", read_image(image_file(shown.runs[0], view, "truth")))
+        scale = Scale("standard deviation over seeds", SIGMA_COLORS, SIGMA_SCALE)
+        maps = [_sigma_cell(method, runs, view) for method, runs in groups]
+        bands.append(Band(f"{outside(view)} ({why})", ((truth, *maps),), scale))
+    caption = (
+        "Where the runs of one method disagree: standard deviation of each pixel over the seeds,"
+        f" root mean square over the channels; dark = 0, yellow = {SIGMA_SCALE:g} of the full range"
+        " or more. Below each name: root mean square over the pixels and the number of seeds."
+    )
+    name, alt = f"sigma_{slug(scene)}", f"Deviation over seeds of {scene}"
+    return grid_picture(study.out_dir, name, bands, alt, caption, in_viewer=False)
+
+
+def sigma_map(runs: Sequence[ReportRun], view: str) -> np.ndarray:
+    """[H, W] float64: standard deviation (n - 1) over the runs, root mean square over channels, of
+    the renders in [0, 1]."""
+    total = squares = np.zeros(1)
+    for run in runs:
+        pixels = read_image(image_file(run, view, "render")).astype(np.float64)
+        total, squares = total + pixels, squares + pixels**2
+    n = len(runs)
+    variance = np.maximum(squares - total**2 / n, 0.0) / (n - 1)
+    return np.sqrt(variance.mean(axis=2)) / 255.0
+
+
+def _sigma_cell(method: str, runs: Sequence[ReportRun], view: str) -> Cell:
+    having = [run for run in runs if view in run.files]
+    sigma = sigma_map(having, view)
+    rms = float(np.sqrt((sigma**2).mean()))
+    colours = matplotlib.colormaps[SIGMA_COLORS](np.clip(sigma / SIGMA_SCALE, 0, 1), bytes=True)
+    title = f"{method}\nrms {significant(rms)} (n = {len(having)})"
+    return Cell(title, np.ascontiguousarray(colours[..., :3]))
+
+
+def _psnr_text(run: ReportRun, view: str) -> str:
+    psnr = psnr_of(run, view)
+    return "PSNR infinite" if psnr is None else f"{psnr:.2f} dB"
+
+
+def _images_caption(shown: ShownViews) -> str:
+    seeds = sorted({run.seed for run in shown.runs})
+    seed = f"seed {seeds[0]}" if len(seeds) == 1 else "each method's lowest seed (none is common)"
+    views = "; ".join(f"{outside(view)} ({why})" for view, why in shown.views)
+    return (
+        f"Ground truth, renders with their PSNR, and error maps below them; {seed}. The views are"
+        f" the same for every method, chosen by their mean PSNR over the methods: {views}. Error:"
+        f" mean absolute difference over the channels, black = 0, pale yellow = {ERROR_SCALE:g} or"
+        " more."
+    )

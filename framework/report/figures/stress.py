@@ -1,0 +1,257 @@
+"""Stress studies: PSNR and the gain over the baseline against the strength of a stress, and where
+each method stops helping.
+
+A panel is a scene with all its other conditions fixed, along one stress with at least
+`FEWEST_LEVELS` tested strengths (two, where no panel has so many).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from framework.report.parts.chart import Chart, Point, Series
+from framework.report.statistics.breakdown import Breakdown, break_down
+from framework.report.statistics.estimates import spread
+from framework.report.statistics.numbers import interval_text, mean_text, significant
+from framework.report.study.axes import STRESSES, Axis
+from framework.report.study.collect import ReportRun, Study
+from framework.report.study.labels import slug, text_of
+
+FEWEST_LEVELS = 3
+
+
+@dataclass(frozen=True)
+class Panel:
+    """title: the scene with its fixed conditions. levels: strengths, the weakest stress first.
+    runs: by method and level."""
+
+    title: str
+    axis: Axis
+    levels: tuple[float, ...]
+    runs: dict[str, dict[float, list[ReportRun]]]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Where a method stops helping on a panel. ends: strength and mean gain (dB), of the weakest
+    and of the strongest strength."""
+
+    panel: Panel
+    method: str
+    found: Breakdown
+    ends: tuple[tuple[float, float], tuple[float, float]]
+
+
+def panels(study: Study) -> list[Panel]:
+    """The panels of a study; none where no stress varies."""
+    found = [p for axis in STRESSES for p in _panels_along(study, axis)]
+    rich = [panel for panel in found if len(panel.levels) >= FEWEST_LEVELS]
+    return rich or found
+
+
+def limits(study: Study, shown: Sequence[Panel]) -> list[Limit]:
+    """The break-down of every method but the baselines, on every panel where levels are common."""
+    found = []
+    for panel in shown:
+        for method in panel.runs:
+            gains = _gains(study, panel, method)
+            if gains is not None:
+                means = [(float(v), float(row.mean())) for v, row in zip(*gains, strict=True)]
+                found.append(Limit(panel, method, break_down(*gains), (means[0], means[-1])))
+    return found
+
+
+def shown_scenes(study: Study, shown: Sequence[Panel]) -> list[str]:
+    """The scenes to show in pictures: of a stress study, the ends of every panel."""
+    if not shown:
+        return study.scenes
+    ends = {
+        run.scene
+        for panel in shown
+        for by_level in panel.runs.values()
+        for level in (panel.levels[0], panel.levels[-1])
+        for run in by_level.get(level, [])
+    }
+    along = {r.scene for p in shown for by in p.runs.values() for rs in by.values() for r in rs}
+    return [scene for scene in study.scenes if scene in ends or scene not in along]
+
+
+def charts(study: Study, panel: Panel) -> tuple[Chart, ...]:
+    """PSNR and gain against the strength, with 95 % intervals over seeds."""
+    name = chart_name(panel)
+    reverse = panel.axis.harder < 0
+    order = {method: index for index, method in enumerate(study.methods)}
+    level = [
+        Series(m, order[m], _psnr_points(panel, by_level)) for m, by_level in panel.runs.items()
+    ]
+    gain = [
+        Series(m, order[m], points) for m in panel.runs if (points := _gain_points(study, panel, m))
+    ]
+    label = f"{panel.axis.label}; harder to the right"
+    made = [
+        Chart(
+            name, panel.title, label, "test PSNR (dB)", tuple(level), reverse_x=reverse, dodge=True
+        )
+    ]
+    if gain:
+        y_label = f"gain over {study.baseline} (dB)"
+        made.append(
+            Chart(name, "", label, y_label, tuple(gain), reverse_x=reverse, dodge=True, y_zero=True)
+        )
+    return tuple(made)
+
+
+def chart_name(panel: Panel) -> str:
+    """Of the figure's files."""
+    return f"stress_{slug(panel.title)}_{panel.axis.short}"
+
+
+def rows(panel: Panel) -> list[dict[str, str]]:
+    """A row per method, a column per strength: mean PSNR in dB."""
+    return [
+        {"Method": method}
+        | {
+            f"{panel.axis.short} = {level:g}": mean_text(
+                [run.mean("psnr") for run in by_level.get(level, [])], 2, show_half=True
+            )
+            for level in panel.levels
+        }
+        for method, by_level in panel.runs.items()
+    ]
+
+
+def sentence(limit: Limit) -> str:
+    """What happens to a method's help along a stress, and how large it is at both ends."""
+    found, axis, levels = limit.found, limit.panel.axis, limit.panel.levels
+    if found.n > 1 and not found.significant:
+        return (
+            f"{limit.method}: no significant difference at any strength ({_ends(limit)}; n ="
+            f" {found.n} seeds)."
+        )
+    if not found.helps:
+        said = "helps at no tested strength"
+    elif found.n > 1 and not found.gains:
+        said = f"gains nothing significant and costs quality {_where_below(limit)}"
+    elif found.stops is not None:
+        start = f", having begun at {_at(axis, found.starts)}," if found.starts is not None else ""
+        said = f"stops helping{start} at {_at(axis, found.stops)}"
+    elif found.starts is not None:
+        said = f"begins to help at {_at(axis, found.starts)} and does not stop"
+    else:
+        said = f"helps from {_at(axis, levels[0])} to {_at(axis, levels[-1])}"
+    return f"{limit.method} {said} ({_evidence(limit)})."
+
+
+def _where_below(limit: Limit) -> str:
+    """Where a method that gains nothing significant is below the baseline."""
+    found, axis = limit.found, limit.panel.axis
+    weaker, stronger = ("below", "above") if axis.harder > 0 else ("above", "below")
+    ends = ((weaker, found.starts), (stronger, found.stops))
+    return " and ".join(f"{side} {_at(axis, at)}" for side, at in ends if at is not None)
+
+
+def _evidence(limit: Limit) -> str:
+    found = limit.found
+    if found.n < 2:
+        return f"{_ends(limit)}; n = 1: nothing can be said about its noise"
+    seeds = f"{_ends(limit)}; n = {found.n} seeds"
+    if found.interval is None:
+        return f"{seeds}; the sign is beyond doubt at every tested strength"
+    hardest = limit.panel.levels[-1]
+    open_end = hardest in (found.interval.low, found.interval.high)
+    beyond = f", open towards {_at(limit.panel.axis, hardest)}" if open_end else ""
+    return f"{seeds}; 95 % interval of the turning point {interval_text(found.interval)}{beyond}"
+
+
+def _ends(limit: Limit) -> str:
+    """The mean gain at the weakest and at the strongest strength that was compared."""
+    (first, low), (last, high) = limit.ends
+    axis = limit.panel.axis
+    return f"gain {low:+.2f} dB at {_at(axis, first)}, {high:+.2f} dB at {_at(axis, last)}"
+
+
+def _at(axis: Axis, value: float) -> str:
+    return axis.at.format(f"{float(significant(value)):g}")
+
+
+def _panels_along(study: Study, axis: Axis) -> list[Panel]:
+    groups: dict[tuple[object, ...], list[ReportRun]] = defaultdict(list)
+    for run in study.runs:
+        if run.level(axis) is not None:
+            label = run.scene_label
+            others = tuple((k, text_of(v)) for k, v in label.data.items() if k != axis.key)
+            groups[label.name, others].append(run)
+    found = []
+    for runs in groups.values():
+        levels = {level for run in runs if (level := run.level(axis)) is not None}
+        if len(levels) > 1:
+            found.append(_panel(study, axis, runs, sorted(levels, key=lambda v: axis.harder * v)))
+    return found
+
+
+def _panel(study: Study, axis: Axis, runs: list[ReportRun], levels: list[float]) -> Panel:
+    cells: dict[str, dict[float, list[ReportRun]]] = {}
+    for method in study.methods:
+        for run in runs:
+            level = run.level(axis)
+            if run.method == method and level is not None:
+                cells.setdefault(method, {}).setdefault(level, []).append(run)
+    return Panel(_title(study, axis, runs[0]), axis, tuple(levels), cells)
+
+
+def _title(study: Study, axis: Axis, run: ReportRun) -> str:
+    """The scene and those of its conditions that differ in the study."""
+    named = []
+    for key, value in run.scene_label.data.items():
+        if key != axis.key and len({text_of(r.scene_label.data.get(key)) for r in study.runs}) > 1:
+            named.append(f"{key.rpartition('.')[2]}={text_of(value)}")
+    name = run.scene_label.name
+    return f"{name} ({', '.join(named)})" if named else name
+
+
+def _seed_values(runs: Sequence[ReportRun]) -> dict[int, float]:
+    return {run.seed: psnr for run in runs if (psnr := run.mean("psnr")) is not None}
+
+
+def _gains(study: Study, panel: Panel, method: str) -> tuple[np.ndarray, np.ndarray] | None:
+    """Levels [L] and gains [L, n] over the baseline, for the seeds both have at all levels."""
+    base = study.baseline_of(method)
+    if base == method or base not in panel.runs:
+        return None
+    pairs = [
+        (_seed_values(panel.runs[method].get(v, [])), _seed_values(panel.runs[base].get(v, [])))
+        for v in panel.levels
+    ]
+    used = [k for k, (a, b) in enumerate(pairs) if a.keys() & b.keys()]
+    if len(used) < 2:
+        return None
+    seeds = sorted(set.intersection(*({*pairs[k][0]} & {*pairs[k][1]} for k in used)))
+    if not seeds:
+        return None
+    gains = [[pairs[k][0][seed] - pairs[k][1][seed] for seed in seeds] for k in used]
+    return np.array([panel.levels[k] for k in used]), np.array(gains)
+
+
+def _psnr_points(panel: Panel, by_level: dict[float, list[ReportRun]]) -> tuple[Point, ...]:
+    found = {level: list(_seed_values(by_level.get(level, [])).values()) for level in panel.levels}
+    return tuple(point(level, values) for level, values in found.items() if values)
+
+
+def _gain_points(study: Study, panel: Panel, method: str) -> tuple[Point, ...]:
+    gains = _gains(study, panel, method)
+    if gains is None:
+        return ()
+    return tuple(point(float(level), list(row)) for level, row in zip(*gains, strict=True))
+
+
+def point(x: float, values: Sequence[float]) -> Point:
+    """The mean of `values` with its 95 % interval, at `x`."""
+    found = spread(values)
+    low = high = found.mean
+    if found.mean_interval is not None:
+        low, high = found.mean_interval.low, found.mean_interval.high
+    return Point(x, found.mean, low, high, f"n = {found.n}")

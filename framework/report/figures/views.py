@@ -1,0 +1,97 @@
+"""Which runs and test views a report shows pictures of, and their image files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from framework.files.paths import inside
+from framework.records.run_files import RENDERS
+from framework.report.statistics.numbers import average
+from framework.report.study.collect import ReportRun, Study
+
+EMBEDDED = "embedded"  # the name of the only scene whose pictures are ours
+
+
+@dataclass(frozen=True)
+class ShownViews:
+    """What an image grid shows: one run per method, and (view, why it was chosen) pairs."""
+
+    runs: tuple[ReportRun, ...]
+    views: tuple[tuple[str, str], ...]
+
+
+def shown_methods(study: Study, scene: str) -> list[str]:
+    """The methods with runs on a scene; of one with several budgets, the budget with the highest
+    mean PSNR there, as all of them would fill pages."""
+    best: dict[str, tuple[float, str]] = {}
+    for method in study.methods:
+        runs = study.of(scene, method)
+        if runs:
+            psnr = average([run.mean("psnr") for run in runs])
+            entry = (-math.inf if psnr is None else psnr, method)
+            family = runs[0].method_label.family
+            best[family] = max(best.get(family, entry), entry, key=lambda pair: pair[0])
+    return [method for _, method in best.values()]
+
+
+def choose_views(study: Study, scene: str) -> ShownViews:
+    """The lowest seed that every shown method has, and up to three test views by their mean PSNR
+    over those runs: where views are tagged, the median one of each tag and the worst of all; else
+    best, median and worst."""
+    present = [study.of(scene, method) for method in shown_methods(study, scene)]
+    common = set.intersection(*({run.seed for run in runs} for runs in present))
+    seeds = [min(common) if common else runs[0].seed for runs in present]
+    chosen = tuple(
+        next(run for run in runs if run.seed == seed)
+        for runs, seed in zip(present, seeds, strict=True)
+    )
+    return ShownViews(chosen, tuple(_pick(chosen).items()))
+
+
+def image_file(run: ReportRun, view: str, kind: str) -> Path:
+    """kind: `render`, `truth` or `error`. Raises UserError where that leads out of the run."""
+    suffix = "" if kind == "render" else f"_{kind}"
+    return inside(run.run.run_dir, f"{RENDERS}/{run.files[view]}{suffix}.png")
+
+
+def psnr_of(run: ReportRun, view: str) -> float | None:
+    """A view's PSNR in dB; None where it is infinite."""
+    return None if math.isnan(run.psnr[view]) else run.psnr[view]
+
+
+def _pick(runs: Sequence[ReportRun]) -> dict[str, str]:
+    """View -> why, for the views that all runs have."""
+    common = set.intersection(*(set(run.psnr) for run in runs))
+    mean = {view: _mean_psnr(runs, view) for view in runs[0].psnr if view in common}
+    if not mean:
+        return {}
+    ranked = sorted(mean, key=lambda view: -mean[view])
+    texts = runs[0].run.metrics.texts
+    tags = {view: own.split() for view, own in zip(texts["view"], texts["tags"], strict=True)}
+    wanted = []
+    for tag in ("interpolating", "extrapolating"):
+        tagged = [view for view in ranked if tag in tags[view]]
+        if tagged:
+            wanted.append((f"{tag}, median", tagged[len(tagged) // 2]))
+    if not wanted:
+        wanted = [("best", ranked[0]), ("median", ranked[len(ranked) // 2])]
+    picked: dict[str, str] = {}
+    for why, view in (*wanted, ("worst", ranked[-1])):
+        picked[view] = f"{picked[view]}; {why}" if view in picked else why
+    return picked
+
+
+def _mean_psnr(runs: Sequence[ReportRun], view: str) -> float:
+    values = [run.psnr[view] for run in runs]
+    return float(np.mean([math.inf if math.isnan(psnr) else psnr for psnr in values]))
+
+
+def own_scenes(study: Study) -> list[str]:
+    """The scenes that are the repository's own, whose pictures anybody may have."""
+    own = {run.scene for run in study.runs if run.record.config["scene"]["name"] == EMBEDDED}
+    return [scene for scene in study.scenes if scene in own]

@@ -1,0 +1,113 @@
+"""The break-down point: the strength of a stress at which a method stops helping.
+
+At every tested strength there are differences `method - baseline` in dB, one per seed, the same
+seeds at all strengths. Between neighbouring strengths each seed's difference is interpolated
+linearly. The break-down point is where the mean of these curves first falls to zero, going from the
+weakest stress to the strongest.
+
+Its interval holds every strength at which a paired t test (n - 1 degrees of freedom) does not
+refute "the mean difference is zero here": with normal errors and a truth that is linear between the
+tested strengths, it covers a zero of the truth with the stated probability (Fieller 1954). It is
+the hull of these strengths, hence wider where they are not connected.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from framework.report.statistics.estimates import CONFIDENCE, Interval, t_quantile
+
+
+@dataclass(frozen=True)
+class Breakdown:
+    """What the mean difference does from the weakest to the strongest tested stress.
+
+    helps: it is above zero at some tested strength. starts: where it first rises above zero, None
+    where it begins above or never does. stops: the break-down point, None where it does not fall
+    to zero. interval: hull of the strengths where a zero is not refuted, None where it is refuted
+    everywhere or with fewer than two seeds. n: seeds. significant: some tested strength differs
+    from zero, Bonferroni-corrected; gains: so does one where it is above zero.
+    """
+
+    helps: bool
+    starts: float | None
+    stops: float | None
+    interval: Interval | None
+    n: int
+    significant: bool
+    gains: bool
+
+
+def break_down(strengths: np.ndarray, gains: np.ndarray) -> Breakdown:
+    """strengths: [L] in the order of growing stress (rising or falling numbers), L >= 2. gains:
+    [L, n] dB, method minus baseline, one column per seed."""
+    if len(strengths) < 2 or gains.ndim != 2 or gains.shape[0] != len(strengths):
+        raise ValueError(f"break_down: expected [L] and [L, n], L >= 2, got {gains.shape}")
+    mean, n = gains.mean(axis=1), gains.shape[1]
+    starts, stops = _zeros(strengths, mean)
+    helps = bool((mean > 0).any())
+    if n < 2:
+        return Breakdown(helps, starts, stops, None, n, False, False)
+    doubtful = _doubtful(strengths, gains)
+    interval = Interval(min(doubtful), max(doubtful)) if doubtful else None
+    differs = _differs(gains)
+    above = bool((differs & (mean > 0)).any())
+    return Breakdown(helps, starts, stops, interval, n, bool(differs.any()), above)
+
+
+def _zeros(strengths: np.ndarray, mean: np.ndarray) -> tuple[float | None, float | None]:
+    """The first rise above zero (unless it begins there) and the first fall to it."""
+    starts = stops = None
+    for k in range(len(mean) - 1):
+        rises, falls = mean[k] <= 0 < mean[k + 1], mean[k] > 0 >= mean[k + 1]
+        if not (rises or falls):
+            continue
+        share = mean[k] / (mean[k] - mean[k + 1])
+        zero = float(strengths[k] + share * (strengths[k + 1] - strengths[k]))
+        if rises and starts is None and stops is None:
+            starts = zero
+        if falls and stops is None:
+            stops = zero
+    return starts, stops
+
+
+def _doubtful(strengths: np.ndarray, gains: np.ndarray) -> list[float]:
+    """Ends of the pieces where zero is not refuted: on a segment with seeds u + w v, w in [0, 1],
+    mean(u + w v)^2 <= t^2 / n var(u + w v), a quadratic in w."""
+    n = gains.shape[1]
+    limit = t_quantile(n - 1) ** 2 / n
+    ends: list[float] = []
+    for k in range(len(strengths) - 1):
+        u, v = gains[k], gains[k + 1] - gains[k]
+        cov = np.cov(u, v).tolist()
+        a = float(v.mean()) ** 2 - limit * cov[1][1]
+        b = 2 * (float(u.mean() * v.mean()) - limit * cov[0][1])
+        c = float(u.mean()) ** 2 - limit * cov[0][0]
+        inside = [w for w, value in ((0.0, c), (1.0, a + b + c)) if value <= 0]
+        shares = [*inside, *(w for w in _roots(a, b, c) if 0 <= w <= 1)]
+        ends += [float(strengths[k] + w * (strengths[k + 1] - strengths[k])) for w in shares]
+    return ends
+
+
+def _roots(a: float, b: float, c: float) -> list[float]:
+    """Real zeros of a w^2 + b w + c, without cancellation."""
+    inner = b * b - 4 * a * c
+    if inner < 0:
+        return []
+    q = -0.5 * (b + math.copysign(math.sqrt(inner), b))
+    return [top / bottom for top, bottom in ((q, a), (c, q)) if bottom != 0]
+
+
+def _differs(gains: np.ndarray) -> np.ndarray:
+    """[L] bool: whether the mean is other than zero, Bonferroni-corrected for all strengths."""
+    n = gains.shape[1]
+    sd = gains.std(axis=1, ddof=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.abs(gains.mean(axis=1)) / (sd / np.sqrt(n))
+    p = 2 * special.stdtr(n - 1, -np.nan_to_num(t, nan=0.0, posinf=np.inf))
+    found: np.ndarray = p < (1 - CONFIDENCE) / len(p)
+    return found

@@ -1,0 +1,87 @@
+"""Numbers as text, with as many digits as their uncertainty supports: it is shown with two
+significant digits, and the number to the same decimal place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from framework.report.statistics.estimates import Interval, spread
+
+ABSENT = "–"
+
+
+def decimals(uncertainty: float, most: int) -> int:
+    """Decimal places that give `uncertainty` two significant digits; `most` where it is 0."""
+    if not (uncertainty > 0 and math.isfinite(uncertainty)):
+        return most
+    return min(most, max(0, 1 - math.floor(math.log10(uncertainty))))
+
+
+def significant(value: float, digits: int = 2) -> str:
+    """`value` with so many significant digits, without an exponent."""
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g}"
+    places = digits - 1 - math.floor(math.log10(abs(value)))
+    return f"{round(value, places):.{max(0, places)}f}"
+
+
+def mean_text(values: Sequence[float | None], most: int, show_half: bool = False) -> str:
+    """The mean, rounded by the half width of its 95 % interval, with it if `show_half`; `–`
+    unless there are values and none is missing."""
+    known = [value for value in values if value is not None]
+    if not known or len(known) < len(values):
+        return ABSENT
+    found = spread(known)
+    if found.mean_interval is None:
+        return f"{found.mean:.{most}f}"
+    half = (found.mean_interval.high - found.mean_interval.low) / 2
+    places = decimals(half, most)
+    if show_half and half > 0:
+        return f"{found.mean:.{places}f} ± {half:.{places}f}"
+    return f"{found.mean:.{places}f}"
+
+
+def sigma_text(values: Sequence[float]) -> str:
+    """`0.16 [0.084 to 1.0] (n = 3)`."""
+    if len(values) == 0:
+        return ABSENT
+    found = spread(values)
+    if found.sd is None or found.sd_interval is None:
+        return f"{ABSENT} (n = 1)"
+    return f"{significant(found.sd)} [{spanned(found.sd_interval)}] (n = {found.n})"
+
+
+def spanned(interval: Interval) -> str:
+    """An interval of a positive quantity: `0.084 to 1.0`."""
+    return f"{significant(interval.low)} to {significant(interval.high)}"
+
+
+def interval_text(interval: Interval, most: int = 2) -> str:
+    """`0.21 to 0.60`, rounded by its own width, at most to `most` decimals."""
+    places = decimals((interval.high - interval.low) / 2, most)
+    return f"{_zero(interval.low, places)} to {_zero(interval.high, places)}"
+
+
+def p_text(p: float) -> str:
+    """`p = 0.012`, or `p < 0.001`."""
+    return "p < 0.001" if p < 0.001 else f"p = {p:.2g}"
+
+
+def signed(difference: float, interval: Interval | None) -> str:
+    """`+0.21`, rounded by the interval."""
+    places = 2 if interval is None else decimals((interval.high - interval.low) / 2, 2)
+    return f"{difference:+.{places}f}"
+
+
+def average(values: Sequence[float | None]) -> float | None:
+    """The mean; None unless there are values and none is missing."""
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known and len(known) == len(values) else None
+
+
+def _zero(value: float, places: int) -> str:
+    text = f"{value:.{places}f}"
+    return text.removeprefix("-") if float(text) == 0 else text

@@ -1,0 +1,147 @@
+"""Stability as numbers: are two methods' standard deviations over seeds different, and how many
+seeds would tell?
+
+- Test: Brown and Forsythe (1974), an F test on the absolute distances from the median. It needs no
+  normal errors; below about ten seeds it is conservative.
+- Interval of the ratio: sd_a / sd_b over the quantiles of F(n_a - 1, n_b - 1), both samples normal
+  and independent of each other.
+- Seeds needed: smallest n per method for which the two-sided F test at 5 % finds the observed ratio
+  with a power of 80 %, normal errors.
+- Mean of deviations over scenes: each s_k is divided by c4(n_k), its bias under normal errors; the
+  interval takes the mean as a scaled chi with as many degrees of freedom as give its variance
+  (Satterthwaite), scenes independent of each other.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from framework.report.statistics.estimates import CONFIDENCE, SIGNIFICANCE, Interval, chi2_quantiles
+
+POWER = 0.8
+MOST_SEEDS = 10_000
+
+
+@dataclass(frozen=True)
+class SigmaComparison:
+    """ratio: sd of `method` / sd of `baseline`, None where one is 0, with its interval; p: of the
+    Brown-Forsythe test."""
+
+    method: str
+    baseline: str
+    ratio: float | None
+    interval: Interval | None
+    p: float
+    p_holm: float | None = None
+
+    @property
+    def significant(self) -> bool:
+        return self.p_holm is not None and self.p_holm < SIGNIFICANCE
+
+    @property
+    def seeds(self) -> int | None:
+        """Per method to tell this ratio from 1; None without a ratio and above `MOST_SEEDS`."""
+        return None if self.ratio is None else seeds_needed(self.ratio)
+
+
+def compare_sigmas(
+    method: str, values: Sequence[float], baseline: str, others: Sequence[float]
+) -> SigmaComparison | None:
+    """The standard deviations of two samples; None where one has fewer than three values."""
+    if min(len(values), len(others)) < 3:
+        return None
+    a, b = np.asarray(values, dtype=np.float64), np.asarray(others, dtype=np.float64)
+    p = brown_forsythe(a, b)
+    sd_a, sd_b = float(a.std(ddof=1)), float(b.std(ddof=1))
+    if sd_a == 0 or sd_b == 0:
+        return SigmaComparison(method, baseline, None, None, p)
+    ratio = sd_a / sd_b
+    interval = _ratio_interval(ratio, len(a), len(b))
+    return SigmaComparison(method, baseline, ratio, interval, p)
+
+
+def brown_forsythe(a: np.ndarray, b: np.ndarray) -> float:
+    """Two-sided p of equal spread; 1 where neither sample varies."""
+    if not (np.ptp(a) > 0 or np.ptp(b) > 0):
+        return 1.0
+    from scipy.stats import levene  # a second to import, which studies of one method do not need
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        p = float(levene(a, b, center="median").pvalue)
+    # all distances equal within both samples: a difference without noise, or none at all
+    return p if math.isfinite(p) else float(np.isclose(np.ptp(a), np.ptp(b)))
+
+
+def seeds_needed(ratio: float) -> int | None:
+    """Seeds per method that tell sds with this ratio apart; None above `MOST_SEEDS`."""
+    high = 2
+    while _power(ratio, high) < POWER:
+        if high >= MOST_SEEDS:
+            return None
+        high = min(2 * high, MOST_SEEDS)
+    low = high // 2  # the power rises with n
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if _power(ratio, middle) >= POWER else (middle, high)
+    return high
+
+
+def mean_deviation(samples: Sequence[Sequence[float]]) -> tuple[float, Interval] | None:
+    """Mean over the samples (scenes) of their standard deviation, freed from its bias, with its
+    interval; None where a sample has fewer than two values or there is no sample."""
+    if not samples or min(len(sample) for sample in samples) < 2:
+        return None
+    n = np.array([len(sample) for sample in samples], dtype=np.float64)
+    sds = np.array([np.std(sample, ddof=1) for sample in samples]) / c4(n)
+    mean = float(sds.mean())
+    if mean == 0:
+        return 0.0, Interval(0.0, 0.0)
+    variance = float(np.sum(sds**2 * (1 / c4(n) ** 2 - 1))) / len(sds) ** 2
+    freedom = _freedom(variance / mean**2)
+    high, low = chi2_quantiles(freedom)
+    unit = mean * float(_c4_of_freedom(freedom)) * math.sqrt(freedom)
+    return mean, Interval(unit / math.sqrt(high), unit / math.sqrt(low))
+
+
+def c4(n: np.ndarray) -> np.ndarray:
+    """Expected sd of n standard normal values: sqrt(2 / (n - 1)) Gamma(n / 2) / Gamma((n-1)/2)."""
+    return _c4_of_freedom(n - 1.0)
+
+
+def _c4_of_freedom(freedom: np.ndarray | float) -> np.ndarray:
+    k = np.asarray(freedom, dtype=np.float64)
+    return np.sqrt(2 / k) * np.exp(special.gammaln((k + 1) / 2) - special.gammaln(k / 2))
+
+
+def _freedom(relative_variance: float) -> float:
+    """Degrees of freedom whose bias-free chi has this relative variance, 1 / c4^2 - 1."""
+    low, high = 0.05, 1e7
+    for _ in range(50):
+        middle = math.sqrt(low * high)
+        above = 1 / float(_c4_of_freedom(middle)) ** 2 - 1 > relative_variance
+        low, high = (middle, high) if above else (low, middle)
+    return math.sqrt(low * high)
+
+
+def _power(ratio: float, n: int) -> float:
+    """Power of the two-sided F test for n values each and this true ratio of sds."""
+    low, high = (quantile / ratio**2 for quantile in _f_quantiles(n - 1, n - 1))
+    return float(special.fdtr(n - 1, n - 1, low) + special.fdtrc(n - 1, n - 1, high))
+
+
+def _ratio_interval(ratio: float, n: int, other_n: int) -> Interval:
+    low, high = _f_quantiles(n - 1, other_n - 1)
+    return Interval(ratio / math.sqrt(high), ratio / math.sqrt(low))
+
+
+@functools.cache
+def _f_quantiles(a: int, b: int) -> tuple[float, float]:
+    """The 2.5 % and 97.5 % quantiles of F(a, b)."""
+    low, high = special.fdtri(a, b, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return float(low), float(high)

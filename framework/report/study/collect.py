@@ -1,0 +1,349 @@
+"""The runs of one or more studies, each with the name of its method and of its scene."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from framework.errors import UserError, require
+from framework.metrics.values import Missing
+from framework.records.record import FAILED, RECORD, Run, RunRecord, read_run
+from framework.report.study.axes import Axis
+from framework.report.study.labels import (
+    MethodLabel,
+    SceneLabel,
+    listed,
+    method_labels,
+    outside,
+    scene_labels,
+)
+from framework.report.study.order import BASELINE, method_order, natural
+
+BUSY = 1.3  # wall seconds per CPU second of a training from which others shared its cores
+
+
+@dataclass(frozen=True)
+class ReportRun:
+    """A complete run with the labels it has in this study."""
+
+    run: Run
+    method_label: MethodLabel
+    scene_label: SceneLabel
+
+    @property
+    def method(self) -> str:
+        return self.method_label.full
+
+    @property
+    def scene(self) -> str:
+        return self.scene_label.full
+
+    @property
+    def record(self) -> RunRecord:
+        return self.run.record
+
+    @property
+    def seed(self) -> int:
+        return self.run.record.seed
+
+    def mean(self, metric: str) -> float | None:
+        """Mean of a metric over the test views; None where it is missing."""
+        value = self.record.summary.get(metric, Missing("not measured"))
+        return None if isinstance(value, Missing) else float(value)
+
+    @cached_property
+    def files(self) -> dict[str, str]:
+        """View -> first part of the names of its image files."""
+        texts = self.run.metrics.texts
+        return dict(zip(texts["view"], texts["file"], strict=True))
+
+    @cached_property
+    def psnr(self) -> dict[str, float]:
+        """View -> PSNR in dB, NaN where it is infinite."""
+        table = self.run.metrics
+        return dict(zip(table.texts["view"], table.numbers["psnr"].tolist(), strict=True))
+
+    def level(self, axis: Axis) -> float | None:
+        """The strength of a stress; None where the run's options do not have it as a number."""
+        value = self.scene_label.data.get(axis.key)
+        return float(value) if isinstance(value, int | float) else None
+
+
+@dataclass(frozen=True)
+class FailedRun:
+    """A run that ended with an error. kind: of it, a word or two, "" where that was not kept.
+    method, scene: "" where it left no configuration."""
+
+    run_dir: Path
+    error: str
+    kind: str
+    overrides: tuple[str, ...]
+    config: Mapping[str, Any]
+    provenance: Mapping[str, Any]
+    method: str = ""
+    scene: str = ""
+
+    @property
+    def seed(self) -> int | None:
+        return int(self.config["seed"]) if "seed" in self.config else None
+
+
+@dataclass(frozen=True)
+class Study:
+    """out_dir: where the report goes. runs: complete, sorted by scene, method, seed. notes: what a
+    reader must be told. missing: (scene, method, seed) that a full cross would have. linked:
+    whether the folders of the runs can be reached from the report."""
+
+    out_dir: Path
+    runs: tuple[ReportRun, ...]
+    failed: tuple[FailedRun, ...]
+    notes: tuple[str, ...]
+    missing: tuple[tuple[str, str, int], ...] = ()
+    linked: bool = True
+
+    @cached_property
+    def scenes(self) -> list[str]:
+        """Scene labels, sorted."""
+        return sorted({run.scene for run in self.runs}, key=natural)
+
+    @cached_property
+    def methods(self) -> list[str]:
+        """Method labels: the baseline first, then by name."""
+        return sorted({run.method for run in self.runs}, key=method_order)
+
+    @property
+    def tried(self) -> list[str]:
+        """`methods` and those of which every run failed."""
+        names = {run.method for run in self.runs} | {run.method for run in self.failed}
+        return sorted(names - {""}, key=method_order)
+
+    @cached_property
+    def families(self) -> list[str]:
+        """Method labels without budgets, in the order of `methods`."""
+        return sorted({run.method_label.family for run in self.runs}, key=method_order)
+
+    @property
+    def baseline(self) -> str:
+        """What the others are compared with: `none + none` if it ran, else the first by name."""
+        return self.methods[0]
+
+    @cached_property
+    def by_cpu(self) -> bool:
+        """Whether to compare the CPU seconds of trainings: other programs ran beside some."""
+        return any(map(_disturbed, self.runs))
+
+    @property
+    def has_plain(self) -> bool:
+        """Whether the baseline is `none + none`, perhaps with options of its own."""
+        return bool(self.runs) and self.baseline.startswith(BASELINE)
+
+    def baseline_of(self, method: str) -> str:
+        """The baseline with the budget and, for another method, the other options of `method`, as
+        far as there is one; else the study's."""
+        if len(self.families) < 2:
+            return self.baseline
+        labels = {run.method: run.method_label for run in self.runs}
+        own = labels.get(method, MethodLabel(method))
+        equal = [m for m in self.methods if labels[m].budget == own.budget]
+        plain = labels[self.baseline].pair
+        alike = [m for m in equal if (labels[m].pair, labels[m].options) == (plain, own.options)]
+        if own.pair != plain and alike:
+            return alike[0]
+        return equal[0] if equal else self.baseline
+
+    def of(self, scene: str | None = None, method: str | None = None) -> list[ReportRun]:
+        """The runs of a scene and method (None = any), by seed."""
+        return [
+            run for run in self.runs if scene in (None, run.scene) and method in (None, run.method)
+        ]
+
+    def folder_of(self, run_dir: Path) -> str:
+        """`run_dir` as seen from the report."""
+        return Path(os.path.relpath(run_dir.resolve(), self.out_dir.resolve())).as_posix()
+
+
+def collect(study_dirs: Path | Sequence[Path], out_dir: Path | None = None) -> Study:
+    """Read every record below the folders. out_dir: where the report goes, else the first folder.
+
+    Raises UserError if a folder has no run, or a record is damaged.
+    """
+    folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
+    runs, failed, origins = [], [], []
+    for folder in folders:
+        complete, lost = _read(folder)
+        require(
+            len(complete) + len(lost) > 0,
+            f"{folder}: expected a study's folder with runs in it, got none; give the folder that"
+            " holds runs/, as reports/embedded",
+        )
+        runs += complete
+        failed += lost
+        origins += [folder] * len(complete)
+    labelled, named = _label(runs, failed)
+    missing = _missing(labelled, named, origins)
+    unique, repeated = _without_repeats(labelled)
+    unique.sort(key=lambda r: (natural(r.scene), method_order(r.method), r.seed))
+    told = (_repeat_notes(unique), _equal_notes(unique), _code_notes(runs), _busy_notes(unique))
+    notes = (*repeated, *chain(*told))
+    return Study(out_dir or folders[0], tuple(unique), tuple(named), notes, tuple(missing))
+
+
+def _read(folder: Path) -> tuple[list[Run], list[FailedRun]]:
+    """All complete and all failed runs below `folder`, by path."""
+    if not folder.is_dir():
+        return [], []
+    paths = sorted({path.parent for path in [*folder.rglob(RECORD), *folder.rglob(FAILED)]})
+    complete, failed = [], []
+    for path in paths:
+        run = read_run(path) if (path / RECORD).is_file() else None
+        if run is not None and run.record.status == "complete":
+            complete.append(run)
+        elif run is not None:
+            record = run.record
+            error = record.error or "not told"
+            kind = _read_failed(path).kind if (path / FAILED).is_file() else ""
+            failed.append(
+                FailedRun(path, error, kind, record.overrides, record.config, record.provenance)
+            )
+        else:
+            failed.append(_read_failed(path))
+    return complete, failed
+
+
+def _read_failed(run_dir: Path) -> FailedRun:
+    """What a failed run left: its error, and the configuration Hydra noted beside it."""
+    path, composed = run_dir / FAILED, run_dir / ".hydra" / "config.yaml"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        error, kind = str(content["error"]), str(content.get("kind", ""))
+        overrides = tuple(str(override) for override in content["overrides"])
+        config = yaml.safe_load(composed.read_text(encoding="utf-8")) if composed.is_file() else {}
+    except (ValueError, KeyError, TypeError, AttributeError, OSError, yaml.YAMLError) as problem:
+        raise UserError(
+            f"{path}: expected the error of a failed run, got a damaged file ({problem}); delete"
+            " that folder and run again"
+        ) from problem
+    return FailedRun(run_dir, error, kind, overrides, config or {}, {})
+
+
+def _label(
+    runs: Sequence[Run], failed: Sequence[FailedRun]
+) -> tuple[list[ReportRun], list[FailedRun]]:
+    """Names among all runs, so that a failed run has the name its method has elsewhere."""
+    known = [run for run in failed if run.config]
+    configs = [run.record.config for run in runs] + [run.config for run in known]
+    methods = method_labels(configs)
+    scenes = scene_labels(configs, [run.record.scene for run in runs] + [None] * len(known))
+    cut = len(runs)
+    labelled = [ReportRun(*p) for p in zip(runs, methods[:cut], scenes[:cut], strict=True)]
+    named = {
+        run.run_dir: (method.full, scene.full)
+        for run, method, scene in zip(known, methods[cut:], scenes[cut:], strict=True)
+    }
+    return labelled, [_named(run, *named.get(run.run_dir, ("", ""))) for run in failed]
+
+
+def _named(run: FailedRun, method: str, scene: str) -> FailedRun:
+    return replace(run, method=method, scene=scene)
+
+
+def _missing(
+    runs: Sequence[ReportRun], failed: Sequence[FailedRun], origins: Sequence[Path]
+) -> list[tuple[str, str, int]]:
+    """What each folder lacks to be the full cross of its own scenes, methods and seeds."""
+    there = {(run.scene, run.method, run.seed) for run in runs}
+    there |= {(run.scene, run.method, run.seed) for run in failed if run.seed is not None}
+    by_folder: dict[Path, list[ReportRun]] = defaultdict(list)
+    for run, folder in zip(runs, origins, strict=True):
+        by_folder[folder].append(run)
+    lacking = {
+        (scene, method, seed)
+        for own in by_folder.values()
+        for scene in {run.scene for run in own}
+        for method in {run.method for run in own}
+        for seed in {run.seed for run in own}
+    } - there
+    return sorted(lacking, key=lambda cell: (natural(cell[0]), method_order(cell[1]), cell[2]))
+
+
+def _without_repeats(runs: list[ReportRun]) -> tuple[list[ReportRun], list[str]]:
+    """One run per scene, method and seed: the first by folder; the others are told."""
+    kept: dict[tuple[str, str, int], ReportRun] = {}
+    notes = []
+    for run in runs:
+        first = kept.setdefault((run.scene, run.method, run.seed), run)
+        if first is not run:
+            notes.append(
+                f"{run.method} on {run.scene} with seed {run.seed} was found twice; the run in"
+                f" `{run.run.run_dir.name}` is left out in favour of `{first.run.run_dir.name}`."
+            )
+    return list(kept.values()), notes
+
+
+def _repeat_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """A complete run outlives a repetition that failed, which is told."""
+    again = [run.run.run_dir for run in runs if (run.run.run_dir / FAILED).is_file()]
+    return [
+        f"The run in `{folder.name}` was repeated and failed"
+        f" ({outside(_read_failed(folder).error)}); the earlier, complete one is reported."
+        for folder in again
+    ]
+
+
+def _equal_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """Methods that trained to the same bits: a test of their difference would be of nothing."""
+    cells: dict[tuple[str, int, str], list[str]] = defaultdict(list)
+    for run in runs:
+        cells[run.scene, run.seed, run.record.parameters_sha256].append(run.method)
+    found: dict[tuple[str, ...], dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for (scene, seed, bits), methods in cells.items():
+        if bits and len(methods) > 1:
+            found[tuple(methods)][scene].append(seed)
+    notes = []
+    for alike, scenes in found.items():
+        where = "; ".join(f"{scene}, {_seeds(seeds)}" for scene, seeds in scenes.items())
+        notes.append(
+            f"{listed(alike, 'and')} trained to the same bits ({where}): what tells them apart"
+            " never took effect there, so nothing was learned about it."
+        )
+    return notes
+
+
+def _seeds(seeds: Sequence[int]) -> str:
+    return f"seed{'s' if len(seeds) > 1 else ''} {listed(seeds, 'and')}"
+
+
+def _code_notes(runs: list[Run]) -> list[str]:
+    versions = {str(run.record.provenance.get("code")) for run in runs}
+    if len(versions) < 2:
+        return []
+    return [
+        f"The runs were made with {len(versions)} versions of the code, which may explain a"
+        " difference; the study's command repeats the outdated ones."
+    ]
+
+
+def _busy_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """A training alone on its cores takes no more wall time than CPU time."""
+    slowed = sum(map(_disturbed, runs))
+    if slowed == 0:
+        return []
+    return [
+        f"Other programs ran beside {slowed} of {len(runs)} trainings, which took over"
+        f" {BUSY:g} times their CPU time: the charts of cost, the Pareto front and the advice count"
+        " CPU seconds here; tables give both, curves over time are by the wall clock."
+    ]
+
+
+def _disturbed(run: ReportRun) -> bool:
+    wall, cpu = run.record.train_s or 0.0, run.record.train_cpu_s or 0.0
+    return wall > BUSY * cpu > 0

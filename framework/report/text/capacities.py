@@ -1,0 +1,111 @@
+"""Ways to decide the number of Gaussians against each other, all else equal.
+
+The other comparisons of a report are between methods with one capacity. Here each capacity is
+compared with the first one, `fixed` if it ran, over runs paired by scene and seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from framework.report.statistics.estimates import Comparison, compare
+from framework.report.statistics.numbers import ABSENT, interval_text, p_text, signed, significant
+from framework.report.statistics.outcomes import by_pair, corrected
+from framework.report.study.collect import ReportRun, Study
+from framework.report.study.labels import MethodLabel
+from framework.report.text.tables import tested_cells
+
+FIXED = "capacity=fixed"  # has no name among methods
+
+
+@dataclass(frozen=True)
+class Contest:
+    """A capacity against that of `comparison.baseline`. method: what both have in common.
+    parameters, cpu: ratios of the sums over the paired runs; None where a run lacks its time."""
+
+    method: str
+    capacity: str
+    against: str
+    comparison: Comparison
+    parameters: float
+    cpu: float | None
+
+
+def contests(study: Study) -> list[Contest]:
+    """Of every method that ran with several capacities; p corrected for all of them together."""
+    labels = {run.method: run.method_label for run in study.runs}
+    by_method: dict[str, list[MethodLabel]] = {}
+    for method in study.methods:
+        by_method.setdefault(labels[method].without_capacity, []).append(labels[method])
+    found: dict[str, Contest] = {}
+    for first, *others in by_method.values():
+        for label in others:
+            contest = _contest(study, label, first)
+            if contest is not None:
+                found[label.full] = contest
+    tested = corrected({method: contest.comparison for method, contest in found.items()})
+    return [replace(contest, comparison=tested[method]) for method, contest in found.items()]
+
+
+def sentences(found: Sequence[Contest]) -> list[str]:
+    """Of contests of one method, for every capacity what it takes and what it gives."""
+    return [f"{c.capacity}: {_told(c)}." for c in found]
+
+
+def rows(found: Sequence[Contest]) -> list[dict[str, str]]:
+    """All figures of all contests."""
+    return [
+        {
+            "Method": c.method,
+            "Capacity": c.capacity,
+            "Compared with": c.against,
+            **tested_cells(c.comparison),
+            "Parameters, times": significant(c.parameters),
+            "CPU, times": ABSENT if c.cpu is None else significant(c.cpu),
+        }
+        for c in found
+    ]
+
+
+def _contest(study: Study, label: MethodLabel, first: MethodLabel) -> Contest | None:
+    own, base = study.of(method=label.full), study.of(method=first.full)
+    comparison = compare(label.full, by_pair(own), first.full, by_pair(base))
+    if comparison is None:
+        return None
+    keys = by_pair(own).keys() & by_pair(base).keys()
+    mine, theirs = _paired(own, keys), _paired(base, keys)
+    sizes = [sum(run.record.parameters for run in runs) for runs in (mine, theirs)]
+    seconds = [_cpu(runs) for runs in (mine, theirs)]
+    cpu = seconds[0] / seconds[1] if seconds[0] and seconds[1] else None
+    return Contest(
+        label.without_capacity,
+        label.capacity or FIXED,
+        first.capacity or FIXED,
+        comparison,
+        sizes[0] / sizes[1],
+        cpu,
+    )
+
+
+def _paired(runs: Sequence[ReportRun], keys: set[tuple[str, int]]) -> list[ReportRun]:
+    return [run for run in runs if (run.scene, run.seed) in keys]
+
+
+def _cpu(runs: Sequence[ReportRun]) -> float | None:
+    known = [run.record.train_cpu_s for run in runs]
+    return None if None in known else sum(value or 0.0 for value in known)
+
+
+def _told(c: Contest) -> str:
+    size = f"{significant(c.parameters)} times the parameters"
+    time = "" if c.cpu is None else f", {significant(c.cpu)} times the CPU time"
+    found = c.comparison
+    change = f"{signed(found.difference, found.interval)} dB"
+    if found.p_holm is None:
+        return f"{size}{time}, {change} in a single run, which says nothing of chance"
+    claim = "" if found.significant else "no significant difference, "
+    between = "" if found.interval is None else f"95 % interval {interval_text(found.interval)}, "
+    return (
+        f"{size}{time}, {change} ({claim}{between}n = {found.n}, {p_text(found.p_holm)} after Holm)"
+    )

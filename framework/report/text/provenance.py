@@ -1,0 +1,98 @@
+"""Where a report's numbers come from: code, packages, machine, scenes, commands, time."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from framework.compute.stopwatch import duration
+from framework.report.parts.document import Block, Bullets, Heading, Text
+from framework.report.study.collect import Study
+from framework.report.study.labels import code, outside
+
+SHOWN_VIEWS = 12
+
+
+def provenance_blocks(study: Study) -> list[Block]:
+    """The last section of a report."""
+    sources = [run.record.provenance for run in study.runs]
+    sources += [run.provenance for run in study.failed if run.provenance]
+    facts = {name: values for name, values in _facts(sources).items() if values}
+    lines = [f"{name}: {'; '.join(values)}" for name, values in facts.items()]
+    blocks: list[Block] = [Heading(2, "Provenance"), Bullets((*lines, *_runs(study)))]
+    scenes = _scenes(study)
+    if scenes:
+        blocks += [Text("Scenes:"), Bullets(tuple(scenes))]
+    return [*blocks, Text("Overrides on the command line:"), Bullets(tuple(_commands(study)))]
+
+
+def _facts(sources: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
+    """Each fact of provenance with all the distinct values it has among the runs."""
+    facts = {
+        "Code": [
+            _git(p.get("git")) + f", sources {code(str(p.get('code'))[:12])}" for p in sources
+        ],
+        "fishersplat": [outside(str(p.get("fishersplat"))) for p in sources],
+        "Python": [outside(str(p.get("python"))) for p in sources],
+        "Packages": [_packages(p.get("packages") or {}) for p in sources],
+        "CPU": [outside(f"{p.get('cpu')}, {p.get('cores')} cores") for p in sources],
+        "Threads": [outside(str(p.get("threads"))) for p in sources],
+        "System": [outside(str(p.get("system"))) for p in sources],
+    }
+    return {name: sorted(set(values)) for name, values in facts.items()}
+
+
+def _runs(study: Study) -> list[str]:
+    """Where each run is told, and what all took, one after another."""
+    if not study.runs:
+        return []
+    stages = [stage for run in study.runs for stage in run.record.timings.values()]
+    wall, cpu = sum(stage.wall_s for stage in stages), sum(stage.cpu_s for stage in stages)
+    return [
+        "Every run in a row, with its options and figures: `runs.csv`",
+        f"Time: {duration(wall)} in the stages of all {len(study.runs)} runs, {duration(cpu)} of"
+        " CPU time (scene and depth count once per run, also where they were shared)",
+    ]
+
+
+def _scenes(study: Study) -> list[str]:
+    found = {run.scene: run.record.scene for run in study.runs}
+    return [
+        f"{label}: protocol {outside(scene.protocol)}, fingerprint {code(scene.fingerprint)};"
+        f" trained on {_some(scene.training)}; tested on {_some(scene.test)}"
+        for label, scene in found.items()
+        if scene is not None
+    ]
+
+
+def _some(names: Sequence[str]) -> str:
+    """The names, the first `SHOWN_VIEWS` of many."""
+    shown = ", ".join(outside(name) for name in names[:SHOWN_VIEWS])
+    more = len(names) - SHOWN_VIEWS
+    return f"{shown} and {more} more" if more > 0 else shown
+
+
+def _commands(study: Study) -> list[str]:
+    """The overrides, runs that differ in the seed alone together."""
+    seeds: dict[str, list[str]] = defaultdict(list)
+    runs = [(run.record.overrides, run.seed) for run in study.runs]
+    runs += [(run.overrides, run.seed) for run in study.failed if run.seed is not None]
+    for overrides, seed in runs:
+        words = [word for word in overrides if not word.startswith("seed=")]
+        seeds[" ".join(words)].append(str(seed))
+    return [
+        f"{code(line) or 'none'}: seed {', '.join(sorted(set(found), key=int))}"
+        for line, found in seeds.items()
+    ]
+
+
+def _git(state: Mapping[str, object] | None) -> str:
+    if state is None:
+        return "no git checkout"
+    return f"git {code(str(state['sha']))}{' with local changes' if state['dirty'] else ''}"
+
+
+def _packages(versions: Mapping[str, str | None]) -> str:
+    found = sorted(versions.items())
+    return outside(" ".join(f"{name} {number}" for name, number in found if number))

@@ -1,0 +1,220 @@
+"""The tables of a report, as rows of text by heading. A value that is missing shows as `–` and its
+reason is listed in the report. A mean carries ± half the width of its 95 % interval."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from urllib.parse import quote
+
+import numpy as np
+
+from framework.report.parts.document import Link
+from framework.report.statistics.estimates import Comparison
+from framework.report.statistics.numbers import (
+    ABSENT,
+    interval_text,
+    mean_text,
+    p_text,
+    sigma_text,
+    signed,
+    significant,
+    spanned,
+)
+from framework.report.statistics.outcomes import Outcomes, seed_means
+from framework.report.statistics.robustness import failure_rate, worst_case
+from framework.report.statistics.variance import MOST_SEEDS, SigmaComparison
+from framework.report.study.collect import ReportRun, Study
+from framework.report.study.labels import outside
+
+ALL_SCENES = "mean of all"
+DIGITS = {"psnr": 2, "ssim": 4, "flip": 4, "lpips": 4}
+HEADINGS = {"psnr": "PSNR (dB)", "ssim": "SSIM ↑", "flip": "FLIP ↓", "lpips": "LPIPS ↓"}
+
+Rows = list[dict[str, str]]
+
+
+def main_rows(study: Study, scenes: Sequence[str]) -> Rows:
+    """One row per scene and method, and over all `scenes` where there are several."""
+    groups = [(scene, [scene]) for scene in scenes]
+    if len(scenes) > 1:
+        groups.append((ALL_SCENES, list(scenes)))
+    rows = []
+    for label, members in groups:
+        for method in study.methods:
+            runs = [run for run in study.of(method=method) if run.scene in members]
+            if runs:
+                rows.append({"Scene": label} | _main_row(study, method, runs, members))
+    return rows if len(groups) > 1 else _without(rows, "Scene")
+
+
+def comparison_rows(found: Outcomes) -> Rows:
+    """Every method against its baseline."""
+    return [
+        {
+            "Method": c.method,
+            "Compared with": c.baseline,
+            **tested_cells(c),
+        }
+        for c in found.comparisons.values()
+    ]
+
+
+def tested_cells(c: Comparison) -> dict[str, str]:
+    """The figures of a paired comparison."""
+    return {
+        "Pairs": str(c.n),
+        "ΔPSNR (dB)": signed(c.difference, c.interval),
+        "95 % interval": interval_text(c.interval) if c.interval else ABSENT,
+        "p": p_text(c.p) if c.p is not None else ABSENT,
+        "p after Holm": p_text(c.p_holm) if c.p_holm is not None else ABSENT,
+    }
+
+
+def sigma_rows(found: Outcomes) -> Rows:
+    """The standard deviation of every method against its baseline's."""
+    return [
+        {
+            "Method": c.method,
+            "Compared with": c.baseline,
+            "σ / σ": significant(c.ratio) if c.ratio is not None else ABSENT,
+            "95 % interval": spanned(c.interval) if c.interval else ABSENT,
+            "p": p_text(c.p),
+            "p after Holm": p_text(c.p_holm) if c.p_holm is not None else ABSENT,
+            "Seeds needed": seeds_text(c),
+        }
+        for c in found.sigmas.values()
+    ]
+
+
+def pooled_sigma_rows(found: Outcomes) -> Rows:
+    """Both readings of σ_PSNR over several scenes."""
+    rows = []
+    for method, psnr in found.psnr.items():
+        own = found.scene_sigma.get(method)
+        rows.append(
+            {
+                "Method": method,
+                "σ of the scenes' mean (dB)": ABSENT
+                if psnr.sd is None or psnr.sd_interval is None
+                else f"{significant(psnr.sd)} [{spanned(psnr.sd_interval)}]",
+                "mean of the scenes' σ (dB)": ABSENT
+                if own is None
+                else f"{significant(own[0])} [{spanned(own[1])}]",
+                "Seeds": str(psnr.n),
+            }
+        )
+    return rows
+
+
+def seeds_text(c: SigmaComparison) -> str:
+    """How many seeds per method would tell this ratio from 1."""
+    if c.ratio is None:
+        return ABSENT
+    return f"more than {MOST_SEEDS}" if c.seeds is None else str(c.seeds)
+
+
+def worst_rows(study: Study) -> Rows:
+    """The worst case of every method on every scene, and its failures."""
+    rows = []
+    scenes = study.scenes or sorted({run.scene for run in study.failed})
+    for scene in scenes:
+        for method in study.tried:
+            rate = failure_rate(study, method, scene)
+            if rate is not None:
+                row = {"Scene": scene, "Method": method} | _worst_cells(study.of(scene, method))
+                share = f"{rate.failed} of {rate.n}"
+                low, high = (f"{100 * end:.0f}" for end in (rate.interval.low, rate.interval.high))
+                rows.append(row | {"Failed runs": f"{share} [{low} to {high} %]"})
+    return rows if len(scenes) > 1 else _without(rows, "Scene")
+
+
+def tags_of(study: Study, scene: str) -> list[str]:
+    """The tags that mark some test views of a scene, `interpolating` before `extrapolating`."""
+    texts = {text for run in study.of(scene) for text in run.run.metrics.texts["tags"]}
+    tags = {tag for text in texts for tag in text.split()}
+    return sorted(tags, key=lambda tag: (tag != "interpolating", tag))
+
+
+def tag_rows(study: Study, scenes: Sequence[str]) -> Rows:
+    """PSNR and SSIM of the test views with each tag: mean over the views, then over the seeds."""
+    rows = []
+    for scene in scenes:
+        for method in study.methods:
+            runs = study.of(scene, method)
+            row = {"Scene": scene, "Method": method}
+            for tag in tags_of(study, scene) if runs else []:
+                for metric in ("psnr", "ssim"):
+                    values = [_tag_mean(run, tag, metric) for run in runs]
+                    heading = f"{HEADINGS[metric]}, {outside(tag)}"
+                    row[heading] = mean_text(values, DIGITS[metric], show_half=metric == "psnr")
+            if len(row) > 2:
+                rows.append(row)
+    return rows if len(scenes) > 1 else _without(rows, "Scene")
+
+
+def seed_rows(study: Study) -> list[dict[str, str | Link]]:
+    """One row per run."""
+    metrics = measured(study)
+    return [_seed_row(study, run, metrics) for run in study.runs]
+
+
+def measured(study: Study) -> list[str]:
+    """The metrics of the main table: LPIPS only where some run has it."""
+    has_lpips = any(run.mean("lpips") is not None for run in study.runs)
+    return ["psnr", "ssim", "flip", *(["lpips"] if has_lpips else [])]
+
+
+def _main_row(
+    study: Study, method: str, runs: list[ReportRun], scenes: list[str]
+) -> dict[str, str]:
+    row = {"Method": method}
+    for metric in measured(study):
+        values = list(seed_means(runs, scenes, metric).values())
+        row[HEADINGS[metric]] = mean_text(values, DIGITS[metric], show_half=metric == "psnr")
+        if metric == "psnr":
+            row["σ_PSNR (dB)"] = sigma_text(values)
+    row["Train (s)"] = mean_text([run.record.train_s for run in runs], 1)
+    row["CPU (s)"] = mean_text([run.record.train_cpu_s for run in runs], 1)
+    row["Gaussians"] = mean_text([float(run.record.gaussians) for run in runs], 0)
+    row["Parameters (k)"] = mean_text([run.record.parameters / 1000 for run in runs], 0)
+    return row
+
+
+def _worst_cells(runs: list[ReportRun]) -> dict[str, str]:
+    worst = worst_case(runs)
+    if worst is None:
+        headings = ("Worst seed (dB)", "Worst view (dB)", "5th percentile of views (dB)")
+        return dict.fromkeys(headings, ABSENT)
+    return {
+        "Worst seed (dB)": f"{worst.run_psnr:.2f} (seed {worst.run_seed})",
+        "Worst view (dB)": f"{worst.view_psnr:.2f} ({outside(worst.view)}, seed {worst.view_seed})",
+        "5th percentile of views (dB)": f"{worst.percentile:.2f}",
+    }
+
+
+def _tag_mean(run: ReportRun, tag: str, metric: str) -> float | None:
+    table = run.run.metrics
+    pairs = zip(table.texts["tags"], table.numbers[metric], strict=True)
+    values = [value for tags, value in pairs if tag in tags.split()]
+    return float(np.mean(values)) if values and not np.isnan(values).any() else None
+
+
+def _seed_row(study: Study, run: ReportRun, metrics: Sequence[str]) -> dict[str, str | Link]:
+    record = run.record
+    row: dict[str, str | Link] = {"Scene": run.scene} if len(study.scenes) > 1 else {}
+    row |= {"Method": run.method, "Seed": str(run.seed)}
+    for metric in metrics:
+        row[HEADINGS[metric]] = mean_text([run.mean(metric)], DIGITS[metric])
+    row["Train (s)"] = mean_text([record.train_s], 1)
+    row["All stages (s)"] = f"{sum(stage.wall_s for stage in record.timings.values()):.1f}"
+    row["Peak memory (MiB)"] = f"{record.peak_memory_bytes / 2**20:.0f}"
+    row["Gaussians"] = str(record.gaussians)
+    row["PLY (kB)"] = f"{record.ply_bytes / 1000:.0f}"
+    row["Parameters"] = f"`{record.parameters_sha256[:12]}`"
+    name, target = run.run.run_dir.name, quote(study.folder_of(run.run.run_dir)) + "/"
+    row["Folder"] = Link(name, target) if study.linked else name
+    return row
+
+
+def _without(rows: Rows, heading: str) -> Rows:
+    return [{k: v for k, v in row.items() if k != heading} for row in rows]

@@ -1,0 +1,228 @@
+"""Resolved configuration -> scene, depth, Gaussians, training, evaluation -> one record on disk.
+
+Stages are timed by wall clock and CPU. A complete run with the same identity (configuration, scene,
+other files, code, packages) is reused unless `force` is set. Scene and depth do not depend on the
+seed or the method and are kept for the next run of the same process, which then reports their time
+as it was.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from framework import registry
+from framework.compute import parallel
+from framework.compute.stopwatch import Stopwatch
+from framework.depth import build_provider
+from framework.files.locks import locked, remove_stale
+from framework.files.whole import file_sha256, remove_temporaries
+from framework.metrics.evaluate import evaluate
+from framework.metrics.lpips import Lpips, load
+from framework.metrics.values import Missing
+from framework.options import TrainerOptions
+from framework.records.notices import noted
+from framework.records.progress import Progress
+from framework.records.provenance import (
+    code_hash,
+    identity_of,
+    peak_memory_bytes,
+    provenance,
+    reset_peak_memory,
+)
+from framework.records.record import (
+    TRAIN_STAGE,
+    RunRecord,
+    SceneInfo,
+    StageTime,
+    find_complete,
+    write_run,
+)
+from framework.run.training import Run, initial, renderer, train
+from framework.run.warmup import Warmup
+from framework.scenes import load_scene
+from framework.train.resume.checkpoint import remove_checkpoints
+from framework.types import DepthMap, Gaussians, Scene
+
+
+def run_experiment(
+    config: Mapping[str, Any],
+    run_dir: Path,
+    progress: Progress,
+    overrides: Sequence[str] = (),
+) -> RunRecord:
+    """Do one run, or reuse it, and leave its record in `run_dir`.
+
+    config: plain and resolved, see `conf/config.yaml`; overrides: what the user typed. Raises
+    UserError on any bad input; nothing of an older complete run is lost then. Raises `locks.Busy`
+    when another process is at this run. What the framework logs meanwhile becomes notes of
+    `progress`.
+    """
+    reset_peak_memory()
+    parallel.set_threads(int(config["threads"]))
+    torch.set_num_threads(1)  # kernels have their own pool; small tensors gain nothing from two
+    registry.discover()
+    weights = config["metrics"]["lpips_weights"]
+    network = None if weights is None else load(weights)  # a bad path must not cost a training
+    with noted(progress), Warmup(config, progress) as warmup:
+        return _experiment(config, run_dir, progress, overrides, network, warmup)
+
+
+def _experiment(
+    config: Mapping[str, Any],
+    run_dir: Path,
+    progress: Progress,
+    overrides: Sequence[str],
+    network: Lpips | None,
+    warmup: Warmup,
+) -> RunRecord:
+    timings: dict[str, StageTime] = {}
+    progress.stage(f"scene {config['scene']['name']}")
+    scene, timings["scene"] = _scene(_key(config["scene"]))
+    files = _files(config, scene)
+    identity = identity_of(config, scene.fingerprint, code_hash(), files)
+    done = _reusable(config, run_dir, identity, progress)
+    if done is not None:
+        remove_stale(run_dir)  # as the checkpoints; within the lock it would be our own
+        return done
+    with locked(run_dir):
+        # whoever held the lock before us may have done it
+        done = _reusable(config, run_dir, identity, progress)
+        if done is not None:
+            return done
+        remove_temporaries(run_dir)
+        warmup.begin()
+        progress.stage(f"depth {config['depth']['name']}")
+        keys = _key(config["scene"]), _key(config["depth"])
+        depth, timings["depth"] = _depth(*keys, files["depth"])
+        warmup.finish()
+        record = RunRecord(
+            identity=identity,
+            config=dict(config),
+            overrides=tuple(overrides),
+            scene=_info(scene),
+            timings=timings,
+            provenance={**provenance(), "threads": parallel.threads()},
+        )
+        record = _trained(record, timings, run_dir, scene, depth, network, progress)
+    progress.done(_result(record))
+    return record
+
+
+def _reusable(
+    config: Mapping[str, Any], run_dir: Path, identity: str, progress: Progress
+) -> RunRecord | None:
+    """The complete record of the same run, unless it is to be repeated."""
+    done = find_complete(run_dir, identity)
+    if done is None or config["force"]:
+        return None
+    remove_checkpoints(run_dir)  # of a process killed just after its record was written
+    progress.done(f"{_result(done)} · reused, already complete (force=true repeats it)")
+    return done
+
+
+def _trained(
+    record: RunRecord,
+    timings: dict[str, StageTime],
+    run_dir: Path,
+    scene: Scene,
+    depth: tuple[DepthMap, ...],
+    network: Lpips | None,
+    progress: Progress,
+) -> RunRecord:
+    """The record with the result of its run, as written; `timings` are those it holds."""
+    config = record.config
+    options = TrainerOptions(**config["trainer"])
+
+    def start(seed: int) -> Gaussians:
+        with _timed(timings, "init"):
+            return initial(config, scene, depth, options, seed)
+
+    run = Run(scene, depth, start, run_dir, record.identity, config["force"])
+    trained = train(run, config, progress)
+    timings[TRAIN_STAGE] = StageTime(trained.wall_s, trained.cpu_s)
+    progress.stage("evaluation")
+    with _timed(timings, "evaluate"):
+        near = options.near_plane * scene.training.near
+        render = renderer(trained.gaussians, trained.background, trained.sh_degree, near)
+        metrics, renders = evaluate(render, scene.test, network)
+    record = dataclasses.replace(
+        record, peak_memory_bytes=peak_memory_bytes(), resumed=trained.resumed
+    )
+    record = write_run(
+        run_dir, record, metrics, trained.history, trained.gaussians, trained.background, renders
+    )
+    remove_checkpoints(run_dir)
+    return record
+
+
+def _key(options: Mapping[str, Any]) -> str:
+    """Options as a hashable text."""
+    return json.dumps(dict(options), sort_keys=True)
+
+
+def _options(key: str) -> tuple[str, dict[str, Any]]:
+    options = json.loads(key)
+    return options.pop("name"), options
+
+
+@functools.lru_cache(maxsize=2)
+def _scene(key: str) -> tuple[Scene, StageTime]:
+    timings: dict[str, StageTime] = {}
+    with _timed(timings, "scene"):
+        scene = load_scene(*_options(key))
+    return scene, timings["scene"]
+
+
+def _files(config: Mapping[str, Any], scene: Scene) -> dict[str, str]:
+    """Purpose -> fingerprint of the files beside the scene's that the run reads; "" for none."""
+    weights = config["metrics"]["lpips_weights"]
+    provider = build_provider(*_options(_key(config["depth"])))
+    return {
+        "depth": provider.fingerprint(scene.training),
+        "lpips_weights": "" if weights is None else file_sha256(Path(weights)),
+    }
+
+
+@functools.lru_cache(maxsize=2)
+def _depth(scene_key: str, key: str, fingerprint: str) -> tuple[tuple[DepthMap, ...], StageTime]:
+    """The depth maps; `fingerprint` tells files that were replaced since they were last read."""
+    timings: dict[str, StageTime] = {}
+    with _timed(timings, "depth"):
+        depth = build_provider(*_options(key)).estimate(_scene(scene_key)[0].training)
+    return depth, timings["depth"]
+
+
+def _info(scene: Scene) -> SceneInfo:
+    return SceneInfo(
+        scene.name,
+        scene.protocol,
+        scene.fingerprint,
+        tuple(view.name for view in scene.training.views),
+        tuple(view.name for view in scene.test),
+    )
+
+
+def _result(record: RunRecord) -> str:
+    """One line about a finished run."""
+    psnr_db, train_s = record.summary.get("psnr"), record.train_s
+    quality = (
+        "no test PSNR" if psnr_db is None or isinstance(psnr_db, Missing) else f"{psnr_db:.2f} dB"
+    )
+    seconds = "" if train_s is None else f" · {train_s:.1f} s of training"
+    return f"test {quality} · {record.gaussians} Gaussians{seconds}"
+
+
+@contextmanager
+def _timed(timings: dict[str, StageTime], stage: str) -> Iterator[None]:
+    """The time goes to that of the stage so far."""
+    before, watch = timings.get(stage, StageTime(0.0, 0.0)), Stopwatch()
+    yield
+    timings[stage] = StageTime(before.wall_s + watch.wall_s, before.cpu_s + watch.cpu_s)

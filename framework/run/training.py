@@ -1,0 +1,263 @@
+"""One run's training: from the scene and its depth to the trained Gaussians, kept on the way.
+
+A training that was interrupted goes on from its last checkpoint and ends with the same bits; one
+that diverged leaves its state in `diverged.safetensors`.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from framework import registry
+from framework.compute.parallel import run_tasks, run_together, threads
+from framework.files.whole import write_whole
+from framework.initialize import INITIALIZERS
+from framework.metrics.evaluate import psnr
+from framework.metrics.values import Missing
+from framework.options import TrainerOptions
+from framework.plugin import Plugin
+from framework.rasterize import rasterize
+from framework.records.progress import Part, Parts, Progress
+from framework.records.record import DIVERGED
+from framework.run.members import IDLE, in_turn, join, member_seed, tuning_options
+from framework.train.guard import Diverged
+from framework.train.resume.checkpoint import Checkpoints, pack, remove_checkpoints
+from framework.train.resume.state_check import check_state
+from framework.train.resume.training_state import TrainerState
+from framework.train.trainer import Evaluate, Plugins, Trained, Trainer
+from framework.types import Camera, DepthMap, Gaussians, Scene
+
+LOG = logging.getLogger(__name__)
+BYTES_PER_FLOAT, COPIES = 4, 3  # of every parameter: itself and two moments
+DIVERGING = threading.Lock()  # members may diverge at the same time, into one file
+
+
+def initial(
+    config: Mapping[str, Any],
+    scene: Scene,
+    depth: tuple[DepthMap, ...],
+    options: TrainerOptions,
+    seed: int,
+) -> Gaussians:
+    """The Gaussians that the chosen initializer starts from."""
+    rest = dict(config["init"])
+    builder = INITIALIZERS[rest.pop("name")](**rest)
+    gaussians: Gaussians = builder.build(scene.training, depth, options.sh_degree, seed)
+    return gaussians
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A training of its own within a run. name: of its checkpoints. choices: of the plugin groups.
+    tells: see `Trainer`. to_keep: its end is kept, for a later process."""
+
+    name: str
+    choices: Mapping[str, Mapping[str, Any]]
+    options: TrainerOptions
+    seed: int
+    tells: bool = True
+    to_keep: bool = False
+
+
+@dataclass(frozen=True)
+class _Opened:
+    """A part with its plugins and checkpoints, and the state that an earlier process kept."""
+
+    part: _Part
+    plugins: Plugins
+    checkpoints: Checkpoints
+    kept: TrainerState | None
+
+    @property
+    def done(self) -> int:
+        """Steps that are behind it."""
+        return 0 if self.kept is None else self.kept.step
+
+
+@dataclass(frozen=True)
+class Run:
+    """What the parts of a run have in common.
+
+    start(seed) makes the Gaussians to begin with, which nobody else keeps then. force: go on with
+    nothing that an interrupted process left in `folder` under this identity.
+    """
+
+    scene: Scene
+    depth: tuple[DepthMap, ...]
+    start: Callable[[int], Gaussians]
+    folder: Path
+    identity: str
+    force: bool
+
+
+def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
+    """Train, or go on with what an interrupted process left.
+
+    With `trainer.members` > 1 there are several trainings, each from its own draws, whose Gaussians
+    are joined and tuned: what one of them got wrong by chance weighs less. The first is that of a
+    run with one member. As many as there are threads are trained at the same time, one thread each,
+    which takes less time than all threads for one after another, unless there are two for each.
+    Raises Diverged when a training diverges; the state is in the run's folder then.
+    """
+    if run.force:
+        remove_checkpoints(run.folder)
+    options = TrainerOptions(**config["trainer"])
+    if options.members == 1 and options.tuning != TrainerOptions.tuning:
+        LOG.warning(
+            f"trainer.tuning={options.tuning:g}: with trainer.members=1 nothing is joined that"
+            " could be tuned, so it changes nothing; set trainer.members=2 or more"
+        )
+    parts = _parts(config, options)
+    opened = {index: _open(run, part) for index, part in enumerate(parts)}
+    kept = [part.kept for part in opened.values() if part.kept is not None]
+    n_steps, done = sum(part.options.steps for part in parts), sum(state.step for state in kept)
+    resumed = 1 + max(state.resumed for state in kept) if kept else 0
+    if kept:
+        progress.note(f"going on at step {done} of {n_steps}")
+    whole = Parts(progress, n_steps, [part.done for part in opened.values()])
+    del kept  # each is its training's, and goes with it
+    starts = dict[int, Gaussians]()
+
+    def task(index: int, check: Callable[[], None], sh_from: int = 0) -> Trained:
+        part = Part(whole, index, check)
+        return _train(run, opened.pop(index), starts.pop(index), part, resumed, sh_from)
+
+    n, rounds = options.members, list[list[Trained]]()
+    at_once = threads() if threads() < 2 * n else 1
+    for first in range(0, n, at_once):
+        members = range(first, min(n, first + at_once))
+        if n > 1:
+            progress.stage(f"members {', '.join(str(k + 1) for k in members)} of {n}")
+        starts.update((k, run.start(parts[k].seed)) for k in members)
+        rounds.append(run_together([partial(task, k) for k in members]))
+    if n == 1:
+        return rounds[0][0]
+    gaussians = join([member.gaussians for members in rounds for member in members])
+    if len(parts) == n:
+        return _untuned(run, in_turn(rounds, options.steps, gaussians), options)
+    progress.stage("tuning of the members together")
+    starts[n] = gaussians
+    tuned = task(n, lambda: None, sh_from=rounds[-1][-1].sh_degree)
+    return in_turn([*rounds, [tuned]], options.steps, tuned.gaussians)
+
+
+def _parts(config: Mapping[str, Any], options: TrainerOptions) -> list[_Part]:
+    """The members of a run, and their tuning if there is any."""
+    seed, n = int(config["seed"]), options.members
+    if n == 1:
+        return [_Part("", config, options, seed)]
+    parts = [
+        _Part(
+            f"member {k + 1}",
+            config,
+            options,
+            member_seed(seed, k),
+            tells=k == n - 1,
+            to_keep=True,
+        )
+        for k in range(n)
+    ]
+    if options.tuning > 0:
+        tuned = tuning_options(options, max(1, round(options.tuning * options.steps)))
+        parts.append(_Part("tuning", IDLE, tuned, seed, tells=False))
+    return parts
+
+
+def _untuned(run: Run, joined: Trained, options: TrainerOptions) -> Trained:
+    """`joined` with a history that ends with what the joined Gaussians are."""
+    evaluate = _evaluation(run.scene, options)
+    found = evaluate and evaluate(joined.gaussians, joined.background, joined.sh_degree)
+    last = replace(joined.history[-1], test_psnr=found, gaussians=len(joined.gaussians))
+    return replace(joined, history=(*joined.history[:-1], last))
+
+
+def _open(run: Run, part: _Part) -> _Opened:
+    """The part with what an earlier process kept of it."""
+    plugins = Plugins(*(registry.build(group, part.choices[group]) for group in registry.GROUPS))
+    chosen: list[Plugin] = [p.plugin for p in (plugins.augment, plugins.reg, plugins.capacity)]
+    checkpoints = Checkpoints(run.folder, run.identity, chosen, part.name)
+    by_group = dict(zip(registry.GROUPS, chosen, strict=True))
+    check = partial(
+        check_state, training=run.scene.training, options=part.options, plugins=by_group
+    )
+    return _Opened(part, plugins, checkpoints, checkpoints.newest(check))
+
+
+def _train(
+    run: Run,
+    opened: _Opened,
+    gaussians: Gaussians,
+    progress: Progress,
+    resumed: int,
+    sh_from: int,
+) -> Trained:
+    """One part, or what is left of it to do. resumed: how often the run was taken up again.
+    sh_from: see `Trainer`."""
+    part, checkpoints, kept = opened.part, opened.checkpoints, opened.kept
+    checkpoints.begin(COPIES * BYTES_PER_FLOAT * sum(t.numel() for _, t in gaussians.items()))
+    trainer = Trainer(
+        run.scene.training,
+        run.depth,
+        gaussians,
+        part.options,
+        opened.plugins,
+        part.seed,
+        progress,
+        _evaluation(run.scene, part.options),
+        checkpoints,
+        kept,
+        sh_from,
+        part.tells,
+    )
+    del gaussians  # the trainer has its own
+    trainer.resumed = resumed
+    try:
+        trained = trainer.run()
+    except Diverged as error:
+        state = pack(error.state, checkpoints.classes, run.identity, "diverged state")
+        with DIVERGING:
+            write_whole(run.folder / DIVERGED, state)
+        name = f"{part.name}, " if part.name else ""
+        error.args = (f"{name}{error}; the state is in {run.folder.name}/{DIVERGED}",)
+        raise
+    if part.to_keep and opened.done < part.options.steps:
+        checkpoints.keep(trainer.state())
+    return trained
+
+
+def _evaluation(scene: Scene, options: TrainerOptions) -> Evaluate | None:
+    """Mean PSNR over the test views in dB, if there are any; None where one of them has none."""
+    if not scene.test:
+        return None
+    near = options.near_plane * scene.training.near
+
+    def test_psnr(current: Gaussians, background: Tensor, sh_degree: int) -> float | None:
+        render = renderer(current, background, sh_degree, near)
+        images = [render(view.camera) for view in scene.test]
+        pairs = zip(images, scene.test, strict=True)
+        values = run_tasks([partial(psnr, image, view.image, view.mask) for image, view in pairs])
+        finite = [value for value in values if not isinstance(value, Missing)]
+        return sum(finite) / len(finite) if len(finite) == len(values) else None
+
+    return test_psnr
+
+
+def renderer(
+    gaussians: Gaussians, background: Tensor, sh_degree: int, near: float
+) -> Callable[[Camera], Tensor]:
+    """What evaluation sees: the Gaussians alone, without plugins or gradients."""
+
+    def render(camera: Camera) -> Tensor:
+        return rasterize(
+            gaussians, camera, background=background, sh_degree=sh_degree, near=near, depth=False
+        ).rgb
+
+    return render

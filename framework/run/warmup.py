@@ -1,0 +1,228 @@
+"""Compile every kernel a run will need before anything is timed, or load it before a training is.
+
+numba compiles on first use and keeps the result on disk. So the first run on a machine does a few
+steps on three tiny synthetic views with the same depth provider, trainer options and plugins; it
+tells the user when that means compiling. Later processes load the kernels in a moment. The kernels
+of the depth provider are compiled by a process beside (numba compiles one at a time in each).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from framework import registry
+from framework.compute.jit import KERNEL_CACHE
+from framework.compute.parallel import alone, threads
+from framework.compute.rng import stream
+from framework.depth import build_provider
+from framework.errors import UserError
+from framework.initialize import INITIALIZERS
+from framework.options import TrainerOptions
+from framework.records.notices import QUIET
+from framework.records.progress import Progress, Silent, unwarned
+from framework.records.provenance import cpu_model
+from framework.train.epoch import Items
+from framework.train.gradient import screen_gradient, view_gradient
+from framework.train.optim import Adam
+from framework.train.trainer import Plugins, Trainer
+from framework.types import Camera, DepthMap, Gaussians, SparsePoints, TrainingSet, View
+
+WIDTH, HEIGHT, FOCAL, DISTANCE, STEP = 64, 48, 60.0, 3.0, 0.2
+STEPS, LOAD_STEPS = 12, 6
+
+_warm: set[str] = set()  # keys this process has warmed up
+
+
+class Warmup:
+    """The warm-up of one configuration: `with Warmup(config, progress)` as early as possible,
+    `begin()` before anything is timed, `finish()` before a training is. Does nothing a second time
+    in a process.
+
+    Kernels that no process compiled before are compiled by `begin`. Others are loaded: the depth
+    provider's by `begin`, the rest by a thread until `finish`: that is work of the interpreter, and
+    what is done meanwhile, depth, hardly is. So the depth of a process's first run is timed
+    together with it.
+    """
+
+    def __init__(self, config: Mapping[str, Any], progress: Progress) -> None:
+        self.config, self.progress = config, progress
+        depth = {"depth": config["depth"]["name"]}
+        chosen = depth | {group: config[group]["name"] for group in registry.GROUPS}
+        chosen |= {"sh_degree": config["trainer"]["sh_degree"], "init": config["init"]["name"]}
+        # an option's value may call another kernel: warmed up once per process, without a word
+        self.key = _key(chosen | {group: config[group] for group in (*registry.GROUPS, "depth")})
+        self.markers = [KERNEL_CACHE / f"warm-{_key(names)}" for names in (chosen, depth)]
+        self.beside: subprocess.Popen[bytes] | None = None
+        self.compiles = self.key not in _warm and not all(m.exists() for m in self.markers)
+        if self.compiles:
+            progress.compiling("kernels")
+        if self.compiles and not self.markers[1].exists():
+            self.beside = _start_beside(config["depth"])
+        self.loading: threading.Thread | None = None
+
+    def __enter__(self) -> Warmup:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """A run that ends early does not leave anything beside it to disturb what comes next."""
+        if self.loading is not None:
+            self.loading.join()
+        if self.beside is not None and self.beside.poll() is None:
+            self.beside.terminate()
+            self.beside.wait()
+
+    def begin(self) -> None:
+        """Compile what is missing, or start to load it."""
+        if self.key in _warm:
+            return
+        if self.compiles:
+            self._compile()
+            return
+        _estimate(self.config["depth"], _plane(0)[0])
+        if threads() == 1:
+            with unwarned():
+                self._load()
+        else:
+            self.loading = threading.Thread(target=self._load, name=QUIET)
+            self.loading.start()
+
+    def finish(self) -> None:
+        """Wait until all is loaded."""
+        if self.loading is not None:
+            self.loading.join()
+        _warm.add(self.key)
+
+    def _load(self) -> None:
+        training, depth, gaussians = _plane(int(self.config["trainer"]["sh_degree"]))
+        with alone():
+            for load in (
+                partial(_initialize, self.config["init"], training, depth),
+                partial(_train, self.config, training, depth, gaussians, LOAD_STEPS),
+            ):
+                with contextlib.suppress(Exception):  # it fails again where it is told
+                    load()
+
+    def _compile(self) -> None:
+        self.progress.compiling("kernels")
+        training, depth, gaussians = _plane(int(self.config["trainer"]["sh_degree"]))
+        done = False
+        # a broken plugin fails again, on the user's scene
+        with contextlib.suppress(Exception), unwarned():
+            _train(self.config, training, depth, gaussians, STEPS)
+            done = True
+        if self.beside is not None:
+            self.beside.wait()  # if it failed, the next line compiles
+        _estimate(self.config["depth"], training)
+        _initialize(self.config["init"], training, depth)
+        for marker in self.markers if done else ():
+            marker.parent.mkdir(parents=True, exist_ok=True)
+            marker.touch()
+
+
+def _key(chosen: Mapping[str, Any]) -> str:
+    """Of what was compiled, for which CPU, by which checkout: numba's cache knows files by path."""
+    text = json.dumps(dict(chosen), sort_keys=True, default=str)
+    return hashlib.sha256(f"{text} {cpu_model()} {__file__}".encode()).hexdigest()[:16]
+
+
+def _start_beside(depth: Mapping[str, Any]) -> subprocess.Popen[bytes]:
+    """A process that compiles the kernels of a depth provider into the shared cache."""
+    root = str(Path(__file__).resolve().parents[2])
+    paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
+    return subprocess.Popen(
+        [sys.executable, "-m", "framework.run.warmup", json.dumps(dict(depth), default=str)],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+def _estimate(depth: Mapping[str, Any], training: TrainingSet) -> None:
+    options = dict(depth)
+    with contextlib.suppress(UserError):  # a provider of files knows nothing of synthetic views
+        build_provider(options.pop("name"), options).estimate(training)
+
+
+def _initialize(
+    init: Mapping[str, Any], training: TrainingSet, depth: tuple[DepthMap, ...]
+) -> None:
+    options = dict(init)
+    with contextlib.suppress(UserError):  # whatever it misses here
+        INITIALIZERS[options.pop("name")](**options).build(training, depth, 0, 0)
+
+
+def _train(
+    config: Mapping[str, Any],
+    training: TrainingSet,
+    depth: tuple[DepthMap, ...],
+    gaussians: Gaussians,
+    steps: int,
+) -> None:
+    options = dataclasses.replace(
+        TrainerOptions(**config["trainer"]), steps=steps, sh_every=1, evaluations=1
+    )
+    always = {"start": 0.0, "stop": 1.0}  # also what the user lets act for a short while only
+    plugins = Plugins(
+        *(registry.build(group, {**config[group], **always}) for group in registry.GROUPS)
+    )
+    Trainer(training, depth, gaussians, options, plugins, 0, Silent(), tells=False).run()
+    _update(training.views[0], gaussians.clone())
+
+
+def _update(view: View, gaussians: Gaussians) -> None:
+    """Both ways of a gradient to the parameters: plugins and their draws decide which a step takes,
+    in a run perhaps another than in these few steps."""
+    item, adam = Items().get(view, 1), Adam(gaussians)
+    rates = dict.fromkeys(dict(gaussians.items()), 0.0)
+    adam.step_from(screen_gradient(gaussians, item, "warm-up", 0.2)[1], rates)
+    adam.step(gaussians, view_gradient(gaussians, item, "warm-up", 0.2)[1], rates)
+
+
+def _plane(sh_degree: int) -> tuple[TrainingSet, tuple[DepthMap, ...], Gaussians]:
+    """Three cameras side by side before a textured plane, with exact depth and 200 Gaussians."""
+    texture = stream(0, "warmup").random((3, HEIGHT + 4, 2 * WIDTH))
+    shift = round(FOCAL * STEP / DISTANCE)
+    K = torch.tensor([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
+    views = []
+    for i in range(3):
+        viewmat = torch.eye(4)
+        viewmat[0, 3] = -STEP * i
+        pixels = texture[:, :HEIGHT, i * shift : i * shift + WIDTH]
+        image = torch.from_numpy(np.ascontiguousarray(pixels, np.float32))
+        views.append(View(f"plane-{i}", Camera(viewmat, K, WIDTH, HEIGHT), image))
+    rng = stream(0, "warmup/points")
+    xyz = rng.uniform([-1.0, -1.0, DISTANCE - 0.05], [1.4, 1.0, DISTANCE + 0.05], (200, 3))
+    points = SparsePoints(
+        torch.from_numpy(xyz), torch.full((200, 3), 0.5), torch.ones(200, 3, dtype=torch.bool)
+    )
+    full = DepthMap(torch.full((HEIGHT, WIDTH), DISTANCE), torch.ones(HEIGHT, WIDTH))
+    training = TrainingSet("warm-up", tuple(views), points, 0.5 * DISTANCE, 2 * DISTANCE)
+    terms = (sh_degree + 1) ** 2 - 1
+    gaussians = Gaussians(
+        torch.from_numpy(xyz.astype(np.float32)),
+        torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(200, 1),
+        torch.full((200, 3), -3.0),
+        torch.zeros(200),
+        torch.zeros(200, 1, 3),
+        torch.zeros(200, terms, 3),
+    )
+    return training, (full,) * 3, gaussians
+
+
+if __name__ == "__main__":
+    _estimate(json.loads(sys.argv[1]), _plane(0)[0])

@@ -1,0 +1,97 @@
+"""The views of an epoch: their order, and each ready for a step at the resolution of the moment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from framework.compute.rng import stream
+from framework.rasterize.losses import Target
+from framework.types import PSEUDO, View
+
+
+def ordered(
+    real: Sequence[View], pseudo: Sequence[View], seed: int, epoch: int
+) -> list[tuple[View, ...]]:
+    """The steps of an epoch: a real view each, and after it the pseudo views that join its step.
+
+    The order of the real ones depends on (seed, epoch) alone; a pseudo view joins a step by a draw
+    of its own. So all methods of a seed see the same real view at every step.
+    """
+    order = stream(seed, "epoch", epoch).permutation(len(real))
+    steps: list[tuple[View, ...]] = [(real[i],) for i in order]
+    rng = stream(seed, "epoch/pseudo", epoch)
+    for view in pseudo:
+        joined = int(rng.integers(len(steps)))
+        steps[joined] = (*steps[joined], view)
+    return steps
+
+
+@dataclass(frozen=True)
+class Item:
+    """A view at the resolution that is trained now, with what the loss needs of it."""
+
+    view: View
+    target: Target
+
+
+class Items:
+    """Items of real views are kept at their present resolution, those of pseudo views made anew:
+    they live for an epoch."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, tuple[int, Item]] = {}
+
+    def get(self, view: View, factor: int) -> Item:
+        """`view` box-downsampled by `factor`."""
+        if PSEUDO in view.tags:
+            return _item(view, factor)
+        kept = self._kept.get(view.name)
+        if kept is None or kept[0] != factor:
+            kept = self._kept[view.name] = factor, _item(view, factor)
+        return kept[1]
+
+
+def _item(view: View, factor: int) -> Item:
+    if factor > 1:
+        image, mask = _smaller(view, factor)
+        camera = view.camera.scaled(factor)
+        view = replace(view, camera=camera, image=image, mask=mask, depth=None)
+    return Item(view, Target.of(view.image, view.mask))
+
+
+def _smaller(view: View, factor: int) -> tuple[Tensor, Tensor | None]:
+    """Image and mask.
+
+    A coarse pixel of a photo is valid if all the pixels it covers are; one of a pseudo view, which
+    is full of small holes, if half of them are, and has their mean.
+    """
+    if view.mask is None:
+        return box_mean(view.image, factor), None
+    share = box_mean(view.mask[None], factor)
+    if PSEUDO not in view.tags:
+        return box_mean(view.image, factor), (share[0] > 0.999).float()
+    mask = (share[0] >= 0.5).float()
+    return mask * box_mean(view.image * view.mask, factor) / share.clamp(min=0.5), mask
+
+
+def box_mean(image: Tensor, factor: int) -> Tensor:
+    """Mean over factor x factor boxes of [C, H, W]; a last, incomplete row or column is cut."""
+    _, height, width = image.shape
+    pixels = image.numpy()[:, : height // factor * factor, : width // factor * factor]
+    rows = _sums(pixels, 1, factor)  # in turn: an eighth of the time of a mean over both axes
+    means = _sums(rows, 2, factor) / factor**2
+    return torch.from_numpy(means.astype(np.float32))
+
+
+def _sums(values: np.ndarray, axis: int, factor: int) -> np.ndarray:
+    """Sums of every `factor` neighbours along `axis`, in float64."""
+    before = (slice(None),) * axis
+    total = values[(*before, slice(0, None, factor))].astype(np.float64)
+    for first in range(1, factor):
+        total += values[(*before, slice(first, None, factor))]
+    return total

@@ -1,0 +1,85 @@
+"""The training loss on one view and its gradient in every parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from framework.plugin import StepStats
+from framework.rasterize import ScreenGradient, rasterize, render_gradient
+from framework.rasterize.losses import photometric_gradient, photometric_loss
+from framework.train.epoch import Item
+from framework.train.guard import check_loss
+from framework.types import Gaussians, Render, View
+
+Penalty = Callable[[View, Render], Tensor | float]
+ViewGradient = tuple[float, dict[str, Tensor], StepStats]
+
+
+def screen_gradient(
+    params: Gaussians, item: Item, where: str, ssim_weight: float, **rendered: Any
+) -> tuple[float, ScreenGradient]:
+    """The loss on a view, and its gradient as far back as the screen.
+
+    where: for messages. rendered: the options of `rasterize` but offset and depth. Raises Diverged
+    when the loss is not finite.
+    """
+    view, loss = item.view, 0.0
+
+    def image_gradient(rgb: np.ndarray) -> np.ndarray:
+        nonlocal loss
+        loss, gradient = photometric_gradient(rgb, item.target, ssim_weight, view.weight)
+        check_loss(loss, where, params.detach())
+        return gradient
+
+    found = render_gradient(params, view.camera, image_gradient, **rendered)
+    return loss, found
+
+
+def view_gradient(
+    params: Gaussians,
+    item: Item,
+    where: str,
+    ssim_weight: float,
+    penalty: Penalty | None = None,
+    **rendered: Any,
+) -> ViewGradient:
+    """The loss on a view, its gradient by the parameters' names, and what capacity plugins see.
+
+    penalty: a term that is added, of whatever its plugin likes, hence by autograd; without one the
+    gradient is taken directly, with the same bits. The others as for `screen_gradient`.
+    """
+    if penalty is not None:
+        return _by_autograd(params, item, where, ssim_weight, penalty, **rendered)
+    loss, found = screen_gradient(params, item, where, ssim_weight, **rendered)
+    parameters, means2d = found.pull_back()
+    return loss, parameters, step_stats(item, means2d, found.radii)
+
+
+def step_stats(item: Item, means2d: Tensor, radii: Tensor) -> StepStats:
+    """What capacity plugins see of a view's render and its gradient."""
+    camera = item.view.camera
+    return StepStats(means2d, radii, camera.width, camera.height)
+
+
+def _by_autograd(
+    params: Gaussians,
+    item: Item,
+    where: str,
+    ssim_weight: float,
+    penalty: Penalty,
+    **rendered: Any,
+) -> ViewGradient:
+    view, offset = item.view, torch.zeros(len(params), 2, requires_grad=True)
+    render = rasterize(params, view.camera, means2d_offset=offset, **rendered)
+    loss = photometric_loss(render.rgb, item.target, ssim_weight) * view.weight
+    check_loss(float(loss.detach()), where, params.detach())
+    loss = loss + penalty(view, render)  # one that is not finite is its plugin's
+    tensors = dict(params.items())
+    *gradients, means2d = torch.autograd.grad(loss, [*tensors.values(), offset])
+    stats = step_stats(item, means2d, render.radii)
+    return float(loss.detach()), dict(zip(tensors, gradients, strict=True)), stats

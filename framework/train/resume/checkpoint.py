@@ -1,0 +1,157 @@
+"""Checkpoints of a run: `checkpoints/step-<finished steps>-<32 hex digits>.safetensors`.
+
+The digits are of the SHA-256 of the file's bytes, so one rename makes file and checksum appear
+together. safetensors holds tensors and texts and nothing that could be executed; the tree of values
+is JSON in its metadata, see `framework.files.tree`. Two are kept: a damaged one is noticed by its
+name and the one before it is used. A checkpoint is of one run identity and is of no use to another.
+
+The next one is due when 75 times the cost of the last has passed, so they take less than 2 % of a
+long training; the cost of the first is guessed, and one that is dearer than the last is paid.
+When they happen changes no result.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import logging
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from framework import types
+from framework.files.limits import CHECKPOINT_BYTES, check_size
+from framework.files.tree import decode, encode
+from framework.files.whole import write_whole
+from framework.fisher import information as fisher
+from framework.records.run_files import HistoryRow
+from framework.train import optim
+from framework.train.resume.training_state import PluginState, TrainerState
+from framework.warp import zbuffer as warp
+
+Check = Callable[[TrainerState], None]
+
+LOG = logging.getLogger(__name__)
+FOLDER, KEY = "checkpoints", "fishersplat"
+KEPT = 2
+COST_TIMES = 75  # so many times a checkpoint's cost pass until the next
+SLOW_DISK = 25e6  # bytes per second assumed before the first one was measured
+FRAMEWORK_CLASSES = (
+    *(types.Camera, types.View, types.DepthMap, types.SparsePoints, types.Gaussians, types.Render),
+    *(warp.Support, fisher.FisherInformation, optim.AdamState),
+    *(HistoryRow, PluginState, TrainerState),
+)
+
+
+def state_classes(plugins: Iterable[Any]) -> list[type]:
+    """The dataclasses that the states of these plugins may be built of: the framework's own, and
+    those found in the modules of the plugins' classes and their bases."""
+    modules = {cls.__module__ for plugin in plugins for cls in type(plugin).__mro__}
+    found = [
+        member
+        for module in sorted(modules & sys.modules.keys())
+        for member in vars(sys.modules[module]).values()
+        if isinstance(member, type) and dataclasses.is_dataclass(member)
+    ]
+    return [*FRAMEWORK_CLASSES, *found]
+
+
+def pack(value: Any, classes: Iterable[type], identity: str, owner: str) -> bytes:
+    """`value` as the bytes of a safetensors file. Raises UserError for what cannot be held."""
+    tree, tensors = encode(value, classes, owner)
+    # under one key: several would be written in another order by each process
+    return save(tensors, {KEY: json.dumps({"identity": identity, "tree": tree})})
+
+
+def unpack(path: Path, classes: Iterable[type], wanted: str | None = None) -> tuple[str, Any]:
+    """(identity, value) of a file of `pack`; of one with another identity than the wanted the value
+    is None: it may hold what these classes never were. Raises ValueError, also when it is damaged.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            told = json.loads((file.metadata() or {})[KEY])
+            identity = str(told["identity"])
+            if wanted not in (None, identity):
+                return identity, None
+            tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118
+        value = decode(told["tree"], tensors, classes)
+    except (SafetensorError, KeyError, TypeError, AttributeError, RuntimeError) as error:
+        raise ValueError(f"{path}: not a checkpoint ({type(error).__name__}: {error})") from error
+    return identity, value
+
+
+def remove_checkpoints(run_dir: Path) -> None:
+    """Remove all of a run: it is complete, or begins anew."""
+    shutil.rmtree(run_dir / FOLDER, ignore_errors=True)
+
+
+class Checkpoints:
+    """The checkpoints of one run (a `training_state.Keeper`).
+
+    run_dir: the run's folder. identity: of the run. plugins: the chosen ones, whose state is held.
+    part: of the run, if it has several trainings.
+    """
+
+    def __init__(
+        self, run_dir: Path, identity: str, plugins: Iterable[Any], part: str = ""
+    ) -> None:
+        self.folder, self.identity = run_dir / FOLDER / part, identity
+        self.classes = state_classes(plugins)
+        self._next = 0.0
+
+    def begin(self, n_bytes: int) -> None:
+        """The training begins. n_bytes: about the size of the first, from which its cost is
+        guessed."""
+        self._next = time.perf_counter() + COST_TIMES * n_bytes / SLOW_DISK
+
+    def newest(self, check: Check) -> TrainerState | None:
+        """The last whole state of this run that passes `check`, which raises ValueError for one
+        that its parts do not make; or None. Files of no use are removed."""
+        for path in reversed(self._paths()):
+            state = self._read(path, check)
+            if state is not None:
+                return state
+            path.unlink()
+        return None
+
+    def due(self) -> bool:
+        return time.perf_counter() >= self._next
+
+    def keep(self, state: TrainerState) -> None:
+        started = time.perf_counter()
+        data = pack(state, self.classes, self.identity, "plugin state")
+        digest = hashlib.sha256(data).hexdigest()[:32]
+        write_whole(self.folder / f"step-{state.step:09d}-{digest}.safetensors", data)
+        for path in self._paths()[:-KEPT]:
+            path.unlink()
+        ended = time.perf_counter()
+        self._next = ended + COST_TIMES * (ended - started)
+
+    def _paths(self) -> list[Path]:
+        """Oldest first."""
+        return sorted(self.folder.glob("step-*.safetensors"))
+
+    def _read(self, path: Path, check: Check) -> TrainerState | None:
+        """The state in `path`; None if it is damaged, which is told, or another run's."""
+        try:
+            check_size(path, CHECKPOINT_BYTES)
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()[:32]
+            if not path.stem.endswith(f"-{digest}"):
+                raise ValueError("its content does not match the checksum in its name")
+            identity, state = unpack(path, self.classes, self.identity)
+            if identity != self.identity:
+                return None
+            if not isinstance(state, TrainerState):
+                raise ValueError("it holds no training")
+            check(state)
+        except (ValueError, RecursionError) as error:
+            LOG.warning("checkpoint %s is damaged and not used: %s", path.name, error)
+            return None
+        return state

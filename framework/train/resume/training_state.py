@@ -1,0 +1,86 @@
+"""All that a training needs to go on: with it and the configuration every later bit is fixed.
+
+Random draws need nothing here: a stream is fixed by (seed, purpose, step). Real views are part of
+the scene and are not repeated; an epoch's pseudo views are, since they were made at its start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from torch import Tensor
+
+from framework.records.run_files import HistoryRow
+from framework.registry import Plugged
+from framework.train.optim import AdamState
+from framework.types import Gaussians, View
+
+
+@dataclass(frozen=True)
+class Plugins:
+    """The three chosen plugins with their framework keys."""
+
+    augment: Plugged
+    reg: Plugged
+    capacity: Plugged
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a training gives. background: [3], what renders for evaluation stand on. wall_s, cpu_s:
+    of the training without evaluations, all its parts together. resumed: how often it was taken up
+    again from a kept state."""
+
+    gaussians: Gaussians
+    background: Tensor
+    sh_degree: int
+    history: tuple[HistoryRow, ...]
+    wall_s: float
+    cpu_s: float
+    resumed: int
+
+
+@dataclass(frozen=True)
+class PluginState:
+    """A plugin's own state, and whether it was made yet."""
+
+    started: bool
+    value: Any
+
+
+@dataclass(frozen=True)
+class TrainerState:
+    """A training between two steps.
+
+    step: finished steps. left: how many of the epoch's real views are still to be trained on.
+    pseudo: the epoch's pseudo views. plugins: by group. logged: since the last row of `history`.
+    psnr: the last one measured. wall_s, cpu_s: of the training so far, without evaluations.
+    resumed: how often it was taken up again.
+    """
+
+    step: int
+    epoch: int
+    version: int
+    left: int
+    gaussians: Gaussians
+    adam: AdamState
+    pseudo: tuple[View, ...]
+    plugins: Mapping[str, PluginState]
+    history: tuple[HistoryRow, ...]
+    logged: Mapping[str, float]
+    psnr: float | None
+    wall_s: float
+    cpu_s: float
+    resumed: int
+
+
+class Keeper(Protocol):
+    """Who keeps the states that a training offers after its steps."""
+
+    def due(self) -> bool:
+        """Whether to keep one now."""
+
+    def keep(self, state: TrainerState) -> None:
+        """Keep `state`; its tensors are the training's own and change with the next step."""
