@@ -1,0 +1,3 @@
+"""Fisher information of the Gaussians (`information`), and scores made from it (`scores`)."""
+
+__all__ = ["information", "scores"]

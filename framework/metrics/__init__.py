@@ -1,0 +1,3 @@
+"""PSNR, SSIM, FLIP and LPIPS of renders (`evaluate`); what a measurement is (`values`, light)."""
+
+__all__ = ["evaluate", "flip", "lpips", "values"]

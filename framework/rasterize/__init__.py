@@ -29,7 +29,11 @@ __all__ = [
     "Workspace",
     "borrow",
     "give_back",
+    "lending",
+    "losses",
+    "project",
     "rasterize",
+    "reference",
     "render_gradient",
 ]
 

@@ -15,7 +15,7 @@ from framework.compute.parallel import BLOCKS, run_blocks, threads
 from framework.errors import UserError
 from framework.rasterize.constants import ROW
 from framework.rasterize.lending import Lender, aligned, grown
-from framework.rasterize.project import information, projection
+from framework.rasterize.project import backward, information, projection
 from framework.rasterize.tile import binning, blend, moments
 from framework.types import Camera
 
@@ -308,7 +308,7 @@ class Workspace:
         )
 
     def backward_inputs(self) -> tuple[Any, ...]:
-        """What `projection.project_backward` reads beside the parameters that lie flat."""
+        """What `backward.project_backward` reads beside the parameters that lie flat."""
         rows, sums = self.rows.reshape(-1), self.sums.reshape(-1)
         of_all = self.arrays.shN, self.arrays.factors, self.degree, self.camera
         return *of_all, rows, self.clipped, self.first, sums
@@ -317,7 +317,7 @@ class Workspace:
         """Sums in `sums` -> gradients of every parameter (all of `gradient` is overwritten)."""
         arrays = self.arrays
         run_blocks(
-            projection.project_backward,
+            backward.project_backward,
             arrays.means.reshape(-1),
             arrays.quats.reshape(-1),
             arrays.log_scales.reshape(-1),

@@ -20,7 +20,17 @@ from framework.scenes.transforms import Transforms
 if TYPE_CHECKING:
     from framework.types import Scene
 
-__all__ = ["LOADERS", "Colmap", "Dtu", "Embedded", "Llff", "Mip360", "Transforms", "load_scene"]
+__all__ = [
+    "LOADERS",
+    "Colmap",
+    "Dtu",
+    "Embedded",
+    "Llff",
+    "Mip360",
+    "Transforms",
+    "images",
+    "load_scene",
+]
 
 LOADERS: dict[str, type] = {
     "embedded": Embedded,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -14,16 +15,44 @@ FRAMEWORK = sorted((ROOT / "framework").rglob("*.py"))
 PLUGINS = sorted((ROOT / "plugins").rglob("*.py"))
 REPORT = sorted((ROOT / "framework" / "report").rglob("*.py"))
 
+# Top to bottom: whoever stands in a line may import from the lines below it, never from above.
+# A folder is a room, its `__init__.py` the door: `__all__` there says what other rooms may take.
+ROOMS = (
+    "command",  # what a user types, and what they are told
+    "report",  # records -> report
+    "run",  # scene -> depth -> start -> training -> measures -> record
+    "train",  # the step loop
+    "methods",  # common parts of method families; the plugins stand beside it
+    "plugin",  # the contracts
+    "registry",
+    "fisher",  # information of the Gaussians, and scores from it
+    "warp",  # the soft z-buffer
+    "initialize",  # the first Gaussians
+    "depth",  # of the training views
+    "scenes",  # photos, cameras, points
+    "records",  # a run on disk
+    "metrics",  # PSNR, SSIM, FLIP, LPIPS
+    "rasterize",  # Gaussians -> pixels and back
+    "geometry",  # the values everybody speaks of
+    "shapes",
+    "types",
+    "options",
+    "compute",  # how kernels run
+    "files",  # reading and writing safely
+    "errors",  # the ground
+)
+MOST_ROOMS, MOST_FILES = 16, 8  # folders, and files that lie in none
+
 PLUGIN_MAY_IMPORT = {
     f"framework.{name}"
     for name in (
-        *("plugin", "types", "shapes", "geometry", "warp", "warping", "fisher", "information"),
-        *("dropout", "pull", "rounds", "bands", "losses", "errors", "registry"),
+        *("plugin", "types", "shapes", "geometry", "errors", "registry"),
+        *("methods", "fisher", "warp", "rasterize.losses"),
     )
 }
 REPORT_MUST_NOT_IMPORT = {
     *("torch", "numba", "plugins"),
-    *(f"framework.{name}" for name in ("trainer", "experiment", "rasterize", "types", "ply")),
+    *(f"framework.{name}" for name in ("train", "run", "rasterize", "types", "records.ply")),
 }
 HEAVY = {"torch", "numba", "scipy", "skimage", "cv2", "kornia", "pycolmap", "pandas", "matplotlib"}
 
@@ -58,6 +87,71 @@ def loaded(path: Path, seen: set[Path]) -> Iterator[str]:
         for file in (own.with_suffix(".py"), own / "__init__.py"):
             if file.is_file() and file not in seen:
                 yield from loaded(file, seen)
+
+
+def module_of(path: Path) -> str:
+    """The full name of the module in a file."""
+    names = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(names[:-1] if names[-1] == "__init__" else names)
+
+
+MODULES = {module_of(path): path for path in [*FRAMEWORK, *PLUGINS]}
+
+
+def taken(path: Path) -> Iterator[tuple[str, str | None]]:
+    """(module of ours, name taken from it or None for all of it) of every import statement of a
+    file: also in functions and under TYPE_CHECKING."""
+    for statement in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(statement, ast.Import):
+            yield from ((a.name, None) for a in statement.names if a.name in MODULES)
+        elif isinstance(statement, ast.ImportFrom) and statement.module in MODULES:
+            for alias in statement.names:
+                whole = f"{statement.module}.{alias.name}"
+                yield (whole, None) if whole in MODULES else (statement.module, alias.name)
+
+
+def room(module: str) -> str:
+    """The room of a module of the framework; "" for the package itself."""
+    return module.split(".")[1] if "." in module else ""
+
+
+def climbs(path: Path, module: str = "") -> list[str]:
+    """The imports of a file, or of a text that stands for `module`, that go up or to a room that
+    the list lacks."""
+    own, found = room(module or module_of(path)), []
+    for other_module, _ in taken(path):
+        other = room(other_module)
+        if not other or other == own or not covers("framework", other_module):
+            continue
+        if other not in ROOMS or ROOMS.index(other) < ROOMS.index(own):
+            found.append(f"{own} imports {other_module} of {other}, which is above it")
+    return found
+
+
+def past_the_door(path: Path) -> list[str]:
+    """What a file takes from other rooms that their doors do not hand out."""
+    own, found = module_of(path), []
+    for module, name in taken(path):
+        if not covers("framework", module) or (
+            covers("framework", own) and room(own) == room(module)
+        ):
+            continue
+        inside = module.split(".")[2:]
+        door = MODULES.get(f"framework.{room(module)}")
+        wanted = inside[0] if inside else name
+        if door is None or door.name != "__init__.py" or room(module) == "" or wanted is None:
+            continue
+        if wanted not in handed_out(door):
+            found.append(f"{own} takes {wanted} from {room(module)}, whose __all__ lacks it")
+    return found
+
+
+def handed_out(door: Path) -> list[str]:
+    """The names in `__all__` of a room's `__init__.py`."""
+    for statement in ast.parse(door.read_text(encoding="utf-8")).body:
+        if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "__all__":
+            return [str(name) for name in ast.literal_eval(statement.value)]
+    return []
 
 
 def covers(rule: str, module: str) -> bool:
@@ -102,3 +196,45 @@ def test_a_plugin_is_light_to_import(path: Path) -> None:
 def test_the_report_reads_records_only(path: Path) -> None:
     found = everything(path)
     assert not [m for m in found if any(covers(rule, m) for rule in REPORT_MUST_NOT_IMPORT)]
+
+
+@pytest.mark.parametrize("path", FRAMEWORK, ids=name_of)
+def test_imports_go_down_only(path: Path) -> None:
+    assert not climbs(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "def late():\n    from framework.train.trainer import Trainer\n",
+        "if TYPE_CHECKING:\n    import framework.report\n",
+    ],
+)
+def test_an_import_that_climbs_is_found_wherever_it_stands(text: str, tmp_path: Path) -> None:
+    file = tmp_path / "climbing.py"
+    file.write_text(text)
+    (found,) = climbs(file, "framework.files.climbing")
+    assert found.startswith("files imports framework.") and found.endswith("which is above it")
+
+
+@pytest.mark.parametrize("path", [*FRAMEWORK, *PLUGINS], ids=name_of)
+def test_rooms_are_entered_by_their_doors(path: Path) -> None:
+    assert not past_the_door(path)
+
+
+def test_no_import_goes_in_a_circle() -> None:
+    edges = {name: {m for m, _ in taken(path)} - {name} for name, path in MODULES.items()}
+    TopologicalSorter(edges).prepare()  # raises CycleError, which names the circle
+
+
+def test_the_house_is_not_a_heap() -> None:
+    inside = [p for p in (ROOT / "framework").iterdir() if p.name != "__pycache__"]
+    rooms, files = [p for p in inside if p.is_dir()], [p for p in inside if p.is_file()]
+    assert len(rooms) <= MOST_ROOMS and len(files) <= MOST_FILES
+    assert {p.stem for p in inside} - {"__init__"} == set(ROOMS)
+
+
+@pytest.mark.parametrize("room_name", [r for r in ROOMS if (ROOT / "framework" / r).is_dir()])
+def test_a_room_says_what_it_is_for(room_name: str) -> None:
+    for door in (ROOT / "framework" / room_name).rglob("__init__.py"):
+        assert ast.get_docstring(ast.parse(door.read_text(encoding="utf-8"))), name_of(door)

@@ -45,8 +45,8 @@ class Noting(Trainer):
         self.names: list[str] = []
         self.seen.append((parameters_sha256(self.params), self.names))
 
-    def _next_items(self) -> tuple[Item, ...]:
-        items = super()._next_items()
+    def _pick(self) -> tuple[Item, ...]:
+        items = super()._pick()
         for item in items:
             self.names.append("pseudo" if PSEUDO in item.view.tags else item.view.name)
         return items

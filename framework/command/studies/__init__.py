@@ -1,0 +1,1 @@
+"""Many runs at once: the ledger of a command, its failures, time and room, and its reports."""

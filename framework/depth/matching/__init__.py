@@ -1,0 +1,1 @@
+"""Stereo: costs, their aggregation, the choice of depth, and the sweep over views."""

@@ -1,0 +1,1 @@
+"""A report written down: as markdown, and as one offline page with its assets."""

@@ -1,0 +1,1 @@
+"""What the runs say: estimates and tests, spreads, outcomes, break-down points; numbers as text."""

@@ -1,0 +1,1 @@
+"""The words of a report: its finding, tables, what is missing, where numbers come from."""
