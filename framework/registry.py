@@ -1,7 +1,8 @@
 """name -> plugin class, with discovery and checked construction.
 
-Plugins are found in the `plugins/` folder and in installed packages that declare the entry point
-group `fishersplat.plugins`. Launchers start fresh processes, so `discover` is cheap to call again.
+Plugins are found in the `plugins/` folder, in installed packages that declare the entry point group
+`fishersplat.plugins`, and in the folder of the user's own that the command line asks for. Launchers
+start fresh processes, so `discover` is cheap to call again.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import importlib
+import importlib.util
 import math
 import pkgutil
 import sys
@@ -21,6 +23,7 @@ from types import ModuleType, UnionType
 from typing import Any, TypeVar
 
 from framework.errors import UserError, nearest_hint, require
+from framework.files.paths import own_plugins
 
 GROUPS = {"augment": "plugins.augment", "reg": "plugins.regularize", "capacity": "plugins.capacity"}
 FOLDER = Path(__file__).resolve().parent.parent / "plugins"
@@ -92,9 +95,25 @@ def discover() -> None:
             name = f"{package_name}.{module.name}"
             if name not in sys.modules:
                 _guarded(name, "repair it", functools.partial(importlib.import_module, name))
+    for file in own_plugins():
+        name = f"own_plugins.{file.stem}"
+        if name not in sys.modules:
+            _guarded(str(file), "repair it", functools.partial(_import_file, name, file))
     for point in _installed():
         told = f"entry point {point.name} = {point.value}"
         _guarded(told, "repair or uninstall that package", point.load)
+
+
+def _import_file(name: str, file: Path) -> None:
+    spec = importlib.util.spec_from_file_location(name, file)
+    if spec is None or spec.loader is None:
+        raise UserError(f"{file}: expected a Python file, got another; rename it")
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
 
 
 def _check_place(package: ModuleType) -> None:

@@ -20,12 +20,12 @@ from contextlib import contextmanager
 from typing import Any, NoReturn
 
 import hydra
-from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
-from framework.command import runner
+import framework
+from framework.command import own_plugins, runner
 from framework.command.complaints import USER_ERRORS, one_line
 from framework.command.config.help import help_text
 from framework.command.config.naming import plain, register_resolvers, study_name
@@ -38,10 +38,13 @@ from framework.command.config.schema import (
     register_config,
 )
 from framework.command.config.trust import check_command
+from framework.command.hydra_inside import argument_parser
 from framework.command.job import Job
 from framework.command.orphans import end_with_parent
+from framework.command.program import program
 from framework.command.studies.failures import again, conclude, tell
 from framework.command.studies.study import Outcome, Refused, add_outcome, job_count, ledger
+from framework.command.subcommands import asked_for, obey
 from framework.errors import UserError
 from framework.files.whole import MENDABLE, unwritable
 from framework.records.progress import unread
@@ -54,7 +57,13 @@ MULTIRUN_FLAGS = ("-m", "--multirun")
 def main(argv: Sequence[str]) -> int:
     """Run the command line `argv` (without the program's name); returns the exit code."""
     try:
-        arguments = normalise(argv)
+        subcommand = asked_for(argv)
+        if subcommand is not None:
+            return obey(subcommand, argv[1:])
+        if "--version" in argv:
+            print(f"fishersplat {framework.__version__}")
+            return 0
+        arguments = normalise(own_plugins.take_flag(argv))
         with _hydra_process(arguments):
             register_config()
             flags = _parse(arguments)
@@ -72,7 +81,7 @@ def main(argv: Sequence[str]) -> int:
                 application()
                 return conclude()
     except KeyboardInterrupt:
-        line = shlex.join(["python", "run.py", *argv])
+        line = f"{program()} {shlex.join(argv)}"
         print(f"error: interrupted; what is done is kept, go on with: {line}", file=sys.stderr)
         return 130
     except (Refused, *USER_ERRORS) as error:
@@ -152,7 +161,7 @@ def _parse(arguments: Sequence[str]) -> Any:
     def refuse(message: str) -> NoReturn:
         raise UserError(f"command line: {message}; --help tells what there is")
 
-    parser = get_args_parser()
+    parser = argument_parser()
     parser.error = refuse  # type: ignore[method-assign]
     return parser.parse_args(arguments)
 

@@ -25,14 +25,21 @@ from typing import NoReturn, TextIO
 
 from framework.command import runner
 from framework.command.orphans import watch
+from framework.command.program import CONSOLE, SCRIPT, typed
 
 INTERRUPT = signal.SIGUSR1  # to the child: the run was interrupted, tell so
 SIGNALS = (signal.SIGINT, INTERRUPT)
 
 
-def command(argv: Sequence[str]) -> NoReturn:
-    """Obey the command line `argv` (without the program's name) and end this process."""
-    if not any(word.startswith("-") for word in argv):
+def main() -> NoReturn:
+    """The console command `fishersplat`."""
+    command(sys.argv[1:], CONSOLE)
+
+
+def command(argv: Sequence[str], name: str = SCRIPT) -> NoReturn:
+    """Obey the command line `argv` of the program `name` and end this process."""
+    typed(name)
+    if all("=" in word and not word.startswith("-") for word in argv):
         try:
             code = lone(argv)
         except KeyboardInterrupt:  # before there were two

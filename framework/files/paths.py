@@ -6,10 +6,12 @@ up in a report that is published.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from framework.errors import UserError, require
 
+OWN_VARIABLE = "FISHERSPLAT_PLUGINS"  # the folder of `--plugins`, for every process of a command
 NAME_BYTES = 255  # of one part of a path, on the usual file systems
 
 
@@ -38,3 +40,13 @@ def inside(folder: Path, name: str | Path) -> Path:
         f"{where}, which leads out of it; copy the file into the folder",
     )
     return path
+
+
+def own_plugins() -> list[Path]:
+    """The modules of the user's own plugins: the `.py` files of the folder that `OWN_VARIABLE`
+    names and of its folders, sorted; none without one."""
+    folder = os.environ.get(OWN_VARIABLE)
+    if not folder:
+        return []
+    files = [*Path(folder).glob("*.py"), *Path(folder).glob("*/*.py")]
+    return sorted(file for file in files if not file.name.startswith("_"))

@@ -24,12 +24,13 @@ from typing import Any
 
 import framework
 from framework.compute.parallel import threads
+from framework.files.paths import own_plugins
 
 ROOT = Path(framework.__file__).resolve().parent.parent
 NEUTRAL_KEYS = ("threads", "force", "study", "traceback", "estimate", "hydra")
 PACKAGES = (
     *("torch", "numpy", "numba", "llvmlite", "scipy", "scikit-image"),
-    *("kornia", "pycolmap", "opencv-contrib-python-headless", "hydra-core"),
+    *("pycolmap", "opencv-contrib-python-headless", "hydra-core"),
 )
 PLUGIN_ENTRY_POINTS = "fishersplat.plugins"
 
@@ -160,6 +161,7 @@ def _own_sources(root: Path) -> list[tuple[str, Path]]:
 
 
 def _foreign_sources() -> Iterable[tuple[str, Path]]:
+    yield from ((f"own {path.name}", path) for path in own_plugins())
     for point in sorted(entry_points(group=PLUGIN_ENTRY_POINTS), key=lambda p: (p.name, p.value)):
         spec = importlib.util.find_spec(point.module)
         if spec is not None and spec.origin is not None and Path(spec.origin).is_file():

@@ -12,9 +12,9 @@ from pathlib import Path
 from framework.errors import UserError, require
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None, prog: str = "python -m framework.report") -> int:
     """Exit status: 0, or 2 with one line on stderr for bad input."""
-    parser = argparse.ArgumentParser(prog="python -m framework.report", description=__doc__)
+    parser = argparse.ArgumentParser(prog=prog, description=__doc__)
     parser.add_argument(
         "study_dirs", type=Path, nargs="+", metavar="DIR", help="folder of a study, as reports/demo"
     )

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from framework.errors import UserError, require
-from framework.records.ply_counts import check_counts
 from framework.scenes.assemble import Tracks
+from framework.scenes.ply_vertices import read_vertices
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from framework.scenes.assemble import Shot
 
 SAME_POSE = 0.01  # distance between two models' camera centres, of the rig's size
+COLUMNS = ("x", "y", "z", "red", "green", "blue")  # of a PLY file
 PERCENTILES = (0.1, 99.9)  # of the depths, as LLFF's poses_bounds.npy has them
 
 
@@ -74,23 +75,19 @@ def ply_points(path: Path, shots: Sequence[Shot]) -> Tracks:
 
 
 def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    from plyfile import PlyData, PlyParseError
-
     require(
         path.is_file(),
         f"{path}: expected a PLY file of coloured points, found none; correct scene.points",
     )
-    check_counts(path)
-    try:
-        vertex = PlyData.read(str(path))["vertex"]
-        xyz = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=1)
-        rgb = np.stack([np.asarray(vertex[c]) for c in ("red", "green", "blue")], axis=1)
-    except (OSError, PlyParseError, KeyError, ValueError, OverflowError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise UserError(
-            f"{path}: expected a PLY file of coloured points (x y z red green blue), got none"
-            f" ({reason}); correct scene.points"
-        ) from None
+    vertices = read_vertices(path)
+    lacks = [name for name in COLUMNS if name not in (vertices.dtype.names or ())]
+    require(
+        not lacks,
+        f"{path}: expected a PLY file of coloured points ({' '.join(COLUMNS)}), got none with"
+        f" {' '.join(lacks)}; correct scene.points",
+    )
+    xyz = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    rgb = np.stack([vertices[colour] for colour in COLUMNS[3:]], axis=1)
     require(
         rgb.dtype == np.uint8,
         f"{path}: expected colours of type uchar, got {rgb.dtype}; convert the file",

@@ -110,7 +110,7 @@ class PluginsAtWork:
             LOG.warning(
                 f"capacity={capacity.name}: no Gaussian was added or removed in"
                 f" {self._conditions.options.steps} steps, as with capacity=fixed; when it may is"
-                f" set by its options, see python run.py --help capacity={capacity.name}"
+                f" set by its options, which --help capacity={capacity.name} tells"
             )
 
     def _all(self) -> tuple[_Running, ...]:

@@ -16,7 +16,7 @@ from framework.records.progress import Silent
 from framework.run import warmup
 from framework.run.warmup import Warmup
 from framework.train.optim import Adam
-from framework.train.trainer import Trainer
+from framework.train.plugged import PluginsAtWork
 from tests.cli.conftest import composed
 
 
@@ -109,6 +109,6 @@ def test_both_ways_of_a_gradient_are_warmed_up(monkeypatch: pytest.MonkeyPatch) 
         monkeypatch.setattr(
             Adam, name, lambda *given, way=way, name=name: (ways.append(name), way(*given))[1]
         )
-    monkeypatch.setattr(Trainer, "_penalty_of", lambda *_: penalty)
+    monkeypatch.setattr(PluginsAtWork, "regularization", lambda *_: (None, penalty))
     warm(composed("trainer.sh_degree=1"))
     assert set(ways) == {"step", "step_from"}

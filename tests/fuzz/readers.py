@@ -25,7 +25,7 @@ from framework.types import Gaussians
 from tests.metrics.test_lpips import features, state_dict
 from tests.record.fakes import fake_run, make_gaussians
 from tests.resume.test_checkpoint import state
-from tests.scenes.synthetic import write_llff, write_model, write_scene
+from tests.scenes.synthetic import write_llff, write_model, write_scene, write_table
 from tests.scenes.test_dtu import write_dtu
 from tests.scenes.test_transforms import BOUNDS
 from tests.scenes.test_transforms import write as write_transforms
@@ -79,12 +79,10 @@ def _photo(name: str, mode: str) -> Step:
 
 
 def _points(folder: Path, text: bool) -> None:
-    from plyfile import PlyData, PlyElement
-
     write_transforms(folder)
     kinds = [(axis, "f4") for axis in "xyz"] + [(c, "u1") for c in ("red", "green", "blue")]
     rows = np.array([(0, 0, 4, 1, 2, 3), (0.1, 0, 5, 4, 5, 6)], dtype=kinds)
-    PlyData([PlyElement.describe(rows, "vertex")], text=text).write(str(folder / "points.ply"))
+    write_table(folder / "points.ply", rows, text)
 
 
 def _pack(folder: Path) -> None:

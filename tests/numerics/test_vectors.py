@@ -30,7 +30,7 @@ match_costs(
 )
 print(len(np.unique(cost)), hashlib.sha256(cost.tobytes()).hexdigest())
 """
-SHOW = "from framework import jit; print(jit._config.CPU_FEATURES)"
+SHOW = "from framework.compute import jit; print(jit._config.CPU_FEATURES)"
 
 
 def _features(**variables: str) -> str:

@@ -12,7 +12,7 @@ from framework.command.config.schema import ROOT
 def test_a_study_killed_again_and_again_equals_an_undisturbed_one(tmp_path: Path) -> None:
     """SIGKILL at a random moment and while each kind of file is written."""
     page = tmp_path / "kill.md"
-    script = str(ROOT / "benchmarks" / "kill.py")
+    script = str(ROOT / "benchmarks" / "safety" / "kill.py")
     done = subprocess.run(
         [sys.executable, script, "--small", "--steps", "24", "--output", str(page)],
         cwd=tmp_path,

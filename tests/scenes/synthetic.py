@@ -77,3 +77,16 @@ def write_llff(folder: Path, n: int = 10) -> Path:
     write_images(folder / "images_8", n)
     np.save(folder / "poses_bounds.npy", llff_rows(n))
     return folder
+
+
+def write_table(path: Path, rows: np.ndarray, text: bool = False, order: str = "<") -> None:
+    """A PLY file whose only element is `vertex`, of a structured array."""
+    kinds = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
+    form = "ascii" if text else f"binary_{'little' if order == '<' else 'big'}_endian"
+    names = rows.dtype.names or ()
+    properties = [f"property {kinds[rows.dtype[name].str[1:]]} {name}" for name in names]
+    head = ["ply", f"format {form} 1.0", f"element vertex {len(rows)}", *properties, "end_header"]
+    body = rows.astype([(name, order + rows.dtype[name].str[1:]) for name in names]).tobytes()
+    if text:
+        body = "".join(" ".join(map(str, row.tolist())) + "\n" for row in rows).encode()
+    path.write_bytes("\n".join(head).encode() + b"\n" + body)

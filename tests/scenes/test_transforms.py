@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from plyfile import PlyData, PlyElement
 
 from framework.compute.rng import stream
 from framework.errors import UserError
@@ -20,7 +19,7 @@ from framework.scenes import load_scene
 from framework.scenes.lens import Distortion, undistort
 from framework.types import Scene
 from tests.data import open_scene
-from tests.scenes.synthetic import FOCAL, HEIGHT, WIDTH, write_images, write_model
+from tests.scenes.synthetic import FOCAL, HEIGHT, WIDTH, write_images, write_model, write_table
 
 Data = dict[str, Any]
 BOUNDS = {"near": 1.0, "far": 10.0}
@@ -133,7 +132,7 @@ def test_points_need_two_training_views(tmp_path: Path) -> None:
 def write_ply(path: Path, xyz: list[tuple[float, float, float]], colour: str = "u1") -> None:
     names = [(a, "f4") for a in "xyz"] + [(c, colour) for c in ("red", "green", "blue")]
     table = np.array([(*p, 10, 20, 30) for p in xyz], dtype=names)
-    PlyData([PlyElement.describe(table, "vertex")]).write(str(path))
+    write_table(path, table)
 
 
 def test_a_named_ply_gives_points_inside_two_training_images(tmp_path: Path) -> None:

@@ -25,10 +25,10 @@ from framework.files.archives import open_zip
 from framework.files.arrays import read_npy, read_npz
 from framework.metrics.lpips import load as load_lpips
 from framework.records.ply import read_ply
-from framework.records.ply_counts import check_counts
 from framework.records.record import read_record, read_run
 from framework.scenes import load_scene
 from framework.scenes.images import list_images, read_image
+from framework.scenes.ply_vertices import read_vertices
 from tests.metrics.test_lpips import features, state_dict
 from tests.record.fakes import fake_run
 from tests.scenes.synthetic import write_llff, write_scene
@@ -167,7 +167,7 @@ def test_weights_that_are_views_of_little_data(tmp_path: Path) -> None:
 def test_ply_counts_are_compared_with_the_file(tmp_path: Path, count: str) -> None:
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
     (tmp_path / "a.ply").write_text(f"{head}property float x\nend_header\n")
-    for read in (read_ply, check_counts):
+    for read in (read_ply, read_vertices):
         with pytest.raises(UserError, match=r"a\.ply: expected"):
             read(tmp_path / "a.ply")
 

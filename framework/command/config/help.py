@@ -28,6 +28,8 @@ from framework.command.config.schema import (
     rows,
     tables,
 )
+from framework.command.program import program
+from framework.command.subcommands import SUBCOMMANDS
 from framework.options import TrainerOptions
 
 WIDTH = 80  # characters of a summary
@@ -35,10 +37,12 @@ WIDTH = 80  # characters of a summary
 HEADER = """\
 fishersplat: sparse-view 3D Gaussian Splatting studies on a CPU
 
-  one run      python run.py augment=safi reg=uar
-  a study      python run.py +augment=safi +reg=uar seed=0,1,2 -m
-  own photos   python run.py scene=llff scene.path=DIR scene.n_views=3
-  named study  python run.py sweep=demo
+  one run      {program} augment=safi reg=uar
+  a study      {program} +augment=safi +reg=uar seed=0,1,2 -m
+  own photos   {program} scene=llff scene.path=DIR scene.n_views=3
+  named study  {program} sweep=demo
+  own plugins  {program} --plugins DIR reg=NAME
+{subcommands}
 
 -m (a run for every combination of the values) goes first or last on the line.
 The report is written to reports/STUDY/report.md, each run to reports/STUDY/runs/NAME/.
@@ -51,7 +55,9 @@ def help_text(overrides: Sequence[str]) -> str:
     with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
         options = "\n".join(_explained(compose("config", list(overrides))))
     chosen = "\n".join(lines)
-    return f"{HEADER}\nChoices, GROUP=NAME:\n{chosen}\n\nOptions, KEY=VALUE:\n\n{options}\n"
+    beside = [f"  {does:<13}{program()} {name} ..." for name, (_, does) in SUBCOMMANDS.items()]
+    header = HEADER.format(program=program(), subcommands="\n".join(beside))
+    return f"{header}\nChoices, GROUP=NAME:\n{chosen}\n\nOptions, KEY=VALUE:\n\n{options}\n"
 
 
 def _explained(config: DictConfig) -> Iterator[str]:

@@ -21,13 +21,16 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, OmegaConf
 
+import framework
 from framework import registry
 from framework.errors import UserError, nearest_hint, require
 from framework.options import TrainerOptions
 
-ROOT = Path(__file__).resolve().parents[3]
-CONF_DIR = ROOT / "conf"
-SWEEPS_DIR = ROOT / "sweeps"
+PACKAGE = Path(framework.__file__).resolve().parent
+ROOT = PACKAGE.parent  # of the repository, or where packages are installed
+# a wheel holds both folders inside the package, where no other package's can take their place
+INSTALLED = (PACKAGE / "conf").is_dir()
+CONF_DIR, SWEEPS_DIR = ((PACKAGE if INSTALLED else ROOT) / name for name in ("conf", "sweeps"))
 
 # Groups that choose an object; `preset` (training conditions), `method` (an augmenter and a
 # regularizer), `experiment` and `sweep` only bundle choices of these.

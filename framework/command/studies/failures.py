@@ -16,8 +16,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from framework.command import own_plugins
 from framework.command.complaints import USER_ERRORS, one_line
 from framework.command.job import Job
+from framework.command.program import program
 from framework.command.studies.study import (
     REPORT,
     Outcome,
@@ -62,7 +64,7 @@ def again(job: Any) -> str:
     own = [str(o) for o in job.overrides.hydra if not str(o).startswith(LAUNCHING)]
     words = [*own, *(str(override) for override in job.overrides.task)]
     multirun = ["-m"] if job.mode.name == "MULTIRUN" else []
-    return shlex.join(["python", "run.py", *words, *multirun])
+    return f"{program()} {shlex.join([*words, *own_plugins.flags(), *multirun])}"
 
 
 def conclude() -> int:

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
@@ -28,6 +27,8 @@ from framework.command.complaints import USER_ERRORS, composing
 from framework.command.config.naming import plain, study_dir
 from framework.command.config.schema import check
 from framework.command.config.trust import check_composed
+from framework.command.hydra_inside import jobs_of
+from framework.command.program import program
 from framework.command.studies.disk import check_room
 from framework.command.studies.estimate import announce
 from framework.compute.stopwatch import Stopwatch, duration
@@ -133,8 +134,7 @@ def sweep_jobs(config: DictConfig) -> list[list[str]]:
     lines = [f"{key!s}={value}" for key, value in params.items()]
     lines += list(config.hydra.overrides.task)
     parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
-    batches = BasicSweeper.split_arguments(parser.parse_overrides(lines), None)
-    return [list(job) for batch in batches for job in batch]
+    return jobs_of(parser.parse_overrides(lines))
 
 
 def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dict[str, Any]]]:
@@ -213,7 +213,7 @@ def build_reports() -> None:
             say(f"report: {short_path(report)}")
         except Exception as error:
             number = len(outcomes())
-            bad_input, again = isinstance(error, UserError), f"python -m framework.report {folder}"
+            bad_input, again = isinstance(error, UserError), f"{program()} report {folder}"
             message = f"report of {short_path(folder)}: {type(error).__name__}: {error}"
             add_outcome(Outcome(number, str(folder), message, REPORT, again, bad_input=bad_input))
 

@@ -1,0 +1,137 @@
+"""The vertices of a PLY file (Turk 1994): a header, then the elements it names, as text or binary.
+
+Only what points need is read: one element `vertex` of scalar properties, with nothing but scalars
+before it. The header is checked against the file before anything is allocated.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from framework.errors import UserError, require
+from framework.files.limits import PLY_BYTES, check_size
+
+HEADER_BYTES = 65536
+KINDS = {
+    **{"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1"},
+    **{"short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2"},
+    **{"int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4"},
+    **{"float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
+}
+ORDERS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
+COUNT = re.compile(r"\d{1,15}", re.ASCII)
+
+
+@dataclass(frozen=True)
+class _Header:
+    """begin: of the body, bytes. before: the rows, or bytes, that stand before the vertices. dtype:
+    of a vertex. text: whether the body is text."""
+
+    begin: int
+    before: int
+    count: int
+    dtype: np.dtype[Any]
+    text: bool
+
+
+def read_vertices(path: Path) -> NDArray[Any]:
+    """[count] structured array of the vertices. Raises UserError for a file that has none such."""
+    size = check_size(path, PLY_BYTES)
+    with path.open("rb") as file:
+        header = _header(path, file.read(HEADER_BYTES))
+        # a value of text takes a digit and what ends it, the last one perhaps without the latter
+        row = 2 * len(_names(header.dtype)) if header.text else header.dtype.itemsize
+        least = header.before + header.count * row - header.text
+        require(
+            least <= size - header.begin,
+            f"{path}: expected at least {least:,} bytes after the header, got"
+            f" {size - header.begin:,}; the file is damaged, write it again",
+        )
+        file.seek(header.begin)
+        return _as_text(path, header, file.read()) if header.text else _as_binary(header, file)
+
+
+def _as_binary(header: _Header, file: io.BufferedReader) -> NDArray[Any]:
+    file.seek(header.before, io.SEEK_CUR)
+    return np.fromfile(file, header.dtype, header.count)
+
+
+def _as_text(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
+    try:
+        lines = body.decode("ascii").splitlines()[header.before :][: header.count]
+        rows = np.empty(0, header.dtype)
+        if lines:
+            rows = np.loadtxt(lines, header.dtype, comments=None, ndmin=1)
+    except (UnicodeDecodeError, ValueError, OverflowError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise UserError(
+            f"{path}: expected the numbers that its header names, got others ({reason}); the file"
+            " is damaged, write it again"
+        ) from None
+    require(
+        len(rows) == header.count,
+        f"{path}: expected {header.count:,} vertices, got {len(rows):,}; the file is damaged, write"
+        " it again",
+    )
+    return rows
+
+
+def _header(path: Path, head: bytes) -> _Header:
+    end = re.search(rb"^end_header\r?\n", head, re.MULTILINE)
+    if not head.startswith(b"ply") or end is None:
+        raise UserError(f"{path}: expected a PLY header, got none; it is no PLY file")
+    lines = [line.split() for line in head[: end.start()].decode("ascii", "replace").splitlines()]
+    form = next((words[1] for words in lines if words[:1] == ["format"] and len(words) > 1), "")
+    require(
+        form in ORDERS, f"{path}: expected format {' or '.join(ORDERS)}, got '{form[:40]}'; convert"
+    )
+    order, before = ORDERS[form], 0
+    for name, count, properties in _elements(path, lines):
+        if name != "vertex" and not properties and count:
+            raise UserError(
+                f"{path}: expected scalars before the vertices, got the list element '{name[:40]}';"
+                " write the vertices first"
+            )
+        if name != "vertex":
+            size = np.dtype([(n, k) for n, k in properties]).itemsize if count else 0
+            before += count if order is None else count * size
+            continue
+        dtype = np.dtype([(n, k if order is None else order + k) for n, k in properties])
+        require(
+            len(_names(dtype)) > 0, f"{path}: expected vertices of scalars, got lists or nothing"
+        )
+        return _Header(end.end(), before, count, dtype, order is None)
+    raise UserError(f"{path}: expected an element 'vertex', got none; it holds no points")
+
+
+def _names(dtype: np.dtype[Any]) -> tuple[str, ...]:
+    return dtype.names or ()
+
+
+def _elements(path: Path, lines: list[list[str]]) -> list[tuple[str, int, list[tuple[str, str]]]]:
+    """(name, count, its scalar properties, or none where it has a list) of every element."""
+    found: list[tuple[str, int, list[tuple[str, str]]]] = []
+    lists: set[int] = set()
+    for words in lines:
+        match words:
+            case ["element", name, number] if COUNT.fullmatch(number):
+                found.append((name, int(number), []))
+            case ["property", "list", *_] if found:
+                lists.add(len(found) - 1)
+            case ["property", kind, name] if kind in KINDS and found:
+                names = [n for n, _ in found[-1][2]]
+                require(name not in names, f"{path}: expected each property once, got two '{name}'")
+                found[-1][2].append((name, KINDS[kind]))
+            case ["element" | "property", *_]:
+                raise UserError(
+                    f"{path}: expected 'element NAME COUNT' and 'property TYPE NAME', got"
+                    f" '{' '.join(words)[:60]}'; write the file again"
+                )
+    return [(n, c, [] if i in lists else p) for i, (n, c, p) in enumerate(found)]

@@ -1,0 +1,30 @@
+"""What breaks with a newer Hydra: the private parts that `hydra_inside` reaches into."""
+
+from __future__ import annotations
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from framework.command.config.schema import ROOT
+from framework.command.config.trust import REFUSED_FLAGS
+from framework.command.hydra_inside import argument_parser, jobs_of
+
+READ = ("help", "hydra_help", "cfg", "info", "shell_completion", "multirun", "resolve", "overrides")
+
+
+def test_the_parser_has_the_flags_that_are_read() -> None:
+    flags = vars(argument_parser().parse_args(["a=1", "-m"]))
+    assert flags["multirun"] and flags["overrides"] == ["a=1"]
+    missing = [name for name in (*READ, *REFUSED_FLAGS) if name not in flags]
+    assert not missing, f"Hydra's parser lost {missing}: cli._parse and trust.check_command read it"
+
+
+def test_a_sweep_is_split_as_the_runs_will_be() -> None:
+    parsed = OverridesParser.create().parse_overrides(["a=1,2", "b=x", "c=range(0,2)"])
+    expected = [[f"a={a}", "b=x", f"c={c}"] for a in (1, 2) for c in (0, 1)]
+    assert jobs_of(parsed) == expected, "Hydra's sweeper splits otherwise: study.sweep_jobs"
+
+
+def test_only_one_file_reaches_into_hydra() -> None:
+    files = [*(ROOT / "framework").rglob("*.py"), *(ROOT / "plugins").rglob("*.py")]
+    found = [f.name for f in files if "hydra._internal" in f.read_text(encoding="utf-8")]
+    assert found == ["hydra_inside.py"]

@@ -1,0 +1,47 @@
+"""Nothing that the project depends on may be copyleft, as the project itself is under MIT."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from importlib.metadata import PackageNotFoundError, metadata
+
+import pytest
+
+from framework.command.config.schema import ROOT
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+# the GPL family; the MPL's copyleft ends at its own files, which tests (hypothesis) do not change
+COPYLEFT = re.compile(r"\b[AL]?GPL|GNU |Affero|EUPL|CeCILL|Sleepycat|SSPL|\bOSL", re.IGNORECASE)
+GROUPS = [PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()]
+NAMES = {re.split(r"[\[<>=~!; ]", line)[0] for group in GROUPS for line in group}
+
+
+def licence(name: str) -> str:
+    """What an installed package says its licence is."""
+    told = metadata(name)
+    classifiers = [c for c in told.get_all("Classifier") or [] if c.startswith("License")]
+    lines = (told.get("License") or "").strip().splitlines()[:1]  # some put the whole text there
+    return "; ".join([*filter(None, [told.get("License-Expression")]), *classifiers, *lines])
+
+
+@pytest.mark.parametrize("name", sorted(NAMES - {PROJECT["name"]}))
+def test_no_dependency_is_copyleft(name: str) -> None:
+    try:
+        told = licence(name)
+    except PackageNotFoundError:
+        pytest.skip(f"{name}: not installed here, an extra")
+    assert told, f"{name}: its licence is not told"
+    # "or" leaves the choice, as of packages under BSD or GPL
+    assert not all(COPYLEFT.search(part) for part in re.split(r"\s+OR\s+|; ", told)), told
+
+
+@pytest.mark.parametrize("told", ["GPL-3.0-or-later", "License :: OSI Approved :: GNU GPL v3"])
+def test_a_copyleft_licence_is_known(told: str) -> None:
+    assert COPYLEFT.search(told)
+
+
+def test_the_project_states_its_own() -> None:
+    assert PROJECT["license"] == "MIT"
+    assert (ROOT / "LICENSE").read_text(encoding="utf-8").startswith("MIT License")
+    assert "MIT" in (ROOT / "README.md").read_text(encoding="utf-8")

@@ -1,0 +1,70 @@
+"""Vertices of PLY files: text and binary of both orders, other elements, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from framework.errors import UserError
+from framework.scenes.ply_vertices import read_vertices
+from tests.scenes.synthetic import write_table
+
+KINDS = [("x", "f4"), ("y", "f8"), ("red", "u1"), ("n", "i4")]
+ROWS = np.array([(0.5, -1e10, 255, -7), (1 / 3, 2.0, 0, 9)], dtype=KINDS)
+
+
+@pytest.mark.parametrize(("text", "order"), [(False, "<"), (False, ">"), (True, "<")])
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_round_trips(tmp_path: Path, text: bool, order: str, count: int) -> None:
+    write_table(tmp_path / "a.ply", ROWS[:count], text, order)
+    read = read_vertices(tmp_path / "a.ply")
+    assert read.dtype.names == ROWS.dtype.names
+    for name in read.dtype.names or ():
+        np.testing.assert_array_equal(read[name], ROWS[:count][name])
+
+
+def ply(*lines: str, form: str = "ascii") -> bytes:
+    return "\n".join(["ply", f"format {form} 1.0", *lines]).encode()
+
+
+def test_other_elements_are_passed_over(tmp_path: Path) -> None:
+    head = ["comment made by hand", "element camera 2", "property int id", "element vertex 1"]
+    end = ["property float x", "element face 1", "property list uchar int v", "end_header"]
+    (tmp_path / "a.ply").write_bytes(ply(*head, *end, "5", "6", "1.5", "3 0 1 2", ""))
+    assert read_vertices(tmp_path / "a.ply")["x"].tolist() == [1.5]
+    body = np.array([5, 6], "<i4").tobytes() + np.array([1.5], "<f4").tobytes() + b"\3"
+    little = ply(*head, *end, "", form="binary_little_endian")
+    (tmp_path / "a.ply").write_bytes(little + body)
+    assert read_vertices(tmp_path / "a.ply")["x"].tolist() == [1.5]
+
+
+X, END = "property float x", "end_header"
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"no", "expected a PLY header, got none"),
+        (ply("element vertex 1", X), "expected a PLY header, got none"),
+        (ply("element vertex 1", X, END, "", form="odd"), "expected format ascii or"),
+        (ply("element face 0", END, ""), "expected an element 'vertex', got none"),
+        (ply("element vertex 1", END, ""), "expected vertices of scalars, got lists or nothing"),
+        (ply("element vertex 1", "property list uchar int x", END, ""), "vertices of scalars"),
+        (ply("element vertex -1", X, END, ""), "expected 'element NAME COUNT'"),
+        (ply("element vertex 1", "property odd x", END, ""), "'property TYPE NAME', got"),
+        (ply("element vertex 1", X, X, END, ""), "expected each property once, got two 'x'"),
+        (ply("element vertex 99", X, END, "1"), "bytes after the header, got"),
+        (ply("element vertex 2", X, END, "1", "a"), "expected the numbers that its header names"),
+        (ply("element vertex 2", X, END, "1    "), "expected 2 vertices, got 1"),
+        (
+            ply("element f 1", "property list uchar int v", "element vertex 1", X, END, "1 2", "1"),
+            "expected scalars before the vertices, got the list element 'f'",
+        ),
+    ],
+)
+def test_what_is_refused(tmp_path: Path, content: bytes, told: str) -> None:
+    (tmp_path / "a.ply").write_bytes(content)
+    with pytest.raises(UserError, match=told):
+        read_vertices(tmp_path / "a.ply")
