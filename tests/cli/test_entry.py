@@ -1,0 +1,76 @@
+"""The program's name, version, subcommands and the user's own plugins."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import framework
+from framework.command.cli import main
+from framework.command.config.schema import ROOT
+
+OWN = """
+from dataclasses import dataclass
+from framework.plugin import Regularizer, register
+
+@register("reg", "of_mine")
+@dataclass(frozen=True)
+class OfMine(Regularizer):
+    strength: float = 0.5  # how much
+"""
+
+
+def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """The command line in a process and an empty folder of its own."""
+    return subprocess.run(
+        [sys.executable, str(ROOT / "run.py"), *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_the_version_is_ours(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"fishersplat {framework.__version__}\n"
+
+
+def test_an_unknown_subcommand_is_told_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["repot", "DIR"]) == 2
+    told = capsys.readouterr().err
+    assert "got 'repot'; did you mean 'report'?" in told and told.count("\n") == 1
+
+
+def test_report_is_a_subcommand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["report", str(tmp_path / "none")]) == 2
+    assert capsys.readouterr().err.startswith("error: ")
+
+
+def test_own_plugins_are_found_when_the_command_line_asks(tmp_path: Path) -> None:
+    (tmp_path / "mine" / "regularize").mkdir(parents=True)
+    (tmp_path / "mine" / "regularize" / "of_mine.py").write_text(OWN)
+    asked = run(tmp_path, "--plugins", "mine", "reg=of_mine", "--cfg", "job")
+    assert asked.returncode == 0 and "strength: 0.5" in asked.stdout, asked.stderr
+    unasked = run(tmp_path, "reg=of_mine", "--cfg", "job")
+    assert unasked.returncode != 0 and "of_mine" in unasked.stderr
+    assert "Traceback" not in unasked.stderr
+
+
+@pytest.mark.parametrize("words", [["--plugins"], ["--plugins", "none"], ["--plugins=a=b"]])
+def test_a_folder_of_plugins_that_is_none(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*words, "seed=1"]) == 2
+    assert "--plugins: expected a folder with plugins" in capsys.readouterr().err
+
+
+def test_a_broken_own_plugin_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "broken.py").write_text("1 / 0\n")
+    done = run(tmp_path, "--plugins", ".", "--cfg", "job")
+    assert done.returncode == 2 and "broken.py" in done.stderr
+    assert done.stderr.count("\n") == 1, done.stderr
