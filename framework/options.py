@@ -33,6 +33,8 @@ class TrainerOptions:
     lr_quats: float = 6e-3  # of the rotations
     lr_final: float = 0.1  # share of the other rates that is left at the end
     opacity_decay: float = 0.99  # opacities are multiplied by it after every step; 1 = off
+    pace_steps: int = 300  # a longer training takes smaller steps, see `schedule.paced`; 0 = not
+    pace_views: int = 3  # more views: smaller steps that fade less; 0 = whatever their number
     coarse_factor: int = 2  # images are box-downsampled by it at the beginning
     coarse_until: float = 0.25  # share of the steps that take images smaller by coarse_factor
     pseudo_factor: int = 2  # pseudo views are always box-downsampled by it; 1 = as large as photos
@@ -52,6 +54,8 @@ class TrainerOptions:
             check(rate, 0 <= getattr(self, rate) < 1e3, "a number in [0, 1000)")
         for share in ("lr_means_final", "lr_final", "lr_shN_ratio", "opacity_decay"):
             check(share, 0 < getattr(self, share) <= 1, "a number in (0, 1]")
+        check("pace_steps", self.pace_steps >= 0, "an integer >= 0")
+        check("pace_views", self.pace_views >= 0, "an integer >= 0")
         check("coarse_factor", self.coarse_factor in (1, 2, 4, 8), "1, 2, 4 or 8")
         check("pseudo_factor", self.pseudo_factor in (1, 2, 4, 8), "1, 2, 4 or 8")
         check("coarse_until", 0 <= self.coarse_until <= 1, "a share in [0, 1]")

@@ -47,8 +47,9 @@ def thinner(opacities: np.ndarray, n: int) -> np.ndarray:
 
 
 def tuning_options(options: TrainerOptions, steps: int) -> TrainerOptions:
-    """Those of `steps` steps on joined members: the share `lr_final` of all rates, from which they
-    fall as in a training (the means' had fallen further), and nothing fades."""
+    """Those of `steps` steps on joined members, from the members' `schedule.paced` options: the
+    share `lr_final` of all rates, from which they fall as in a training (the means' had fallen
+    further), and nothing fades."""
     return replace(
         options,
         steps=steps,

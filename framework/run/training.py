@@ -28,6 +28,7 @@ from framework.rasterize import rasterize
 from framework.records.progress import Part, Parts, Progress
 from framework.records.record import DIVERGED
 from framework.run.members import IDLE, in_turn, join, member_seed, tuning_options
+from framework.train import schedule
 from framework.train.guard import Diverged
 from framework.train.resume.checkpoint import Checkpoints, pack, remove_checkpoints
 from framework.train.resume.state_check import check_state
@@ -109,7 +110,7 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
     """
     if run.force:
         remove_checkpoints(run.folder)
-    options = TrainerOptions(**config["trainer"])
+    options = schedule.paced(TrainerOptions(**config["trainer"]), len(run.scene.training.views))
     if options.members == 1 and options.tuning != TrainerOptions.tuning:
         LOG.warning(
             f"trainer.tuning={options.tuning:g}: with trainer.members=1 nothing is joined that"

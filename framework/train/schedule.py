@@ -6,10 +6,38 @@ Rates are the options' times `lr_scale`: the means' decays exponentially over th
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from framework.options import TrainerOptions
 from framework.types import PSEUDO, View
 
+VIEWS_EXPONENT = 0.15
 SMALLEST_SIDE = 16  # pixels; a smaller image has nothing to gain from a coarse phase
+
+
+def paced(options: TrainerOptions, n_views: int) -> TrainerOptions:
+    """The options with the rates and the decay of a single step, `pace_*` being 0.
+
+    Rates and decay are given for `pace_steps` steps on `pace_views` views.
+    - A longer training goes the same way in more, smaller steps: Adam moves a parameter by about
+      its rate in every step whatever the gradient's size, so the way is the sum of the rates; that
+      of many small steps has less noise. A shorter one cannot take larger steps.
+    - With V views a step knows 1/V of the photos and V steps lie between two visits of one, while
+      others pull: the noise of the way grows with V, so rates fall with V^-VIEWS_EXPONENT (trial).
+    - Fading is a prior against Gaussians that no photo asks for. It competes with the photos'
+      gradients, so it slows with the rates; and it is meant to hold once, not once per photo:
+      with V views each does 1/V of it.
+    """
+    o = options
+    shorter = min(1.0, o.pace_steps / o.steps) if o.pace_steps else 1.0
+    fewer = min(1.0, o.pace_views / n_views) if o.pace_views else 1.0
+    return replace(
+        o,
+        lr_scale=o.lr_scale * shorter * fewer**VIEWS_EXPONENT,
+        opacity_decay=o.opacity_decay ** (shorter * fewer),
+        pace_steps=0,
+        pace_views=0,
+    )
 
 
 def learning_rates(options: TrainerOptions, step: int, extent: float) -> dict[str, float]:

@@ -76,7 +76,8 @@ class Trainer:
             f"{training.scene}: expected Gaussians to start from, got none; choose another init,"
             " another depth or more views",
         )
-        self.training, self.options, self.seed = training, options, seed
+        self.training, self.seed = training, seed
+        self.options = options = schedule.paced(options, len(training.views))
         self.progress, self.evaluate, self.keeper = progress, evaluate, keeper
         self.sh_from = sh_from
         self.tells = tells and start is None  # a resumed training has not seen all

@@ -26,7 +26,7 @@ PAIRS = {
 def test_the_paper_s_conditions() -> None:
     config = composed("preset=paper")
     check(config)
-    options = TrainerOptions(**config["trainer"])
+    options = schedule.paced(TrainerOptions(**config["trainer"]), n_views=43)
     assert (options.steps, options.background, options.sh_degree) == (10_000, "black", 3)
     degrees = [schedule.sh_degree(options, step, 3) for step in (0, 999, 1000, 2000, 3000, 9999)]
     assert degrees == [0, 0, 1, 2, 3, 3]

@@ -1,0 +1,48 @@
+"""How rates and decay follow the number of steps and views: `framework.schedule.paced`."""
+
+from __future__ import annotations
+
+import pytest
+
+from framework import schedule
+from framework.options import TrainerOptions
+
+BASE = TrainerOptions()
+
+
+def way(options: TrainerOptions, n_views: int) -> float:
+    """The sum of the means' rates over a training: how far Adam can move them, in extents."""
+    paced = schedule.paced(options, n_views)
+    rates = [schedule.learning_rates(paced, step, 1.0)["means"] for step in range(options.steps)]
+    return sum(rates)
+
+
+@pytest.mark.parametrize("steps", [1_000, 10_000])
+def test_a_longer_training_goes_the_same_way_and_fades_as_much(steps: int) -> None:
+    longer = TrainerOptions(steps=steps)
+    assert way(longer, 3) == pytest.approx(way(BASE, 3), rel=0.01)
+    faded = schedule.paced(longer, 3).opacity_decay ** steps
+    assert faded == pytest.approx(BASE.opacity_decay**BASE.steps, rel=1e-6)
+
+
+def test_the_reference_and_what_is_shorter_or_has_fewer_views_keep_their_rates() -> None:
+    for steps, n_views in ((300, 3), (75, 3), (300, 1), (1, 2)):
+        paced = schedule.paced(TrainerOptions(steps=steps), n_views)
+        assert (paced.lr_scale, paced.opacity_decay) == (BASE.lr_scale, BASE.opacity_decay)
+
+
+def test_more_views_slow_the_rates_a_little_and_the_fading_in_proportion() -> None:
+    paced = schedule.paced(BASE, 12)
+    assert paced.lr_scale == pytest.approx(BASE.lr_scale * 4**-schedule.VIEWS_EXPONENT)
+    assert paced.opacity_decay**4 == pytest.approx(BASE.opacity_decay)
+
+
+def test_pacing_what_is_paced_changes_nothing() -> None:
+    """Members are paced before their tuning is derived, and by the trainer again."""
+    paced = schedule.paced(TrainerOptions(steps=3_000), 43)
+    assert schedule.paced(paced, 43) == paced
+
+
+def test_rates_per_step_without_a_pace() -> None:
+    absolute = TrainerOptions(steps=10_000, pace_steps=0, pace_views=0)
+    assert schedule.paced(absolute, 43) == absolute
