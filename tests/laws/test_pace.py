@@ -37,6 +37,12 @@ def test_more_views_slow_the_rates_a_little_and_the_fading_in_proportion() -> No
     assert paced.opacity_decay**4 == pytest.approx(BASE.opacity_decay)
 
 
+def test_a_training_is_long_only_when_it_visits_every_view_often() -> None:
+    steps = schedule.VISITS * 43
+    slowed = [schedule.paced(TrainerOptions(steps=n), 43).lr_scale for n in (300, steps, 2 * steps)]
+    assert slowed[0] == slowed[1] == pytest.approx(2 * slowed[2])
+
+
 def test_pacing_what_is_paced_changes_nothing() -> None:
     """Members are paced before their tuning is derived, and by the trainer again."""
     paced = schedule.paced(TrainerOptions(steps=3_000), 43)
