@@ -28,18 +28,20 @@ SHRINK = 1.6  # ... smaller by this factor (the 3DGS code's 0.8 * CHILDREN)
 class AdaptiveDensityControl(PullCapacity):
     """Options, with the defaults of the sparse-view literature (10k-step trainings).
 
-    Steps are absolute: a training of 500 steps or fewer is not densified unless `from_step` is
-    lowered. every: steps between densifications. The last is before the framework key `stop`, whose
-    default leaves the last tenth to settle what was split. from_step: no densification up to this
-    step. grad_threshold: least mean pull (loss per NDC unit). percent_dense: largest standard
-    deviation of a "small" Gaussian, in scene extents. min_opacity: below it a Gaussian is removed.
-    reset_every: steps between lowering all opacities to `reset_opacity`; 0 = never. reset_opacity:
-    the highest opacity after that. max_gaussians: 0 = no limit; otherwise the strongest pulled are
-    served first.
+    of_steps: of how long a training the other options' steps are; in another they are in
+    proportion, but at least an epoch lies between densifications. 0 = they are absolute: a training
+    of 500 steps or fewer is not densified unless `from_step` is lowered. every: steps between
+    densifications. The last is before the framework key `stop`, whose default leaves the last tenth
+    to settle what was split. from_step: no densification up to this step. grad_threshold: least
+    mean pull (loss per NDC unit). percent_dense: largest standard deviation of a "small" Gaussian,
+    in scene extents. min_opacity: below it a Gaussian is removed. reset_every: steps between
+    lowering all opacities to `reset_opacity`; 0 = never. reset_opacity: the highest opacity after
+    that. max_gaussians: 0 = no limit; otherwise the strongest pulled are served first.
     """
 
     defaults: ClassVar[dict[str, float]] = {"stop": 0.9}
 
+    of_steps: int = 0
     every: int = 100
     from_step: int = 500
     grad_threshold: float = 5e-4
@@ -50,6 +52,7 @@ class AdaptiveDensityControl(PullCapacity):
     max_gaussians: int = 0
 
     def __post_init__(self) -> None:
+        self.check("of_steps", self.of_steps >= 0, "an integer >= 0")
         self.check("every", self.every >= 1, "an integer >= 1")
         self.check("from_step", self.from_step >= 0, "an integer >= 0")
         self.check("grad_threshold", self.grad_threshold > 0, "a number > 0")
@@ -69,15 +72,22 @@ class AdaptiveDensityControl(PullCapacity):
         `ctx.step` is the index of the step just made, hence one more are finished.
         """
         state, finished = self.measured(state, stats), ctx.step + 1
-        ceiling = self.reset_opacity if self._due(finished, self.reset_every, 0) else None
-        if self._due(finished, self.every, self.from_step):
+        every, first, reset = (
+            self._steps(ctx, n) for n in (self.every, self.from_step, self.reset_every)
+        )
+        if self.of_steps > 0:
+            every = max(every, len(ctx.views))
+        ceiling = self.reset_opacity if _due(finished, reset, 0) else None
+        if _due(finished, every, first):
             edits, n = self._densified(ctx, state, ceiling)
             return edits, self.unmeasured(n)
         return (None if ceiling is None else Edits(opacity_ceiling=ceiling)), state
 
-    @staticmethod
-    def _due(step: int, every: int, after: int) -> bool:
-        return every > 0 and step > after and step % every == 0
+    def _steps(self, ctx: StepContext, n: int) -> int:
+        """`n` steps of a training of `of_steps`, in this one; at least 1, unless n is 0."""
+        if self.of_steps == 0 or n == 0:
+            return n
+        return max(1, round(n * ctx.n_steps / self.of_steps))
 
     def _densified(self, ctx: StepContext, state: Pull, ceiling: float | None) -> tuple[Edits, int]:
         """The edits of one densification and the number of Gaussians after them."""
@@ -106,6 +116,10 @@ class AdaptiveDensityControl(PullCapacity):
         served = torch.zeros_like(chosen)
         served[strongest[:room]] = True
         return chosen & served
+
+
+def _due(step: int, every: int, after: int) -> bool:
+    return every > 0 and step > after and step % every == 0
 
 
 def _children(parents: Gaussians, standard_normal) -> Gaussians:  # type: ignore[no-untyped-def]

@@ -166,6 +166,21 @@ def test_densifies_after_from_step_every_so_often(finished: int, expected: bool)
     assert (edits is not None) == expected
 
 
+def test_steps_of_another_length_are_in_proportion() -> None:
+    """10,000 steps: every 1,000 after 2,000, as every 100 after 200 in 1,000; at least an epoch."""
+    adc, subject = AdaptiveDensityControl(of_steps=1000, from_step=200), gaussians((SMALL, OPAQUE))
+
+    def due(finished: int, n_views: int) -> bool:
+        ctx = replace(context(subject, finished), views=(None,) * n_views)  # type: ignore[arg-type]
+        edits, _ = adc.update(ctx, adc.init_state(ctx), stats([1e-3]))
+        return edits is not None
+
+    assert [due(n, 3) for n in (600, 1000, 2000, 3000, 3500, 4000)] == [False] * 3 + [
+        *(True, False, True)
+    ]
+    assert not due(3000, 1100) and due(3300, 1100)
+
+
 def test_resets_opacities_and_densifies_at_the_same_step() -> None:
     subject, adc = gaussians((SMALL, OPAQUE)), AdaptiveDensityControl()
     ctx = context(subject, 3000)
