@@ -1,11 +1,11 @@
-"""How rates and decay follow the number of steps and views: `framework.schedule.paced`."""
+"""How rates and decay follow the number of steps and views: `framework.train.schedule.paced`."""
 
 from __future__ import annotations
 
 import pytest
 
-from framework import schedule
 from framework.options import TrainerOptions
+from framework.train import schedule
 
 BASE = TrainerOptions()
 
