@@ -4,4 +4,4 @@
 `resume/` what a checkpoint holds.
 """
 
-__all__ = ["epoch", "gradient", "guard", "optim", "resume", "trainer"]
+__all__ = ["epoch", "gradient", "guard", "optim", "resume", "schedule", "trainer"]
