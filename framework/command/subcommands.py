@@ -9,7 +9,10 @@ from framework.command.program import program
 from framework.errors import UserError, nearest_hint
 
 # name -> (module with `main(arguments, prog) -> exit code`, what it does)
-SUBCOMMANDS = {"report": ("framework.report.__main__", "rebuild a report from its runs")}
+SUBCOMMANDS = {
+    "report": ("framework.report.__main__", "report again"),
+    "fetch": ("framework.metrics.lpips_weights", "LPIPS"),
+}
 
 
 def asked_for(argv: Sequence[str]) -> str | None:

@@ -9,8 +9,10 @@ SSIM   Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5, population covarian
        K2 = .03, peak 1; per channel, mean over channels and over the pixels whose window lies
        inside the image (a border of 5 px is left out), hence independent of any padding.
 FLIP   Andersson et al. 2020, LDR, 67 pixels per degree, see `framework.metrics.flip`; float64 mean
-of the error map.
-LPIPS  Zhang et al. 2018, see `framework.metrics.lpips`; only with weights given by path.
+       of the error map.
+LPIPS  Zhang et al. 2018, see `framework.metrics.lpips`; only with weights, fetched or by path.
+       `lpips`: images mapped to [-1, 1], as its authors do; `lpips_01`: fed in [0, 1], as many
+       papers do, whose figures can be compared with no other.
 
 With a mask (1 = valid, threshold 0.5): PSNR over the valid pixels; the others are set to white in
 both images for SSIM, FLIP and LPIPS, as the DTU protocol of sparse-view work does.
@@ -21,11 +23,12 @@ here, so that reading records stays light.
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ParamSpec
 
 import numpy as np
 
@@ -38,10 +41,35 @@ if TYPE_CHECKING:
     from framework.metrics.lpips import Lpips
     from framework.types import Camera, View
 
+P = ParamSpec("P")
 SSIM_WINDOW = 11
+FETCH_LPIPS = "fishersplat fetch lpips"  # the command that fetches its weights
 
 
-NO_LPIPS = Missing("no weights given; set metrics.lpips_weights to a state dict file")
+NO_LPIPS = Missing(
+    f"no weights in use; fetch them once with `{FETCH_LPIPS}`, or set metrics.lpips_weights to a"
+    " state dict file"
+)
+
+
+def finite(metric: str) -> Callable[[Callable[P, Measurement]], Callable[P, Measurement]]:
+    """A measurement named `metric` with Missing where it has no finite value: a record cannot hold
+    one."""
+
+    def wrap(measure: Callable[P, Measurement]) -> Callable[P, Measurement]:
+        @functools.wraps(measure)
+        def measured(*args: P.args, **kwargs: P.kwargs) -> Measurement:
+            return _finite(measure(*args, **kwargs), metric)
+
+        return measured
+
+    return wrap
+
+
+def _finite(value: Measurement, metric: str) -> Measurement:
+    if isinstance(value, Missing) or math.isfinite(value):
+        return value
+    return Missing(f"{metric} gave no finite value")
 
 
 def quantise(image: Tensor) -> np.ndarray:
@@ -69,11 +97,15 @@ def flip(render: Tensor, truth: Tensor, mask: Tensor | None = None) -> Measureme
 
 
 def lpips(
-    render: Tensor, truth: Tensor, network: Lpips | None, mask: Tensor | None = None
+    render: Tensor,
+    truth: Tensor,
+    network: Lpips | None,
+    mask: Tensor | None = None,
+    centred: bool = True,
 ) -> Measurement:
-    """LPIPS of [3, H, W] images by `network` (`framework.metrics.lpips.load`), Missing without
-    one."""
-    return _lpips(*_pair(render, truth, mask)[:2], network)
+    """LPIPS of [3, H, W] images by `network` (`framework.metrics.lpips.load`), Missing without one.
+    centred: see `Lpips.distance`."""
+    return lpips_of(*_pair(render, truth, mask)[:2], network, centred)
 
 
 def evaluate_view(
@@ -103,23 +135,25 @@ def _measured(
 ) -> list[ViewMetrics]:
     """The metrics of (view, render [3, H, W], seconds)."""
     pairs = parallel.run_tasks([partial(_pair, r, view.image, view.mask) for view, r, _ in renders])
-    found = parallel.run_tasks(
-        [partial(metric, x, y) for metric in (_ssim, _flip) for x, y, _ in pairs]
-    )
-    ssims, flips = found[: len(pairs)], found[len(pairs) :]
+    # the longest first, so that no thread is left alone with one at the end
+    kinds: list[Callable[..., Measurement]] = [
+        *(partial(lpips_of, network=network, centred=centred) for centred in (True, False)),
+        *(_ssim, _flip),
+    ]
+    found = iter(parallel.run_tasks([partial(kind, x, y) for kind in kinds for x, y, _ in pairs]))
+    centred, fed, ssims, flips = ([next(found) for _ in pairs] for _ in kinds)
     return [
         ViewMetrics(
             view=view.name,
             tags=tuple(view.tags),
             psnr=_psnr(x, y, valid),
-            ssim=similarity,
-            flip=difference,
-            lpips=_lpips(x, y, network),
+            ssim=ssims[i],
+            flip=flips[i],
+            lpips=centred[i],
+            lpips_01=fed[i],
             render_s=render_s,
         )
-        for (view, _, render_s), (x, y, valid), similarity, difference in zip(
-            renders, pairs, ssims, flips, strict=True
-        )
+        for i, ((view, _, render_s), (x, y, valid)) in enumerate(zip(renders, pairs, strict=True))
     ]
 
 
@@ -133,7 +167,10 @@ def mean_of(metrics: Sequence[ViewMetrics], metric: str) -> Measurement:
         return missing[0]
     if missing:
         return Missing(f"{missing[0].reason} ({len(missing)} of {len(values)} views)")
-    return float(np.mean(np.asarray(values, dtype=np.float64)))
+    with np.errstate(over="ignore"):
+        return _finite(
+            float(np.mean(np.asarray(values, dtype=np.float64))), f"the mean of {metric}"
+        )
 
 
 def _pair(
@@ -155,6 +192,7 @@ def _pair(
     return x, y, valid
 
 
+@finite("PSNR")
 def _psnr(x: np.ndarray, y: np.ndarray, valid: np.ndarray | None) -> Measurement:
     count = x.size if valid is None else 3 * int(valid.sum())
     if count == 0:
@@ -166,6 +204,7 @@ def _psnr(x: np.ndarray, y: np.ndarray, valid: np.ndarray | None) -> Measurement
     return 10.0 * math.log10(255.0**2 * count / squares)
 
 
+@finite("SSIM")
 def _ssim(x: np.ndarray, y: np.ndarray) -> Measurement:
     if min(x.shape[:2]) < SSIM_WINDOW:
         return Missing(f"image of {x.shape[1]}x{x.shape[0]} is smaller than the 11x11 window")
@@ -184,14 +223,16 @@ def _ssim(x: np.ndarray, y: np.ndarray) -> Measurement:
     )
 
 
+@finite("FLIP")
 def _flip(x: np.ndarray, y: np.ndarray) -> Measurement:
     from framework.metrics.flip import error_map
 
-    value = float(error_map(y, x).mean(dtype=np.float64))
-    return value if math.isfinite(value) else Missing("FLIP gave no finite value")
+    return float(error_map(y, x).mean(dtype=np.float64))
 
 
-def _lpips(x: np.ndarray, y: np.ndarray, network: Lpips | None) -> Measurement:
+@finite("LPIPS")
+def lpips_of(x: np.ndarray, y: np.ndarray, network: Lpips | None, centred: bool) -> Measurement:
+    """LPIPS of two [H, W, 3] uint8 images."""
     if network is None:
         return NO_LPIPS
-    return network.distance(x / 255.0, y / 255.0)
+    return network.distance(x / 255.0, y / 255.0, centred)

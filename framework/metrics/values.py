@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-METRICS = ("psnr", "ssim", "flip", "lpips")
+METRICS = ("psnr", "ssim", "flip", "lpips", "lpips_01")
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,8 @@ Measurement = float | Missing
 
 @dataclass(frozen=True)
 class ViewMetrics:
-    """One test view: psnr in dB, ssim, flip, lpips, each or why missing; render_s in s."""
+    """One test view: psnr in dB, ssim, flip, lpips, lpips_01, each or why missing; render_s
+    in s."""
 
     view: str
     tags: tuple[str, ...]
@@ -27,6 +28,7 @@ class ViewMetrics:
     ssim: Measurement
     flip: Measurement
     lpips: Measurement
+    lpips_01: Measurement
     render_s: float
 
     def value(self, metric: str) -> Measurement:

@@ -40,6 +40,7 @@ from framework.records.record_check import check_record
 from framework.records.run_files import (
     ERROR_SCALE,
     HISTORY_CSV,
+    LATER,
     METRICS_CSV,
     RENDERS,
     HistoryRow,
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ERROR_SCALE",
+    "LPIPS",
     "TRAIN_STAGE",
     "HistoryRow",
     "Run",
@@ -76,6 +78,7 @@ __all__ = [
 ]
 
 TRAIN_STAGE = "train"  # the stage whose wall time the report calls train seconds
+LPIPS = "lpips"  # in the provenance: the network that LPIPS was measured with, None for none
 METHOD_GROUPS = ("augment", "reg", "capacity", "depth", "init")
 RECORD, PLY = "record.json", "point_cloud.ply"
 FAILED, DIVERGED = "failed.json", "diverged.safetensors"
@@ -205,7 +208,7 @@ def write_run(
         status="complete",
         error=None,
     )
-    _write_record(run_dir, finished)
+    write_record(run_dir, finished)
     for name in (FAILED, DIVERGED):  # of an earlier attempt
         (run_dir / name).unlink(missing_ok=True)
     return finished
@@ -239,7 +242,7 @@ def write_failed(
         error=error,
     )
     if not _is_complete(run_dir):
-        _write_record(run_dir, record)
+        write_record(run_dir, record)
     return record
 
 
@@ -310,7 +313,8 @@ def parameters_sha256(gaussians: Gaussians) -> str:
     return digest.hexdigest()
 
 
-def _write_record(run_dir: Path, record: RunRecord) -> None:
+def write_record(run_dir: Path, record: RunRecord) -> None:
+    """Write `record.json` alone; the other files of a complete run must be there."""
     content = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
     content["seed"] = record.config.get("seed")
     content["methods"] = record.methods
@@ -331,6 +335,8 @@ def _from_json(content: dict[str, Any]) -> RunRecord:
     lists = ("training", "test")
     # records of before runs could be resumed and Gaussians could differ in their SH degree
     content = {"resumed": 0, "banded": None, **content}
+    unmeasured = {name: {"mean": None, "missing": why} for name, why in LATER.items()}
+    summary = content["summary"] and unmeasured | content["summary"]  # a failed run's is empty
     fields = {f.name: content[f.name] for f in dataclasses.fields(RunRecord)}
     return RunRecord(
         **fields
@@ -343,7 +349,7 @@ def _from_json(content: dict[str, Any]) -> RunRecord:
             },
             "summary": {
                 name: Missing(entry["missing"]) if entry["mean"] is None else entry["mean"]
-                for name, entry in content["summary"].items()
+                for name, entry in summary.items()
             },
         }
     )

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 ERROR_SCALE = 0.25
 METRICS_CSV, HISTORY_CSV, RENDERS = "metrics.csv", "history.csv", "renders"
 METRIC_COLUMNS = ("view", "tags", *METRICS, "render_s", "file", "missing")
+# metrics that runs of before do not have, and why
+LATER = {"lpips_01": "the run was recorded before this was measured"}
 TEXT_COLUMNS = ("view", "tags", "file", "missing")
 COUNT_COLUMNS = ("step", "gaussians", "sh_degree")
 HISTORY_COLUMNS = ("step", "seconds", "loss", "test_psnr", "gaussians", "sh_degree")
@@ -106,11 +108,13 @@ def read_table(path: Path) -> Table:
     check_size(path, TEXT_BYTES)
     with path.open(newline="", encoding="utf-8") as file:
         columns, *rows = list(csv.reader(file))
-    check_columns(columns, METRIC_COLUMNS if path.name == METRICS_CSV else HISTORY_COLUMNS)
+    needed = METRIC_COLUMNS if path.name == METRICS_CSV else HISTORY_COLUMNS
+    check_columns(columns, [name for name in needed if name not in LATER])
     cells = {name: [row[index] for row in rows] for index, name in enumerate(columns)}
+    cells |= {name: [""] * len(rows) for name in needed if name not in cells}
     check_stems(cells.get("file", []))
     texts = {name: column for name, column in cells.items() if name in TEXT_COLUMNS}
-    numbers = {name: _numbers(name, cells[name]) for name in columns if name not in texts}
+    numbers = {name: _numbers(name, cells[name]) for name in cells if name not in texts}
     return Table(texts, numbers)
 
 

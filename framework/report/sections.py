@@ -36,7 +36,11 @@ POOLED = (
 )
 BEST_BUDGETS = "Of each method, the budget with the highest mean PSNR on the scene."
 HIDDEN = "No pictures of {scenes}: this report was built without photos, to be passed on."
-LPIPS = " LPIPS was not measured; the reason stands under Missing metrics."
+NO_LPIPS = " LPIPS was not measured; the reason stands under Missing metrics."
+LPIPS = (
+    " LPIPS: of images in [−1, 1], as its authors define it; fed [0, 1]: what many papers print,"
+    " and to be compared with nothing else."
+)
 
 
 def document(study: Study, title: str, visible: Sequence[str]) -> Document:
@@ -75,9 +79,9 @@ def _main_table(study: Study) -> list[Block]:
     if not study.runs:
         return []
     pooled = POOLED if len(study.scenes) > 1 else ""
-    unmeasured = "" if "lpips" in tables.measured(study) else LPIPS
+    lpips = LPIPS if "lpips" in tables.measured(study) else NO_LPIPS
     rows = tables.main_rows(study, study.scenes)
-    return [table(rows, WORDS), Text(DEFINITIONS.format(pooled=pooled) + unmeasured)]
+    return [table(rows, WORDS), Text(DEFINITIONS.format(pooled=pooled) + lpips)]
 
 
 def _budgets(study: Study, found: Outcomes, between: Sequence[capacities.Contest]) -> list[Block]:

@@ -23,9 +23,10 @@ from framework.compute import parallel
 from framework.compute.stopwatch import Stopwatch
 from framework.depth import build_provider
 from framework.files.locks import locked, remove_stale
-from framework.files.whole import file_sha256, remove_temporaries
+from framework.files.whole import remove_temporaries
 from framework.metrics.evaluate import evaluate
 from framework.metrics.lpips import Lpips, load
+from framework.metrics.lpips_weights import chosen, fingerprint
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
 from framework.records.notices import noted
@@ -38,6 +39,7 @@ from framework.records.provenance import (
     reset_peak_memory,
 )
 from framework.records.record import (
+    LPIPS,
     TRAIN_STAGE,
     RunRecord,
     SceneInfo,
@@ -45,6 +47,7 @@ from framework.records.record import (
     find_complete,
     write_run,
 )
+from framework.run.lpips_later import lacks_lpips, with_lpips
 from framework.run.training import Run, initial, renderer, train
 from framework.run.warmup import Warmup
 from framework.scenes import load_scene
@@ -69,7 +72,7 @@ def run_experiment(
     parallel.set_threads(int(config["threads"]))
     torch.set_num_threads(1)  # kernels have their own pool; small tensors gain nothing from two
     registry.discover()
-    weights = config["metrics"]["lpips_weights"]
+    weights = chosen(config["metrics"]["lpips_weights"])
     network = None if weights is None else load(weights)  # a bad path must not cost a training
     with noted(progress), Warmup(config, progress) as warmup:
         return _experiment(config, run_dir, progress, overrides, network, warmup)
@@ -88,14 +91,17 @@ def _experiment(
     scene, timings["scene"] = _scene(_key(config["scene"]))
     files = _files(config, scene)
     identity = identity_of(config, scene.fingerprint, code_hash(), files)
-    done = _reusable(config, run_dir, identity, progress)
-    if done is not None:
+    done = _reusable(config, run_dir, identity)
+    if done is not None and not lacks_lpips(done, network):
+        progress.done(_reused(done))
         remove_stale(run_dir)  # as the checkpoints; within the lock it would be our own
         return done
     with locked(run_dir):
         # whoever held the lock before us may have done it
-        done = _reusable(config, run_dir, identity, progress)
+        done = _reusable(config, run_dir, identity)
         if done is not None:
+            done = with_lpips(run_dir, done, network)
+            progress.done(_reused(done))
             return done
         remove_temporaries(run_dir)
         warmup.begin()
@@ -109,22 +115,23 @@ def _experiment(
             overrides=tuple(overrides),
             scene=_info(scene),
             timings=timings,
-            provenance={**provenance(), "threads": parallel.threads()},
+            provenance={
+                **provenance(),
+                "threads": parallel.threads(),
+                LPIPS: None if network is None else network.name,
+            },
         )
         record = _trained(record, timings, run_dir, scene, depth, network, progress)
     progress.done(_result(record))
     return record
 
 
-def _reusable(
-    config: Mapping[str, Any], run_dir: Path, identity: str, progress: Progress
-) -> RunRecord | None:
+def _reusable(config: Mapping[str, Any], run_dir: Path, identity: str) -> RunRecord | None:
     """The complete record of the same run, unless it is to be repeated."""
     done = find_complete(run_dir, identity)
     if done is None or config["force"]:
         return None
     remove_checkpoints(run_dir)  # of a process killed just after its record was written
-    progress.done(f"{_result(done)} · reused, already complete (force=true repeats it)")
     return done
 
 
@@ -183,11 +190,10 @@ def _scene(key: str) -> tuple[Scene, StageTime]:
 
 def _files(config: Mapping[str, Any], scene: Scene) -> dict[str, str]:
     """Purpose -> fingerprint of the files beside the scene's that the run reads; "" for none."""
-    weights = config["metrics"]["lpips_weights"]
     provider = build_provider(*_options(_key(config["depth"])))
     return {
         "depth": provider.fingerprint(scene.training),
-        "lpips_weights": "" if weights is None else file_sha256(Path(weights)),
+        "lpips_weights": fingerprint(config["metrics"]["lpips_weights"]),
     }
 
 
@@ -218,6 +224,10 @@ def _result(record: RunRecord) -> str:
     )
     seconds = "" if train_s is None else f" · {train_s:.1f} s of training"
     return f"test {quality} · {record.gaussians} Gaussians{seconds}"
+
+
+def _reused(record: RunRecord) -> str:
+    return f"{_result(record)} · reused, already complete (force=true repeats it)"
 
 
 @contextmanager

@@ -99,7 +99,9 @@ def test_a_replaced_depth_map_is_another_run(tmp_path: Path) -> None:
 
 def test_replaced_weights_are_another_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Nothing:
-        def distance(self, x: np.ndarray, y: np.ndarray) -> Missing:
+        name = "nothing"
+
+        def distance(self, x: np.ndarray, y: np.ndarray, centred: bool) -> Missing:
             return Missing("not measured here")
 
     monkeypatch.setattr(experiment, "load", lambda path: Nothing())

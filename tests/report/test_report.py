@@ -118,7 +118,7 @@ def test_report_has_all_parts(study_dir: Path, report: str) -> None:
         assert f"\n## {heading}\n" in report
     assert "depth: a \\| b" in report
     assert "PSNR (dB), interpolating" in report
-    assert "LPIPS: missing in 6 of 6 runs: no weights given" in report
+    assert "LPIPS: missing in 6 of 6 runs: no weights in use" in report
     assert "- `+augment=safi +reg=uar`: seed 0, 1, 2" in report
     assert "| none + none |" in report and "| 1 of 4 [5 to 70 %]" in report
     assert str(study_dir) not in report and str(ROOT) not in report

