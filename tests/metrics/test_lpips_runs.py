@@ -15,7 +15,7 @@ from framework.compute.rng import stream
 from framework.errors import UserError
 from framework.metrics import evaluate as metrics
 from framework.metrics import lpips, lpips_weights
-from framework.metrics.values import Missing
+from framework.metrics.values import METRICS, Missing
 from framework.records.record import read_run
 from framework.report import build_report
 from framework.run.lpips_later import with_lpips
@@ -92,7 +92,7 @@ def test_a_complete_run_gets_lpips_once_there_are_weights(
     assert filled.summary == fresh.summary and filled.provenance["lpips"] == "VGG"
     assert isinstance(filled.summary["lpips"], float) and filled.timings == bare.timings
     pair = [read_run(tmp_path / name).metrics for name in ("run", "fresh")]
-    for metric in metrics.METRICS:
+    for metric in METRICS:
         assert np.array_equal(pair[0].numbers[metric], pair[1].numbers[metric], equal_nan=True)
     assert run(config, tmp_path / "run") == (filled, True)
     monkeypatch.setattr(lpips_weights, "cache_dir", lambda: tmp_path / "lost")
