@@ -18,7 +18,7 @@ from hydra import compose, initialize_config_dir  # noqa: E402
 from framework import registry  # noqa: E402
 from framework.command.config.naming import plain  # noqa: E402
 from framework.command.config.schema import CONF_DIR, check, register_config  # noqa: E402
-from framework.options import TrainerOptions  # noqa: E402
+from framework.options import TrainerOptions, members_of  # noqa: E402
 from framework.records.progress import Progress, Silent  # noqa: E402
 from framework.run import experiment  # noqa: E402
 from framework.run.training import Run, initial, train  # noqa: E402
@@ -40,8 +40,10 @@ class Prepared:
     ) -> Trainer:
         """A new training from the same start, of which the caller sees every step."""
         options, seed = TrainerOptions(**self.config["trainer"]), int(self.config["seed"])
-        if options.members > 1:
-            raise SystemExit(f"expected trainer.members=1, got {options.members}: one is seen here")
+        n_views = len(self.scene.training.views)
+        members = members_of(options.members, options.steps, n_views)
+        if members > 1:
+            raise SystemExit(f"expected trainer.members=1, got {members}: one is seen here")
         gaussians = initial(self.config, self.scene, self.depth, options, seed)
         plugins = Plugins(*(registry.build(g, self.config[g]) for g in registry.GROUPS))
         return Trainer(

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 from framework.errors import check_option
 
+MOST_MEMBERS = 16
+ENOUGH_STEPS, ENOUGH_VISITS = 300, 80  # of one training, and of every view by it
+SHARED_BY = 8  # members at most, when their number is left to the views
 BACKGROUNDS = ("mean", "black", "white", "random")
 
 
@@ -19,7 +22,7 @@ class TrainerOptions:
     of the colours 5 times, of the opacities 2.5 times, see benchmarks/results/held_out.md.
     """
 
-    steps: int = 300  # of training, each on one real view
+    steps: int = 300  # of training, each on one real view; of all members together if members=0
     sh_degree: int = 0  # stored degree; the active one grows by one every `sh_every` steps
     sh_every: int = 0  # 0 = evenly over the first half of the training (3DGS: 1000 of 30k steps)
     ssim_weight: float = 0.2  # loss = (1 - w) L1 + w (1 - SSIM)
@@ -41,7 +44,7 @@ class TrainerOptions:
     background: str = "mean"  # colour: mean of the training photos, black, white, random
     near_plane: float = 0.05  # Gaussians nearer are not drawn; in units of the near bound
     evaluations: int = 6  # of the test views, evenly spaced, the last after the last step
-    members: int = 1  # trainings, each from its own draws, whose Gaussians are joined in the end
+    members: int = 0  # trainings from draws of their own, joined in the end; 0 = as many as pay
     tuning: float = 0.05  # share of the steps in which joined members are tuned on the photos
 
     def __post_init__(self) -> None:
@@ -62,5 +65,16 @@ class TrainerOptions:
         check("background", self.background in BACKGROUNDS, f"one of {', '.join(BACKGROUNDS)}")
         check("near_plane", 0 < self.near_plane <= 1, "a number in (0, 1]")
         check("evaluations", self.evaluations >= 1, "an integer >= 1")
-        check("members", 1 <= self.members <= 16, "an integer from 1 to 16")
+        check("members", 0 <= self.members <= MOST_MEMBERS, f"0 to {MOST_MEMBERS}; 0 chooses")
         check("tuning", 0 <= self.tuning <= 1, "a share in [0, 1]")
+
+
+def members_of(members: int, steps: int, n_views: int) -> int:
+    """How many trainings a run has: `members`, or where that is 0 as many as `steps` in all allow.
+
+    One training takes the steps that `n_views` pay for, `ENOUGH_VISITS` of every view. Beyond them
+    it learns few photos by heart; several trainings from different draws, whose errors cancel, gain
+    more in the same time (benchmarks/results/held_out.md).
+    """
+    enough = max(ENOUGH_STEPS, ENOUGH_VISITS * n_views)
+    return members or min(SHARED_BY, max(1, steps // enough))

@@ -110,7 +110,8 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
     """
     if run.force:
         remove_checkpoints(run.folder)
-    options = schedule.paced(TrainerOptions(**config["trainer"]), len(run.scene.training.views))
+    n_views = len(run.scene.training.views)
+    options = schedule.paced(schedule.shared(TrainerOptions(**config["trainer"]), n_views), n_views)
     if options.members == 1 and options.tuning != TrainerOptions.tuning:
         LOG.warning(
             f"trainer.tuning={options.tuning:g}: with trainer.members=1 nothing is joined that"

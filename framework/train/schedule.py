@@ -8,12 +8,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from framework.options import TrainerOptions
+from framework.options import TrainerOptions, members_of
 from framework.types import PSEUDO, View
 
 VIEWS_EXPONENT = 0.15  # with 43 views and 300 steps, 0.15 is the best of 0, 0.15, 0.25, 0.5
 VISITS = 20  # of every view, before the rates of a training are as large as they can be
 SMALLEST_SIDE = 16  # pixels; a smaller image has nothing to gain from a coarse phase
+
+
+def shared(options: TrainerOptions, n_views: int) -> TrainerOptions:
+    """The options of one of `members` trainings, a number >= 1.
+
+    With members=0 the steps are those of the whole run, which `members_of` shares out.
+    """
+    if options.members > 0:
+        return options
+    members = members_of(options.members, options.steps, n_views)
+    return replace(options, members=members, steps=options.steps // members)
 
 
 def paced(options: TrainerOptions, n_views: int) -> TrainerOptions:

@@ -248,7 +248,7 @@ def test_tuning_without_members_to_tune_is_told(
     assert caplog.text.count("trainer.tuning=0.5: with trainer.members=1") == 1
 
 
-@pytest.mark.parametrize("changes", [{"members": 0}, {"members": 17}, {"tuning": -0.1}])
+@pytest.mark.parametrize("changes", [{"members": -1}, {"members": 17}, {"tuning": -0.1}])
 def test_options_out_of_range_are_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(UserError, match=rf"trainer\.{next(iter(changes))}: expected"):
         TrainerOptions(**changes)

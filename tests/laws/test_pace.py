@@ -52,3 +52,29 @@ def test_pacing_what_is_paced_changes_nothing() -> None:
 def test_rates_per_step_without_a_pace() -> None:
     absolute = TrainerOptions(steps=10_000, pace_steps=0, pace_views=0)
     assert schedule.paced(absolute, 43) == absolute
+
+
+@pytest.mark.parametrize(
+    ("steps", "n_views", "expected"),
+    [
+        (300, 3, (1, 300)),
+        (599, 3, (1, 599)),
+        (600, 3, (2, 300)),
+        (2400, 3, (8, 300)),
+        (10_000, 3, (8, 1250)),
+        (2400, 12, (2, 1200)),
+        (2400, 43, (1, 2400)),
+        (12_000, 43, (3, 4000)),
+    ],
+)
+def test_steps_are_shared_by_as_many_trainings_as_the_views_leave_them_for(
+    steps: int, n_views: int, expected: tuple[int, int]
+) -> None:
+    one = schedule.shared(TrainerOptions(steps=steps), n_views)
+    assert (one.members, one.steps) == expected
+    assert schedule.shared(one, n_views) == one
+
+
+def test_members_that_were_asked_for_have_all_their_steps() -> None:
+    options = TrainerOptions(steps=2400, members=2)
+    assert schedule.shared(options, 3) == options

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from framework.errors import require
+from framework.options import members_of
 
 MOST_GAUSSIANS = 100_000  # of an automatic budget, see init=stereo
 TABLES = 200_000
@@ -32,15 +33,20 @@ def run_bytes(config: Mapping[str, Any]) -> int:
 
 def checkpoint_bytes(config: Mapping[str, Any]) -> int:
     """What the checkpoints of one run take while it trains."""
-    several = config["trainer"]["members"] > 1
+    several = _most_members(config["trainer"]) > 1
     return (5 if several else 3) * 2 * 3 * _parameter_bytes(config, 14)
 
 
 def _parameter_bytes(config: Mapping[str, Any], floats: int) -> int:
     trainer = config["trainer"]
-    gaussians = trainer["members"] * (config["init"].get("budget") or MOST_GAUSSIANS)
+    gaussians = _most_members(trainer) * (config["init"].get("budget") or MOST_GAUSSIANS)
     harmonics = 3 * ((trainer["sh_degree"] + 1) ** 2 - 1)
     return 4 * gaussians * (floats + harmonics)
+
+
+def _most_members(trainer: Mapping[str, Any]) -> int:
+    """How many trainings are joined; at most, where the views decide."""
+    return members_of(trainer["members"], trainer["steps"], n_views=1)
 
 
 def check_room(folder: Path, configs: Sequence[Mapping[str, Any]]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from framework.options import members_of
 from framework.report.figures.views import shown_methods
 from framework.report.parts.chart import Chart, Point, Series
 from framework.report.statistics.estimates import spread
@@ -27,8 +28,12 @@ MEMBERS = (
 
 def caption(study: Study, scene: str) -> str:
     """What the chart shows, of members too where a run has some."""
-    trainers = [run.record.config["trainer"] for run in study.of(scene)]
-    return CAPTION + (MEMBERS if any(t.get("members", 1) > 1 for t in trainers) else "")
+    several = False
+    for run in study.of(scene):
+        trainer, scene_info = run.record.config["trainer"], run.record.scene
+        views = len(scene_info.training) if scene_info else 1
+        several |= members_of(trainer.get("members", 1), trainer["steps"], views) > 1
+    return CAPTION + (MEMBERS if several else "")
 
 
 def chart(study: Study, scene: str) -> Chart | None:

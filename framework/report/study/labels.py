@@ -205,7 +205,7 @@ def _plugin(key: str, config: Flat) -> str | None:
 
 def _without_idle_tuning(config: Flat) -> Flat:
     """A training without other members has nothing to tune."""
-    if config.get("trainer.members", 1) > 1:
+    if config.get("trainer.members", 1) != 1:
         return config
     return {key: value for key, value in config.items() if key != "trainer.tuning"}
 
