@@ -40,11 +40,11 @@ from framework.command.config.schema import (
 from framework.command.config.trust import check_command
 from framework.command.hydra_inside import argument_parser
 from framework.command.job import Job
-from framework.command.orphans import end_with_parent
 from framework.command.program import program
 from framework.command.studies.failures import again, conclude, tell
 from framework.command.studies.study import Outcome, Refused, add_outcome, job_count, ledger
 from framework.command.subcommands import asked_for, obey
+from framework.compute.orphans import end_with_parent
 from framework.errors import UserError
 from framework.files.whole import MENDABLE, unwritable
 from framework.records.progress import unread

@@ -24,8 +24,8 @@ from collections.abc import Sequence
 from typing import NoReturn, TextIO
 
 from framework.command import runner
-from framework.command.orphans import watch
 from framework.command.program import CONSOLE, SCRIPT, typed
+from framework.compute.orphans import watch
 
 INTERRUPT = signal.SIGUSR1  # to the child: the run was interrupted, tell so
 SIGNALS = (signal.SIGINT, INTERRUPT)

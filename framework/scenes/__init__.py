@@ -15,6 +15,7 @@ from framework.scenes.dtu import Dtu
 from framework.scenes.embedded import Embedded
 from framework.scenes.llff import Llff
 from framework.scenes.mip360 import Mip360
+from framework.scenes.photos import Photos
 from framework.scenes.transforms import Transforms
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ LOADERS: dict[str, type] = {
     "mip360": Mip360,
     "transforms": Transforms,
     "colmap": Colmap,
+    "photos": Photos,
 }
 
 

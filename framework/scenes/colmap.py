@@ -45,8 +45,11 @@ class Colmap:
         return load_colmap("colmap", folder, inside(folder, self.images), self)
 
 
-def load_colmap(loader: str, folder: Path, photos: Path, options: Colmap) -> Scene:
-    """The scene of the model in `folder` and the images in `photos`, for `scene=<loader>`."""
+def load_colmap(
+    loader: str, folder: Path, photos: Path, options: Colmap, name: str | None = None
+) -> Scene:
+    """The scene of the model in `folder` and the images in `photos`, for `scene=<loader>`. It is
+    called `name`, or as the folder."""
     from framework.scenes.assemble import assemble
     from framework.scenes.colmap_model import find_model, read_model
     from framework.scenes.images import list_images
@@ -70,7 +73,8 @@ def load_colmap(loader: str, folder: Path, photos: Path, options: Colmap) -> Sce
     )
     near, far = depth_bounds(model.tracks, model.viewmats, split.train, where)
     tracks = model.tracks.for_training(split.train)
-    return assemble(folder.resolve().name, options.split, train, test, tracks, near, far)
+    called = folder.resolve().name if name is None else name
+    return assemble(called, options.split, train, test, tracks, near, far)
 
 
 def _files(folder: Path, model: Model) -> list[Path]:

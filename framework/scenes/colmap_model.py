@@ -45,7 +45,7 @@ def find_model(folder: Path) -> Path:
             return candidate
     raise UserError(
         f"{folder}: expected a COLMAP model in sparse/0 or sparse (cameras, images, points3D as"
-        " .bin or .txt), found none; is scene.path right?"
+        " .bin or .txt), found none; is scene.path right? For photos without poses: scene=photos"
     )
 
 

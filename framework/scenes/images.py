@@ -64,7 +64,7 @@ def photo_folder(folder: Path, images: str) -> Path:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Image.Image]:
+def opened(path: Path, formats: tuple[str, ...] = FORMATS) -> Iterator[Image.Image]:
     """The image, of which only the header was decoded: its size is within `limits`, also that of a
     small file that would unpack to a huge image. Whatever is wrong raises UserError.
 
@@ -78,7 +78,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         with _FILTERS, warnings.catch_warnings():
             # Pillow warns of large images, which are refused here
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            image = Image.open(stored, formats=FORMATS)
+            image = Image.open(stored, formats=formats)
         with image:
             check_pixels(path, *image.size)
             yield image
@@ -95,7 +95,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
 
 def image_size(path: Path) -> tuple[int, int]:
     """(width, height) from the file's header."""
-    with _opened(path) as image:
+    with opened(path) as image:
         return image.size
 
 
@@ -107,7 +107,7 @@ def read_image(path: Path, paper: int | None = None) -> NDArray[np.uint8]:
     """
     import numpy as np
 
-    with _opened(path) as image:
+    with opened(path) as image:
         image.load()
         mode = image.mode
         require(

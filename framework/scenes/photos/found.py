@@ -1,0 +1,83 @@
+"""What is known of the photos once poses were looked for: `poses.json` beside the model."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from framework.errors import UserError
+from framework.files.limits import TEXT_BYTES, check_size
+from framework.files.whole import write_whole
+
+FILE = "poses.json"
+
+
+@dataclass(frozen=True)
+class Link:
+    """Two photos with features in common that agree with one motion of the camera. shift: median
+    distance between the two places of a feature, in shares of the photos' longer side."""
+
+    first: str
+    second: str
+    matches: int
+    shift: float
+
+
+@dataclass(frozen=True)
+class Try:
+    """One step of trying: how many photos found a place in it; CPU seconds, all threads together,
+    of its stages."""
+
+    step: str
+    placed: int
+    features_cpu_s: float
+    matching_cpu_s: float
+    mapping_cpu_s: float
+
+
+@dataclass(frozen=True)
+class Found:
+    """photos: all, in order. placed: name -> 3D points seen, of those with a pose. groups: photos
+    that found places among themselves, apart from the scene. features: name -> their number.
+    held: the focal length was given, as the photos do not tell it. reduced: whether photos were
+    larger than wanted. copies: see `Source`."""
+
+    photos: list[str]
+    placed: dict[str, int]
+    groups: list[list[str]]
+    features: dict[str, int]
+    links: list[Link]
+    tries: list[Try]
+    seconds: float
+    held: bool = False
+    video: bool = False
+    reduced: bool = False
+    copies: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def left_out(self) -> list[str]:
+        """The photos without a pose."""
+        return [name for name in self.photos if name not in self.placed]
+
+
+def write_found(folder: Path, found: Found) -> None:
+    """Into `poses.json` of `folder`."""
+    write_whole(folder / FILE, json.dumps(dataclasses.asdict(found), indent=1))
+
+
+def read_found(folder: Path) -> Found:
+    """From `poses.json` of `folder`. Raises UserError for a damaged one."""
+    path = folder / FILE
+    try:
+        check_size(path, TEXT_BYTES)
+        values = json.loads(path.read_text(encoding="utf-8"))
+        values["links"] = [Link(**link) for link in values["links"]]
+        values["tries"] = [Try(**attempt) for attempt in values["tries"]]
+        return Found(**values)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(
+            f"{path}: expected the kept result of a search for poses, got a damaged one"
+            f" ({type(error).__name__}); remove the folder {folder.name}"
+        ) from error

@@ -1,0 +1,135 @@
+"""Photos as the search for poses and the training read them: upright, at most `side` pixels long,
+8-bit RGB in JPEG or PNG; and which of them one camera took.
+
+Focal length in pixels from EXIF (CIPA DC-008): the 35 mm equivalent compares diagonals, of which
+the film's is 43.27 mm; else focal length in mm times the sensor's pixels per mm.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from framework.errors import UserError, require
+from framework.scenes.images import EIGHT_BIT, FORMATS, opened
+from framework.scenes.photos.source import HEIC
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+FILM_DIAGONAL_MM = 43.27
+ORIENTATION, MAKE, MODEL, EXIF = 0x0112, 0x010F, 0x0110, 0x8769
+FOCAL_MM, FOCAL_35MM, PLANE_X, PLANE_UNIT, PIXELS_X = 0x920A, 0xA405, 0xA20E, 0xA210, 0xA002
+UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0}  # inch, cm, mm
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A prepared photo. name: the file's, shown to the user. stored: that of the prepared one.
+    focal_px: from EXIF, None without. camera: photos of equal value share one."""
+
+    name: str
+    stored: str
+    width: int
+    height: int
+    focal_px: float | None
+    camera: tuple[object, ...]
+    reduced: bool
+
+
+def prepare(file: Path, folder: Path, number: int, side: int) -> Photo:
+    """Store the photo in `folder`. Raises UserError for one that cannot be used."""
+    with opened(file, _formats(file)) as image:
+        exif = image.getexif()
+        turn = exif.get(ORIENTATION, 1)
+        size, kind = image.size, image.format
+        _check_plain(file, image)
+        reduced = max(size) > side
+        as_is = not reduced and turn == 1 and kind in FORMATS and image.mode in ("RGB", "L")
+        suffix = ".jpg" if kind != "PNG" else ".png"
+        stored = folder / f"{number:06d}{suffix}"
+        if as_is:
+            image.load()  # a damaged photo must not get further
+            shutil.copyfile(file, stored)
+            width, height = size
+        else:
+            width, height = _store(image, side, stored)
+        focal = _focal_px(exif, size)
+    scale = max(width, height) / max(size)
+    camera = (width, height, exif.get(MAKE), exif.get(MODEL), None if not focal else round(focal))
+    return Photo(
+        _shown(file, suffix), stored.name, width, height, focal and focal * scale, camera, reduced
+    )
+
+
+def _formats(file: Path) -> tuple[str, ...]:
+    """What Pillow may take the file for."""
+    if file.suffix.lower() not in HEIC:
+        return FORMATS
+    try:
+        from pillow_heif import register_heif_opener
+    except ImportError:
+        raise UserError(
+            f"{file}: expected a JPEG or PNG photo, got HEIC, which is not read without the"
+            " package pillow-heif; convert it to JPEG, or install pillow-heif"
+        ) from None
+    register_heif_opener()
+    return ("HEIF",)
+
+
+def _check_plain(file: Path, image: Image.Image) -> None:
+    require(
+        image.mode in EIGHT_BIT,
+        f"{file}: expected a photo of 8 bits per channel in RGB or grey, got mode {image.mode};"
+        " convert it",
+    )
+    alpha: Any = image.convert("RGBA").getchannel("A") if image.has_transparency_data else None
+    require(
+        alpha is None or alpha.getextrema()[0] == 255,
+        f"{file}: expected an opaque photo, got transparency; flatten it",
+    )
+
+
+def _store(image: Image.Image, side: int, path: Path) -> tuple[int, int]:
+    """Write the upright, reduced image; returns its size."""
+    from PIL import ImageOps
+    from PIL.Image import Resampling
+
+    image.thumbnail((side, side), Resampling.LANCZOS, reducing_gap=3.0)  # a JPEG is read reduced
+    upright = ImageOps.exif_transpose(image).convert("RGB")
+    for key in ("exif", "icc_profile", "xmp"):
+        upright.info.pop(key, None)
+    if path.suffix == ".png":
+        upright.save(path, compress_level=1)
+    else:
+        upright.save(path, quality=95, subsampling=0)
+    return upright.size
+
+
+def _shown(file: Path, suffix: str) -> str:
+    """The photo's name in the scene: its own, unless it changed its kind."""
+    same = {".jpg": (".jpg", ".jpeg"), ".png": (".png",)}[suffix]
+    return file.name if file.suffix.lower() in same else f"{file.name}{suffix}"
+
+
+def _focal_px(exif: Any, size: tuple[int, int]) -> float | None:
+    """In pixels of the stored photo of `size`; None where EXIF does not say or makes no sense."""
+    try:
+        tags = exif.get_ifd(EXIF)
+        film = float(tags.get(FOCAL_35MM) or 0)
+        if film > 0:
+            focal = film / FILM_DIAGONAL_MM * math.hypot(*size)
+        else:
+            per_mm = float(tags.get(PLANE_X) or 0) / UNIT_MM.get(tags.get(PLANE_UNIT, 2), 25.4)
+            resized = max(size) / float(tags.get(PIXELS_X) or max(size))
+            focal = float(tags.get(FOCAL_MM) or 0) * per_mm * resized
+    except (ValueError, TypeError, ZeroDivisionError, KeyError, OSError, SyntaxError) as error:
+        log.debug("EXIF without a usable focal length: %s", error)
+        return None
+    return focal if 0.2 * max(size) < focal < 20 * max(size) else None
