@@ -1,4 +1,4 @@
 """A run as others see it: while it goes (`progress`, `notices`) and afterwards on disk (`record`,
-`run_files`, `ply`), with where it comes from (`provenance`)."""
+`run_files`, `ply`, `cameras`), with where it comes from (`provenance`)."""
 
-__all__ = ["notices", "ply", "progress", "provenance", "record", "run_files"]
+__all__ = ["cameras", "notices", "ply", "progress", "provenance", "record", "run_files"]

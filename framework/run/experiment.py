@@ -29,6 +29,7 @@ from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
+from framework.records.cameras import write_cameras
 from framework.records.notices import noted
 from framework.records.progress import Progress
 from framework.records.provenance import (
@@ -163,6 +164,7 @@ def _trained(
     record = dataclasses.replace(
         record, peak_memory_bytes=peak_memory_bytes(), resumed=trained.resumed
     )
+    write_cameras(run_dir, scene.training.views, scene.test)
     record = write_run(
         run_dir, record, metrics, trained.history, trained.gaussians, trained.background, renders
     )

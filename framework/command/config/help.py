@@ -39,7 +39,7 @@ fishersplat: sparse-view 3D Gaussian Splatting studies on a CPU
 
   one run      {program} augment=safi reg=uar
   a study      {program} +augment=safi +reg=uar seed=0,1,2 -m
-  own photos   {program} scene=llff scene.path=DIR scene.n_views=3
+  own photos   {program} scene=photos scene.path=DIR
   named study  {program} sweep=demo
   own plugins  {program} --plugins DIR reg=NAME
 {subcommands}

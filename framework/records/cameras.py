@@ -1,0 +1,67 @@
+"""The cameras of a run beside its `point_cloud.ply`, for viewers and other trainers.
+
+`cameras.json`, as 3DGS (Kerbl et al. 2023) writes it: a list of id, img_name, width, height,
+position [3] and rotation [3, 3] (camera to world, axes right, down, forward), fy, fx in pixels;
+test views first, as there. `transforms.json`, as instant-ngp and nerfstudio read it: per photo its
+camera-to-world matrix with axes right, up, backward, intrinsics in pixels; and which photos trained
+and which tested. Intrinsics are those of the pictures the run worked with: undistorted, reduced.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from framework.files.whole import write_whole
+
+if TYPE_CHECKING:
+    from framework.types import View
+
+CAMERAS, TRANSFORMS = "cameras.json", "transforms.json"
+
+
+def write_cameras(folder: Path, training: Sequence[View], test: Sequence[View]) -> None:
+    """Write both files into `folder`."""
+    listed = [_listed(number, view) for number, view in enumerate([*test, *training])]
+    write_whole(folder / CAMERAS, json.dumps(listed))
+    transforms = {
+        "camera_model": "PINHOLE",
+        "train_filenames": [view.name for view in training],
+        "test_filenames": [view.name for view in test],
+        "frames": [_frame(view) for view in [*training, *test]],
+    }
+    write_whole(folder / TRANSFORMS, json.dumps(transforms))
+
+
+def _listed(number: int, view: View) -> dict[str, Any]:
+    """An entry of `cameras.json`."""
+    camera = view.camera
+    return {
+        "id": number,
+        "img_name": view.name,
+        "width": camera.width,
+        "height": camera.height,
+        "position": camera.center.tolist(),
+        "rotation": camera.viewmat[:3, :3].T.tolist(),
+        "fy": float(camera.K[1, 1]),
+        "fx": float(camera.K[0, 0]),
+    }
+
+
+def _frame(view: View) -> dict[str, Any]:
+    """An entry of `transforms.json`."""
+    camera = view.camera
+    to_world = camera.viewmat.inverse()
+    to_world[:, 1:3] *= -1  # the axes down and forward become up and backward
+    return {
+        "file_path": view.name,
+        "transform_matrix": to_world.tolist(),
+        "fl_x": float(camera.K[0, 0]),
+        "fl_y": float(camera.K[1, 1]),
+        "cx": float(camera.K[0, 2]),
+        "cy": float(camera.K[1, 2]),
+        "w": camera.width,
+        "h": camera.height,
+    }
