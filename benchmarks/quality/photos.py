@@ -155,7 +155,9 @@ def measured(entry: str, train: list[list[str]], work: Path) -> tuple[str, list[
     try:
         poses = poses_folder(find_source(str(folder), side=1200, frames=40))
     except UserError as error:
-        return f"| {title} | 0 of {len(names)} | | | | | | | |\n", [f"{title}: {error}"]
+        return f"| {title} | 0 of {len(names)} | | | | | | | |\n", [
+            f"{title}: {error}".replace(str(folder), "DIR")
+        ]
     found = read_found(poses)
     known = [s / "sparse" / "0" for s in scenes]
     wrong = None
