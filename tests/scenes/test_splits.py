@@ -69,6 +69,8 @@ def test_unknown_protocol_suggests() -> None:
 @pytest.mark.parametrize("loader", sorted(LOADERS))
 @pytest.mark.parametrize("n_views", [0, -2])
 def test_n_views_below_one(loader: str, n_views: int) -> None:
+    if loader == "photos" and n_views == 0:
+        pytest.skip("there 0 means all but the test views")
     with pytest.raises(UserError, match=rf"scene={loader}: expected n_views of at least 1, got"):
         load_scene(loader, {"n_views": n_views} | ({} if loader == "embedded" else {"path": "x"}))
 
