@@ -24,7 +24,7 @@ ROOMS = (
     "train",  # the step loop
     "methods",  # common parts of method families; the plugins stand beside it
     "plugin",  # the contracts
-    "registry",
+    "registry",  # name -> plugin
     "fisher",  # information of the Gaussians, and scores from it
     "warp",  # the soft z-buffer
     "initialize",  # the first Gaussians
@@ -33,10 +33,10 @@ ROOMS = (
     "records",  # a run on disk
     "metrics",  # PSNR, SSIM, FLIP, LPIPS
     "rasterize",  # Gaussians -> pixels and back
-    "geometry",  # the values everybody speaks of
-    "shapes",
-    "types",
-    "options",
+    "geometry",  # points to pixels and back
+    "shapes",  # checks of values
+    "types",  # the values everybody speaks of
+    "options",  # the trainer's
     "compute",  # how kernels run
     "files",  # reading and writing safely
     "errors",  # the ground
