@@ -1,0 +1,87 @@
+"""docs/architecture.md says what is so: its files and names exist, its rooms are the rooms."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from framework.command.config.schema import ROOT
+from tests.contract.test_imports import ROOMS
+
+PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+FILE = r"[\w./]+\.(?:py|yaml|md|png|svg)"
+MOST_LINES = 130
+
+
+def named(page: str) -> list[tuple[str, str]]:
+    """(path, name or "") of `path`, `path:name` and `:name`, which is of the path before it."""
+    found, last = [], ""
+    for path, name in re.findall(rf"`({FILE})?(?::([\w.]+))?`", page):
+        last = path or last
+        found.append((last, name))
+    return found
+
+
+def holds(file: Path, name: str) -> bool:
+    """Whether a Python file defines a dotted name: of a module, a class or a function."""
+    body: list[ast.stmt] = ast.parse(file.read_text(encoding="utf-8")).body
+    for part in name.split("."):
+        inside = next((node for node in body if part in names_of(node)), None)
+        if inside is None:
+            return False
+        body = getattr(inside, "body", [])
+    return True
+
+
+def names_of(node: ast.stmt) -> list[str]:
+    """What a statement defines."""
+    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        return [node.name]
+    targets = node.targets if isinstance(node, ast.Assign) else []
+    targets = [node.target] if isinstance(node, ast.AnnAssign) else targets
+    return [target.id for target in targets if isinstance(target, ast.Name)]
+
+
+@pytest.mark.parametrize(("path", "name"), dict.fromkeys(named(PAGE)))
+def test_what_the_page_names_exists(path: str, name: str) -> None:
+    found = path == "__init__.py" or (ROOT / path).is_file()  # the first is that of any room
+    assert found, f"docs/architecture.md: no file {path}"
+    if name:
+        assert holds(ROOT / path, name), f"docs/architecture.md: {path} has no {name}"
+
+
+def test_a_name_that_is_gone_is_found() -> None:
+    file = ROOT / "framework" / "train" / "trainer.py"
+    assert holds(file, "Trainer._pick") and not holds(file, "Trainer.pick")
+    assert named("`a/b.py:c` and `:d.e`") == [("a/b.py", "c"), ("a/b.py", "d.e")]
+
+
+def test_the_links_lead_somewhere() -> None:
+    links = re.findall(r"\]\(([^)#]+)\)", PAGE)
+    assert links and all((ROOT / "docs" / link).is_file() for link in links)
+
+
+def test_the_table_has_the_rooms_in_their_order() -> None:
+    rows = re.findall(r"^\| `(\w+)/?` \|", PAGE, re.MULTILINE)
+    assert [row for row in rows if row != "plugins"] == list(ROOMS)
+
+
+def test_it_is_a_page() -> None:
+    assert len(PAGE.splitlines()) <= MOST_LINES
+
+
+def test_the_picture_has_every_room_and_the_same_bytes_twice(tmp_path: Path) -> None:
+    drawn = []
+    for name in ("a", "b"):
+        folder = tmp_path / name
+        folder.mkdir()
+        subprocess.run([sys.executable, ROOT / "docs" / "rooms.py", folder], check=True)
+        drawn.append([(folder / f"rooms.{kind}").read_bytes() for kind in ("png", "svg")])
+    assert drawn[0] == drawn[1]
+    texts = re.findall(r">(\w+)</text>", drawn[0][1].decode())
+    assert set(ROOMS) <= set(texts)
