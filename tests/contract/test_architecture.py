@@ -1,4 +1,5 @@
-"""docs/architecture.md says what is so: its files and names exist, its rooms are the rooms."""
+"""docs/architecture.md says what is so: its files and names exist, its rooms are the rooms. The
+files and names in CONTRIBUTING.md and README.md exist, too."""
 
 from __future__ import annotations
 
@@ -16,6 +17,9 @@ from tests.contract.test_imports import ROOMS
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 FILE = r"[\w./]+\.(?:py|yaml|md|png|svg)"
 MOST_LINES = 130
+
+
+OURS = ("framework/", "tests/", "benchmarks/", "docs/", "conf/", "sweeps/")
 
 
 def named(page: str) -> list[tuple[str, str]]:
@@ -53,6 +57,18 @@ def test_what_the_page_names_exists(path: str, name: str) -> None:
     assert found, f"docs/architecture.md: no file {path}"
     if name:
         assert holds(ROOT / path, name), f"docs/architecture.md: {path} has no {name}"
+
+
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "README.md"])
+def test_what_other_pages_name_exists(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    gone = [path for path in re.findall(r"`([\w./]+/)`", text) if not (ROOT / path).is_dir()]
+    for path, name in named(text):
+        if path.startswith(OURS) and not (ROOT / path).is_file():
+            gone.append(path)
+        elif path.startswith(OURS) and name and not holds(ROOT / path, name):
+            gone.append(f"{path}:{name}")
+    assert not [path for path in gone if path.startswith(OURS)]
 
 
 def test_a_name_that_is_gone_is_found() -> None:
