@@ -28,7 +28,7 @@ SHRINK = 1.6  # ... smaller by this factor (the 3DGS code's 0.8 * CHILDREN)
 class AdaptiveDensityControl(PullCapacity):
     """Options, with the defaults of the sparse-view literature (10k-step trainings).
 
-    of_steps: of how long a training the other options' steps are; in another they are in
+    of_steps: length of the training that the steps of the others are of. In another they are in
     proportion, but at least an epoch lies between densifications. 0 = they are absolute: a training
     of 500 steps or fewer is not densified unless `from_step` is lowered. every: steps between
     densifications. The last is before the framework key `stop`, whose default leaves the last tenth
