@@ -67,7 +67,8 @@ def main(argv: Sequence[str]) -> int:
         with _hydra_process(arguments):
             register_config()
             flags = _parse(arguments)
-            check_command(flags)
+            if not flags.shell_completion:  # whose words are no overrides
+                check_command(flags)
             if flags.help:
                 print(help_text(flags.overrides))
                 return 0

@@ -74,3 +74,20 @@ def test_a_broken_own_plugin_is_one_line(tmp_path: Path) -> None:
     done = run(tmp_path, "--plugins", ".", "--cfg", "job")
     assert done.returncode == 2 and "broken.py" in done.stderr
     assert done.stderr.count("\n") == 1, done.stderr
+
+
+def test_the_shell_completes_groups_and_choices(tmp_path: Path) -> None:
+    typed = "fishersplat +reg=u"
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "run.py"), "-sc", "query=bash"],
+        cwd=tmp_path,
+        env={
+            **os.environ,
+            "PYTHONPATH": str(ROOT),
+            "COMP_LINE": typed,
+            "COMP_POINT": str(len(typed)),
+        },
+        capture_output=True,
+        text=True,
+    )
+    assert done.stdout.split() == ["+reg=uar", "+reg=uar_hard", "+reg=uniform"], done.stderr
