@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from framework.errors import check_option
 
-MOST_MEMBERS = 16
+MOST_MEMBERS, MOST_STEPS = 16, 1_000_000
 ENOUGH_STEPS, ENOUGH_VISITS = 300, 80  # of one training, and of every view by it
 SHARED_BY = 8  # members at most, when their number is left to the views
 BACKGROUNDS = ("mean", "black", "white", "random")
@@ -23,6 +23,7 @@ class TrainerOptions:
     """
 
     steps: int = 300  # of training, each on one real view; of all members together if members=0
+    seconds: float = 0.0  # of training, by the wall clock here: chooses steps; 0 = steps are given
     sh_degree: int = 0  # stored degree; the active one grows by one every `sh_every` steps
     sh_every: int = 0  # 0 = evenly over the first half of the training (3DGS: 1000 of 30k steps)
     ssim_weight: float = 0.2  # loss = (1 - w) L1 + w (1 - SSIM)
@@ -49,7 +50,8 @@ class TrainerOptions:
 
     def __post_init__(self) -> None:
         check = functools.partial(check_option, self, "trainer")
-        check("steps", self.steps >= 1, "an integer >= 1")
+        check("steps", 1 <= self.steps <= MOST_STEPS, f"an integer from 1 to {MOST_STEPS:,}")
+        check("seconds", 0 <= self.seconds <= 1e6, "a number in [0, 1,000,000]")
         check("sh_degree", 0 <= self.sh_degree <= 3, "0, 1, 2 or 3")
         check("sh_every", self.sh_every >= 0, "an integer >= 0")
         check("ssim_weight", 0 <= self.ssim_weight <= 1, "a number in [0, 1]")

@@ -13,6 +13,7 @@ import functools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +49,9 @@ from framework.records.record import (
     find_complete,
     write_run,
 )
+from framework.run import budget
 from framework.run.lpips_later import lacks_lpips, with_lpips
-from framework.run.training import Run, initial, renderer, train
+from framework.run.training import Run, initial, renderer, train, try_out
 from framework.run.warmup import Warmup
 from framework.scenes import load_scene
 from framework.train.resume.checkpoint import remove_checkpoints
@@ -154,6 +156,21 @@ def _trained(
             return initial(config, scene, depth, options, seed)
 
     run = Run(scene, depth, start, run_dir, record.identity, config["force"])
+    if options.seconds > 0:
+        progress.stage(f"choosing steps for {options.seconds:g} s")
+        choice = budget.chosen(
+            run_dir,
+            record.identity,
+            options,
+            len(scene.training.views),
+            budget.timed(partial(try_out, run, config)),
+        )
+        options = choice.applied(options)
+        config = {**config, "trainer": dataclasses.asdict(options)}
+        record = dataclasses.replace(
+            record, provenance={**record.provenance, "budget": choice.told}
+        )
+        progress.note(f"{choice.told['seconds']:g} s of training: {choice.told['repeat']}")
     trained = train(run, config, progress)
     timings[TRAIN_STAGE] = StageTime(trained.wall_s, trained.cpu_s)
     progress.stage("evaluation")
@@ -169,6 +186,7 @@ def _trained(
         run_dir, record, metrics, trained.history, trained.gaussians, trained.background, renders
     )
     remove_checkpoints(run_dir)
+    (run_dir / budget.FILE).unlink(missing_ok=True)
     return record
 
 

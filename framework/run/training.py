@@ -25,7 +25,7 @@ from framework.metrics.values import Missing
 from framework.options import TrainerOptions
 from framework.plugin import Plugin
 from framework.rasterize import rasterize
-from framework.records.progress import Part, Parts, Progress
+from framework.records.progress import Part, Parts, Progress, Silent
 from framework.records.record import DIVERGED
 from framework.run.members import IDLE, in_turn, join, member_seed, tuning_options
 from framework.train import schedule
@@ -149,6 +149,22 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
     starts[n] = gaussians
     tuned = task(n, lambda: None, sh_from=rounds[-1][-1].sh_degree)
     return in_turn([*rounds, [tuned]], options.steps, tuned.gaussians)
+
+
+def try_out(run: Run, config: Mapping[str, Any], options: TrainerOptions) -> Trained:
+    """One training with other options, without a look at the test views; nothing of it is kept."""
+    plugins = Plugins(*(registry.build(group, config[group]) for group in registry.GROUPS))
+    seed, n_views = int(config["seed"]), len(run.scene.training.views)
+    return Trainer(
+        run.scene.training,
+        run.depth,
+        run.start(seed),
+        schedule.paced(options, n_views),
+        plugins,
+        seed,
+        Silent(),
+        tells=False,
+    ).run()
 
 
 def _parts(config: Mapping[str, Any], options: TrainerOptions) -> list[_Part]:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from framework.errors import require
-from framework.options import members_of
+from framework.options import MOST_STEPS, members_of
 
 MOST_GAUSSIANS = 100_000  # of an automatic budget, see init=stereo
 TABLES = 200_000
@@ -46,7 +46,8 @@ def _parameter_bytes(config: Mapping[str, Any], floats: int) -> int:
 
 def _most_members(trainer: Mapping[str, Any]) -> int:
     """How many trainings are joined; at most, where the views decide."""
-    return members_of(trainer["members"], trainer["steps"], n_views=1)
+    steps = MOST_STEPS if trainer.get("seconds") else trainer["steps"]
+    return members_of(trainer["members"], steps, n_views=1)
 
 
 def check_room(folder: Path, configs: Sequence[Mapping[str, Any]]) -> None:

@@ -73,7 +73,9 @@ def estimate(configs: Sequence[Config], try_out: Callable[[Config], Cost]) -> tu
         kept = [*(other for other in kept if other != key), key][-KEPT_SCENES:]
         method, scene = by_method.get(_method(config), usual), by_scene.get(_scene(config), usually)
         step_s = method.step_s * scene.step_s / base.step_s
-        total += step_s * int(config["trainer"]["steps"]) + scene.run_s
+        trainer = config["trainer"]
+        total += trainer.get("seconds") or step_s * int(trainer["steps"])
+        total += scene.run_s
     return total, len(by_method) + len(by_scene) - 1
 
 
@@ -82,7 +84,7 @@ def measure(config: Config) -> Cost:
     its kernels, so the trial is the second one."""
     from framework.run.experiment import run_experiment
 
-    trainer = {**config["trainer"], "steps": TRIAL_STEPS}
+    trainer = {**config["trainer"], "steps": TRIAL_STEPS, "seconds": 0.0}
     short = {**config, "trainer": trainer, "force": True}
     with unwarned(), tempfile.TemporaryDirectory(prefix="trial-") as folder:
         first = run_experiment(short, Path(folder) / "run", Silent())

@@ -1,0 +1,113 @@
+"""`trainer.seconds`: as many steps as fit into a time, chosen before the training starts.
+
+A short training of the same kind, with its own growth and pseudo views in proportion, tells what a
+step takes here and now. The choice is kept in the run's folder, so that an interrupted run goes on
+with it, and in the record: the same steps give the same bits anywhere, the same seconds do not.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from framework.compute.stopwatch import Stopwatch
+from framework.errors import UserError
+from framework.files.limits import TEXT_BYTES, check_size
+from framework.files.whole import write_whole
+from framework.options import MOST_STEPS, TrainerOptions, members_of
+
+FILE = "budget.json"
+TRIAL_STEPS, TRIAL_EPOCHS = 40, 2  # of the trial, the more of both
+WARM = 8  # steps of a first trial, which meets cold caches and is not counted
+SHORT = 150  # steps; a training below it takes more of them at half size, as preset=fast does
+
+Trial = Callable[[TrainerOptions], float]  # trains with these options; the seconds it took
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What was chosen for `seconds`. step_s: of a step, as measured."""
+
+    identity: str
+    seconds: float
+    step_s: float
+    steps: int
+    members: int
+    coarse_until: float
+
+    def applied(self, options: TrainerOptions) -> TrainerOptions:
+        """The options that repeat the run bit for bit."""
+        return dataclasses.replace(
+            options,
+            seconds=0.0,
+            steps=self.steps,
+            members=self.members,
+            coarse_until=self.coarse_until,
+        )
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """For the record."""
+        return {
+            "seconds": self.seconds,
+            "step_s": self.step_s,
+            "repeat": f"trainer.seconds=0 trainer.steps={self.steps}"
+            f" trainer.members={self.members} trainer.coarse_until={self.coarse_until:g}",
+        }
+
+
+def chosen(
+    folder: Path, identity: str, options: TrainerOptions, n_views: int, trial: Trial
+) -> Choice:
+    """The choice that an interrupted process of the same run left, else a new one, which is kept.
+
+    n_views: real training views. Measures for about `TRIAL_STEPS` steps.
+    """
+    kept = _kept(folder / FILE, identity)
+    if kept is not None:
+        return kept
+    one = dataclasses.replace(options, seconds=0.0, members=1, evaluations=1)
+    steps = max(TRIAL_STEPS, TRIAL_EPOCHS * n_views)
+    trial(dataclasses.replace(one, steps=WARM))
+    step_s = max(1e-5, trial(dataclasses.replace(one, steps=steps)) / steps)
+    choice = choose(identity, options, n_views, step_s)
+    write_whole(folder / FILE, json.dumps(dataclasses.asdict(choice)) + "\n")
+    return choice
+
+
+def choose(identity: str, options: TrainerOptions, n_views: int, step_s: float) -> Choice:
+    """Steps of `step_s` seconds for `options.seconds`, shared by as many members as pay."""
+    total = max(1, min(MOST_STEPS, int(options.seconds / step_s)))
+    members = members_of(options.members, total, n_views)
+    steps = max(1, total // members)
+    coarse = options.coarse_until if steps >= SHORT else max(options.coarse_until, 0.5)
+    return Choice(identity, options.seconds, step_s, steps, members, coarse)
+
+
+def timed(train: Callable[[TrainerOptions], object]) -> Trial:
+    """A trial by the clock of the wall."""
+
+    def seconds(options: TrainerOptions) -> float:
+        watch = Stopwatch()
+        train(options)
+        return watch.wall_s
+
+    return seconds
+
+
+def _kept(file: Path, identity: str) -> Choice | None:
+    """The choice in `file`; None where there is none of this run."""
+    if not file.is_file():
+        return None
+    try:
+        check_size(file, TEXT_BYTES)
+        content: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        choice = Choice(**content)
+        choice.applied(TrainerOptions())
+    except (UserError, ValueError, TypeError, AttributeError, RecursionError):
+        return None  # damaged: choose anew
+    return choice if choice.identity == identity else None

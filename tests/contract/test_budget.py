@@ -1,0 +1,58 @@
+"""`trainer.seconds`: what is chosen, that it is kept, and that its steps repeat the run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from framework.options import TrainerOptions
+from framework.run.budget import FILE, Choice, choose, chosen
+
+MINUTE = TrainerOptions(seconds=60.0)
+
+
+@pytest.mark.parametrize(
+    ("step_s", "n_views", "steps", "members"),
+    [(0.05, 3, 300, 4), (0.2, 3, 300, 1), (0.02, 43, 3000, 1), (0.01, 12, 1000, 6), (99, 3, 1, 1)],
+)
+def test_the_time_is_spent_and_not_more(
+    step_s: float, n_views: int, steps: int, members: int
+) -> None:
+    choice = choose("a", MINUTE, n_views, step_s)
+    assert (choice.steps, choice.members) == (steps, members)
+    assert choice.steps * choice.members * step_s <= max(60, step_s)
+
+
+def test_a_short_training_takes_more_steps_at_half_size() -> None:
+    assert choose("a", MINUTE, 3, 1.0).coarse_until == 0.5
+    assert choose("a", MINUTE, 3, 0.1).coarse_until == TrainerOptions.coarse_until
+
+
+def test_a_choice_is_kept_for_the_same_run_alone(tmp_path: Path) -> None:
+    asked: list[int] = []
+
+    def trial(options: TrainerOptions) -> float:
+        asked.append(options.steps)
+        return 0.1 * options.steps * len(asked)
+
+    first = chosen(tmp_path, "mine", MINUTE, 30, trial)
+    assert asked == [8, 60] and first.step_s == pytest.approx(0.2)
+    assert chosen(tmp_path, "mine", MINUTE, 30, trial) == first and len(asked) == 2
+    assert chosen(tmp_path, "other", MINUTE, 30, trial) != first and len(asked) == 4
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"steps": "many"}', "[" * 10_000])
+def test_a_damaged_choice_is_made_anew(tmp_path: Path, text: str) -> None:
+    (tmp_path / FILE).write_text(text)
+    assert chosen(tmp_path, "mine", MINUTE, 3, lambda o: 0.1 * o.steps).steps == 300
+
+
+def test_what_was_chosen_is_told_as_it_is_typed() -> None:
+    choice = Choice("a", 60.0, 0.1, 300, 2, 0.25)
+    told = choice.told["repeat"].split()
+    given = {
+        word.partition("=")[0].removeprefix("trainer."): word.partition("=")[2] for word in told
+    }
+    again = choice.applied(MINUTE)
+    assert {name: str(getattr(again, name)).removesuffix(".0") for name in given} == given
