@@ -112,8 +112,9 @@ class RunRecord:
     provenance: see `framework.records.provenance`. resumed: how often an interrupted training was
     taken up again; its time is the sum of the parts, the other stages' that of the last process.
     sh_degree: the highest of any Gaussian. banded: how many have one above 0; None: all, or none
-    where it is 0. summary: mean over the test views of each metric. error: one line, of a failed
-    run.
+    where it is 0. summary: mean over the test views of each metric. dose: what the method did, by
+    the trainer's own counts, as a flat mapping to numbers and texts; empty where none were kept.
+    error: one line, of a failed run.
     """
 
     identity: str
@@ -130,6 +131,7 @@ class RunRecord:
     parameters_sha256: str = ""
     ply_bytes: int = 0
     summary: Mapping[str, Measurement] = field(default_factory=dict)
+    dose: Mapping[str, Any] = field(default_factory=dict)
     status: str = "complete"
     error: str | None = None
 
@@ -334,8 +336,8 @@ def write_record(run_dir: Path, record: RunRecord) -> None:
 def _from_json(content: dict[str, Any]) -> RunRecord:
     scene = content["scene"]
     lists = ("training", "test")
-    # records of before runs could be resumed and Gaussians could differ in their SH degree
-    content = {"resumed": 0, "banded": None, **content}
+    # records of before runs could be resumed, Gaussians differ in their SH degree, doses be counted
+    content = {"resumed": 0, "banded": None, "dose": {}, **content}
     unmeasured = {name: {"mean": None, "missing": why} for name, why in LATER.items()}
     summary = content["summary"] and unmeasured | content["summary"]  # a failed run's is empty
     fields = {f.name: content[f.name] for f in dataclasses.fields(RunRecord)}

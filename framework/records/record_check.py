@@ -31,6 +31,7 @@ def check_record(content: Any) -> None:
         options = content["config"].get(group)
         named = isinstance(options, Mapping) and isinstance(options.get("name"), str)
         _check(f"config.{group}", options, options is None or named or content["error"])
+    _check_dose(content.get("dose", {}))
     _check_scene(content["scene"])
     _check_timings(content["timings"])
     _check_summary(content["summary"])
@@ -46,6 +47,13 @@ def check_stems(stems: Iterable[str]) -> None:
     """Raise ValueError unless these name files in a folder, and nothing outside of it."""
     for stem in stems:
         _check("file", stem, STEM.fullmatch(stem))
+
+
+def _check_dose(dose: Any) -> None:
+    _check("dose", dose, isinstance(dose, Mapping))
+    for name, value in dose.items():
+        flat = value is None or isinstance(value, bool) or _is_line(value) or _is_number(value)
+        _check(f"dose.{name}", value, flat)
 
 
 def _check_scene(scene: Any) -> None:

@@ -1,4 +1,4 @@
-"""From the folders of one or more studies to `report.md`, `report.html`, `runs.csv` and figures."""
+"""From the folders of one or more studies to `report.md`, `report.html`, tables and figures."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from framework.files.whole import write_whole
-from framework.report.export import TABLE, runs_csv
+from framework.report.export import LATEX, TABLE, comparisons_tex, runs_csv
 from framework.report.figures.images import remove_pictures
 from framework.report.figures.views import own_scenes
 from framework.report.page import html as page
 from framework.report.page import markdown
 from framework.report.page.gallery import gallery
 from framework.report.sections import document
+from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
 
 REPORT, PAGE = "report.md", "report.html"
@@ -43,5 +44,8 @@ def build_report(
         write_whole(study.out_dir / PAGE, page.render(made, shots.result(), study.out_dir))
     if study.runs:
         write_whole(study.out_dir / TABLE, runs_csv(study))
+        found = outcomes(study)
+        if found.comparisons:
+            write_whole(study.out_dir / LATEX, comparisons_tex(found))
     write_whole(study.out_dir / REPORT, markdown.render(made))
     return study.out_dir / REPORT

@@ -1,13 +1,23 @@
-"""`runs.csv`: one row per complete run, for those who go on in a notebook or a spreadsheet."""
+"""For those who go on elsewhere: `runs.csv`, one row per complete run, and `comparisons.tex`, every
+comparison as a LaTeX table."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from framework.metrics.values import METRICS
+from framework.report.statistics.compare import Comparison
+from framework.report.statistics.estimates import Interval
+from framework.report.statistics.numbers import interval_text, p_text, signed
+from framework.report.statistics.outcomes import Outcomes
 from framework.report.study.collect import ReportRun, Study
 
-TABLE = "runs.csv"
+TABLE, LATEX = "runs.csv", "comparisons.tex"
+ESCAPES = {
+    **{character: f"\\{character}" for character in "&%$#_{}"},
+    **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
+    **{"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", "°": r"\textdegree{}"},
+}
 
 
 def runs_csv(study: Study) -> str:
@@ -42,3 +52,43 @@ def _measured(run: ReportRun) -> dict[str, Any]:
         "train_cpu_s": record.train_cpu_s,
         "run": run.run.run_dir.name,
     }
+
+
+def comparisons_tex(found: Outcomes) -> str:
+    """A `tabular` of every comparison: over these scenes and over scenes like these (corrected for
+    all methods), and on every scene alone (uncorrected). Needs no package."""
+    lines = [
+        r"\begin{tabular}{lllrrlr}",
+        r"\hline",
+        r"Method & Against & On & $n$ & $\Delta$PSNR (dB) & 95\,\% interval & $p$ \\",
+        r"\hline",
+    ]
+    for method, c in found.comparisons.items():
+        where = "these scenes" if c.like else "the scene"
+        lines.append(_tex(c, where, c.n, c.difference, c.joint, c.p_joint))
+        if c.like is not None:
+            p = None if c.like.p is None else min(1.0, c.tests * c.like.p)
+            like = c.like_joint
+            lines.append(_tex(c, "scenes like these", c.like.n, c.like.mean, like, p))
+        for scene, compared in found.by_scene.items():
+            if method in compared:
+                own = compared[method]
+                lines.append(_tex(own, scene, own.n, own.difference, own.interval, own.p))
+        lines.append(r"\hline")
+    return "\n".join([*lines, r"\end{tabular}", ""])
+
+
+def _tex(
+    c: Comparison, on: str, n: int, difference: float, interval: Interval | None, p: float | None
+) -> str:
+    inside = "--" if interval is None else interval_text(interval)
+    chance = "--" if p is None else p_text(p).removeprefix("p ").removeprefix("= ")
+    words = [c.method, c.baseline, on, str(n), signed(difference, interval), inside, chance]
+    return " & ".join(_escaped(word) for word in words) + r" \\"
+
+
+def _escaped(text: str) -> str:
+    """Text from outside as LaTeX prints it; numbers with a true minus sign."""
+    plain = "".join(ESCAPES.get(character, character) for character in text)
+    is_number = text[:1] in "+-" and text[1:2].isdigit()
+    return plain.replace("-", "$-$").replace("+", "$+$") if is_number else plain

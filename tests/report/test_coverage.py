@@ -3,12 +3,16 @@ points of 95 %. Seeds are fixed, so the shares are the same on every machine."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from framework.compute.rng import stream
+from framework.report.statistics.bootstrap import sd_interval
 from framework.report.statistics.breakdown import break_down
-from framework.report.statistics.estimates import compare, spread
+from framework.report.statistics.compare import Pairs, compare, corrected
+from framework.report.statistics.estimates import spread
 from framework.report.statistics.robustness import wilson
 from framework.report.statistics.variance import brown_forsythe, compare_sigmas, mean_deviation
 
@@ -18,6 +22,10 @@ DRAWS = 1500
 
 def covered(found: list[object], truth: float) -> float:
     return float(np.mean([i is not None and i.low <= truth <= i.high for i in found]))  # type: ignore[attr-defined]
+
+
+def on_one(values: np.ndarray) -> Pairs:
+    return {("scene", seed): float(value) for seed, value in enumerate(values)}
 
 
 @pytest.mark.parametrize("n", [3, 10])
@@ -36,7 +44,7 @@ def test_paired_difference(n: int) -> None:
     for _ in range(DRAWS):
         shared = draw.standard_normal(n)
         a, b = (shared + 0.3 * draw.standard_normal(n) for _ in range(2))
-        comparison = compare("a", dict(enumerate(a + 0.2)), "b", dict(enumerate(b)))
+        comparison = compare("a", on_one(a + 0.2), "b", on_one(b))
         found.append(comparison.interval if comparison else None)
     assert covered(found, 0.2) == pytest.approx(0.95, abs=TOLERANCE)
 
@@ -102,3 +110,54 @@ def test_brown_forsythe_keeps_its_level() -> None:
     pairs = draw.standard_normal((DRAWS, 2, 10))
     share = np.mean([brown_forsythe(a, b) < 0.05 for a, b in pairs])
     assert share == pytest.approx(0.05, abs=TOLERANCE)
+
+
+@pytest.mark.parametrize("shared", [0.0, 0.2])
+def test_these_scenes_and_scenes_like_these(shared: float) -> None:
+    """Effects differ between scenes, and a seed may move all scenes alike: each interval covers
+    what it is about, and pairs taken for independent would cover neither."""
+    draw, scenes, seeds = stream(1, "scenes and seeds"), 5, 4
+    these, like, pooled = [], [], []
+    for _ in range(DRAWS):
+        effects = 0.3 * draw.standard_normal(scenes)
+        noise = 0.1 * draw.standard_normal((scenes, seeds)) + shared * draw.standard_normal(seeds)
+        d = effects[:, None] + noise
+        values = {(f"{s}", k): float(d[s, k]) for s in range(scenes) for k in range(seeds)}
+        found = compare("a", values, "b", dict.fromkeys(values, 0.0))
+        assert found is not None
+        these.append((found.interval, effects.mean()))
+        like.append((found.like_joint, 0.0))
+        pooled.append((spread(list(values.values())).mean_interval, 0.0))
+
+    def share(pairs: list[tuple[Any, float]]) -> float:
+        return float(np.mean([i.low <= truth <= i.high for i, truth in pairs]))
+
+    assert share(these) == pytest.approx(0.95, abs=TOLERANCE)
+    if not shared:  # what all scenes share of a seed is no part of what differs between scenes
+        assert share(like) == pytest.approx(0.95, abs=TOLERANCE)
+    assert share(pooled) < 0.75
+
+
+def test_corrected_intervals_hold_together() -> None:
+    draw, n, tests = stream(0, "together"), 5, 4
+    together = []
+    for _ in range(DRAWS):
+        base = draw.standard_normal(n)
+        found = {
+            str(k): compare(str(k), on_one(base + draw.standard_normal(n)), "b", on_one(base))
+            for k in range(tests)
+        }
+        told = corrected({k: c for k, c in found.items() if c is not None})
+        assert all(c.significant == (c.p_joint is not None and c.p_joint < 0.05)
+                   for c in told.values())  # fmt: skip
+        together.append(not any(c.significant for c in told.values()))
+    assert np.mean(together) > 0.95 - TOLERANCE
+
+
+@pytest.mark.parametrize(("n", "least"), [(5, 0.90), (20, 0.80)])
+def test_the_bootstrap_bears_heavy_tails(n: int, least: float) -> None:
+    """Errors of a t distribution with 3 degrees of freedom, whose deviation is sqrt(3)."""
+    draws = stream(n, "tails").standard_t(3, (300, n))
+    free = covered([sd_interval(list(row)) for row in draws], 3**0.5)
+    normal = covered([spread(list(row)).sd_interval for row in draws], 3**0.5)
+    assert free > least and free > normal + 0.05

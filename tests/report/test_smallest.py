@@ -10,6 +10,7 @@ import pytest
 from framework.records.record import RunRecord
 from framework.report.figures import tradeoff
 from framework.report.statistics.estimates import spread
+from framework.report.text import budgets
 
 
 def entry(method: str, psnr: float, gaussians: int) -> tradeoff.Entry:
@@ -21,9 +22,9 @@ def entry(method: str, psnr: float, gaussians: int) -> tradeoff.Entry:
 
 
 def told(monkeypatch: pytest.MonkeyPatch, *found: tradeoff.Entry) -> str | None:
-    monkeypatch.setattr(tradeoff, "entries", lambda *_: list(found))
+    monkeypatch.setattr(budgets, "entries", lambda *_: list(found))
     study: Any = None
-    return tradeoff.smallest(study, "embedded")
+    return budgets.smallest(study, "embedded")
 
 
 def test_the_smallest_of_the_good_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

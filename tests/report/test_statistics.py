@@ -7,7 +7,8 @@ import pytest
 from scipy import stats
 
 from framework.compute.rng import stream
-from framework.report.statistics.estimates import compare, holm, spread
+from framework.report.statistics.compare import compare, corrected
+from framework.report.statistics.estimates import spread
 
 
 def test_spread_of_known_values() -> None:
@@ -50,15 +51,39 @@ def test_comparison_pairs_by_key_and_equals_scipy() -> None:
 
 
 def test_comparison_of_few_or_equal_pairs() -> None:
-    assert compare("a", {1: 2.0}, "b", {2: 2.0}) is None
-    single = compare("a", {1: 2.0}, "b", {1: 1.5})
+    assert compare("a", {("s", 1): 2.0}, "b", {("s", 2): 2.0}) is None
+    single = compare("a", {("s", 1): 2.0}, "b", {("s", 1): 1.5})
     assert single is not None and single.difference == 0.5
     assert single.interval is None and single.p is None and not single.significant
-    equal = compare("a", {1: 2.0, 2: 3.0}, "b", {1: 2.0, 2: 3.0})
+    twice = {("s", 1): 2.0, ("s", 2): 3.0}
+    equal = compare("a", twice, "b", twice)
     assert equal is not None and equal.p == 1.0 and equal.difference == 0.0
+    assert not equal.significant
+    shifted = compare("a", {key: value + 1 for key, value in twice.items()}, "b", twice)
+    assert shifted is not None and shifted.p == 0.0 and shifted.significant
 
 
-def test_holm_worked_example() -> None:
-    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
-    assert holm([0.9, 0.8]) == pytest.approx([1.0, 1.0])
-    assert holm([]) == []
+def test_seeds_and_scenes_are_averaged_over_the_other_first() -> None:
+    values = {("x", 0): 1.0, ("x", 1): 2.0, ("y", 0): 3.0, ("y", 1): 6.0, ("y", 2): 99.0}
+    found = compare("a", values, "b", dict.fromkeys(values, 0.0))
+    assert found is not None and found.like is not None
+    assert (found.scenes, found.pairs) == (2, 5)
+    assert (found.n, found.difference) == (2, 3.0)  # of (1 + 3) / 2 and (2 + 6) / 2; seed 2 lacks x
+    assert found.like.n == 2 and found.like.mean == pytest.approx((1.5 + 36) / 2)
+
+
+def test_no_seed_on_all_scenes_is_no_test() -> None:
+    values = {("x", 0): 1.0, ("y", 1): 3.0}
+    found = compare("a", values, "b", dict.fromkeys(values, 0.0))
+    assert found is not None and found.n == 0 and found.difference == 2.0
+    assert found.interval is None and found.joint is None and not found.significant
+
+
+def test_correction_is_for_what_can_be_tested() -> None:
+    one = compare("a", {("s", 1): 2.0}, "b", {("s", 1): 1.5})
+    two = compare("c", {("s", 1): 2.0, ("s", 2): 2.5}, "b", {("s", 1): 1.5, ("s", 2): 1.9})
+    assert one is not None and two is not None and two.p is not None
+    told = corrected({"a": one, "c": two, "d": two})
+    assert told["c"].tests == 2 and told["c"].p_joint == pytest.approx(2 * two.p)
+    assert told["c"].joint is not None and two.interval is not None
+    assert told["c"].joint.low < two.interval.low

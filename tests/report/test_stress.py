@@ -8,47 +8,69 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from framework.report.figures.stress import Limit, sentence
-from framework.report.statistics.breakdown import break_down
+from framework.compute.rng import stream
+from framework.report.figures.stress import Limit
+from framework.report.statistics.breakdown import break_down, gains_of_levels
 from framework.report.study.axes import STRESSES
+from framework.report.text.limits import sentence, verdict
 
 VIEWS = next(axis for axis in STRESSES if axis.short == "n_views")
 STRENGTH = next(axis for axis in STRESSES if axis.short == "strength")
 NOISE = np.array([-0.02, 0.0, 0.02])  # dB, of three seeds
 
 
-def told(axis: Any, levels: list[float], gains: list[float], spread: float = 1.0) -> str:
+def limit(axis: Any, levels: list[float], gains: list[float], spread: float = 1.0) -> Limit:
     panel = cast(Any, SimpleNamespace(axis=axis, levels=levels))
     every = np.array(gains)[:, None] + spread * NOISE
     ends = ((levels[0], gains[0]), (levels[-1], gains[-1]))
-    return sentence(Limit(panel, "uar", break_down(np.array(levels), every), ends))
+    return Limit(panel, "uar", break_down(np.array(levels), every), tuple(levels), ends)
+
+
+def told(axis: Any, levels: list[float], gains: list[float], spread: float = 1.0) -> str:
+    return sentence(limit(axis, levels, gains, spread))
 
 
 @pytest.mark.parametrize(
     ("axis", "levels", "gains", "expected"),
     [
-        (VIEWS, [9, 3, 2], [0.01, 0.0, -0.01], "uar: no significant difference at any strength"),
-        (VIEWS, [9, 3, 2], [-0.5, -0.4, -0.3], "uar helps at no tested strength"),
-        (VIEWS, [9, 4, 2], [0.5, 0.4, 0.3], "uar helps from 9 training views to 2 training views"),
-        (VIEWS, [9, 4, 2], [-0.5, -0.5, 0.5], "uar begins to help at 3 training views and does"),
+        (VIEWS, [9, 3, 2], [0.01, 0.0, -0.01], "uar: not told apart at any strength"),
+        (VIEWS, [9, 3, 2], [-0.5, -0.4, -0.3], "uar costs quality at every tested strength ("),
+        (VIEWS, [9, 4, 2], [0.5, 0.4, 0.3], "uar helps at every tested strength ("),
         (
-            *(VIEWS, [9, 4, 2], [-0.5, -0.01, 0.01]),
-            "uar gains nothing significant and costs quality above 3 training views",
+            *(VIEWS, [9, 4, 2], [-0.5, -0.5, 0.5]),
+            "uar helps at 2 training views and costs quality at 9 and 4 training views (",
         ),
-        (STRENGTH, [0, 0.5, 1], [0.5, 0.5, -0.5], "uar stops helping at strength 0.75"),
+        (VIEWS, [9, 4, 2], [-0.5, -0.01, 0.01], "uar costs quality at 9 training views ("),
         (
-            *(STRENGTH, [0, 0.5, 1], [0.01, -0.01, -0.5]),
-            "uar gains nothing significant and costs quality above strength 0.25",
+            *(STRENGTH, [0, 0.5, 1], [0.5, 0.5, -0.5]),
+            "uar helps at strength 0 and 0.5 and costs quality at strength 1, and stops helping at"
+            " strength 0.75 (",
         ),
-        (
-            *(STRENGTH, [0, 0.5, 1], [-0.5, 0.01, -0.01]),
-            "uar gains nothing significant and costs quality below strength 0.49 and above",
-        ),
+        (STRENGTH, [0, 0.5, 1], [0.01, -0.01, -0.5], "uar costs quality at strength 1 ("),
     ],
 )
 def test_the_sentence(axis: Any, levels: list[float], gains: list[float], expected: str) -> None:
     assert told(axis, levels, gains).startswith(expected)
 
 
+def test_the_verdict_of_a_stress() -> None:
+    better, worse = (limit(VIEWS, [9, 4, 2], [g] * 3) for g in (0.5, -0.5))
+    unclear = limit(VIEWS, [9, 4, 2], [0.01, -0.01, 0.0])
+    assert verdict([better, worse], "none") == "Use uar where it helps (below), none elsewhere."
+    assert verdict([worse, unclear], "none").startswith("Use none: nothing tested was shown")
+    assert verdict([], "none").startswith("No advice")
+
+
+def test_bars_and_sentences_agree() -> None:
+    """What is said to differ is what the drawn interval says, at every strength."""
+    draw = stream(0, "bars")
+    for _ in range(200):
+        gains = 0.3 * draw.standard_normal((5, 3))
+        found = break_down(np.arange(5.0), gains)
+        for sign, (_, interval) in zip(found.signs, gains_of_levels(gains), strict=True):
+            assert interval is not None
+            assert (sign == 0) == (interval.low <= 0 <= interval.high)
+
+
 def test_noise_is_told_as_such() -> None:
-    assert "no significant difference" in told(VIEWS, [9, 4, 2], [-0.5, -0.5, 0.5], spread=50)
+    assert "not told apart" in told(VIEWS, [9, 4, 2], [-0.5, -0.5, 0.5], spread=50)

@@ -8,8 +8,9 @@ from scipy import stats
 
 from framework.compute.rng import stream
 from framework.report.statistics.breakdown import break_down
+from framework.report.statistics.power import detectable, power, seeds_needed, size
 from framework.report.statistics.robustness import wilson
-from framework.report.statistics.variance import c4, compare_sigmas, mean_deviation, seeds_needed
+from framework.report.statistics.variance import brown_forsythe, c4, compare_sigmas, mean_deviation
 
 
 def test_the_comparison_is_scipys_levene_about_the_median() -> None:
@@ -30,14 +31,36 @@ def test_degenerate_deviations() -> None:
     assert fixed is not None and fixed.p < 1 and fixed.ratio is None
 
 
+@pytest.mark.parametrize("n", [4, 5, 10])
+def test_power_is_that_of_the_test_that_is_used(n: int) -> None:
+    """Against other draws and scipy's own test."""
+    draws = stream(7, "other").standard_normal((1000, 2, n))
+    found = np.mean([brown_forsythe(0.32 * a, b) < 0.05 for a, b in draws])
+    assert power(0.32, n, n) == pytest.approx(found, abs=0.04)
+
+
+def test_power_and_size_as_a_reviewer_measured_them() -> None:
+    told = {4: 0.21, 5: 0.08, 10: 0.67, 20: 0.98}
+    assert {n: power(0.32, n, n) for n in told} == pytest.approx(told, abs=0.015)
+    assert size(4, 4) == pytest.approx(0.067, abs=0.004)
+    assert size(10, 10) < 0.05
+
+
+def test_what_would_have_been_found() -> None:
+    assert detectable(3, 3) is None and detectable(5, 5) is None
+    for n, tests in ((10, 1), (10, 4), (20, 1)):
+        ratio = detectable(n, n, tests)
+        assert ratio is not None and power(ratio, n, n, tests) == pytest.approx(0.8, abs=0.001)
+    assert (detectable(10, 10, 4) or 0) < (detectable(10, 10) or 0) < (detectable(20, 20) or 0)
+
+
 def test_seeds_needed_have_the_power_they_promise() -> None:
     n = seeds_needed(2.0)
     assert n is not None and seeds_needed(0.5) == n
-    ratios = (4 * stats.f.rvs(n - 1, n - 1, size=4000, random_state=0)).reshape(-1)
-    low, high = stats.f.ppf([0.025, 0.975], n - 1, n - 1)
-    assert np.mean((ratios < low) | (ratios > high)) == pytest.approx(0.8, abs=0.03)
-    wide, narrow = seeds_needed(3.0), seeds_needed(1.2)
-    assert wide is not None and narrow is not None and wide < n < narrow
+    assert power(0.5, n, n) >= 0.8 > power(0.5, n - 2, n - 2)
+    wide, narrow, corrected = seeds_needed(3.0), seeds_needed(1.5), seeds_needed(2.0, 4)
+    assert wide is not None and narrow is not None and corrected is not None
+    assert wide < n < narrow and n < corrected
     assert seeds_needed(1.0) is None
 
 

@@ -17,9 +17,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
-from framework.report.statistics.estimates import CONFIDENCE, Interval, t_quantile
+from framework.report.statistics.estimates import Interval, estimate, t_quantile
 
 
 @dataclass(frozen=True)
@@ -29,8 +28,8 @@ class Breakdown:
     helps: it is above zero at some tested strength. starts: where it first rises above zero, None
     where it begins above or never does. stops: the break-down point, None where it does not fall
     to zero. interval: hull of the strengths where a zero is not refuted, None where it is refuted
-    everywhere or with fewer than two seeds. n: seeds. significant: some tested strength differs
-    from zero, Bonferroni-corrected; gains: so does one where it is above zero.
+    everywhere or with fewer than two seeds. n: seeds. signs: at every tested strength 1 or -1 where
+    the mean differs from zero, Bonferroni-corrected over the strengths, else 0.
     """
 
     helps: bool
@@ -38,8 +37,15 @@ class Breakdown:
     stops: float | None
     interval: Interval | None
     n: int
-    significant: bool
-    gains: bool
+    signs: tuple[int, ...]
+
+    @property
+    def significant(self) -> bool:
+        return any(self.signs)
+
+    @property
+    def gains(self) -> bool:
+        return 1 in self.signs
 
 
 def break_down(strengths: np.ndarray, gains: np.ndarray) -> Breakdown:
@@ -50,13 +56,26 @@ def break_down(strengths: np.ndarray, gains: np.ndarray) -> Breakdown:
     mean, n = gains.mean(axis=1), gains.shape[1]
     starts, stops = _zeros(strengths, mean)
     helps = bool((mean > 0).any())
+    signs = tuple(_sign(row) for row in gains_of_levels(gains))
     if n < 2:
-        return Breakdown(helps, starts, stops, None, n, False, False)
+        return Breakdown(helps, starts, stops, None, n, signs)
     doubtful = _doubtful(strengths, gains)
     interval = Interval(min(doubtful), max(doubtful)) if doubtful else None
-    differs = _differs(gains)
-    above = bool((differs & (mean > 0)).any())
-    return Breakdown(helps, starts, stops, interval, n, bool(differs.any()), above)
+    return Breakdown(helps, starts, stops, interval, n, signs)
+
+
+def gains_of_levels(gains: np.ndarray) -> list[tuple[float, Interval | None]]:
+    """At every strength the mean of gains [L, n] and its interval, which holds for all strengths at
+    once; None with fewer than two seeds."""
+    found = [estimate(list(row)) for row in gains]
+    return [(e.mean, e.interval(len(found))) for e in found]
+
+
+def _sign(gain: tuple[float, Interval | None]) -> int:
+    mean, interval = gain
+    if interval is None or interval.low <= 0 <= interval.high:
+        return 0
+    return 1 if mean > 0 else -1
 
 
 def _zeros(strengths: np.ndarray, mean: np.ndarray) -> tuple[float | None, float | None]:
@@ -100,14 +119,3 @@ def _roots(a: float, b: float, c: float) -> list[float]:
         return []
     q = -0.5 * (b + math.copysign(math.sqrt(inner), b))
     return [top / bottom for top, bottom in ((q, a), (c, q)) if bottom != 0]
-
-
-def _differs(gains: np.ndarray) -> np.ndarray:
-    """[L] bool: whether the mean is other than zero, Bonferroni-corrected for all strengths."""
-    n = gains.shape[1]
-    sd = gains.std(axis=1, ddof=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = np.abs(gains.mean(axis=1)) / (sd / np.sqrt(n))
-    p = 2 * special.stdtr(n - 1, -np.nan_to_num(t, nan=0.0, posinf=np.inf))
-    found: np.ndarray = p < (1 - CONFIDENCE) / len(p)
-    return found

@@ -7,33 +7,37 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from dataclasses import dataclass
 
 import numpy as np
 
-from framework.report.statistics.estimates import (
-    Comparison,
-    Interval,
-    Spread,
-    compare,
-    holm,
-    spread,
+from framework.report.statistics.compare import Comparison, compare, corrected
+from framework.report.statistics.estimates import Interval, Spread, spread
+from framework.report.statistics.variance import (
+    SigmaComparison,
+    compare_sigmas,
+    mean_deviation,
+    sigmas_corrected,
 )
-from framework.report.statistics.variance import SigmaComparison, compare_sigmas, mean_deviation
 from framework.report.study.collect import ReportRun, Study
+from framework.report.study.roles import CHOSE, role
 
 
 @dataclass(frozen=True)
 class Outcomes:
-    """By method. psnr: over all scenes, without methods that have no complete seed. scene_sigma:
-    mean over the scenes of their standard deviations, of several scenes. comparisons, sigmas: with
-    the baseline of the same budget, where they share a (scene, seed)."""
+    """By method. psnr, and by seed in seeds: of the mean over all scenes, without methods that have
+    no complete seed. scene_sigma: mean over the scenes of their standard deviations, of several
+    scenes. comparisons, sigmas: with the baseline of the same budget, where they share a (scene,
+    seed). by_scene: scene -> the same comparisons on it alone, uncorrected, of several scenes.
+    tested: on those scenes alone where no default was chosen, where there are others too."""
 
     psnr: dict[str, Spread]
+    seeds: dict[str, dict[int, float]]
     scene_sigma: dict[str, tuple[float, Interval]]
     comparisons: dict[str, Comparison]
     sigmas: dict[str, SigmaComparison]
+    by_scene: dict[str, dict[str, Comparison]]
+    tested: dict[str, Comparison]
 
 
 def outcomes(study: Study) -> Outcomes:
@@ -45,11 +49,16 @@ def outcomes(study: Study) -> Outcomes:
         for method in study.methods
         if (base := study.baseline_of(method)) != method and (others := list(values[base].values()))
     }
+    several = len(study.scenes) > 1
+    untuned = [scene for scene in study.scenes if role(study.name_of(scene)) != CHOSE]
     return Outcomes(
         psnr,
-        _scene_sigmas(study) if len(study.scenes) > 1 else {},
-        corrected(_comparisons(study)),
-        corrected({m: c for m, c in sigmas.items() if c is not None}),
+        {method: found for method, found in values.items() if found},
+        _scene_sigmas(study) if several else {},
+        corrected(_comparisons(study, study.scenes)),
+        sigmas_corrected({m: c for m, c in sigmas.items() if c is not None}),
+        {scene: _comparisons(study, [scene]) for scene in study.scenes} if several else {},
+        corrected(_comparisons(study, untuned)) if 0 < len(untuned) < len(study.scenes) else {},
     )
 
 
@@ -76,8 +85,9 @@ def by_pair(runs: Sequence[ReportRun]) -> dict[tuple[str, int], float]:
     return {key: value for key, value in values.items() if value is not None}
 
 
-def _comparisons(study: Study) -> dict[str, Comparison]:
-    values = {method: by_pair(study.of(method=method)) for method in study.methods}
+def _comparisons(study: Study, scenes: Sequence[str]) -> dict[str, Comparison]:
+    runs = [run for run in study.runs if run.scene in scenes]
+    values = {m: by_pair([run for run in runs if run.method == m]) for m in study.methods}
     found = {
         method: compare(method, values[method], base, values[base])
         for method in study.methods
@@ -94,13 +104,3 @@ def _scene_sigmas(study: Study) -> dict[str, tuple[float, Interval]]:
         if mean is not None:
             found[method] = mean
     return found
-
-
-Tested = TypeVar("Tested", Comparison, SigmaComparison)
-
-
-def corrected(known: dict[str, Tested]) -> dict[str, Tested]:
-    """With p corrected for all comparisons that have one."""
-    tested = {method: c.p for method, c in known.items() if c.p is not None}
-    p_holm = dict(zip(tested, holm(list(tested.values())), strict=True))
-    return {method: replace(c, p_holm=p_holm.get(method)) for method, c in known.items()}

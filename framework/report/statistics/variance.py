@@ -1,12 +1,10 @@
 """Stability as numbers: are two methods' standard deviations over seeds different, and how many
 seeds would tell?
 
-- Test: Brown and Forsythe (1974), an F test on the absolute distances from the median. It needs no
-  normal errors; below about ten seeds it is conservative.
+- Test: Brown and Forsythe (1974), an F test on the absolute distances from the median. What it can
+  find, how often it errs and how many seeds it needs are simulated (`power`).
 - Interval of the ratio: sd_a / sd_b over the quantiles of F(n_a - 1, n_b - 1), both samples normal
   and independent of each other.
-- Seeds needed: smallest n per method for which the two-sided F test at 5 % finds the observed ratio
-  with a power of 80 %, normal errors.
 - Mean of deviations over scenes: each s_k is divided by c4(n_k), its bias under normal errors; the
   interval takes the mean as a scaled chi with as many degrees of freedom as give its variance
   (Satterthwaite), scenes independent of each other.
@@ -16,38 +14,53 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
 
 from framework.report.statistics.estimates import CONFIDENCE, SIGNIFICANCE, Interval, chi2_quantiles
-
-POWER = 0.8
-MOST_SEEDS = 10_000
+from framework.report.statistics.power import detectable, seeds_needed, size
 
 
 @dataclass(frozen=True)
 class SigmaComparison:
     """ratio: sd of `method` / sd of `baseline`, None where one is 0, with its interval; p: of the
-    Brown-Forsythe test."""
+    Brown-Forsythe test. n, other_n: seeds of both. tests: how many comparisons `p_joint` and all
+    that follows are corrected for (Bonferroni)."""
 
     method: str
     baseline: str
     ratio: float | None
     interval: Interval | None
     p: float
-    p_holm: float | None = None
+    n: int
+    other_n: int
+    tests: int = 1
+
+    @property
+    def p_joint(self) -> float:
+        return min(1.0, self.tests * self.p)
 
     @property
     def significant(self) -> bool:
-        return self.p_holm is not None and self.p_holm < SIGNIFICANCE
+        return self.p_joint < SIGNIFICANCE
 
     @property
     def seeds(self) -> int | None:
-        """Per method to tell this ratio from 1; None without a ratio and above `MOST_SEEDS`."""
-        return None if self.ratio is None else seeds_needed(self.ratio)
+        """Per method for the test to find this ratio; None without a ratio and where too many."""
+        return None if self.ratio is None else seeds_needed(self.ratio, self.tests)
+
+    @property
+    def detectable(self) -> float | None:
+        """The ratio below 1 that this test would have found 8 times in 10; None: no ratio."""
+        return detectable(self.n, self.other_n, self.tests)
+
+    @property
+    def size(self) -> float:
+        """How often the uncorrected test errs with these numbers of seeds, normal errors."""
+        return size(self.n, self.other_n)
 
 
 def compare_sigmas(
@@ -60,10 +73,15 @@ def compare_sigmas(
     p = brown_forsythe(a, b)
     sd_a, sd_b = float(a.std(ddof=1)), float(b.std(ddof=1))
     if sd_a == 0 or sd_b == 0:
-        return SigmaComparison(method, baseline, None, None, p)
+        return SigmaComparison(method, baseline, None, None, p, len(a), len(b))
     ratio = sd_a / sd_b
     interval = _ratio_interval(ratio, len(a), len(b))
-    return SigmaComparison(method, baseline, ratio, interval, p)
+    return SigmaComparison(method, baseline, ratio, interval, p, len(a), len(b))
+
+
+def sigmas_corrected(known: Mapping[str, SigmaComparison]) -> dict[str, SigmaComparison]:
+    """With p and power of a test that is one of all of these."""
+    return {method: replace(c, tests=len(known)) for method, c in known.items()}
 
 
 def brown_forsythe(a: np.ndarray, b: np.ndarray) -> float:
@@ -76,20 +94,6 @@ def brown_forsythe(a: np.ndarray, b: np.ndarray) -> float:
         p = float(levene(a, b, center="median").pvalue)
     # all distances equal within both samples: a difference without noise, or none at all
     return p if math.isfinite(p) else float(np.isclose(np.ptp(a), np.ptp(b)))
-
-
-def seeds_needed(ratio: float) -> int | None:
-    """Seeds per method that tell sds with this ratio apart; None above `MOST_SEEDS`."""
-    high = 2
-    while _power(ratio, high) < POWER:
-        if high >= MOST_SEEDS:
-            return None
-        high = min(2 * high, MOST_SEEDS)
-    low = high // 2  # the power rises with n
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if _power(ratio, middle) >= POWER else (middle, high)
-    return high
 
 
 def mean_deviation(samples: Sequence[Sequence[float]]) -> tuple[float, Interval] | None:
@@ -127,12 +131,6 @@ def _freedom(relative_variance: float) -> float:
         above = 1 / float(_c4_of_freedom(middle)) ** 2 - 1 > relative_variance
         low, high = (middle, high) if above else (low, middle)
     return math.sqrt(low * high)
-
-
-def _power(ratio: float, n: int) -> float:
-    """Power of the two-sided F test for n values each and this true ratio of sds."""
-    low, high = (quantile / ratio**2 for quantile in _f_quantiles(n - 1, n - 1))
-    return float(special.fdtr(n - 1, n - 1, low) + special.fdtrc(n - 1, n - 1, high))
 
 
 def _ratio_interval(ratio: float, n: int, other_n: int) -> Interval:

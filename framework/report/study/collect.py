@@ -166,6 +166,10 @@ class Study:
             run for run in self.runs if scene in (None, run.scene) and method in (None, run.method)
         ]
 
+    def name_of(self, scene: str) -> str:
+        """The name in its record of a scene with this label."""
+        return next(run.scene_label.name for run in self.runs if run.scene == scene)
+
     def folder_of(self, run_dir: Path) -> str:
         """`run_dir` as seen from the report."""
         return Path(os.path.relpath(run_dir.resolve(), self.out_dir.resolve())).as_posix()

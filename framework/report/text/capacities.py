@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from framework.report.statistics.estimates import Comparison, compare
-from framework.report.statistics.numbers import ABSENT, interval_text, p_text, signed, significant
-from framework.report.statistics.outcomes import by_pair, corrected
+from framework.report.statistics.compare import Comparison, compare, corrected
+from framework.report.statistics.numbers import ABSENT, interval_text, signed, significant
+from framework.report.statistics.outcomes import by_pair
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import MethodLabel
-from framework.report.text.tables import tested_cells
+from framework.report.text.comparisons import tested_cells
 
 FIXED = "capacity=fixed"  # has no name among methods
 
@@ -33,7 +33,7 @@ class Contest:
 
 
 def contests(study: Study) -> list[Contest]:
-    """Of every method that ran with several capacities; p corrected for all of them together."""
+    """Of every method that ran with several capacities; corrected for all of them together."""
     labels = {run.method: run.method_label for run in study.runs}
     by_method: dict[str, list[MethodLabel]] = {}
     for method in study.methods:
@@ -101,11 +101,9 @@ def _told(c: Contest) -> str:
     size = f"{significant(c.parameters)} times the parameters"
     time = "" if c.cpu is None else f", {significant(c.cpu)} times the CPU time"
     found = c.comparison
-    change = f"{signed(found.difference, found.interval)} dB"
-    if found.p_holm is None:
+    change = f"{signed(found.difference, found.joint)} dB"
+    if found.joint is None:
         return f"{size}{time}, {change} in a single run, which says nothing of chance"
-    claim = "" if found.significant else "no significant difference, "
-    between = "" if found.interval is None else f"95 % interval {interval_text(found.interval)}, "
-    return (
-        f"{size}{time}, {change} ({claim}{between}n = {found.n}, {p_text(found.p_holm)} after Holm)"
-    )
+    claim = "" if found.significant else ", not told apart"
+    seeds = f"n = {found.n} seeds, corrected for {found.tests} comparisons"
+    return f"{size}{time}, {change} ({interval_text(found.joint)}{claim}; {seeds})"

@@ -9,23 +9,13 @@ from urllib.parse import quote
 import numpy as np
 
 from framework.report.parts.document import Link
-from framework.report.statistics.estimates import Comparison
-from framework.report.statistics.numbers import (
-    ABSENT,
-    interval_text,
-    mean_text,
-    p_text,
-    sigma_text,
-    signed,
-    significant,
-    spanned,
-)
-from framework.report.statistics.outcomes import Outcomes, seed_means
+from framework.report.statistics.numbers import ABSENT, mean_text, sigma_text
+from framework.report.statistics.outcomes import seed_means
 from framework.report.statistics.robustness import failure_rate, worst_case
-from framework.report.statistics.variance import MOST_SEEDS, SigmaComparison
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
 from framework.report.study.names import LPIPS, heading_of
+from framework.report.study.roles import marked
 
 ALL_SCENES = "mean of all"
 DIGITS = {"psnr": 2, "ssim": 4, "flip": 4, "lpips": 4, "lpips_01": 4}
@@ -40,77 +30,12 @@ def main_rows(study: Study, scenes: Sequence[str]) -> Rows:
         groups.append((ALL_SCENES, list(scenes)))
     rows = []
     for label, members in groups:
+        shown_as = label if label == ALL_SCENES else marked(label, study.name_of(label))
         for method in study.methods:
             runs = [run for run in study.of(method=method) if run.scene in members]
             if runs:
-                rows.append({"Scene": label} | _main_row(study, method, runs, members))
+                rows.append({"Scene": shown_as} | _main_row(study, method, runs, members))
     return rows if len(groups) > 1 else _without(rows, "Scene")
-
-
-def comparison_rows(found: Outcomes) -> Rows:
-    """Every method against its baseline."""
-    return [
-        {
-            "Method": c.method,
-            "Compared with": c.baseline,
-            **tested_cells(c),
-        }
-        for c in found.comparisons.values()
-    ]
-
-
-def tested_cells(c: Comparison) -> dict[str, str]:
-    """The figures of a paired comparison."""
-    return {
-        "Pairs": str(c.n),
-        "ΔPSNR (dB)": signed(c.difference, c.interval),
-        "95 % interval": interval_text(c.interval) if c.interval else ABSENT,
-        "p": p_text(c.p) if c.p is not None else ABSENT,
-        "p after Holm": p_text(c.p_holm) if c.p_holm is not None else ABSENT,
-    }
-
-
-def sigma_rows(found: Outcomes) -> Rows:
-    """The standard deviation of every method against its baseline's."""
-    return [
-        {
-            "Method": c.method,
-            "Compared with": c.baseline,
-            "σ / σ": significant(c.ratio) if c.ratio is not None else ABSENT,
-            "95 % interval": spanned(c.interval) if c.interval else ABSENT,
-            "p": p_text(c.p),
-            "p after Holm": p_text(c.p_holm) if c.p_holm is not None else ABSENT,
-            "Seeds needed": seeds_text(c),
-        }
-        for c in found.sigmas.values()
-    ]
-
-
-def pooled_sigma_rows(found: Outcomes) -> Rows:
-    """Both readings of σ_PSNR over several scenes."""
-    rows = []
-    for method, psnr in found.psnr.items():
-        own = found.scene_sigma.get(method)
-        rows.append(
-            {
-                "Method": method,
-                "σ of the scenes' mean (dB)": ABSENT
-                if psnr.sd is None or psnr.sd_interval is None
-                else f"{significant(psnr.sd)} [{spanned(psnr.sd_interval)}]",
-                "mean of the scenes' σ (dB)": ABSENT
-                if own is None
-                else f"{significant(own[0])} [{spanned(own[1])}]",
-                "Seeds": str(psnr.n),
-            }
-        )
-    return rows
-
-
-def seeds_text(c: SigmaComparison) -> str:
-    """How many seeds per method would tell this ratio from 1."""
-    if c.ratio is None:
-        return ABSENT
-    return f"more than {MOST_SEEDS}" if c.seeds is None else str(c.seeds)
 
 
 def worst_rows(study: Study) -> Rows:

@@ -1,0 +1,123 @@
+"""The first screen: the verdict, then the one figure that shows it.
+
+What that is depends on what varies: along a stress, where each method helps; over budgets, which
+choice to take for a given time; else who is better than the baseline.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from framework.report.figures import modelsize, stress, tradeoff
+from framework.report.figures.files import chart_picture, forest_picture
+from framework.report.figures.forest import forest
+from framework.report.parts.document import Block, Bullets, Picture, Text, table
+from framework.report.statistics.outcomes import Outcomes
+from framework.report.study.collect import Study
+from framework.report.study.roles import roles_sentence
+from framework.report.text import budgets, capacities, gaps, limits, verdict
+from framework.report.text.dose import idle_sentence
+
+TRADEOFF_CAPTION = (
+    "A line per method through its budgets that no other budget of the same method beats; faint:"
+    " the beaten ones. Ringed: worth its cost, as really better than every cheaper ringed one"
+    " (paired t test, corrected). Bars: 95 % interval of the mean over seeds, of each alone. The"
+    " axis shows at least 1 dB."
+)
+STRESS_CAPTION = (
+    "Above: test PSNR against the strength, bars: 95 % interval of the mean over seeds. Below: its"
+    " difference to the baseline of the same seed, bars: 95 % intervals that hold for all strengths"
+    " of a method at once, as the sentences do. Methods stand a little beside each other. The"
+    " turning point is where the lower curve meets zero, interpolated linearly between tested"
+    " strengths; its interval holds every strength where a paired t test does not refute zero."
+)
+STRESS_TEXT = (
+    "Cells: PSNR (dB), mean over seeds ± half the width of its 95 % interval (t). A method is said"
+    " to help or to cost at a strength where its corrected interval excludes zero; the correction"
+    " is over the strengths, each method for itself."
+)
+SIZE_CAPTION = " Lowest: the number of Gaussians at the end of the training."
+
+
+def plain(study: Study, found: Outcomes) -> list[Block]:
+    """The verdict and the forest plot."""
+    return [*_verdict(study, found), *gaps.gap_notes(study), *_forest(study, found)]
+
+
+def over_budgets(
+    study: Study, found: Outcomes, between: Sequence[capacities.Contest]
+) -> list[Block]:
+    """The verdict; what the first method's capacities are worth; advice by time for every scene and
+    its chart; the forest plot."""
+    blocks = [*_verdict(study, found)]
+    first = [contest for contest in between if contest.method == between[0].method]
+    if first:
+        where = study.scenes[0] if len(study.scenes) == 1 else f"{len(study.scenes)} scenes"
+        rivals = f"{first[0].method} against {first[0].against}"
+        blocks += [Text(f"How many Gaussians, on {where}, {rivals}:", "finding")]
+        blocks += [Bullets(tuple(capacities.sentences(first)))]
+    for scene in study.scenes:
+        advice = budgets.advice(study, scene)
+        if advice:
+            clock = "CPU seconds" if study.by_cpu else "seconds"
+            blocks += [Text(f"On {scene}, by {clock} of training:", "finding")]
+            blocks += [Bullets(tuple(advice))]
+    blocks += gaps.gap_notes(study)
+    for scene in study.scenes:
+        for charts in tradeoff.charts(study, scene)[:1]:
+            alt = f"PSNR against training time of {scene}"
+            blocks.append(chart_picture(study.out_dir, charts, alt, TRADEOFF_CAPTION))
+    return [*blocks, *_forest(study, found)]
+
+
+def along_stress(study: Study, panels: Sequence[stress.Panel]) -> list[Block]:
+    """The verdict, the answer on every panel, then the charts and tables."""
+    found = stress.limits(study, panels)
+    blocks: list[Block] = [Text(limits.verdict(found, verdict.plainly(study.baseline)), "verdict")]
+    details: list[Block] = []
+    for panel in panels:
+        told = tuple(limits.sentence(limit) for limit in found if limit.panel is panel)
+        if told:
+            title = f"{panel.title}, along {panel.axis.label}, against {study.baseline}:"
+            blocks += [Text(title, "finding"), Bullets(told)]
+        sizes = modelsize.told(panel)
+        if sizes:
+            title = f"Size of the model on {panel.title}, along {panel.axis.label}:"
+            blocks += [Text(title, "finding"), Bullets(tuple(sizes))]
+        details += [_stress_picture(study, panel), table(stress.rows(panel), ("Method",))]
+    beside = [text for text in (idle_sentence(study), _roles(study)) if text]
+    blocks += [Text(text) for text in beside]
+    return [*blocks, *gaps.gap_notes(study, pooled=False), *details, Text(STRESS_TEXT)]
+
+
+def _verdict(study: Study, found: Outcomes) -> list[Block]:
+    points = [*verdict.points(study, found), idle_sentence(study), _roles(study)]
+    told = tuple(text for text in points if text)
+    blocks: list[Block] = [Text(verdict.lead(study, found), "verdict")]
+    blocks += [Bullets(told)] if told else []
+    how = verdict.evidence(found)
+    return [*blocks, *([Text(how)] if how else [])]
+
+
+def _roles(study: Study) -> str:
+    if not study.scenes:
+        return ""
+    return roles_sentence({scene: study.name_of(scene) for scene in study.scenes})
+
+
+def _forest(study: Study, found: Outcomes) -> list[Block]:
+    drawn = forest(study, found)
+    if drawn is None:
+        return []
+    plot, caption = drawn
+    alt = f"Differences of PSNR to {plot.against} with their intervals"
+    return [forest_picture(study.out_dir, plot, alt, caption)]
+
+
+def _stress_picture(study: Study, panel: stress.Panel) -> Picture:
+    alt = f"PSNR of {panel.title} against {panel.axis.label}"
+    charts = stress.charts(study, panel)
+    sizes = modelsize.chart(study, panel, stress.chart_name(panel))
+    if sizes is None:
+        return chart_picture(study.out_dir, charts, alt, STRESS_CAPTION)
+    return chart_picture(study.out_dir, (*charts, sizes), alt, STRESS_CAPTION + SIZE_CAPTION)

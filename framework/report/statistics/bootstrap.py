@@ -1,0 +1,56 @@
+"""An interval of a standard deviation that does not take the errors for normal.
+
+The chi-squared interval covers too seldom where errors have heavy tails (t with 3 degrees of
+freedom: 84 % of the time with 5 seeds, 68 % with 20). Here log s is studentised by its
+leave-one-out (jackknife) standard error, and the quantiles of the studentised value come from
+resamples with replacement (bootstrap-t, Efron 1981): 97 % and 84 % in the same simulation, 95 %
+with 5 normal values; it is the wider one. The resamples are fixed by the number of values.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from framework.compute.rng import stream
+from framework.report.statistics.estimates import CONFIDENCE, Interval
+
+FEWEST = 5  # fewer values leave hardly any resamples to tell apart
+RESAMPLES = 2000
+DEGENERATE = 1e-6  # of the sample's deviation: a resample of (nearly) one value has no logarithm
+
+
+def sd_interval(values: Sequence[float]) -> Interval | None:
+    """None below `FEWEST` values, or where they do not vary."""
+    x = np.asarray(values, dtype=np.float64)
+    n = len(x)
+    if n < FEWEST:
+        return None
+    sd = float(x.std(ddof=1))
+    if sd == 0:
+        return None
+    picks = stream(0, f"bootstrap/{n}").integers(0, n, (RESAMPLES, n))
+    drawn = x[picks]
+    sds = drawn.std(axis=1, ddof=1)
+    errors = _standard_errors(drawn)
+    usable = (sds > DEGENERATE * sd) & (errors > 0) & np.isfinite(errors)
+    t = (np.log(sds[usable]) - math.log(sd)) / errors[usable]
+    low, high = np.quantile(t, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    own = float(_standard_errors(x[None])[0])
+    return Interval(sd * math.exp(-float(high) * own), sd * math.exp(-float(low) * own))
+
+
+def _standard_errors(samples: np.ndarray) -> np.ndarray:
+    """[B] jackknife standard errors of log s of samples [B, n]; infinite or nan where leaving one
+    value out leaves no spread."""
+    n = samples.shape[1]
+    distances = (samples - samples.mean(axis=1, keepdims=True)) ** 2
+    # sum of squares without value i: S - d_i n / (n - 1)
+    left = distances.sum(axis=1, keepdims=True) - distances * n / (n - 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = 0.5 * np.log(np.maximum(left, 0.0) / (n - 2))
+        spread = ((logs - logs.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)
+    found: np.ndarray = np.sqrt((n - 1) / n * spread)
+    return found

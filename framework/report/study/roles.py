@@ -1,0 +1,52 @@
+"""Which scenes the project's defaults were chosen on, and which only test them: `scenes.csv`.
+
+A figure on a scene that chose a default flatters that default. Scenes the file does not name are
+the user's own: they chose nothing either.
+"""
+
+from __future__ import annotations
+
+import csv
+import functools
+from collections.abc import Mapping
+from pathlib import Path
+
+from framework.report.study.labels import listed
+
+CHOSE, TESTS, YOURS = "chose", "tests", "yours"
+MARK = "°"  # after the name of a scene that chose defaults
+FILE = Path(__file__).with_name("scenes.csv")
+
+
+def role(name: str) -> str:
+    """`CHOSE`, `TESTS` or `YOURS`, by the name in the scene's record."""
+    return _roles().get(name, YOURS)
+
+
+def marked(label: str, name: str) -> str:
+    """A scene's label, with `MARK` where it chose defaults."""
+    return f"{label} {MARK}" if role(name) == CHOSE else label
+
+
+def roles_sentence(scenes: Mapping[str, str]) -> str:
+    """Which of the scenes are which. scenes: label -> name."""
+    by_role = {
+        which: [label for label, name in scenes.items() if role(name) == which]
+        for which in (CHOSE, TESTS, YOURS)
+    }
+    mark = f" (marked {MARK})" if len(scenes) > 1 else ""
+    told = {
+        CHOSE: f"served to choose this project's defaults{mark}, which flatters them there",
+        TESTS: "only tested: no default was chosen there",
+        YOURS: "of your own",
+    }
+    parts = [
+        f"{listed(labels, 'and')} {told[which]}" for which, labels in by_role.items() if labels
+    ]
+    return f"Scenes: {'; '.join(parts)}."
+
+
+@functools.cache
+def _roles() -> dict[str, str]:
+    with FILE.open(encoding="utf-8", newline="") as file:
+        return {row["scene"]: row["role"] for row in csv.DictReader(file)}

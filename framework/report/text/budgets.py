@@ -1,0 +1,123 @@
+"""What a configuration costs, in words and rows: which one to take for a given time, which one for
+its size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from framework.report.figures.tradeoff import Entry, differs, entries, megabytes, train_s, worth
+from framework.report.statistics.compare import compare
+from framework.report.statistics.numbers import mean_text, p_text
+from framework.report.statistics.outcomes import by_pair
+from framework.report.study.collect import ReportRun, Study
+from framework.report.study.labels import listed
+
+LIMITS_S = (15.0, 60.0, 300.0)
+SIGNIFICANCE = 0.05
+AS_GOOD_DB = 0.1  # a model so much worse than the best counts as good
+
+
+def advice(study: Study, scene: str) -> list[str]:
+    """Which configuration to take at each of `LIMITS_S`, a sentence each; limits
+    with the same answer share it."""
+    found = entries(study, scene)
+    if len(found) < 2:
+        return []
+    limits: dict[str, list[str]] = {}
+    for limit in LIMITS_S:
+        limits.setdefault(_advice(found, limit), []).append(f"{limit:g}")
+    of_cpu = " of CPU time" if study.by_cpu else ""
+    return [f"Within {listed(told, 'or')} s{of_cpu}: {answer}" for answer, told in limits.items()]
+
+
+def smallest(study: Study, scene: str) -> str | None:
+    """Which configuration has the smallest model within `AS_GOOD_DB` of the best; None where all
+    are of one size."""
+    found = entries(study, scene)
+    if len(found) < 2 or not differs([megabytes(entry) for entry in found]):
+        return None
+    best = max(found, key=lambda entry: entry.psnr.mean)
+    close = [entry for entry in found if entry.psnr.mean >= best.psnr.mean - AS_GOOD_DB]
+    least = min(close, key=megabytes)
+    text = f"The smallest model within {AS_GOOD_DB} dB of the best: {_told(least)}"
+    return f"{text}, the best itself." if least is best else f"{text}; the best: {_told(best)}."
+
+
+def _told(entry: Entry) -> str:
+    """A configuration with its quality and size."""
+    level = mean_text([run.mean("psnr") for run in entry.runs], 2, show_half=True)
+    parameters = np.mean([run.record.parameters for run in entry.runs]) / 1000
+    return (
+        f"{entry.method}, {level} dB with {entry.gaussians:,.0f} Gaussians ({parameters:,.0f} k"
+        f" parameters, {1000 * entry.megabytes:,.0f} kB)"
+    )
+
+
+def rows(study: Study, scene: str) -> list[dict[str, str]]:
+    """The cost of every method."""
+    found = entries(study, scene)
+    good = {found[k].method for k in worth(found, train_s)}
+    return [
+        {
+            "Method": method,
+            "PSNR (dB)": mean_text([run.mean("psnr") for run in runs], 2, show_half=True),
+            "Train, wall (s)": mean_text([run.record.train_s for run in runs], 1),
+            "Train, CPU (s)": mean_text([run.record.train_cpu_s for run in runs], 1),
+            "Render (frames/s)": mean_text([_frames_per_s(run) for run in runs], 1),
+            "Gaussians": mean_text([float(run.record.gaussians) for run in runs], 0),
+            "Parameters (k)": mean_text([run.record.parameters / 1000 for run in runs], 0),
+            "PLY (kB)": mean_text([run.record.ply_bytes / 1000 for run in runs], 0),
+            "Worth it": "yes" if method in good else "",
+        }
+        for method in study.methods
+        if (runs := study.of(scene, method))
+    ]
+
+
+def _frames_per_s(run: ReportRun) -> float | None:
+    """Test views per second of rendering; None where no time was taken."""
+    seconds = run.run.metrics.numbers["render_s"]
+    return len(seconds) / float(seconds.sum()) if seconds.sum() > 0 else None
+
+
+def _advice(found: Sequence[Entry], limit_s: float) -> str:
+    within = [entry for entry in found if entry.train_s <= limit_s]
+    if not within:
+        quickest = min(found, key=train_s)
+        return (
+            f"nothing tested fits; the quickest is {quickest.method} with {quickest.train_s:.0f} s."
+        )
+    best = max(within, key=lambda entry: entry.psnr.mean)
+    level = mean_text([run.mean("psnr") for run in best.runs], 2, show_half=True)
+    return f"{best.method}, {level} dB in {best.train_s:.1f} s; {_rival(best, within)}."
+
+
+def _rival(best: Entry, within: Sequence[Entry]) -> str:
+    """The quickest configuration that the paired test does not tell from the best one."""
+    if best.psnr.n < 2:
+        return "single runs, so the order may be chance"
+    if len(within) == 1:
+        return "nothing else fits"
+    alike = [entry for entry in within if entry is not best and _alike(best, entry) is not None]
+    quicker = [entry for entry in alike if entry.train_s < best.train_s]
+    if not alike:
+        return "every other choice within that time is significantly worse"
+    if not quicker:
+        others = "1 other, which is" if len(alike) == 1 else f"{len(alike)} others, which are"
+        return f"no significant difference to {others} no quicker"
+    quickest = min(quicker, key=train_s)
+    return (
+        f"no significant difference to {quickest.method}"
+        f" ({p_text(_alike(best, quickest) or 0)}, uncorrected), which takes"
+        f" {quickest.train_s:.1f} s"
+    )
+
+
+def _alike(best: Entry, other: Entry) -> float | None:
+    """p of the paired test if it does not tell them apart, else None; 1 without common seeds."""
+    found = compare("", by_pair(best.runs), "", by_pair(other.runs))
+    if found is None or found.p is None:
+        return 1.0
+    return found.p if found.p >= SIGNIFICANCE else None

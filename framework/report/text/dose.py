@@ -1,0 +1,83 @@
+"""What each method did while it trained: the `dose` that records hold, from the trainer's own
+counts. A method that hardly acted was hardly tested, whatever its difference."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from framework.report.parts.document import Block, Heading, Text, table
+from framework.report.statistics.numbers import ABSENT, significant
+from framework.report.study.collect import ReportRun, Study
+from framework.report.study.labels import outside
+
+ACTED, ENOUGH = "acted_share", 0.5
+HEADINGS = {
+    "views_asked": "Pseudo views asked for",
+    "views_made": "Pseudo views made",
+    "refused_coverage": "Refused for coverage",
+    "coverage_mean": "Mean coverage",
+    "pseudo_share_of_loss": "Pseudo views' share of the loss",
+    "share_dropped_mean": "Mean share dropped",
+    ACTED: "Share of occasions acted on",
+}
+TEXT = "Counted during training, mean over the runs of a row; an empty cell was not counted."
+
+
+def dose(study: Study) -> list[Block]:
+    """A row per scene and method with a dose; no section where no record has one."""
+    rows = []
+    for scene in study.scenes:
+        for method in study.methods:
+            runs = [run for run in study.of(scene, method) if run.record.dose]
+            if runs:
+                place = {"Scene": scene} if len(study.scenes) > 1 else {}
+                rows.append({**place, "Method": method, **_cells(runs)})
+    if not rows:
+        return []
+    return [Heading(2, "What each method did"), table(rows, ("Scene", "Method")), Text(TEXT)]
+
+
+def idle_sentence(study: Study) -> str:
+    """Which methods acted on less than half of their occasions, and where; "" where none did."""
+    told = []
+    for method in study.methods:
+        shares = {scene: _acted(study.of(scene, method)) for scene in study.scenes}
+        idle = {scene: s for scene, s in shares.items() if s is not None and s < ENOUGH}
+        if idle:
+            listed = ", ".join(f"{100 * share:.0f} % on {scene}" for scene, share in idle.items())
+            told.append(f"{method} ({listed})")
+    if not told:
+        return ""
+    return (
+        f"Hardly tested, for it acted on less than half of its occasions: {'; '.join(told)}."
+        " A difference there says little about the method."
+    )
+
+
+def _acted(runs: Sequence[ReportRun]) -> float | None:
+    shares = [_number(run.record.dose.get(ACTED)) for run in runs]
+    known = [share for share in shares if share is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _cells(runs: Sequence[ReportRun]) -> dict[str, str]:
+    present = {key for run in runs for key in run.record.dose}
+    keys = [key for key in HEADINGS if key in present] + sorted(present - set(HEADINGS))
+    return {HEADINGS.get(key, outside(key)): _cell(runs, key) for key in keys}
+
+
+def _cell(runs: Sequence[ReportRun], key: str) -> str:
+    """The mean of numbers; else the distinct texts."""
+    values = [run.record.dose[key] for run in runs if key in run.record.dose]
+    numbers = [_number(value) for value in values]
+    known = [number for number in numbers if number is not None]
+    if known and len(known) == len(values):
+        return significant(float(np.mean(known)), 3)
+    texts = dict.fromkeys(outside(str(value)) for value in values if value is not None)
+    return ", ".join(texts) or ABSENT
+
+
+def _number(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

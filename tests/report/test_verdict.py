@@ -1,0 +1,131 @@
+"""The verdict: what it claims, what it does not, and what it tells of the study's power."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from framework.report.figures.forest import forest
+from framework.report.figures.views import choose_views
+from framework.report.statistics.outcomes import outcomes
+from framework.report.study.collect import collect
+from framework.report.text.dose import idle_sentence
+from framework.report.text.verdict import lead, points
+from tests.record.fakes import fake_run
+from tests.report.studies import write_committed
+
+
+def told(folder: Path) -> tuple[str, str]:
+    study = collect(folder)
+    found = outcomes(study)
+    return lead(study, found), "\n".join(points(study, found))
+
+
+def test_a_winner_is_advised_with_its_gain(tmp_path: Path) -> None:
+    for augment, reg, gain in (("none", "none", 0.0), ("safi", "uar", 2.0)):
+        for seed in range(3):
+            fake_run(tmp_path, augment, reg, seed, gain)
+    first, rest = told(tmp_path)
+    assert re.fullmatch(
+        r"Use safi \+ uar: it gains \d\.\d+ dB \(\d\.\d+ to \d\.\d+\) against none \+ none \(plain"
+        r" training\) on embedded\.",
+        first,
+    )
+    assert "Really different from none + none on embedded: safi + uar gains" in rest
+    assert "Not told apart from safi + uar: nobody." in rest
+    assert "Cost of a training: safi + uar 18.1 s" in rest and "none + none 16.1 s" in rest
+
+
+def test_significant_losers_are_named_and_the_baseline_advised(tmp_path: Path) -> None:
+    for augment, gain in (("none", 0.0), ("safi", -2.0), ("dba", 0.02), ("euclidean", -3.0)):
+        for seed in range(4):
+            fake_run(tmp_path, augment, seed=seed, gain=gain)
+    first, rest = told(tmp_path)
+    assert first == "Use none + none (plain training): nothing tested was shown to be better."
+    (different,) = [line for line in rest.splitlines() if line.startswith("Really different")]
+    assert "safi + none costs" in different and "euclidean + none costs" in different
+    assert "dba" not in different
+    assert re.search(r"Not told apart from none \+ none: dba \+ none \(-\d", rest)
+
+
+def test_who_is_as_good_as_the_best_is_told(tmp_path: Path) -> None:
+    for augment, gain in (("none", 0.0), ("safi", 2.0), ("dba", 2.0), ("euclidean", -1.0)):
+        for seed in range(4):
+            fake_run(tmp_path, augment, seed=seed, gain=gain)
+    first, rest = told(tmp_path)
+    best, other = ("safi", "dba") if "safi" in first else ("dba", "safi")
+    assert first.startswith(f"Use {best} + none: it gains")
+    assert f"Not told apart from {best} + none: {other} + none (" in rest
+
+
+def test_power_is_told_where_nothing_is_steadier(tmp_path: Path) -> None:
+    for augment in ("none", "safi"):
+        for seed in range(4):
+            fake_run(tmp_path, augment, seed=seed)
+    assert "Steadier: nobody shown (4 seeds each are too few" in told(tmp_path)[1]
+
+
+def test_one_method_is_nothing_to_compare(tmp_path: Path) -> None:
+    fake_run(tmp_path)
+    assert "single run (n = 1), which says nothing about its stability" in told(tmp_path)[0]
+    for seed in (1, 2):
+        fake_run(tmp_path, seed=seed)
+    first, rest = told(tmp_path)
+    assert re.match(r"Nothing to compare: on embedded, none \+ none .*95 %, n = 3 seeds, σ", first)
+    assert "Cost of a training: none + none" in rest
+
+
+def test_single_runs_and_strangers_are_no_evidence(tmp_path: Path) -> None:
+    fake_run(tmp_path, seed=0)
+    fake_run(tmp_path, "safi", seed=1, gain=1.0)
+    assert "no method shares a seed with none + none" in told(tmp_path)[0]
+    assert [run.seed for run in choose_views(collect(tmp_path), "embedded").runs] == [0, 1]
+    fake_run(tmp_path, "safi", seed=0, gain=1.0)
+    assert told(tmp_path)[0].startswith("No advice: single runs cannot tell a method from chance")
+
+
+def test_equal_runs_are_not_told_apart(tmp_path: Path) -> None:
+    for seed in range(3):
+        first = fake_run(tmp_path, seed=seed)
+        twin = shutil.copytree(first, tmp_path / "runs" / f"twin{seed}") / "record.json"
+        content = json.loads(twin.read_text())
+        content["config"]["augment"]["name"] = "safi"
+        twin.write_text(json.dumps(content))
+    assert "Not told apart from none + none: safi + none (0.00 to 0.00)." in told(tmp_path)[1]
+
+
+def test_text_and_bars_agree_on_a_committed_study(tmp_path: Path) -> None:
+    """The five-scene ablation, from its table of runs: UAR loses on these scenes, and nothing is
+    shown for scenes like these."""
+    write_committed(tmp_path, "ablation_main")
+    study = collect(tmp_path)
+    found = outcomes(study)
+    c = found.comparisons["none + uar"]
+    assert (c.scenes, c.n, c.pairs) == (5, 5, 25) and c.difference == pytest.approx(-0.10, abs=0.01)
+    drawn = forest(study, found)
+    assert drawn is not None
+    real = {row.method for row in drawn[0].rows if row.real and row.label == "these 5 scenes"}
+    assert real == {m for m, c in found.comparisons.items() if c.significant}
+    first, rest = told(tmp_path)
+    assert first.startswith("Use none + none (plain training)")
+    assert all(f"{method} costs" in rest for method in real) and "none + uar" in real
+    assert "Expected on other scenes like these 5 (intervals over scenes): nothing is shown" in rest
+    thick = [row for row in drawn[0].rows if row.joint]
+    assert all(row.real == (not row.low <= 0 <= row.high) for row in thick)  # type: ignore[operator]
+    assert {row.label for row in drawn[0].rows} >= {"embedded °", "dtu_scan65", "llff_fern °"}
+
+
+def test_a_method_that_hardly_acted_is_told(tmp_path: Path) -> None:
+    for augment, share in (("none", None), ("safi", 0.12)):
+        for seed in range(3):
+            path = fake_run(tmp_path, augment, seed=seed) / "record.json"
+            if share is not None:
+                content = json.loads(path.read_text())
+                path.write_text(json.dumps(content | {"dose": {"acted_share": share}}))
+    assert idle_sentence(collect(tmp_path)).startswith(
+        "Hardly tested, for it acted on less than half of its occasions: safi + none (12 % on"
+    )
