@@ -92,7 +92,7 @@ def test_the_viewer_has_every_method_view_and_seed(page: str) -> None:
 
 
 def test_what_does_not_fit_is_told(study_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gallery, "CAP_BYTES", 1)
+    monkeypatch.setattr(gallery, "MOST_BYTES", 1)
     found = gallery.gallery(study := collect(study_dir), study.scenes)
     assert {(shot[1], shot[2]) for shot in found.shots} == {
         (method, 0) for method in collect(study_dir).methods

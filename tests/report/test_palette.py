@@ -11,10 +11,13 @@ from framework.report.parts.palette import (
     DARK,
     DASHES,
     LIGHT,
+    LOOKS,
     MARKERS,
     color_index,
     dash_index,
+    looks,
     luma,
+    marker_index,
 )
 
 # Machado, Oliveira and Fernandes (2009), severity 1, on linear RGB
@@ -42,7 +45,22 @@ def test_colour_blind_readers_tell_them_apart(kind: str, colors: tuple[str, ...]
     assert min(float(np.abs(a - b).max()) for a, b in itertools.combinations(seen, 2)) > 0.1
 
 
-def test_methods_of_equal_colour_differ_in_the_line() -> None:
-    looks = [(color_index(k), dash_index(k)) for k in range(len(LIGHT) * len(DASHES))]
-    assert len(set(looks)) == len(looks)
+def test_looks_of_equal_colour_differ_in_line_and_marker() -> None:
+    lines = [(color_index(k), dash_index(k)) for k in range(LOOKS)]
+    marks = [(color_index(k), marker_index(k)) for k in range(LOOKS)]
+    assert len(set(lines)) == len(set(marks)) == LOOKS == len(LIGHT) * len(DASHES)
     assert len(MARKERS) == len(LIGHT) == len(DARK)
+
+
+def test_a_method_keeps_its_look_in_every_report() -> None:
+    alone = {name: looks([name])[name] for name in ("none + none", "none + uar", "safi + none")}
+    assert alone == {"none + none": 0, "none + uar": 1, "safi + none": 2}
+    crowd = looks([*alone, "a + b", "none + uar, reg.p=0.2", "z + none"])
+    assert {name: crowd[name] for name in alone} == alone
+    assert looks(["z + none"]) == looks(["z + none"])
+    assert len(set(crowd.values())) == len(crowd)
+
+
+def test_there_may_be_more_methods_than_looks() -> None:
+    found = looks([f"method {k}" for k in range(LOOKS + 3)])
+    assert len(found) == LOOKS + 3 and set(found.values()) == set(range(LOOKS))

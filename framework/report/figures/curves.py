@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 from framework.options import members_of
 from framework.report.figures.views import shown_methods
-from framework.report.parts.chart import Chart, Point, Series
+from framework.report.parts.chart import MIN_SPAN_DB, Chart, Point, Series
+from framework.report.parts.palette import looks
 from framework.report.statistics.estimates import spread
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import slug
@@ -39,28 +40,31 @@ def caption(study: Study, scene: str) -> str:
 def chart(study: Study, scene: str) -> Chart | None:
     """None where no history of the scene has an evaluation."""
     series: list[Series] = []
+    given = looks(study.families)
     for method in shown_methods(study, scene):
         found = study.of(scene, method)
-        index = study.families.index(found[0].method_label.family)
+        look = given[found[0].method_label.family]
         runs = [table for run in found if len(table := _evaluations(run))]
         if runs:
-            series += _series(method, index, runs)
+            series += _series(method, look, runs)
     if not series:
         return None
     label = "training time (s, wall clock, without evaluation)"
-    return Chart(f"curves_{slug(scene)}", scene, label, "test PSNR (dB)", tuple(series))
+    return Chart(
+        f"curves_{slug(scene)}", scene, label, "test PSNR (dB)", tuple(series), min_span=MIN_SPAN_DB
+    )
 
 
-def _series(method: str, index: int, runs: Sequence[Evaluations]) -> list[Series]:
+def _series(method: str, look: int, runs: Sequence[Evaluations]) -> list[Series]:
     thin = []
     if len(runs) > 1:
         for run in runs[:THIN_SEEDS]:
             points = tuple(Point(x, y, y, y) for x, y in run.values())
-            thin.append(Series(method, index, points, faint=True))
+            thin.append(Series(method, look, points, faint=True))
     # a mean over fewer seeds at some steps would bend the curve
     steps = sorted(set(runs[0]).intersection(*runs))
     mean = tuple(_mean_point(step, [run[step] for run in runs]) for step in steps)
-    return [*thin, Series(f"{method} (n = {len(runs)})", index, mean)] if mean else thin
+    return [*thin, Series(f"{method} (n = {len(runs)})", look, mean)] if mean else thin
 
 
 def _mean_point(step: int, pairs: Sequence[tuple[float, float]]) -> Point:

@@ -1,11 +1,12 @@
-"""Figures as files: charts as PNG and SVG, grids of photographs as JPEG. Files hold no date and no
-random ids: the same records give the same bytes. The widest is 800 pixels, so that text keeps its
-size."""
+"""Figures as files: charts as PNG, SVG and the numbers in them as CSV, grids of photographs as
+JPEG. Files hold no date and no random ids: the same records give the same bytes. The widest is 800
+pixels, so that text keeps its size."""
 
 from __future__ import annotations
 
+import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,11 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from framework.files.whole import write_whole
-from framework.report.parts.chart import STYLE, Chart, draw
+from framework.report.parts.chart import STYLE, Chart, csv_rows, draw
 from framework.report.parts.document import Picture
+from framework.report.parts.forest import Forest
+from framework.report.parts.forest import csv_rows as forest_rows
+from framework.report.parts.forest import draw as draw_forest
 from framework.report.parts.grid import Band, draw_bands
 
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -29,7 +33,27 @@ def chart_picture(out_dir: Path, charts: Sequence[Chart], alt: str, caption: str
     """Draw the charts into one file of each kind, named after the first."""
     name = charts[0].name
     _save(draw(charts), out_dir, name)
-    return Picture((f"{name}.png", f"{name}.svg"), alt, caption, tuple(charts))
+    _save_numbers(out_dir, name, [row for chart in charts for row in csv_rows(chart)])
+    return Picture(_files(name), alt, caption, tuple(charts))
+
+
+def forest_picture(out_dir: Path, forest: Forest, alt: str, caption: str) -> Picture:
+    """Draw a forest plot into one file of each kind."""
+    _save(draw_forest(forest), out_dir, forest.name)
+    _save_numbers(out_dir, forest.name, forest_rows(forest))
+    return Picture(_files(forest.name), alt, caption, forest=forest)
+
+
+def _files(name: str) -> tuple[str, ...]:
+    return tuple(f"{name}.{kind}" for kind in ("png", "svg", "csv"))
+
+
+def _save_numbers(out_dir: Path, name: str, rows: Sequence[Mapping[str, object]]) -> None:
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_whole(out_dir / f"{name}.csv", buffer.getvalue())
 
 
 def grid_picture(

@@ -61,7 +61,7 @@ def draw_images(study: Study, scene: str) -> Picture | None:
 def remove_pictures(study: Study, scenes: Sequence[str]) -> None:
     """Remove what an earlier report drew of these scenes."""
     for scene in scenes:
-        for kind in ("images", "sigma"):
+        for kind in ("images", "sigma", "closeup"):
             (study.out_dir / f"{kind}_{slug(scene)}.jpg").unlink(missing_ok=True)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from framework.report.figures.stress import Panel, point
 from framework.report.parts.chart import Chart, Series
+from framework.report.parts.palette import looks
 from framework.report.statistics.estimates import spread
 from framework.report.study.collect import Study
 
@@ -16,10 +17,11 @@ def chart(study: Study, panel: Panel, name: str) -> Chart | None:
     `told`."""
     if not told(panel):
         return None
+    given = looks(study.methods)
     series = tuple(
         Series(
             method,
-            study.methods.index(method),
+            given[method],
             tuple(point(level, counts) for level, counts in _counts(panel, method).items()),
         )
         for method in panel.runs

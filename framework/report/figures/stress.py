@@ -13,10 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from framework.report.parts.chart import Chart, Point, Series
-from framework.report.statistics.breakdown import Breakdown, break_down
+from framework.report.parts.chart import MIN_SPAN_DB, Chart, Point, Series
+from framework.report.parts.palette import looks
+from framework.report.statistics.breakdown import Breakdown, break_down, gains_of_levels
 from framework.report.statistics.estimates import spread
-from framework.report.statistics.numbers import interval_text, mean_text, significant
+from framework.report.statistics.numbers import mean_text
 from framework.report.study.axes import STRESSES, Axis
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import slug, text_of
@@ -37,12 +38,13 @@ class Panel:
 
 @dataclass(frozen=True)
 class Limit:
-    """Where a method stops helping on a panel. ends: strength and mean gain (dB), of the weakest
-    and of the strongest strength."""
+    """Where a method stops helping on a panel. levels: the strengths that were compared. ends:
+    strength and mean gain (dB), of the weakest and of the strongest of them."""
 
     panel: Panel
     method: str
     found: Breakdown
+    levels: tuple[float, ...]
     ends: tuple[tuple[float, float], tuple[float, float]]
 
 
@@ -61,7 +63,9 @@ def limits(study: Study, shown: Sequence[Panel]) -> list[Limit]:
             gains = _gains(study, panel, method)
             if gains is not None:
                 means = [(float(v), float(row.mean())) for v, row in zip(*gains, strict=True)]
-                found.append(Limit(panel, method, break_down(*gains), (means[0], means[-1])))
+                levels = tuple(level for level, _ in means)
+                ends = (means[0], means[-1])
+                found.append(Limit(panel, method, break_down(*gains), levels, ends))
     return found
 
 
@@ -84,7 +88,7 @@ def charts(study: Study, panel: Panel) -> tuple[Chart, ...]:
     """PSNR and gain against the strength, with 95 % intervals over seeds."""
     name = chart_name(panel)
     reverse = panel.axis.harder < 0
-    order = {method: index for index, method in enumerate(study.methods)}
+    order = looks(study.methods)
     level = [
         Series(m, order[m], _psnr_points(panel, by_level)) for m, by_level in panel.runs.items()
     ]
@@ -94,13 +98,30 @@ def charts(study: Study, panel: Panel) -> tuple[Chart, ...]:
     label = f"{panel.axis.label}; harder to the right"
     made = [
         Chart(
-            name, panel.title, label, "test PSNR (dB)", tuple(level), reverse_x=reverse, dodge=True
+            name,
+            panel.title,
+            label,
+            "test PSNR (dB)",
+            tuple(level),
+            reverse_x=reverse,
+            dodge=True,
+            min_span=MIN_SPAN_DB,
         )
     ]
     if gain:
         y_label = f"gain over {study.baseline} (dB)"
         made.append(
-            Chart(name, "", label, y_label, tuple(gain), reverse_x=reverse, dodge=True, y_zero=True)
+            Chart(
+                name,
+                "",
+                label,
+                y_label,
+                tuple(gain),
+                reverse_x=reverse,
+                dodge=True,
+                y_zero=True,
+                min_span=MIN_SPAN_DB,
+            )
         )
     return tuple(made)
 
@@ -122,60 +143,6 @@ def rows(panel: Panel) -> list[dict[str, str]]:
         }
         for method, by_level in panel.runs.items()
     ]
-
-
-def sentence(limit: Limit) -> str:
-    """What happens to a method's help along a stress, and how large it is at both ends."""
-    found, axis, levels = limit.found, limit.panel.axis, limit.panel.levels
-    if found.n > 1 and not found.significant:
-        return (
-            f"{limit.method}: no significant difference at any strength ({_ends(limit)}; n ="
-            f" {found.n} seeds)."
-        )
-    if not found.helps:
-        said = "helps at no tested strength"
-    elif found.n > 1 and not found.gains:
-        said = f"gains nothing significant and costs quality {_where_below(limit)}"
-    elif found.stops is not None:
-        start = f", having begun at {_at(axis, found.starts)}," if found.starts is not None else ""
-        said = f"stops helping{start} at {_at(axis, found.stops)}"
-    elif found.starts is not None:
-        said = f"begins to help at {_at(axis, found.starts)} and does not stop"
-    else:
-        said = f"helps from {_at(axis, levels[0])} to {_at(axis, levels[-1])}"
-    return f"{limit.method} {said} ({_evidence(limit)})."
-
-
-def _where_below(limit: Limit) -> str:
-    """Where a method that gains nothing significant is below the baseline."""
-    found, axis = limit.found, limit.panel.axis
-    weaker, stronger = ("below", "above") if axis.harder > 0 else ("above", "below")
-    ends = ((weaker, found.starts), (stronger, found.stops))
-    return " and ".join(f"{side} {_at(axis, at)}" for side, at in ends if at is not None)
-
-
-def _evidence(limit: Limit) -> str:
-    found = limit.found
-    if found.n < 2:
-        return f"{_ends(limit)}; n = 1: nothing can be said about its noise"
-    seeds = f"{_ends(limit)}; n = {found.n} seeds"
-    if found.interval is None:
-        return f"{seeds}; the sign is beyond doubt at every tested strength"
-    hardest = limit.panel.levels[-1]
-    open_end = hardest in (found.interval.low, found.interval.high)
-    beyond = f", open towards {_at(limit.panel.axis, hardest)}" if open_end else ""
-    return f"{seeds}; 95 % interval of the turning point {interval_text(found.interval)}{beyond}"
-
-
-def _ends(limit: Limit) -> str:
-    """The mean gain at the weakest and at the strongest strength that was compared."""
-    (first, low), (last, high) = limit.ends
-    axis = limit.panel.axis
-    return f"gain {low:+.2f} dB at {_at(axis, first)}, {high:+.2f} dB at {_at(axis, last)}"
-
-
-def _at(axis: Axis, value: float) -> str:
-    return axis.at.format(f"{float(significant(value)):g}")
 
 
 def _panels_along(study: Study, axis: Axis) -> list[Panel]:
@@ -242,10 +209,16 @@ def _psnr_points(panel: Panel, by_level: dict[float, list[ReportRun]]) -> tuple[
 
 
 def _gain_points(study: Study, panel: Panel, method: str) -> tuple[Point, ...]:
-    gains = _gains(study, panel, method)
-    if gains is None:
+    """The intervals are those of the sentences: they hold for all strengths at once."""
+    found = _gains(study, panel, method)
+    if found is None:
         return ()
-    return tuple(point(float(level), list(row)) for level, row in zip(*gains, strict=True))
+    levels, gains = found
+    points = []
+    for level, (mean, interval) in zip(levels.tolist(), gains_of_levels(gains), strict=True):
+        low, high = (mean, mean) if interval is None else (interval.low, interval.high)
+        points.append(Point(level, mean, low, high, f"n = {gains.shape[1]}"))
+    return tuple(points)
 
 
 def point(x: float, values: Sequence[float]) -> Point:

@@ -1,9 +1,10 @@
 """The pictures of the page's viewer: ground truth, renders and error maps as small WebP copies.
 
-A page holds at most `CAP_BYTES` of them and `CAP_IMAGES` in number, taken in layers: the lowest
-seed and most telling view of every method first, then its other views, then the next seeds. What
-does not fit is told; the originals lie in the runs' folders. A copy is at most `LONGEST` pixels
-long and not meant for measuring: every number of the report is from the originals.
+A page holds at most `BYTES_PER_RUN` of them for each run, within `FEWEST_BYTES` and `MOST_BYTES`,
+and `CAP_IMAGES` in number, taken in layers: the lowest seed and most telling view of every method
+first, then its other views, then the next seeds. What does not fit is told; the originals lie in
+the runs' folders. A copy is at most `LONGEST` pixels long, an error map, which is mostly noise,
+`LONGEST_ERROR`; none is meant for measuring: every number of the report is from the originals.
 """
 
 from __future__ import annotations
@@ -22,9 +23,10 @@ from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
 from framework.scenes.images import read_image
 
-CAP_BYTES, CAP_IMAGES = 8_000_000, 1500
-LONGEST = 640
-QUALITY, EFFORT = 82, 2
+BYTES_PER_RUN, FEWEST_BYTES, MOST_BYTES = 75_000, 600_000, 4_000_000
+CAP_IMAGES = 1500
+LONGEST, LONGEST_ERROR = 480, 240
+QUALITY, EFFORT = 70, 4
 
 
 @dataclass
@@ -44,15 +46,17 @@ def gallery(study: Study, scenes: Sequence[str]) -> Gallery:
     found = Gallery()
     truths: dict[Path, int] = {}
     known: dict[bytes, int] = {}
+    most = min(MOST_BYTES, max(FEWEST_BYTES, BYTES_PER_RUN * len(study.runs)))
     for layer in _layers(study, scenes):
-        if found.size >= CAP_BYTES or len(found.images) >= CAP_IMAGES:
+        if found.size >= most or len(found.images) >= CAP_IMAGES:
             found.left_out += len(layer)
             continue
         for run, view in layer:
             truth = image_file(run, view, "truth")
             if truth not in truths:
                 truths[truth] = _add(found, truth, known)
-            render, error = (_add(found, image_file(run, view, k)) for k in ("render", "error"))
+            render = _add(found, image_file(run, view, "render"))
+            error = _add(found, image_file(run, view, "error"), longest=LONGEST_ERROR)
             psnr = psnr_of(run, view)
             text = "infinite" if psnr is None else f"{psnr:.2f} dB"
             shot = (run.scene, run.method, run.seed, outside(view), text)
@@ -75,23 +79,36 @@ def _layers(study: Study, scenes: Sequence[str]) -> Iterator[list[tuple[ReportRu
         yield ranked[rank]
 
 
-def _add(found: Gallery, path: Path, known: dict[bytes, int] | None = None) -> int:
+def _add(
+    found: Gallery, path: Path, known: dict[bytes, int] | None = None, longest: int = LONGEST
+) -> int:
     """Index of the image's copy; equal files are kept once where `known` is given."""
     check_size(path, IMAGE_BYTES)
     original = path.read_bytes()
     if known is not None and original in known:
         return known[original]
-    copy = _copy(path)
+    copy = _copy(path, longest)
     found.size += len(copy)
-    found.images.append("data:image/webp;base64," + base64.b64encode(copy).decode())
+    found.images.append(_uri(copy))
     if known is not None:
         known[original] = len(found.images) - 1
     return len(found.images) - 1
 
 
-def _copy(path: Path) -> bytes:
+def inline_copy(path: Path) -> str:
+    """A figure of the report as a data URI, at its own size."""
+    return _uri(_copy(path, None))
+
+
+def _uri(copy: bytes) -> str:
+    return "data:image/webp;base64," + base64.b64encode(copy).decode()
+
+
+def _copy(path: Path, longest: int | None) -> bytes:
+    """longest: side in pixels; None: as it is."""
     buffer = io.BytesIO()
     pixels = Image.fromarray(read_image(path))
-    pixels.thumbnail((LONGEST, LONGEST), Image.Resampling.LANCZOS)
+    if longest is not None:
+        pixels.thumbnail((longest, longest), Image.Resampling.LANCZOS)
     pixels.save(buffer, format="WEBP", quality=QUALITY, method=EFFORT)
     return buffer.getvalue()

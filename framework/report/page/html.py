@@ -7,17 +7,17 @@ content security policy allows its own script and style by their hashes and noth
 from __future__ import annotations
 
 import base64
-import dataclasses
 import hashlib
 import html
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from framework.report.page.gallery import LONGEST, Gallery
-from framework.report.parts.chart import Chart, Series
+from framework.report.page.data import page_data
+from framework.report.page.gallery import LONGEST, Gallery, inline_copy
 from framework.report.parts.document import (
     Block,
     Bullets,
@@ -28,17 +28,18 @@ from framework.report.parts.document import (
     Table,
     Text,
 )
-from framework.report.parts.palette import DARK, DASHES, LIGHT, color_index, dash_index
+from framework.report.parts.palette import DARK, LIGHT
 
 ASSETS = Path(__file__).parent / "assets"
+SCRIPTS = ("base", "tables", "charts", "forest", "viewer", "filter", "start")
 PLACEHOLDER = re.compile(r"\{\{(\w+)\}\}")
 
 
 def render(document: Document, pictures: Gallery, folder: Path) -> str:
     """The page. folder: where the figures' files are, which it takes in."""
-    script, style = _asset("page.js"), _colors() + _asset("page.css")
-    charts: list[Chart] = []
-    body = _body(document, pictures, charts, folder)
+    parts = "".join(_asset(f"{name}.js") for name in SCRIPTS)
+    script, style = f'"use strict";\n(() => {{\n{parts}}})();\n', _colors() + _asset("page.css")
+    body = _body(document, pictures, folder)
     return _filled(
         _asset("page.html"),
         {
@@ -47,24 +48,45 @@ def render(document: Document, pictures: Gallery, folder: Path) -> str:
             f" style-src {_hash(style)}; base-uri 'none'; form-action 'none'",
             "style": style,
             "body": body,
-            "data": _json({"charts": [_chart(c) for c in charts], **_viewer_data(pictures)}),
+            "data": _json(page_data(document, pictures)),
             "script": script,
         },
     )
 
 
-def _body(document: Document, pictures: Gallery, charts: list[Chart], folder: Path) -> str:
-    """The blocks; one viewer stands for all image grids and their headings."""
+class Places:
+    """Where the script draws: elements that count themselves, by kind."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[str] = Counter()
+
+    def next(self, kind: str) -> str:
+        """An empty element for the next chart or forest plot of the page's data."""
+        self._counts[kind] += 1
+        return f'<div class="{kind}" data-{kind}="{self._counts[kind] - 1}"></div>'
+
+
+def _body(document: Document, pictures: Gallery, folder: Path) -> str:
+    """The blocks; one viewer stands for all image grids and their headings. What follows a scene's
+    heading is wrapped, for the filter to hide."""
     parts: list[str] = []
-    viewed = False
-    followers = (*document.blocks[1:], None)
-    for block, following in zip(document.blocks, followers, strict=True):
+    places = Places()
+    viewed = inside = False
+    for block, following in zip(document.blocks, (*document.blocks[1:], None), strict=True):
+        if inside and isinstance(block, Heading):
+            parts.append("</section>")
+            inside = False
         if not (_is_grid(block) or (_is_grid(following) and _is_scene(block))):
-            parts.append(_block(block, charts, folder))
+            if isinstance(block, Heading) and block.level == 3 and block.text in document.scenes:
+                parts.append(f'<section data-scene="{html.escape(block.text)}">')
+                inside = True
+            parts.append(_block(block, places, folder))
         elif not viewed:
             parts.append(_viewer(pictures))
             viewed = True
-    return "\n".join(parts)
+        if isinstance(block, Heading) and block.level == 1 and document.methods:
+            parts.append(_asset("filter.html"))
+    return "\n".join([*parts, *(["</section>"] if inside else [])])
 
 
 def _is_grid(block: Block | None) -> bool:
@@ -75,7 +97,7 @@ def _is_scene(block: Block) -> bool:
     return isinstance(block, Heading) and block.level == 3
 
 
-def _block(block: Block, charts: list[Chart], folder: Path) -> str:
+def _block(block: Block, places: Places, folder: Path) -> str:
     match block:
         case Heading():
             return f"<h{block.level}>{_inline(block.text)}</h{block.level}>"
@@ -88,7 +110,7 @@ def _block(block: Block, charts: list[Chart], folder: Path) -> str:
         case Table():
             return _table(block)
         case Picture():
-            return _figure(block, charts, folder)
+            return _figure(block, places, folder)
 
 
 def _table(table: Table) -> str:
@@ -118,23 +140,18 @@ def _class(is_left: bool) -> str:
 def _cell(cell: str | Link) -> str:
     if isinstance(cell, Link):
         return f'<a href="{html.escape(cell.target)}">{_inline(cell.text)}</a>'
-    return _inline(cell)
+    return _inline(cell.replace(" ± ", "\u00a0±\u00a0"))
 
 
-def _figure(picture: Picture, charts: list[Chart], folder: Path) -> str:
+def _figure(picture: Picture, places: Places, folder: Path) -> str:
     caption = f"<figcaption>{_inline(picture.caption)}</figcaption>"
-    if picture.charts:
-        first = len(charts)
-        charts += picture.charts
-        places = "".join(
-            f'<div class="chart" data-chart="{first + k}"></div>'
-            for k in range(len(picture.charts))
-        )
-        label = html.escape(picture.alt)
-        return f'<figure aria-label="{label}">{places}{caption}</figure>'
-    image = base64.b64encode((folder / picture.files[0]).read_bytes()).decode()
-    source = f"data:image/jpeg;base64,{image}"
-    return f'<figure><img alt="{html.escape(picture.alt)}" src="{source}">{caption}</figure>'
+    label = html.escape(picture.alt)
+    if picture.charts or picture.forest:
+        drawn = "".join(places.next("chart") for _ in picture.charts)
+        drawn += places.next("forest") if picture.forest else ""
+        return f'<figure aria-label="{label}">{drawn}{caption}</figure>'
+    source = inline_copy(folder / picture.files[0])
+    return f'<figure><img alt="{label}" src="{source}">{caption}</figure>'
 
 
 def _viewer(pictures: Gallery) -> str:
@@ -148,31 +165,6 @@ def _viewer(pictures: Gallery) -> str:
         f" at, at most {LONGEST} pixels long; {len(pictures.shots)} pictures of runs.{left}"
     )
     return _filled(_asset("viewer.html"), {"note": html.escape(note)})
-
-
-def _viewer_data(pictures: Gallery) -> dict[str, Any]:
-    return {"images": pictures.images, "shots": pictures.shots}
-
-
-def _chart(chart: Chart) -> dict[str, Any]:
-    plain = {f.name: getattr(chart, f.name) for f in dataclasses.fields(chart)}
-    return plain | {"series": [_series(one) for one in chart.series]}
-
-
-def _series(series: Series) -> dict[str, Any]:
-    """The style as numbers; points as [x, y, low, high, note], six digits."""
-    points = [
-        [*(float(f"{v:.6g}") for v in (p.x, p.y, p.y_low, p.y_high)), p.note] for p in series.points
-    ]
-    return {
-        "name": series.name,
-        "color": color_index(series.index),
-        "dash": " ".join(str(2 * n) for n in DASHES[dash_index(series.index)]),
-        "points": points,
-        "faint": series.faint,
-        "joined": series.joined,
-        "ringed": list(series.ringed),
-    }
 
 
 def _inline(text: str) -> str:

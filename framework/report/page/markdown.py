@@ -29,7 +29,8 @@ def _block(block: Block) -> str:
             return f"{'#' * block.level} {_escaped(block.text)}"
         case Text():
             note = "**Note.** " if block.kind == "note" else ""
-            return note + _escaped(block.text)
+            bold = "**" if block.kind == "verdict" else ""
+            return f"{note}{bold}{_escaped(block.text)}{bold}"
         case Bullets():
             return "\n".join(f"- {_escaped(item)}" for item in block.items)
         case Table():

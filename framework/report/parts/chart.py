@@ -1,7 +1,8 @@
 """A chart as data: what the figure files and the interactive page both draw.
 
 Points carry 95 % intervals in y (and x) where there are any. Line and marker of a series follow
-from its method's index (`framework.report.parts.palette`).
+from its look (`framework.report.parts.palette`). An axis of PSNR shows at least `min_span`, so that
+noise is not drawn as large as a difference.
 """
 
 from __future__ import annotations
@@ -16,7 +17,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
-from framework.report.parts.palette import DASHES, LIGHT, MARKERS, color_index, dash_index
+from framework.report.parts.palette import (
+    DASHES,
+    LIGHT,
+    MARKERS,
+    color_index,
+    dash_index,
+    marker_index,
+)
 
 STYLE: Any = {
     "svg.hashsalt": "fishersplat",
@@ -26,6 +34,7 @@ STYLE: Any = {
 }
 WIDTH = 7.2  # inches; 792 pixels at 110 dpi, so that text keeps its size at 800 pixels
 LEGEND_CHARACTERS = 44
+MIN_SPAN_DB = 1.0  # of an axis of PSNR or of its differences
 DODGE = 0.009  # of the range of x, between neighbouring series
 
 
@@ -42,11 +51,11 @@ class Point:
 
 @dataclass(frozen=True)
 class Series:
-    """index: of its method. faint: thin, without a legend entry. joined: with a line. ringed: the
+    """look: of its method. faint: thin, without a legend entry. joined: with a line. ringed: the
     points of these numbers are marked."""
 
     name: str
-    index: int
+    look: int
     points: tuple[Point, ...]
     faint: bool = False
     joined: bool = True
@@ -54,9 +63,19 @@ class Series:
 
 
 @dataclass(frozen=True)
+class Band:
+    """A grey band from low to high: what the seeds of one method do."""
+
+    name: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
 class Chart:
     """name: of its files. y_zero: draw a line at 0. reverse_x: larger values to the left.
-    dodge: shift the series sideways a little, where they share their x."""
+    dodge: shift the series sideways a little, where they share their x. min_span: that the y axis
+    shows at least."""
 
     name: str
     title: str
@@ -67,6 +86,8 @@ class Chart:
     reverse_x: bool = False
     dodge: bool = False
     y_zero: bool = False
+    min_span: float = 0.0
+    band: Band | None = None
 
 
 def draw(charts: Sequence[Chart]) -> Figure:
@@ -85,6 +106,25 @@ def draw(charts: Sequence[Chart]) -> Figure:
         engine.execute(figure)
         figure.set_layout_engine(None)
     return figure
+
+
+def csv_rows(chart: Chart) -> list[dict[str, object]]:
+    """The numbers of the chart, a row per point."""
+    return [
+        {
+            "chart": chart.title,
+            "series": series.name,
+            "x": point.x,
+            "x_is": chart.x_label,
+            "y": point.y,
+            "y_is": chart.y_label,
+            "low": point.y_low,
+            "high": point.y_high,
+            "note": point.note,
+        }
+        for series in chart.series
+        for point in series.points
+    ]
 
 
 def _draw_legend(figure: Figure) -> None:
@@ -124,11 +164,20 @@ def _draw_chart(axes: Axes, chart: Chart) -> None:
     axes.grid(alpha=0.3, linewidth=0.6)
     if chart.reverse_x:
         axes.invert_xaxis()
+    if chart.band is not None:
+        axes.axhspan(
+            chart.band.low, chart.band.high, color="0.9", zorder=0, linewidth=0,
+            label=textwrap.fill(chart.band.name, LEGEND_CHARACTERS),
+        )  # fmt: skip
+    low, high = axes.get_ylim()
+    missing = chart.min_span - (high - low)
+    if missing > 0:
+        axes.set_ylim(low - missing / 2, high + missing / 2)
 
 
 def _draw_series(axes: Axes, series: Series, shift: float) -> None:
-    color, marker = LIGHT[color_index(series.index)], MARKERS[color_index(series.index)]
-    dash = (0, DASHES[dash_index(series.index)]) if DASHES[dash_index(series.index)] else "-"
+    color, marker = LIGHT[color_index(series.look)], MARKERS[marker_index(series.look)]
+    dash = (0, DASHES[dash_index(series.look)]) if DASHES[dash_index(series.look)] else "-"
     x, y = [p.x + shift for p in series.points], [p.y for p in series.points]
     if series.faint:
         line = {"alpha": 0.35, "linewidth": 0.8, "linestyle": dash}

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from framework.report.parts.chart import Chart
+from framework.report.parts.forest import Forest
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph. kind: `finding`, `note` or `plain`."""
+    """A paragraph. kind: `verdict`, `finding`, `note` or `plain`."""
 
     text: str
     kind: str = "plain"
@@ -53,14 +54,15 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """files: names beside the report, the one to show first. charts: what it draws, of a chart.
-    grid: whether the page shows these images in its viewer instead."""
+    """files: names beside the report, the one to show first. charts, forest: what it draws, of a
+    chart or a forest plot. grid: whether the page shows these images in its viewer instead."""
 
     files: tuple[str, ...]
     alt: str
     caption: str
     charts: tuple[Chart, ...] = ()
     grid: bool = False
+    forest: Forest | None = None
 
 
 Block = Heading | Text | Bullets | Table | Picture
@@ -68,8 +70,13 @@ Block = Heading | Text | Bullets | Table | Picture
 
 @dataclass(frozen=True)
 class Document:
+    """scenes, methods: by which the page can be filtered; a heading of level 3 that is a scene's
+    name begins what is told of that scene alone."""
+
     title: str
     blocks: tuple[Block, ...] = field(default_factory=tuple)
+    scenes: tuple[str, ...] = ()
+    methods: tuple[str, ...] = ()
 
 
 def table(rows: Sequence[Mapping[str, str | Link]], left: Sequence[str]) -> Table:
