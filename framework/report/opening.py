@@ -102,7 +102,7 @@ def _verdict(study: Study, found: Outcomes) -> list[Block]:
 def _roles(study: Study) -> str:
     if not study.scenes:
         return ""
-    return roles_sentence({scene: study.name_of(scene) for scene in study.scenes})
+    return roles_sentence(list(dict.fromkeys(map(study.name_of, study.scenes))))
 
 
 def _forest(study: Study, found: Outcomes) -> list[Block]:

@@ -18,7 +18,7 @@ from framework.report.text import capacities, gaps, tables
 from framework.report.text.dose import dose
 from framework.report.text.provenance import provenance_blocks
 from framework.report.text.published import published
-from framework.report.text.verdict import best_method
+from framework.report.text.verdict import best_method, has_budgets
 
 BEST_BUDGETS = "Of each method, the budget with the highest mean PSNR on the scene."
 HIDDEN = "No pictures of {scenes}: this report was built without photos, to be passed on."
@@ -34,7 +34,7 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
     blocks: list[Block] = [Heading(1, outside(title))]
     if panels:
         blocks += opening.along_stress(study, panels)
-    elif any(run.method_label.budget for run in study.runs):
+    elif has_budgets(study):
         blocks += opening.over_budgets(study, found, between)
     else:
         blocks += opening.plain(study, found)
@@ -72,15 +72,17 @@ def _pictures(
 
 
 def shown_pair(study: Study, found: Outcomes) -> tuple[str, ...]:
-    """The best method and its baseline; where that is best itself, it and the highest other."""
+    """The best method and its baseline, without their budgets; where that is best itself, it and
+    the highest other."""
     if not study.runs:
         return ()
-    best = best_method(study, found)
-    base = study.baseline_of(best)
-    others = [m for m in found.psnr if m != best]
+    families = {run.method: run.method_label.family for run in study.runs}
+    best = families[best_method(study, found)]
+    base = families[study.baseline_of(best_method(study, found))]
+    others = [m for m in found.psnr if families[m] != best]
     if best != base or not others:
         return tuple(dict.fromkeys((best, base)))
-    return best, max(others, key=lambda method: found.psnr[method].mean)
+    return best, families[max(others, key=lambda method: found.psnr[method].mean)]
 
 
 def _courses(study: Study, shown: Sequence[str], seen: Sequence[str]) -> list[Block]:
@@ -98,7 +100,7 @@ def _section(
     present = [(scene, picture) for scene, picture in pictures if picture is not None]
     if not present:
         return []
-    of_many = any(run.method_label.budget for run in study.runs)
+    of_many = has_budgets(study)
     blocks: list[Block] = [Heading(2, heading), *([Text(BEST_BUDGETS)] if of_many else [])]
     return blocks + [block for s, picture in present for block in (Heading(3, s), picture)]
 

@@ -155,6 +155,21 @@ def test_damaged_record_is_one_line(run_dir: Path) -> None:
         read_run(run_dir / "nothing")
 
 
+def test_doses_are_read_and_flat(run_dir: Path) -> None:
+    path = run_dir / "record.json"
+    content = json.loads(path.read_text())
+    assert read_record(path).dose == {}
+    path.write_text(json.dumps({k: v for k, v in content.items() if k != "dose"}))
+    assert read_record(path).dose == {}  # of before doses were kept
+    dose = {"views_asked": 42, "coverage_mean": 0.4, "how": "text", "none": None}
+    path.write_text(json.dumps(content | {"dose": dose}))
+    assert read_record(path).dose == dose
+    for wrong in ({"a": [1]}, {"a": "two\nlines"}, [1], None):
+        path.write_text(json.dumps(content | {"dose": wrong}))
+        with pytest.raises(UserError, match="dose"):
+            read_record(path)
+
+
 def test_failed_runs_are_recorded(tmp_path: Path) -> None:
     write_failed(tmp_path, make_config(seed=4), ["seed=4"], "UserError: depth:\n no overlap")
     run = read_run(tmp_path)

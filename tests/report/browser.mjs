@@ -43,18 +43,33 @@ async function visit(width, scheme) {
     method.selectedIndex = method.options.length - 1;
     method.dispatchEvent(new Event("change"));
     const tip = document.querySelector(".tip");
+    const clipped = [...document.querySelectorAll(".scroll, figure")]
+      .filter((part) => part.scrollWidth > part.clientWidth + 1).length;
+    const rows = () => [...document.querySelectorAll("tbody tr")].filter((row) => !row.hidden).length;
+    const marks = () => document.querySelectorAll(".forest g.row").length;
+    const all = [rows(), marks()];
+    const chip = [...document.querySelectorAll('[data-of="methods"] button')].pop();
+    chip.click();
+    const fewer = [rows(), marks()];
+    chip.click();
     return {
       rising, falling, start: slide(0), middle: slide(1.25), end: slide(2),
       changed: render.src !== before, loaded: render.naturalWidth > 0,
       tip: tip.style.visibility === "visible" && tip.textContent,
       overflow: document.documentElement.scrollWidth - document.documentElement.clientWidth,
+      clipped, all, fewer, again: [rows(), marks()],
       background: getComputedStyle(document.body).backgroundColor,
     };
   });
+  await tab.emulateMediaType("print");
+  await tab.setViewport({ width: 718, height: 1000 }); // A4 within its margins, at 96 dpi
+  await new Promise((done) => setTimeout(done, 500));
+  const printed = await tab.evaluate(() => [...document.querySelectorAll("table, svg, img, p")]
+    .filter((part) => part.getBoundingClientRect().right > innerWidth + 1).length);
   await tab.close();
-  return { ...found, problems };
+  return { ...found, printed, problems };
 }
 
-const result = { wide: await visit(1100, "light"), phone: await visit(390, "dark") };
+const result = { wide: await visit(1280, "light"), phone: await visit(390, "dark") };
 await browser.close();
 console.log(JSON.stringify(result));

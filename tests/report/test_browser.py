@@ -36,6 +36,9 @@ def test_the_page_works_in_a_browser(tmp_path: Path) -> None:
     told = json.loads(done.stdout)
     for found in told.values():
         assert found["problems"] == [] and found["overflow"] == 0
+        assert found["clipped"] == 0 and found["printed"] == 0
+        assert found["fewer"][0] < found["all"][0] and found["fewer"][1] < found["all"][1]
+        assert found["again"] == found["all"]
         assert found["rising"] == sorted(found["rising"])
         assert found["falling"] == sorted(found["falling"], reverse=True)
         assert found["start"] == ["inset(0px 100% 0px 0px)", "inset(0px 100% 0px 0px)"]

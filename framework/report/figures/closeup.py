@@ -28,10 +28,10 @@ CAPTION = (
 )
 
 
-def draw_closeup(study: Study, scene: str, methods: tuple[str, ...]) -> Picture | None:
-    """methods: at most two to show beside the truth, as far as they ran on the scene."""
+def draw_closeup(study: Study, scene: str, families: tuple[str, ...]) -> Picture | None:
+    """families: of at most two methods to show beside the truth, as far as they ran there."""
     shown = choose_views(study, scene)
-    runs = [run for method in methods for run in shown.runs if run.method == method]
+    runs = [run for name in families for run in shown.runs if run.method_label.family == name]
     runs = runs or list(shown.runs[:2])
     if not shown.views:
         return None

@@ -175,9 +175,9 @@ def _chart(
 
 
 def _band(study: Study, found: Sequence[Entry]) -> Band | None:
-    """Where single runs of the baseline fall."""
+    """Where single runs of the baseline fall, which has one budget."""
     for entry in found:
-        if entry.method == study.baseline and entry.psnr.sd is not None:
+        if entry.method == study.baseline and entry.psnr.sd is not None and not entry.budget:
             reach = 2 * entry.psnr.sd
             name = f"single runs of {entry.method} (mean ± 2 σ)"
             return Band(name, entry.psnr.mean - reach, entry.psnr.mean + reach)

@@ -32,6 +32,7 @@ from framework.report.parts.palette import DARK, LIGHT
 
 ASSETS = Path(__file__).parent / "assets"
 SCRIPTS = ("base", "tables", "charts", "forest", "viewer", "filter", "start")
+LONG = 12  # rows, from which on a table is folded on a narrow screen
 PLACEHOLDER = re.compile(r"\{\{(\w+)\}\}")
 
 
@@ -127,10 +128,14 @@ def _table(table: Table) -> str:
         + "</tr>"
         for row in table.rows
     )
-    return (
+    made = (
         f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>'
         "</div>"
     )
+    if len(table.rows) <= LONG:
+        return made
+    summary = f"<summary>A table of {len(table.rows)} rows</summary>"
+    return f'<details class="long" open>{summary}{made}</details>'
 
 
 def _class(is_left: bool) -> str:

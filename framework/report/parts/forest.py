@@ -18,7 +18,7 @@ from framework.report.parts.chart import STYLE, WIDTH
 from framework.report.parts.palette import LIGHT, MARKERS, color_index, marker_index
 
 ROW, MARGIN = 0.23, 0.95  # inches, of a row and of all else
-LABEL_CHARACTERS = 34
+LABEL_CHARACTERS, NAME_CHARACTERS = 34, 60
 
 
 @dataclass(frozen=True)
@@ -73,15 +73,17 @@ def draw(forest: Forest) -> Figure:
         axes = figure.subplots()
         _draw_rows(axes, forest, places)
         for at, name in names:
-            axes.annotate(
-                textwrap.shorten(name, 90, placeholder=" …"), (0, at), (4, 0),
+            words = axes.annotate(
+                textwrap.shorten(name, NAME_CHARACTERS, placeholder=" …"), (0, at), (4, 0),
                 xycoords=("axes fraction", "data"), textcoords="offset points",
-                va="center", weight="bold",
+                va="center", weight="bold", parse_math=False,
             )  # fmt: skip
-        axes.set_yticks(places, [_shortened(row.label) for row in forest.rows])
+            words.set_in_layout(False)  # it lies inside the axes, however long
+        labels = [_shortened(row.label) for row in forest.rows]
+        axes.set_yticks(places, labels, parse_math=False)
         axes.set_ylim(max([*places, *(at for at, _ in names)]) + 0.8, -0.8)
         axes.set_xlim(*limits(forest))
-        axes.set_xlabel(forest.x_label)
+        axes.set_xlabel(forest.x_label, parse_math=False)
         axes.grid(axis="x", alpha=0.3, linewidth=0.6)
         axes.tick_params(axis="y", length=0)
         engine = figure.get_layout_engine()

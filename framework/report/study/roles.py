@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import functools
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 
 from framework.report.study.labels import listed
@@ -28,21 +28,18 @@ def marked(label: str, name: str) -> str:
     return f"{label} {MARK}" if role(name) == CHOSE else label
 
 
-def roles_sentence(scenes: Mapping[str, str]) -> str:
-    """Which of the scenes are which. scenes: label -> name."""
+def roles_sentence(names: Sequence[str]) -> str:
+    """Which of the scenes are which."""
     by_role = {
-        which: [label for label, name in scenes.items() if role(name) == which]
-        for which in (CHOSE, TESTS, YOURS)
+        which: [name for name in names if role(name) == which] for which in (CHOSE, TESTS, YOURS)
     }
-    mark = f" (marked {MARK})" if len(scenes) > 1 else ""
+    mark = f" (marked {MARK})" if len(names) > 1 else ""
     told = {
         CHOSE: f"served to choose this project's defaults{mark}, which flatters them there",
         TESTS: "only tested: no default was chosen there",
         YOURS: "of your own",
     }
-    parts = [
-        f"{listed(labels, 'and')} {told[which]}" for which, labels in by_role.items() if labels
-    ]
+    parts = [f"{listed(found, 'and')} {told[which]}" for which, found in by_role.items() if found]
     return f"Scenes: {'; '.join(parts)}."
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from framework.report.parts.document import Block, Heading, Text, table
-from framework.report.statistics.numbers import ABSENT, significant
+from framework.report.statistics.numbers import ABSENT
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
 
@@ -74,9 +74,14 @@ def _cell(runs: Sequence[ReportRun], key: str) -> str:
     numbers = [_number(value) for value in values]
     known = [number for number in numbers if number is not None]
     if known and len(known) == len(values):
-        return significant(float(np.mean(known)), 3)
+        return _text(float(np.mean(known)))
     texts = dict.fromkeys(outside(str(value)) for value in values if value is not None)
     return ", ".join(texts) or ABSENT
+
+
+def _text(mean: float) -> str:
+    """A count as it is, else three digits."""
+    return f"{mean:,.0f}" if mean.is_integer() or abs(mean) >= 100 else f"{mean:.3g}"
 
 
 def _number(value: object) -> float | None:

@@ -15,7 +15,9 @@ from framework.report.statistics.estimates import Interval
 from framework.report.statistics.numbers import decimals, interval_text, mean_text, significant
 from framework.report.statistics.outcomes import Outcomes, by_pair
 from framework.report.study.collect import Study
+from framework.report.study.labels import listed
 from framework.report.study.order import BASELINE
+from framework.report.study.roles import CHOSE, role
 from framework.report.text.steady import steady_sentence
 
 MOST_NAMED = 8  # of methods that could not be told apart
@@ -33,6 +35,11 @@ def lead(study: Study, found: Outcomes) -> str:
     if not tested:
         return f"No advice: {_untested(study, found)}"
     best = best_method(study, found)
+    if best == study.baseline_of(best) and has_budgets(study):
+        return (
+            f"Use {plainly(study.families[0])} at the budget that suits you (below): nothing tested"
+            " was shown to be better at an equal one."
+        )
     if best == study.baseline_of(best):
         return f"Use {plainly(best)}: nothing tested was shown to be better."
     c = found.comparisons[best]
@@ -46,7 +53,8 @@ def points(study: Study, found: Outcomes) -> list[str]:
     told = [
         _different(study, tested),
         _alike(study, found, tested),
-        *_elsewhere(found, tested),
+        *_elsewhere(tested),
+        _untuned(study, found),
         steady_sentence(found),
         _cost(study, found),
     ]
@@ -65,6 +73,11 @@ def evidence(found: Outcomes) -> str:
         "A method is named augmenter + regularizer. Differences of test PSNR, paired by seed; in"
         f" brackets intervals of 95 %, which are over {seeds} seeds{once}: the thick bars below."
     )
+
+
+def has_budgets(study: Study) -> bool:
+    """Whether methods ran with several budgets, of which time decides."""
+    return any(run.method_label.budget for run in study.runs)
 
 
 def best_method(study: Study, found: Outcomes) -> str:
@@ -131,8 +144,8 @@ def _against(study: Study, found: Outcomes, best: str) -> list[Comparison]:
     return [replace(c, tests=len(known)) for c in known]
 
 
-def _elsewhere(found: Outcomes, tested: Sequence[Comparison]) -> list[str]:
-    """What holds beyond these scenes, and on those of them that chose no default."""
+def _elsewhere(tested: Sequence[Comparison]) -> list[str]:
+    """What holds beyond these scenes."""
     told = []
     clear = [c for c in tested if c.significant]
     over = [c for c in tested if c.like_joint is not None]
@@ -146,19 +159,23 @@ def _elsewhere(found: Outcomes, tested: Sequence[Comparison]) -> list[str]:
             told.append(f"{start}: {said}; of no other method.")
         else:
             told.append(f"{start}: nothing is shown{': ' + said if said else ''}.")
-    alone = [c for c in found.tested.values() if c.joint is not None]
-    if alone:
-        own = [f"{c.method} {amount(c)}" for c in alone if c.significant]
-        told.append(
-            "On the scenes alone where no default was chosen:"
-            f" {'; '.join(own) if own else 'nobody is told apart'}."
-        )
     return told
+
+
+def _untuned(study: Study, found: Outcomes) -> str:
+    """What is different on those scenes alone where no default was chosen."""
+    alone = [c for c in found.tested.values() if c.joint is not None]
+    if not alone:
+        return ""
+    scenes = [scene for scene in study.scenes if role(study.name_of(scene)) != CHOSE]
+    own = [f"{c.method} {amount(c)}" for c in alone if c.significant]
+    said = "; ".join(own) if own else "nobody is told apart"
+    return f"On {listed(scenes, 'and')} alone, where no default was chosen: {said}."
 
 
 def _cost(study: Study, found: Outcomes) -> str:
     """Training time and Gaussians of what to use beside those of its baseline."""
-    if not found.psnr:
+    if not found.psnr or has_budgets(study):
         return ""
     best = best_method(study, found)
     methods = list(dict.fromkeys([best, study.baseline_of(best)]))

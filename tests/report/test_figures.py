@@ -1,0 +1,124 @@
+"""Forest plot, axes, close-ups, and the same figures as numbers and as LaTeX."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from framework.report import build_report
+from framework.report.export import comparisons_tex
+from framework.report.figures.closeup import _window
+from framework.report.figures.tradeoff import charts
+from framework.report.parts.chart import Band, Chart, Point, Series, draw
+from framework.report.parts.forest import Forest, Row, limits
+from framework.report.parts.forest import draw as draw_forest
+from framework.report.statistics.outcomes import outcomes
+from framework.report.study.collect import collect
+from tests.record.fakes import fake_run
+
+
+@pytest.fixture(scope="module")
+def study_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("figures")
+    for scene in ("embedded", "my_50%_{room}"):
+        for augment, gain in (("none", 0.0), ("safi", 2.0)):
+            for seed in range(3):
+                fake_run(folder, augment, seed=seed, gain=gain, scene=scene)
+    build_report(folder)
+    return folder
+
+
+def row(low: float, high: float, joint: bool) -> Row:
+    return Row("m", "label", 0, (low + high) / 2, low, high, joint, False)
+
+
+def test_the_axis_holds_zero_and_thick_bars_and_at_least_its_span() -> None:
+    low, high = limits(Forest("f", "b", "x", (row(0.01, 0.02, True),), 0.5))
+    assert low < 0 and high - low >= 0.5
+    low, high = limits(Forest("f", "b", "x", (row(1, 2, True), row(-50, 50, False)), 0.5))
+    assert -3 < low < 0 and 2 < high < 5  # a wide interval of one scene does not squeeze the others
+
+
+def test_names_of_any_length_stay_inside_the_figure() -> None:
+    rows = tuple(
+        Row("a method $^" * 30, "a scene $^ " * 30, k, 0.1, -0.1, 0.3, True, False)
+        for k in range(3)
+    )
+    figure = draw_forest(Forest("f", "b", "x", rows, 0.5))
+    figure.canvas.draw()
+    for label in figure.axes[0].get_yticklabels():
+        assert label.get_window_extent().x0 >= 0
+
+
+def test_an_axis_does_not_magnify_noise() -> None:
+    points = (Point(1, 20.00, 19.999, 20.001), Point(2, 20.004, 20.003, 20.005))
+    chart = Chart("c", "t", "x", "y", (Series("s", 0, points),), min_span=1.0,
+                  band=Band("seeds", 19.99, 20.01))  # fmt: skip
+    low, high = draw([chart]).axes[0].get_ylim()
+    assert high - low == pytest.approx(1.0) and low < 19.99 < 20.01 < high
+
+
+def test_only_real_gains_are_ringed(tmp_path: Path) -> None:
+    for augment, gain in (("none", 0.0), ("dba", 0.03), ("safi", 3.0)):
+        for seed in range(4):
+            fake_run(tmp_path, augment, seed=seed, gain=gain)
+    ((chart,), *_) = charts(collect(tmp_path), "embedded")
+    ringed = {series.name for series in chart.series if series.ringed}
+    assert ringed == {"none + none", "safi + none"}
+    assert chart.band is not None and chart.band.low < 24.5 < chart.band.high
+    assert chart.min_span == 1.0
+
+
+def test_a_figure_is_also_numbers(study_dir: Path) -> None:
+    for name in ("differences", "tradeoff_embedded", "curves_embedded"):
+        assert all((study_dir / f"{name}.{kind}").is_file() for kind in ("png", "svg", "csv"))
+    with (study_dir / "differences.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [r["on"] for r in rows] == [
+        "embedded °",
+        "my_50%_{room}",
+        "these 2 scenes",
+        "scenes like these",
+    ]
+    assert [r["interval"] for r in rows][1:3] == ["this row alone", "all comparisons at once"]
+
+
+def test_every_comparison_is_a_row_of_latex(study_dir: Path) -> None:
+    text = (study_dir / "comparisons.tex").read_text(encoding="utf-8")
+    assert text == comparisons_tex(outcomes(collect(study_dir)))
+    rows = [line for line in text.splitlines() if line.startswith("safi + none & none + none")]
+    assert len(rows) == 4 and all(line.count(" & ") == 6 for line in rows)
+    assert r"my\_50\%\_\{room\}" in text and "$+$" in text
+    assert text.count("{tabular}") == 2
+
+
+def test_the_crop_is_where_renders_differ_most() -> None:
+    one = np.zeros((40, 80, 3), np.uint8)
+    other = one.copy()
+    other[20:30, 40:60] = 200
+    assert _window([one, other]) == (slice(20, 30), slice(40, 60))
+
+
+def test_close_ups_show_the_two_that_the_verdict_is_about(study_dir: Path) -> None:
+    with Image.open(study_dir / "closeup_embedded.jpg") as image:
+        assert image.width == 792
+    text = (study_dir / "report.md").read_text(encoding="utf-8")
+    assert "ground truth, then safi + none and none + none" in text
+
+
+def test_doses_are_a_section(tmp_path: Path) -> None:
+    dose = {"views_asked": 42, "views_made": 5, "own": "text | x", "acted_share": 0.12}
+    for augment in ("none", "safi"):
+        path = fake_run(tmp_path, augment) / "record.json"
+        if augment == "safi":
+            path.write_text(json.dumps(json.loads(path.read_text()) | {"dose": dose}))
+    text = build_report(tmp_path).read_text(encoding="utf-8")
+    section = text.partition("## What each method did")[2].partition("\n## ")[0]
+    assert "Pseudo views asked for" in section and " 42 " in section and "text \\| x" in section
+    assert "none + none" not in section
+    assert "Hardly tested" in text.partition("## Pictures")[0]
