@@ -36,6 +36,7 @@ from framework.options import TrainerOptions
 from framework.records.provenance import code_hash, cpu_model, strict_json
 from framework.report.figures.files import DPI
 from framework.report.parts import chart
+from framework.report.parts.draw import draw
 from framework.run import experiment
 from framework.run.training import renderer
 
@@ -192,7 +193,7 @@ def main() -> None:
     print(text)
     if given.output:
         picture = given.output.with_suffix(".png")
-        chart.draw(charts(measured)).savefig(picture, dpi=DPI, metadata={"Software": None})
+        draw(charts(measured)).savefig(picture, dpi=DPI, metadata={"Software": None})
         title, rest = text.split("\n", 1)
         given.output.write_text(f"{title}\n\n![PSNR against time]({picture.name})\n{rest}")
 

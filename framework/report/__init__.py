@@ -1,8 +1,8 @@
 """Reports of a study, from its records only: nothing here imports torch or the trainer.
 
-`collect` reads the records and names the methods, `statistics` computes, `finding` says it in a
-sentence, `tables` and `figures` show it, `markdown` puts it on a page. The same records give the
-same bytes.
+`study` reads the records and names the methods, `statistics` computes, `verdict` says what to use,
+`text` and `figures` show it, `opening`, `sections` and `details` put it in order, `page` writes it
+down. The same records give the same bytes.
 """
 
 from framework.report.build import build_report

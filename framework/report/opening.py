@@ -15,8 +15,9 @@ from framework.report.parts.document import Block, Bullets, Picture, Text, table
 from framework.report.statistics.outcomes import Outcomes
 from framework.report.study.collect import Study
 from framework.report.study.roles import roles_sentence
-from framework.report.text import budgets, capacities, gaps, limits, verdict
+from framework.report.text import budgets, capacities, gaps
 from framework.report.text.dose import idle_sentence
+from framework.report.verdict import lead, limits, points
 
 TRADEOFF_CAPTION = (
     "A line per method through its budgets that no other budget of the same method beats; faint:"
@@ -73,7 +74,7 @@ def over_budgets(
 def along_stress(study: Study, panels: Sequence[stress.Panel]) -> list[Block]:
     """The verdict, the answer on every panel, then the charts and tables."""
     found = stress.limits(study, panels)
-    blocks: list[Block] = [Text(limits.verdict(found, verdict.plainly(study.baseline)), "verdict")]
+    blocks: list[Block] = [Text(limits.verdict(found, lead.plainly(study.baseline)), "verdict")]
     details: list[Block] = []
     for panel in panels:
         told = tuple(limits.sentence(limit) for limit in found if limit.panel is panel)
@@ -91,11 +92,11 @@ def along_stress(study: Study, panels: Sequence[stress.Panel]) -> list[Block]:
 
 
 def _verdict(study: Study, found: Outcomes) -> list[Block]:
-    points = [*verdict.points(study, found), idle_sentence(study), _roles(study)]
-    told = tuple(text for text in points if text)
-    blocks: list[Block] = [Text(verdict.lead(study, found), "verdict")]
+    said = [*points.points(study, found), idle_sentence(study), _roles(study)]
+    told = tuple(text for text in said if text)
+    blocks: list[Block] = [Text(lead.lead(study, found), "verdict")]
     blocks += [Bullets(told)] if told else []
-    how = verdict.evidence(found)
+    how = points.evidence(found)
     return [*blocks, *([Text(how)] if how else [])]
 
 

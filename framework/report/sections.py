@@ -18,7 +18,7 @@ from framework.report.text import capacities, gaps, tables
 from framework.report.text.dose import dose
 from framework.report.text.provenance import provenance_blocks
 from framework.report.text.published import published
-from framework.report.text.verdict import best_method, has_budgets
+from framework.report.verdict.lead import best_method, has_budgets
 
 BEST_BUDGETS = "Of each method, the budget with the highest mean PSNR on the scene."
 HIDDEN = "No pictures of {scenes}: this report was built without photos, to be passed on."

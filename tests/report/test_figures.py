@@ -14,7 +14,8 @@ from framework.report import build_report
 from framework.report.export import comparisons_tex
 from framework.report.figures.closeup import _window
 from framework.report.figures.tradeoff import charts
-from framework.report.parts.chart import Band, Chart, Point, Series, draw
+from framework.report.parts.chart import Band, Chart, Point, Series
+from framework.report.parts.draw import draw
 from framework.report.parts.forest import Forest, Row, limits
 from framework.report.parts.forest import draw as draw_forest
 from framework.report.statistics.outcomes import outcomes

@@ -7,7 +7,7 @@ from typing import Any
 
 from framework.report.figures import modelsize
 from framework.report.figures.stress import Panel
-from framework.report.parts.chart import draw
+from framework.report.parts.draw import draw
 from framework.report.study.axes import STRESSES
 
 VIEWS = next(axis for axis in STRESSES if axis.short == "n_views")

@@ -8,7 +8,8 @@ from scipy import stats
 
 from framework.compute.rng import stream
 from framework.report.statistics.compare import compare, corrected
-from framework.report.statistics.estimates import spread
+from framework.report.statistics.estimates import Interval, spread
+from framework.report.statistics.numbers import interval_text
 
 
 def test_spread_of_known_values() -> None:
@@ -87,3 +88,10 @@ def test_correction_is_for_what_can_be_tested() -> None:
     assert told["c"].tests == 2 and told["c"].p_joint == pytest.approx(2 * two.p)
     assert told["c"].joint is not None and two.interval is not None
     assert told["c"].joint.low < two.interval.low
+
+
+def test_an_interval_that_excludes_zero_is_not_rounded_to_it() -> None:
+    assert interval_text(Interval(-0.21, -0.0041)) == "-0.21 to -0.004"
+    assert interval_text(Interval(-0.21, 0.0041)) == "-0.21 to 0.00"
+    assert interval_text(Interval(0.0, 0.0)) == "0.00 to 0.00"
+    assert interval_text(Interval(0.12, 0.48)) == "0.12 to 0.48"

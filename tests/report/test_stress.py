@@ -12,7 +12,7 @@ from framework.compute.rng import stream
 from framework.report.figures.stress import Limit
 from framework.report.statistics.breakdown import break_down, gains_of_levels
 from framework.report.study.axes import STRESSES
-from framework.report.text.limits import sentence, verdict
+from framework.report.verdict.limits import sentence, verdict
 
 VIEWS = next(axis for axis in STRESSES if axis.short == "n_views")
 STRENGTH = next(axis for axis in STRESSES if axis.short == "strength")

@@ -14,7 +14,8 @@ from framework.report.figures.views import choose_views
 from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
 from framework.report.text.dose import idle_sentence
-from framework.report.text.verdict import lead, points
+from framework.report.verdict.lead import lead
+from framework.report.verdict.points import points
 from tests.record.fakes import fake_run
 from tests.report.studies import write_committed
 

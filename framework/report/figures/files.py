@@ -14,8 +14,9 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from framework.files.whole import write_whole
-from framework.report.parts.chart import STYLE, Chart, csv_rows, draw
+from framework.report.parts.chart import Chart, csv_rows
 from framework.report.parts.document import Picture
+from framework.report.parts.draw import STYLE, draw
 from framework.report.parts.forest import Forest
 from framework.report.parts.forest import csv_rows as forest_rows
 from framework.report.parts.forest import draw as draw_forest

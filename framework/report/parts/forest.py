@@ -14,7 +14,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from framework.report.parts.chart import STYLE, WIDTH
+from framework.report.parts.draw import STYLE, WIDTH
 from framework.report.parts.palette import LIGHT, MARKERS, color_index, marker_index
 
 ROW, MARGIN = 0.23, 0.95  # inches, of a row and of all else

@@ -60,9 +60,17 @@ def spanned(interval: Interval) -> str:
 
 
 def interval_text(interval: Interval, most: int = 2) -> str:
-    """`0.21 to 0.60`, rounded by its own width, at most to `most` decimals."""
+    """`0.21 to 0.60`, rounded by its own width, at most to `most` decimals; an end that rounds to
+    zero gets more where the interval excludes zero."""
     places = decimals((interval.high - interval.low) / 2, most)
-    return f"{_zero(interval.low, places)} to {_zero(interval.high, places)}"
+    ends = (interval.low, interval.high)
+    if interval.low * interval.high > 0:
+        low, high = (
+            significant(e, 1) if round(e, places) == 0 else f"{e:.{places}f}" for e in ends
+        )
+    else:
+        low, high = (_zero(e, places) for e in ends)
+    return f"{low} to {high}"
 
 
 def p_text(p: float) -> str:

@@ -4,18 +4,18 @@ its size."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from framework.report.figures.tradeoff import Entry, differs, entries, megabytes, train_s, worth
 from framework.report.statistics.compare import compare
-from framework.report.statistics.numbers import mean_text, p_text
+from framework.report.statistics.numbers import mean_text
 from framework.report.statistics.outcomes import by_pair
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import listed
 
 LIMITS_S = (15.0, 60.0, 300.0)
-SIGNIFICANCE = 0.05
 AS_GOOD_DB = 0.1  # a model so much worse than the best counts as good
 
 
@@ -100,24 +100,22 @@ def _rival(best: Entry, within: Sequence[Entry]) -> str:
         return "single runs, so the order may be chance"
     if len(within) == 1:
         return "nothing else fits"
-    alike = [entry for entry in within if entry is not best and _alike(best, entry) is not None]
+    others = [entry for entry in within if entry is not best]
+    alike = [entry for entry in others if _alike(best, entry, len(others))]
     quicker = [entry for entry in alike if entry.train_s < best.train_s]
     if not alike:
-        return "every other choice within that time is significantly worse"
+        return "every other choice within that time is really worse"
     if not quicker:
-        others = "1 other, which is" if len(alike) == 1 else f"{len(alike)} others, which are"
-        return f"no significant difference to {others} no quicker"
+        rest = "1 other, which is" if len(alike) == 1 else f"{len(alike)} others, which are"
+        return f"not told apart from {rest} no quicker"
     quickest = min(quicker, key=train_s)
     return (
-        f"no significant difference to {quickest.method}"
-        f" ({p_text(_alike(best, quickest) or 0)}, uncorrected), which takes"
+        f"not told apart from {quickest.method}, the quickest so, which takes"
         f" {quickest.train_s:.1f} s"
     )
 
 
-def _alike(best: Entry, other: Entry) -> float | None:
-    """p of the paired test if it does not tell them apart, else None; 1 without common seeds."""
+def _alike(best: Entry, other: Entry, tests: int) -> bool:
+    """Whether the paired test, corrected for so many, does not tell them apart."""
     found = compare("", by_pair(best.runs), "", by_pair(other.runs))
-    if found is None or found.p is None:
-        return 1.0
-    return found.p if found.p >= SIGNIFICANCE else None
+    return found is None or not replace(found, tests=tests).significant

@@ -1,0 +1,108 @@
+"""What to use, in a sentence.
+
+A difference is claimed where its interval excludes zero, and the interval is the one the charts
+draw: corrected for all comparisons of the report.
+"""
+
+from __future__ import annotations
+
+from framework.report.statistics.compare import Comparison
+from framework.report.statistics.estimates import Interval
+from framework.report.statistics.numbers import decimals, interval_text, significant
+from framework.report.statistics.outcomes import Outcomes
+from framework.report.study.collect import Study
+from framework.report.study.order import BASELINE
+
+
+def lead(study: Study, found: Outcomes) -> str:
+    """What to use, in a sentence."""
+    if not study.runs:
+        return "No run of this study finished."
+    if not found.psnr:
+        return "No method of this study finished on every scene with a finite PSNR."
+    if len(study.methods) == 1:
+        return f"Nothing to compare: {_level(study, found)}."
+    tested = [c for c in found.comparisons.values() if c.joint is not None]
+    if not tested:
+        return f"No advice: {_untested(study, found)}"
+    best = best_method(study, found)
+    if best == study.baseline_of(best) and has_budgets(study):
+        return (
+            f"Use {plainly(study.families[0])} at the budget that suits you (below): nothing tested"
+            " was shown to be better at an equal one."
+        )
+    if best == study.baseline_of(best):
+        return f"Use {plainly(best)}: nothing tested was shown to be better."
+    c = found.comparisons[best]
+    return f"Use {best}: it {amount(c)} against {plainly(c.baseline)} {where(study)}."
+
+
+def has_budgets(study: Study) -> bool:
+    """Whether methods ran with several budgets, of which time decides."""
+    return any(run.method_label.budget for run in study.runs)
+
+
+def best_method(study: Study, found: Outcomes) -> str:
+    """The highest of those shown to be better than their baseline, else the baseline."""
+    better = [
+        method
+        for method, c in found.comparisons.items()
+        if c.significant and c.difference > 0 and method in found.psnr
+    ]
+    if not better:
+        return study.baseline
+    return max(better, key=lambda method: found.psnr[method].mean)
+
+
+def plainly(method: str) -> str:
+    """A method's name; the plain one says that it is."""
+    return f"{method} (plain training)" if method == BASELINE else method
+
+
+def amount(c: Comparison) -> str:
+    """`costs 0.10 dB (-0.14 to -0.06)`."""
+    assert c.joint is not None, "only what was tested is told"
+    places = decimals((c.joint.high - c.joint.low) / 2, 2)
+    does = "gains" if c.difference >= 0 else "costs"
+    return f"{does} {abs(c.difference):.{places}f} dB ({interval_text(c.joint)})"
+
+
+def where(study: Study) -> str:
+    """`on fern`, `on these 5 scenes`."""
+    scenes = study.scenes
+    return f"on {scenes[0]}" if len(scenes) == 1 else f"on these {len(scenes)} scenes"
+
+
+def _level(study: Study, found: Outcomes) -> str:
+    (method,) = study.methods
+    only = found.psnr[method]
+    where = study.scenes[0] if len(study.scenes) == 1 else f"the mean of {len(study.scenes)} scenes"
+    if only.mean_interval is None or only.sd is None:
+        return (
+            f"on {where}, {plainly(method)} reaches {only.mean:.2f} dB in a single run (n = 1),"
+            " which says nothing about its stability"
+        )
+    half = (only.mean_interval.high - only.mean_interval.low) / 2
+    return (
+        f"on {where}, {plainly(method)} reaches {only.mean:.{decimals(half, 2)}f} dB"
+        f" ({inside(only.mean_interval)}, 95 %, n = {only.n} seeds, σ_PSNR"
+        f" {significant(only.sd)} dB)"
+    )
+
+
+def _untested(study: Study, found: Outcomes) -> str:
+    """Why nothing is advised: single runs, or no seed in common."""
+    best = max(found.psnr, key=lambda method: found.psnr[method].mean)
+    reach = f"highest is {best} with {found.psnr[best].mean:.2f} dB"
+    c = found.comparisons.get(best)
+    if not found.comparisons:
+        return f"no method shares a seed with {study.baseline}, so nothing is compared; {reach}."
+    if c is not None:
+        side = "above" if c.difference >= 0 else "below"
+        reach += f", {abs(c.difference):.2f} dB {side} {c.baseline}"
+    return f"single runs cannot tell a method from chance; {reach}."
+
+
+def inside(interval: Interval | None) -> str:
+    """An interval as text; "" where there is none."""
+    return "" if interval is None else interval_text(interval)
