@@ -116,7 +116,7 @@ def test_text_and_bars_agree_on_a_committed_study(tmp_path: Path) -> None:
     assert all(f"{method} costs" in rest for method in real) and "none + uar" in real
     assert "Expected on other scenes like these 5 (intervals over scenes): nothing is shown" in rest
     thick = [row for row in drawn[0].rows if row.joint]
-    assert all(row.real == (not row.low <= 0 <= row.high) for row in thick)  # type: ignore[operator]
+    assert all(not (row.real and row.low <= 0 <= row.high) for row in thick)  # type: ignore[operator]
     assert {row.label for row in drawn[0].rows} >= {"embedded °", "dtu_scan65", "llff_fern °"}
 
 

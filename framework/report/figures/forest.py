@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from framework.report.parts.forest import Forest, Row
 from framework.report.parts.palette import looks
 from framework.report.statistics.compare import Comparison, excludes_zero
@@ -19,8 +21,8 @@ CAPTION = (
 )
 THIN = (
     " `these scenes`: over the seeds; `scenes like these`: over the scenes, for what to expect on"
-    " another one. Thin bars: a scene alone, 95 % each, not corrected: they show where a difference"
-    " comes from and prove nothing."
+    " another one, filled where these scenes are too. Thin bars: a scene alone, 95 %"
+    " each, not corrected: they show where a difference comes from and prove nothing."
 )
 CUT = " Scenes are not drawn one by one here: there are too many."
 
@@ -45,7 +47,7 @@ def forest(study: Study, found: Outcomes) -> tuple[Forest, str] | None:
         rows.append(_row(c, f"these {c.scenes} scenes" if detailed else method, look, c.joint))
         if detailed and c.like_joint is not None:
             row = _row(c, "scenes like these", look, c.like_joint)
-            rows.append(row)
+            rows.append(replace(row, middle=c.like.mean if c.like else row.middle, real=c.general))
     bases = list(dict.fromkeys(c.baseline for c in found.comparisons.values()))
     against = bases[0] if len(bases) == 1 else "the baseline of the same budget"
     x_label = f"PSNR above {against} (dB)"

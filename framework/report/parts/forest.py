@@ -18,7 +18,7 @@ from framework.report.parts.draw import STYLE, WIDTH
 from framework.report.parts.palette import LIGHT, MARKERS, color_index, marker_index
 
 ROW, MARGIN = 0.23, 0.95  # inches, of a row and of all else
-LABEL_CHARACTERS, NAME_CHARACTERS = 34, 60
+LABEL_CHARACTERS, NAME_CHARACTERS = 34, 76
 
 
 @dataclass(frozen=True)

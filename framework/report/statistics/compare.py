@@ -75,8 +75,8 @@ class Comparison:
 
     @property
     def general(self) -> bool:
-        """Whether that of scenes like these does."""
-        return excludes_zero(self.like_joint)
+        """Whether both do, that of these scenes and that of scenes like these."""
+        return self.significant and excludes_zero(self.like_joint)
 
 
 def excludes_zero(interval: Interval | None) -> bool:
