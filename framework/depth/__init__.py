@@ -1,7 +1,7 @@
 """Depth providers: where the depth of the training views comes from.
 
 Every provider is a frozen dataclass whose fields are its options, derived from
-`framework.depth.provider.DepthProvider`: `estimate(training)` gives one `framework.types.DepthMap`
+`framework.depth.provider.DepthProvider`: it implements `measure(training)`, which gives one `framework.types.DepthMap`
 per training view, in their order, `fingerprint(training)` tells the files that were read. Importing
 this package loads neither torch nor numba.
 """

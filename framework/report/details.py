@@ -26,7 +26,11 @@ POOLED = (
     f" (in the rows `{tables.ALL_SCENES}`: of its mean over the scenes; the other reading, the mean"
     " of the scenes' deviations, stands under Stability)"
 )
-LPIPS = " LPIPS was not measured; the reason stands under Missing metrics."
+NO_LPIPS = " LPIPS was not measured; the reason stands under Missing metrics."
+LPIPS = (
+    " LPIPS: of images in [−1, 1], as its authors define it; fed [0, 1]: what many papers print,"
+    " and to be compared with nothing else."
+)
 COMPARISONS = (
     "Runs paired by scene and seed; t intervals and two-sided t test. These scenes: a seed's"
     " differences are averaged over the scenes first, as its runs share draws, and the interval is"
@@ -63,9 +67,9 @@ def main_table(study: Study) -> list[Block]:
     if not study.runs:
         return []
     pooled = POOLED if len(study.scenes) > 1 else ""
-    unmeasured = "" if "lpips" in tables.measured(study) else LPIPS
+    lpips = LPIPS if "lpips" in tables.measured(study) else NO_LPIPS
     rows = tables.main_rows(study, study.scenes)
-    text = DEFINITIONS.format(pooled=pooled) + unmeasured
+    text = DEFINITIONS.format(pooled=pooled) + lpips
     return [Heading(2, "Results"), table(rows, WORDS), Text(text)]
 
 
