@@ -1,9 +1,9 @@
 """Depth providers: where the depth of the training views comes from.
 
 Every provider is a frozen dataclass whose fields are its options, derived from
-`framework.depth.provider.DepthProvider`: it implements `measure(training)`, which gives one `framework.types.DepthMap`
-per training view, in their order, `fingerprint(training)` tells the files that were read. Importing
-this package loads neither torch nor numba.
+`framework.depth.provider.DepthProvider`: it implements `measure(training)`, which gives one
+`framework.types.DepthMap` per training view, in their order, and `fingerprint(training)`, which
+tells the files that were read. Importing this package loads neither torch nor numba.
 """
 
 from __future__ import annotations
