@@ -35,7 +35,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from framework.methods.rounds import SH0, RoundsCapacity, Selection, TrainingInformation
 from framework.plugin import StepContext, register
@@ -69,9 +69,11 @@ class Evidence(RoundsCapacity):
     (`benchmarks/results/capacity.md`).
     """
 
-    until: float = 0.5
+    defaults: ClassVar[dict[str, float]] = {"start": 0.25, "stop": 0.75}
+
+    until: float = 0.6
     criterion: str = "laplace"
-    pace: float = 0.5
+    pace: float = 0.25
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -100,7 +100,9 @@ def test_a_round_keeps_who_pays_and_splits_nobody_late() -> None:
     assert log.values["noise"] and log.values["unpaid"][0] >= 25
 
 
-def trained(training: TrainingSet, steps: int, evaluate: Evaluate | None = None) -> Trained:
+def trained(
+    training: TrainingSet, steps: int, evaluate: Evaluate | None = None, **options: float
+) -> Trained:
     """A short training on the plane's cameras, from 1,200 Gaussians before it."""
     _, depth, few = _plane(0)
     draws = torch.from_numpy(stream(0, "many").uniform(-0.1, 0.1, (6, len(few), 3))).float()
@@ -109,10 +111,11 @@ def trained(training: TrainingSet, steps: int, evaluate: Evaluate | None = None)
         **{name: tensor.repeat(6, *[1] * (tensor.dim() - 1)) for name, tensor in few.items()}
         | {"means": (few.means + draws).reshape(-1, 3)},
     )
-    chosen = {"augment": "none", "reg": "none", "capacity": "evidence"}
-    plugins = Plugins(*(registry.build(group, {"name": name}) for group, name in chosen.items()))
-    options = TrainerOptions(steps=steps, evaluations=1)
-    return Trainer(training, depth, start, options, plugins, 0, Silent(), evaluate).run()
+    idle, chosen = {"name": "none"}, {"name": "evidence", **options}
+    choices = {"augment": idle, "reg": idle, "capacity": chosen}
+    plugins = Plugins(*(registry.build(group, choice) for group, choice in choices.items()))
+    trainer = TrainerOptions(steps=steps, evaluations=1)
+    return Trainer(training, depth, start, trainer, plugins, 0, Silent(), evaluate).run()
 
 
 def with_images(paint) -> TrainingSet:  # type: ignore[no-untyped-def]
@@ -128,7 +131,7 @@ def test_a_scene_of_one_colour_ends_with_a_handful_and_says_so(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     with caplog.at_level(logging.WARNING, "plugins"):
-        result = trained(with_images(lambda _, image: torch.full_like(image, 0.5)), 120)
+        result = trained(with_images(lambda _, image: torch.full_like(image, 0.5)), 120, pace=1.0)
     assert FEWEST <= len(result.gaussians) <= HANDFUL
     (message,) = [record.getMessage() for record in caplog.records]
     assert "hardly a Gaussian pays for its description" in message and "\n" not in message

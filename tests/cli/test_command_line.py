@@ -79,7 +79,7 @@ def test_the_defaults(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> Non
     assert main([]) == 0
     config = runs.seen[0]
     names = [config[g]["name"] for g in ("scene", "depth", "init", "augment", "reg", "capacity")]
-    assert names == ["embedded", "plane_sweep", "stereo", "none", "none", "fixed"]
+    assert names == ["embedded", "plane_sweep", "stereo", "none", "none", "evidence"]
     assert (config["seed"], config["threads"], config["study"]) == (0, 0, "embedded")
     assert (config["force"], config["metrics"]) == (False, {"lpips_weights": None})
     assert "none+none seed 0 · finished" in capsys.readouterr().out

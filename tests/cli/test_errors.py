@@ -33,8 +33,8 @@ CASES = {
     "trainer.steps=1.5": ["trainer.steps: expected an integer, got 1.5"],
     "force=perhaps": ["force: expected true or false, got 'perhaps'"],
     "reg.weight=heavy": ["reg.weight: expected a number, got 'heavy'"],
-    "trainer.steps=0": ["trainer.steps: expected an integer >= 1, got 0"],
-    "trainer.steps=800,0 -m": ["trainer.steps: expected an integer >= 1, got 0"],
+    "trainer.steps=0": ["trainer.steps: expected an integer from 1 to 1,000,000, got 0"],
+    "trainer.steps=800,0 -m": ["trainer.steps: expected an integer from 1 to 1,000,000, got 0"],
     "reg=uar reg.candidate_factor=70": ["reg.candidate_factor", "got 70"],
     "reg.start=0.9 reg.stop=0.1": ["reg=none: expected 0 <= start <= stop <= 1"],
     "seed=-1": ["seed: expected an integer >= 0, got -1"],
@@ -60,7 +60,7 @@ CASES = {
     "--nonsense": ["command line: unrecognized arguments: --nonsense"],
     "--cfg job -m": ["command line: expected -m or a flag that only informs"],
     "--resolve": ["command line: expected --cfg beside --resolve"],
-    "seed": ["command line: cannot read 'seed'"],
+    "seed": ["command line: expected KEY=VALUE or a subcommand, got 'seed'"],
     "trainer.lr_scale=${nowhere}": ["nowhere"],
 }
 
