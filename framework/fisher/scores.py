@@ -55,12 +55,23 @@ def information_gains(
 ) -> list[float]:
     """What a candidate view would add to each of several reference views under one prior.
 
-    candidate: [N, P] diagonal H'. references: the views' diagonals H. prior: [P] lambda > 0. Or
-    all Gaussians' blocks [N, D, D] with a prior [D] (see `block_prior`): ratios become matrices.
+    candidate: [N, P] diagonal H'. references: the views' diagonals H. prior: [P] lambda > 0.
     form "log": 1/2 sum log(1 + H' / (H + lambda)), the entropy difference of the two posteriors
     (Kirsch & Gal, "Unifying approaches in active learning", 2022); form "trace": its upper bound
-    1/2 sum H' / (H + lambda) = 1/2 tr(H' (H + lambda)^-1). Raises ValueError on an unknown form,
-    differing shapes and values that are not finite.
+    1/2 sum H' / (H + lambda).
+
+    Or all Gaussians' blocks H', H [N, D, D] with a prior [D] (see `block_prior`): summed over the
+    Gaussians, "log" is 1/2 (log det(H + H' + Lambda) - log det(H + Lambda)) and "trace"
+    1/2 tr(H' (H + Lambda)^-1), with
+
+        Lambda = diag(lambda) + NOISE diag(H + H')    of each Gaussian, the same in both terms.
+
+    The second part is what float32 derivatives leave unknown: without it a direction that no view
+    sees, where H is rounding alone, would count as known. It is no detail where lambda is small:
+    a Gaussian whose diagonal is 1 / NOISE times lambda has half its floor from it, and with a
+    regulariser of 1e-3 it moves gains by up to 45 %. Diagonals need none.
+
+    Raises ValueError on an unknown form, differing shapes and values that are not finite.
     """
     _check_form(form)
     for reference in references:
@@ -105,7 +116,8 @@ def _check_shapes(candidate: Tensor, reference: Tensor) -> None:
 
 
 def _block_gain(gained: np.ndarray, known: np.ndarray, prior: np.ndarray, form: str) -> float:
-    """1/2 sum tr(H' (H + Lambda)^-1), or the difference of the log determinants."""
+    """1/2 sum tr(H' (H + Lambda)^-1), or the difference of the log determinants; for Lambda see
+    `information_gains`."""
     floor = _floor(known + gained, prior)
     if form == "log":
         return 0.5 * float(np.sum(_log_det(known + gained, floor) - _log_det(known, floor)))

@@ -117,6 +117,26 @@ def test_block_gains_by_linear_algebra() -> None:
     assert 0 < log < trace
 
 
+@pytest.mark.parametrize("regulariser", [1.0, 1e-3, 1e-6])
+def test_block_gains_are_those_of_the_docstring_s_equation(regulariser: float) -> None:
+    """With NOISE's share of the floor, which decides where a singular block has no other."""
+    ours, known = blocks(0, rank=5), blocks(1, rank=5)
+    prior = block_prior([ours, known], regulariser)
+
+    def gains(noise: float) -> tuple[float, float]:
+        floor = torch.diag_embed(prior + noise * (known + ours).diagonal(dim1=1, dim2=2))
+        ratio = torch.linalg.solve(known + floor, ours)
+        logs = [
+            torch.linalg.slogdet(of).logabsdet.sum() for of in (known + ours + floor, known + floor)
+        ]
+        return 0.5 * float(ratio.diagonal(dim1=1, dim2=2).sum()), 0.5 * float(logs[0] - logs[1])
+
+    found = [information_gains(ours, [known], prior, form)[0] for form in ("trace", "log")]
+    assert found == pytest.approx(gains(NOISE), rel=1e-6)
+    if regulariser == 1e-6:
+        assert gains(0.0)[0] > 2 * found[0]
+
+
 def test_block_gain_does_not_depend_on_the_axes_of_the_world() -> None:
     q, _ = torch.linalg.qr(torch.from_numpy(stream(4, "turn").standard_normal((3, 3))))
     turn = torch.block_diag(q, torch.eye(3).double())
