@@ -41,14 +41,18 @@ class WarpingAugmenter(Augmenter):
     every: epochs that a pseudo view lives (a new one costs about as much as two training steps).
     sigma_center: the paper's sigma_C, jitter of the centre per axis, in mean distances to the next
     camera. Those are of the training cameras (extents for a single one). sigma_rotation: the
-    paper's sigma_theta, jitter of the orientation in degrees, about a random axis. temperature:
-    softness of the z-buffer as a share of depth. min_coverage: share of the frame that must be
-    warped; below it there is no pseudo view. The warm-up is the framework key `start`.
+    paper's sigma_theta, jitter of the orientation in degrees, about a random axis. roll: whether
+    that may be any axis, or one across the viewing direction, so that the image never turns in its
+    plane. temperature: softness of the z-buffer as a share of depth. min_coverage: least covered
+    area of a pseudo view, as a share of the area that confident depth covers in a training view. It
+    is the mean over the training views; below it there is no pseudo view. The warm-up is the
+    framework key `start`.
     """
 
     every: int = 2
     sigma_center: float = 0.3
     sigma_rotation: float = 2.0
+    roll: bool = True
     temperature: float = 0.02
     min_coverage: float = 0.3
 
@@ -109,21 +113,35 @@ class WarpingAugmenter(Augmenter):
         camera = self._sample_camera(ctx)
         chosen, selection = self.select(ctx, state.selection, camera)
         warped = warp([state.supports[i] for i in chosen], camera, temperature=self.temperature)
-        ctx.log(f"{self.name}_supports", len(chosen))
+        # against the frame, a scene whose depth covers half of it would have no pseudo view at all
+        possible = known_share(state.supports)
+        covered = warped.coverage / possible if possible > 0 else 0.0
+        self._log_supports(ctx, chosen, camera)
         ctx.log(f"{self.name}_coverage", warped.coverage)
+        ctx.log(f"{self.name}_coverage_of_depth", covered)
         view = None
-        if warped.coverage >= self.min_coverage:
+        if covered >= self.min_coverage:
             view = View(
                 f"pseudo-{ctx.epoch}", camera, warped.image, mask=warped.mask, tags=("pseudo",)
             )
+        else:
+            ctx.log(f"{self.name}_refused_coverage", 1.0)
         return replace(state, selection=selection, view=view, made=ctx.epoch)
+
+    def _log_supports(self, ctx: StepContext, chosen: Sequence[int], camera: Camera) -> None:
+        """How many there are, and how far from the camera, in camera spacings."""
+        distances = center_distances([ctx.views[i] for i in chosen], camera)
+        ctx.log(f"{self.name}_supports", len(chosen))
+        if distances:
+            mean = sum(distances) / len(distances)
+            ctx.log(f"{self.name}_support_distance", mean / _spacing(ctx))
 
     def _sample_camera(self, ctx: StepContext) -> Camera:
         rng = ctx.rng("camera")  # not by method: all compare on the same cameras
         cameras = [view.camera for view in ctx.views]
-        spacing = mean_neighbour_distance(cameras) or ctx.extent
         start = cameras[int(rng.integers(len(cameras)))]
-        return perturbed(start, rng, self.sigma_center * spacing, self.sigma_rotation)
+        sigma_center = self.sigma_center * _spacing(ctx)
+        return perturbed(start, rng, sigma_center, self.sigma_rotation, roll=self.roll)
 
 
 @dataclass(frozen=True)
@@ -159,6 +177,17 @@ def center_distances(views: Sequence[View], camera: Camera) -> list[float]:
     return [float((view.camera.center - camera.center).norm()) for view in views]
 
 
+def known_share(supports: Sequence[Support]) -> float:
+    """The share of the frame that confident depth covers, mean over `supports`."""
+    shares = [int((s.inverse_depth > 0).sum()) / s.inverse_depth.numel() for s in supports]
+    return sum(shares) / len(shares)
+
+
+def _spacing(ctx: StepContext) -> float:
+    """Mean distance between neighbouring training cameras, of a single one the extent."""
+    return mean_neighbour_distance([view.camera for view in ctx.views]) or ctx.extent
+
+
 def mean_neighbour_distance(cameras: Sequence[Camera]) -> float:
     """Mean distance of a camera to its nearest other one, in scene units; 0 for a single camera."""
     import torch
@@ -172,10 +201,15 @@ def mean_neighbour_distance(cameras: Sequence[Camera]) -> float:
 
 
 def perturbed(
-    camera: Camera, rng: np.random.Generator, sigma_center: float, sigma_degrees: float
+    camera: Camera,
+    rng: np.random.Generator,
+    sigma_center: float,
+    sigma_degrees: float,
+    roll: bool = True,
 ) -> Camera:
     """`camera` with its centre moved by N(0, sigma_center^2) per axis (scene units) and turned by
-    N(0, sigma_degrees^2) about an axis uniform on the sphere; same K and size.
+    N(0, sigma_degrees^2) about an axis uniform on the sphere, or without `roll` on the circle
+    across the viewing direction; same K and size.
 
     Always draws the same count of numbers, so that a standard deviation of 0 moves no other draw.
     """
@@ -184,6 +218,8 @@ def perturbed(
     from framework import geometry
 
     step, axis, angle = rng.standard_normal(3), rng.standard_normal(3), rng.standard_normal()
+    if not roll:
+        axis[2] = 0.0  # of the camera's own axes the viewing direction
     length = math.sqrt(sum(float(value) ** 2 for value in axis))
     turn = math.radians(sigma_degrees) * float(angle) / length * torch.from_numpy(axis)
     return geometry.perturbed(camera, turn, sigma_center * torch.from_numpy(step))
