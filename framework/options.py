@@ -11,6 +11,7 @@ MOST_MEMBERS, MOST_STEPS = 16, 1_000_000
 ENOUGH_STEPS, ENOUGH_VISITS = 300, 80  # of one training, and of every view by it
 SHARED_BY = 8  # members at most, when their number is left to the views
 BACKGROUNDS = ("mean", "black", "white", "random")
+PSEUDO_STEPS, PSEUDO_MEANS = ("joined", "own"), ("frame", "covered")
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,8 @@ class TrainerOptions:
     coarse_factor: int = 2  # images are box-downsampled by it at the beginning
     coarse_until: float = 0.25  # share of the steps that take images smaller by coarse_factor
     pseudo_factor: int = 2  # pseudo views are always box-downsampled by it; 1 = as large as photos
+    pseudo_steps: str = "joined"  # a pseudo view joins a real one's step, or has its own before it
+    pseudo_mean: str = "frame"  # its loss is the mean over the frame, or over the covered pixels
     background: str = "mean"  # colour: mean of the training photos, black, white, random
     near_plane: float = 0.05  # Gaussians nearer are not drawn; in units of the near bound
     evaluations: int = 6  # of the test views, evenly spaced, the last after the last step
@@ -63,6 +66,10 @@ class TrainerOptions:
         check("pace_views", self.pace_views >= 0, "an integer >= 0")
         check("coarse_factor", self.coarse_factor in (1, 2, 4, 8), "1, 2, 4 or 8")
         check("pseudo_factor", self.pseudo_factor in (1, 2, 4, 8), "1, 2, 4 or 8")
+        check(
+            "pseudo_steps", self.pseudo_steps in PSEUDO_STEPS, f"one of {', '.join(PSEUDO_STEPS)}"
+        )
+        check("pseudo_mean", self.pseudo_mean in PSEUDO_MEANS, f"one of {', '.join(PSEUDO_MEANS)}")
         check("coarse_until", 0 <= self.coarse_until <= 1, "a share in [0, 1]")
         check("background", self.background in BACKGROUNDS, f"one of {', '.join(BACKGROUNDS)}")
         check("near_plane", 0 < self.near_plane <= 1, "a number in (0, 1]")

@@ -46,7 +46,8 @@ class StepContext:
     near, far: depth bounds of the scene. render(camera): the current Gaussians without any dropout.
     fisher(camera): their information; fisher(camera, gaussians, sh_degree): that of others, for
     instance a snapshot.
-    rng(purpose): this plugin's own stream for this step. log(name, value): into the history.
+    rng(purpose): this plugin's own stream for this update. log(name, value): into the history, and
+    its mean over the training into the run's dose.
     """
 
     step: int
@@ -108,8 +109,9 @@ class Plugin:
 
 class Augmenter(Plugin):
     """Makes the pseudo views of an epoch. Each joins the step of one real view, drawn at random,
-    and adds its loss times `weight`; before `start` and after `stop` (shares of the training) none
-    is asked for."""
+    and adds its loss times `weight` (or has an update of its own, `trainer.pseudo_steps`); before
+    `start` and after `stop` (shares of the training) none is asked for. Why an epoch gets none is
+    told with the run if it is logged as `NAME_refused_WHY`, see `framework.train.dose`."""
 
     group: ClassVar[str] = "augment"
 
@@ -129,7 +131,8 @@ class Regularizer(Plugin):
         return cls.loss is not Regularizer.loss
 
     def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
-        """[N] float32 factors on the activated opacities for this step's render, or None."""
+        """[N] float32 factors on the activated opacities for this update's renders, or None. A
+        step has one update, and another for every pseudo view with `trainer.pseudo_steps=own`."""
         return None, state
 
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:

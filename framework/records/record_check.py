@@ -53,7 +53,7 @@ def _check_dose(dose: Any) -> None:
     _check("dose", dose, isinstance(dose, Mapping))
     for name, value in dose.items():
         flat = value is None or isinstance(value, bool) or _is_line(value) or _is_number(value)
-        _check(f"dose.{name}", value, flat)
+        _check(f"dose.{name}", value, flat and _is_line(name))
 
 
 def _check_scene(scene: Any) -> None:

@@ -54,6 +54,7 @@ from framework.run.lpips_later import lacks_lpips, with_lpips
 from framework.run.training import Run, initial, renderer, train, try_out
 from framework.run.warmup import Warmup
 from framework.scenes import load_scene
+from framework.train.dose import told
 from framework.train.resume.checkpoint import remove_checkpoints
 from framework.types import DepthMap, Gaussians, Scene
 
@@ -179,7 +180,10 @@ def _trained(
         render = renderer(trained.gaussians, trained.background, trained.sh_degree, near)
         metrics, renders = evaluate(render, scene.test, network)
     record = dataclasses.replace(
-        record, peak_memory_bytes=peak_memory_bytes(), resumed=trained.resumed
+        record,
+        peak_memory_bytes=peak_memory_bytes(),
+        resumed=trained.resumed,
+        dose=told(trained.dose),
     )
     write_cameras(run_dir, scene.training.views, scene.test)
     record = write_run(

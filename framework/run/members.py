@@ -16,6 +16,7 @@ import torch
 
 from framework.compute.rng import stream
 from framework.options import TrainerOptions
+from framework.train.dose import joined
 from framework.train.resume.training_state import Trained
 from framework.types import Gaussians, concatenate
 
@@ -90,6 +91,7 @@ def in_turn(rounds: Sequence[Sequence[Trained]], steps: int, gaussians: Gaussian
         history=tuple(history),
         wall_s=before,
         cpu_s=sum(part.cpu_s for parts in rounds for part in parts),
+        dose=joined(part.dose for parts in rounds for part in parts),
     )
 
 

@@ -33,13 +33,15 @@ class Conditions:
 @dataclass(frozen=True)
 class Moment:
     """Where a training stands. gaussians: detached. version: changes with their number or order.
-    sh_degree: the active one."""
+    sh_degree: the active one. turn: 0 for the update on the step's real view, from 1 for those of
+    pseudo views that have their own; each has draws of its own, and the first's never change."""
 
     step: int
     epoch: int
     version: int
     gaussians: Gaussians
     sh_degree: int
+    turn: int = 0
 
 
 def step_context(
@@ -60,7 +62,8 @@ def step_context(
         return fisher_information(chosen, camera, sh_degree=degree, **fixed)
 
     def rng(purpose: str) -> np.random.Generator:
-        return stream(of.seed, f"{group}/{purpose}", now.step)
+        turn = f"/{now.turn}" if now.turn else ""
+        return stream(of.seed, f"{group}/{purpose}{turn}", now.step)
 
     return StepContext(
         step=now.step,

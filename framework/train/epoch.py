@@ -17,7 +17,8 @@ from framework.types import PSEUDO, View
 def ordered(
     real: Sequence[View], pseudo: Sequence[View], seed: int, epoch: int
 ) -> list[tuple[View, ...]]:
-    """The steps of an epoch: a real view each, and after it the pseudo views that join its step.
+    """The steps of an epoch: a real view each, and after it the pseudo views that join its step, or
+    have steps of their own just before it (`trainer.pseudo_steps`).
 
     The order of the real ones depends on (seed, epoch) alone; a pseudo view joins a step by a draw
     of its own. So all methods of a seed see the same real view at every step.
@@ -41,15 +42,21 @@ class Item:
 
 class Items:
     """Items of real views are kept at their present resolution, those of pseudo views made anew:
-    they live for an epoch."""
+    they live for an epoch.
 
-    def __init__(self) -> None:
+    covered: a pseudo view's loss is the mean over the pixels in its mask, which is that over the
+    frame divided by the share that they cover (outside, loss and SSIM's error are 0).
+    """
+
+    def __init__(self, covered: bool = False) -> None:
+        self._covered = covered
         self._kept: dict[str, tuple[int, Item]] = {}
 
     def get(self, view: View, factor: int) -> Item:
         """`view` box-downsampled by `factor`."""
         if PSEUDO in view.tags:
-            return _item(view, factor)
+            item = _item(view, factor)
+            return _over_covered(item) if self._covered else item
         kept = self._kept.get(view.name)
         if kept is None or kept[0] != factor:
             kept = self._kept[view.name] = factor, _item(view, factor)
@@ -62,6 +69,13 @@ def _item(view: View, factor: int) -> Item:
         camera = view.camera.scaled(factor)
         view = replace(view, camera=camera, image=image, mask=mask, depth=None)
     return Item(view, Target.of(view.image, view.mask))
+
+
+def _over_covered(item: Item) -> Item:
+    """The item with a weight that makes its loss the mean over its mask."""
+    view = item.view
+    share = 0.0 if view.mask is None else float(np.mean(view.mask.numpy(), dtype=np.float64))
+    return item if share == 0 else replace(item, view=replace(view, weight=view.weight / share))
 
 
 def _smaller(view: View, factor: int) -> tuple[Tensor, Tensor | None]:

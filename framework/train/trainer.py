@@ -3,9 +3,12 @@
 A training step: pick the epoch's next view -> the regularizer scales opacities -> rasterize ->
 photometric loss (+ regularizer term) -> gradient -> Adam -> the capacity plugin edits the set. At
 each epoch's start the augmenter may add pseudo views; each joins the step of a real one and adds
-its weighted loss. So every method takes the same steps on the same real views. The trainer holds a
-`TrainingSet`, so no test view can be reached from here; `evaluate` is a callback that sees only the
-Gaussians.
+its weighted loss, or has an update of its own before it (`trainer.pseudo_steps`). A step is one
+real view's in both cases and what pseudo views do comes on top: so every method takes the same
+steps on the same real views, and rates, SH bands, capacity, evaluations and checkpoints, which go
+by the step, mean the same for all. The paper counts both: its T updates with one pseudo view per
+epoch of K photos are T K / (K + 1) steps here. The trainer holds a `TrainingSet`, so no test view
+can be reached from here; `evaluate` is a callback that sees only the Gaussians.
 """
 
 from __future__ import annotations
@@ -25,20 +28,14 @@ from framework.records.progress import Progress
 from framework.records.run_files import HistoryRow
 from framework.train import schedule
 from framework.train.context import Conditions, Moment
+from framework.train.descent import descend
+from framework.train.dose import Dose
 from framework.train.edits import apply_edits
 from framework.train.epoch import Item, Items, ordered
-from framework.train.gradient import (
-    Penalty,
-    ViewGradient,
-    screen_gradient,
-    step_stats,
-    view_gradient,
-)
-from framework.train.guard import diverged
 from framework.train.optim import Adam
 from framework.train.plugged import PluginsAtWork
 from framework.train.resume.training_state import Keeper, Plugins, Trained, TrainerState
-from framework.types import DepthMap, Gaussians, TrainingSet, View
+from framework.types import PSEUDO, DepthMap, Gaussians, TrainingSet, View
 
 LOG = logging.getLogger(__name__)
 HISTORY_ROWS = 60  # about so many rows of history per run, beside the evaluations
@@ -80,16 +77,17 @@ class Trainer:
         self.options = options = schedule.paced(options, len(training.views))
         self.progress, self.evaluate, self.keeper = progress, evaluate, keeper
         self.sh_from = sh_from
-        self.tells = tells and start is None  # a resumed training has not seen all
+        self.tells = tells
         self.near, self.extent = options.near_plane * training.near, training.extent
         fixed = background_color(options.background, training)
         self.random_background = fixed is None
         self.background: Tensor = _mean_color(training) if fixed is None else fixed
         conditions = Conditions(training, depth, options, self.background, self.near, seed)
-        self.plugins = PluginsAtWork(plugins, conditions)
+        self.dose = Dose()
+        self.plugins = PluginsAtWork(plugins, conditions, self.dose)
         self.params = gaussians.clone().map(_parameter)
         self.optimizer = Adam(self.params)
-        self.items = Items()
+        self.items = Items(covered=options.pseudo_mean == "covered")
         self.pseudo: list[View] = []
         self.queue: list[tuple[View, ...]] = []
         self.step, self.epoch, self.version = 0, -1, 0
@@ -123,18 +121,48 @@ class Trainer:
             self.watch.wall_s,
             self.watch.cpu_s,
             self.resumed,
+            self.dose.kept(),
         )
 
     def _train_step(self) -> float:
-        """Pick, render, lose, step, edit. Returns the loss on the real view."""
-        items = self._pick()
-        factors, penalty = self.plugins.regularization(self._now(), self.params)
-        loss, stats = self._descend(items, penalty, self._rendered(factors))
+        """Pick, render, lose, step, edit. Returns the loss on the real view.
+
+        A pseudo view's own update comes before its real one: so every step, and the training, ends
+        on a photo, and what the capacity plugin sees of it is of the Gaussians as they are.
+        """
+        real, *pseudo = self._pick()
+        if self.options.pseudo_steps == "own":
+            for turn, item in enumerate(pseudo, 1):
+                self._update([item], turn)
+            pseudo = []
+        loss, stats = self._update([real, *pseudo])
         self._edit(stats)
         return loss
 
+    def _update(self, items: list[Item], turn: int = 0) -> tuple[float, StepStats]:
+        """One descent down the losses on `items`; the loss on the first, and what was seen of it.
+
+        Opacities fade in those on real views alone: so much per step, whatever joins it.
+        """
+        factors, penalty = self.plugins.regularization(self._now(turn), self.params)
+        losses, stats = descend(
+            self.params,
+            self.optimizer,
+            items,
+            self.step,
+            schedule.learning_rates(self.options, self.step, self.extent),
+            self.options.opacity_decay if turn == 0 else 1.0,
+            self.options.ssim_weight,
+            penalty,
+            **self._rendered(factors),
+        )
+        self.dose.add("steps")
+        for item, loss in zip(items, losses, strict=True):
+            self.dose.add("loss.pseudo" if PSEUDO in item.view.tags else "loss.real", loss)
+        return losses[0], stats
+
     def _pick(self) -> tuple[Item, ...]:
-        """The epoch's next real view and the pseudo views that join it, at the current resolution;
+        """The epoch's next real view and the pseudo views of its step, at the current resolution;
         starts an epoch when needed."""
         if not self.queue:
             self.epoch += 1
@@ -161,44 +189,6 @@ class Trainer:
             "near": self.near,
         }
 
-    def _descend(
-        self, items: tuple[Item, ...], penalty: Penalty | None, rendered: dict[str, Any]
-    ) -> tuple[float, StepStats]:
-        """Adam's step down the losses on a real view, the first item, and the pseudo views that
-        join it; gives the loss and what was seen of the real one.
-
-        A lone view's gradient goes from the screen into Adam while the cache has it; the others'
-        are summed as a whole.
-        """
-        rates = schedule.learning_rates(self.options, self.step, self.extent)
-        decay, ssim_weight = self.options.opacity_decay, self.options.ssim_weight
-        first = items[0]
-        if len(items) == 1 and penalty is None:
-            loss, found = screen_gradient(
-                self.params, first, self._where(first), ssim_weight, **rendered
-            )
-            broken, means2d = self.optimizer.step_from(found, rates, decay)
-            stats = step_stats(first, means2d, found.radii)
-        else:
-            loss, gradients, stats = self._gradients(first, penalty, rendered)
-            for item in items[1:]:
-                for name, gradient in self._gradients(item, penalty, rendered)[1].items():
-                    gradients[name].add_(gradient)
-            broken = self.optimizer.step(self.params, gradients, rates, decay)
-        if broken:
-            state = self.optimizer.state()
-            raise diverged(broken, self._where(first), self.params.detach(), state)
-        return loss, stats
-
-    def _gradients(
-        self, item: Item, penalty: Penalty | None, rendered: dict[str, Any]
-    ) -> ViewGradient:
-        where, ssim_weight = self._where(item), self.options.ssim_weight
-        return view_gradient(self.params, item, where, ssim_weight, penalty, **rendered)
-
-    def _where(self, item: Item) -> str:
-        return f"training step {self.step} on view '{item.view.name}'"
-
     def _edit(self, stats: StepStats) -> None:
         """Let the capacity plugin change the set, parameters and moments together."""
         edits = self.plugins.edits(self._now(), stats)
@@ -211,10 +201,10 @@ class Trainer:
     def _sh_degree(self) -> int:
         return schedule.sh_degree(self.options, self.step, self.params.sh_degree, self.sh_from)
 
-    def _now(self) -> Moment:
+    def _now(self, turn: int = 0) -> Moment:
         """Where the training stands, as plugins see it."""
         gaussians, degree = self.params.detach(), self._sh_degree()
-        return Moment(self.step, self.epoch, self.version, gaussians, degree)
+        return Moment(self.step, self.epoch, self.version, gaussians, degree, turn)
 
     def _record(self, loss: float, seconds: float, evaluating: bool) -> None:
         """A row of the history; on evaluation steps with the test PSNR."""
@@ -248,6 +238,7 @@ class Trainer:
             plugins=self.plugins.kept(),
             history=tuple(self.history),
             logged=dict(self.plugins.logged),
+            dose=self.dose.kept(),
             psnr=self.psnr,
             wall_s=self.watch.wall_s,
             cpu_s=self.watch.cpu_s,
@@ -261,6 +252,7 @@ class Trainer:
         self.pseudo = list(state.pseudo)
         self.queue = self._ordered()[: state.left] if state.left else []
         self.plugins.take_up(state.plugins, state.logged)
+        self.dose.take_up(state.dose)
         self.history = list(state.history)
         self.psnr, self.resumed = state.psnr, state.resumed + 1
         self.watch = Stopwatch(state.wall_s, state.cpu_s)

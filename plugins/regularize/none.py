@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from framework.plugin import Regularizer, register
 
@@ -11,3 +12,5 @@ from framework.plugin import Regularizer, register
 @dataclass(frozen=True)
 class NoRegularization(Regularizer):
     """Neither opacity factors nor a loss term."""
+
+    idle: ClassVar[bool] = True

@@ -42,6 +42,7 @@ def check_state(
     check_count("resumed", state.resumed)
     terms = (options.sh_degree + 1) ** 2 - 1
     check_gaussians("gaussians", state.gaussians, None, terms)
+    _check_dose(state.dose)
     _check_adam(state.adam, state, terms)
     check_kind("pseudo", state.pseudo, tuple)
     for i, view in enumerate(state.pseudo):
@@ -65,7 +66,18 @@ def _check_adam(adam: Any, state: TrainerState, terms: int) -> None:
     if len(adam.steps) != len(adam.first.items()):
         raise ValueError(f"adam.steps: expected one per tensor, got {len(adam.steps)}")
     for steps in adam.steps:
-        check_count("adam.steps", steps, state.step)
+        check_count("adam.steps", steps, max(state.step, state.dose.get("steps", (0, 0.0))[0]))
+
+
+def _check_dose(dose: Any) -> None:
+    check_kind("dose", dose, dict)
+    for name, tally in dose.items():
+        check_kind("dose", name, str)
+        check_kind(f"dose {name:.40}", tally, tuple)
+        if len(tally) != 2:
+            raise ValueError(f"dose {name:.40}: expected a count and a sum, got {len(tally)}")
+        check_count(f"dose {name:.40}", tally[0])
+        check_kind(f"dose {name:.40}", tally[1], float)
 
 
 def _check_history(state: TrainerState) -> None:

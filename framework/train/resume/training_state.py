@@ -7,13 +7,14 @@ the scene and are not repeated; an epoch's pseudo views are, since they were mad
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from torch import Tensor
 
 from framework.records.run_files import HistoryRow
 from framework.registry import Plugged
+from framework.train.dose import Tallies
 from framework.train.optim import AdamState
 from framework.types import Gaussians, View
 
@@ -31,7 +32,7 @@ class Plugins:
 class Trained:
     """What a training gives. background: [3], what renders for evaluation stand on. wall_s, cpu_s:
     of the training without evaluations, all its parts together. resumed: how often it was taken up
-    again from a kept state."""
+    again from a kept state. dose: see `framework.train.dose`."""
 
     gaussians: Gaussians
     background: Tensor
@@ -40,6 +41,7 @@ class Trained:
     wall_s: float
     cpu_s: float
     resumed: int
+    dose: Tallies = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,8 @@ class TrainerState:
 
     step: finished steps. left: how many of the epoch's real views are still to be trained on.
     pseudo: the epoch's pseudo views. plugins: by group. logged: since the last row of `history`.
-    psnr: the last one measured. wall_s, cpu_s: of the training so far, without evaluations.
-    resumed: how often it was taken up again.
+    dose: of the methods so far. psnr: the last one measured. wall_s, cpu_s: of the training so far,
+    without evaluations. resumed: how often it was taken up again.
     """
 
     step: int
@@ -70,6 +72,7 @@ class TrainerState:
     plugins: Mapping[str, PluginState]
     history: tuple[HistoryRow, ...]
     logged: Mapping[str, float]
+    dose: Tallies
     psnr: float | None
     wall_s: float
     cpu_s: float
