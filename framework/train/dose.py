@@ -13,6 +13,7 @@ Tallies = Mapping[str, tuple[int, float]]  # name -> how often, and the sum of w
 Told = dict[str, float | str]
 
 REFUSED = "refused_"
+NONE = (0, 0.0)
 NEVER = "never asked"
 
 
@@ -25,7 +26,7 @@ class Dose:
     def open(self, *names: str) -> None:
         """Name what may happen, so that it is told also if it never does."""
         for name in names:
-            self._tallies.setdefault(name, (0, 0.0))
+            self._tallies.setdefault(name, NONE)
 
     def add(self, name: str, value: float = 0.0) -> None:
         """Once more, with this value."""
@@ -33,7 +34,7 @@ class Dose:
         self._tallies[name] = count + 1, total + float(value)
 
     def __getitem__(self, name: str) -> tuple[int, float]:
-        return self._tallies.get(name, (0, 0.0))
+        return self._tallies.get(name, NONE)
 
     def kept(self) -> dict[str, tuple[int, float]]:
         """What a checkpoint holds."""
@@ -49,7 +50,7 @@ def joined(parts: Iterable[Tallies]) -> Tallies:
     whole: dict[str, tuple[int, float]] = {}
     for part in parts:
         for name, (count, total) in part.items():
-            before = whole.get(name, (0, 0.0))
+            before = whole.get(name, NONE)
             whole[name] = before[0] + count, before[1] + total
     return whole
 
@@ -80,13 +81,13 @@ def told(of: Tallies) -> Told:
 
 def _of_augmenter(of: Tallies) -> Told:
     asked, acted = of["augment.asked"]
-    found: Told = {"views_asked": asked, "views_made": of["augment.views"][0]}
+    found: Told = {"views_asked": asked, "views_made": of.get("augment.views", NONE)[0]}
     logged = _logged(of, "augment")
     refused = {name: count for name, (count, _) in logged.items() if name.startswith(REFUSED)}
     left = asked - int(acted) - sum(refused.values())
     found |= {f"{REFUSED}coverage": 0, **refused, f"{REFUSED}other": max(0, left)}
     found |= _means({name: tally for name, tally in logged.items() if name not in refused})
-    real, pseudo = (of.get(f"loss.{kind}", (0, 0.0)) for kind in ("real", "pseudo"))
+    real, pseudo = (of.get(f"loss.{kind}", NONE) for kind in ("real", "pseudo"))
     found["pseudo_share_of_loss"] = _ratio(pseudo[1], real[1] + pseudo[1])
     found["pseudo_share_of_views"] = _ratio(pseudo[0], real[0] + pseudo[0])
     return found | {"augment_acted_share": _ratio(acted, asked)}
@@ -95,8 +96,9 @@ def _of_augmenter(of: Tallies) -> Told:
 def _of_regularizer(of: Tallies) -> Told:
     found = _means(_logged(of, "reg"))
     if "reg.dropped" in of:
-        found["share_dropped_mean"] = _ratio(of["reg.dropped"][1], of["steps"][0])
-    return found | {"reg_acted_share": _ratio(of["reg.acted"][0], of["reg.asked"][0])}
+        found["share_dropped_mean"] = _ratio(of["reg.dropped"][1], of.get("steps", NONE)[0])
+    acted = of.get("reg.acted", NONE)[0]
+    return found | {"reg_acted_share": _ratio(acted, of["reg.asked"][0])}
 
 
 def _logged(of: Tallies, group: str) -> dict[str, tuple[int, float]]:

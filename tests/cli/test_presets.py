@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from framework import registry
 from framework.command.cli import main
-from framework.command.config.schema import check
+from framework.command.config.schema import CONF_DIR, ROOT, check
+from framework.methods.dropout import DropoutRegularizer
+from framework.methods.warping import WarpingAugmenter
 from framework.options import TrainerOptions
 from framework.train import schedule
 from tests.cli.conftest import FakeRuns
@@ -16,11 +20,17 @@ from tests.cli.test_config import composed
 
 PAIRS = {
     "baseline": ("none", "none"),
+    "uniform": ("none", "uniform"),
+    "dropgaussian": ("none", "dropgaussian"),
     "dba": ("dba", "none"),
+    "euclidean": ("euclidean", "none"),
+    "full_set": ("full_set", "none"),
     "safi": ("safi", "none"),
+    "uar_hard": ("none", "uar_hard"),
     "uar": ("none", "uar"),
     "safi_uar": ("safi", "uar"),
 }
+PLUGINS = {"dropgaussian": "uniform", "uar_hard": "uar"}  # of the variants
 
 
 def test_the_paper_s_conditions() -> None:
@@ -69,7 +79,8 @@ def test_a_preset_can_be_changed_like_anything_else(runs: FakeRuns) -> None:
 @pytest.mark.parametrize(("name", "pair"), PAIRS.items())
 def test_a_method_is_a_pair(name: str, pair: tuple[str, str]) -> None:
     config = composed(f"method={name}")
-    assert (config["augment"]["name"], config["reg"]["name"]) == pair
+    augment, reg = pair
+    assert (config["augment"]["name"], config["reg"]["name"]) == (augment, PLUGINS.get(reg, reg))
     check(config)
 
 
@@ -78,9 +89,48 @@ def test_a_choice_on_the_line_beats_the_method(runs: FakeRuns) -> None:
     assert runs.methods == [("safi", "none", 0)]
 
 
+@pytest.mark.parametrize("name", [n for n, pair in PAIRS.items() if n != "baseline"])
+def test_the_paper_s_dose_is_every_method_s(name: str) -> None:
+    """And of the defaults nothing: they were chosen in this repository."""
+    config = composed("preset=paper", f"method={name}")
+    check(config)
+    augment, reg, trainer = config["augment"], config["reg"], config["trainer"]
+    assert (trainer["pseudo_steps"], trainer["pseudo_mean"]) == ("own", "covered")
+    if augment["name"] != "none":
+        dose: dict[str, Any] = {"every": 1, "roll": False, "weight": 1.0, "start": 0.1, "stop": 1.0}
+        assert dose.items() <= augment.items()
+    if reg["name"] != "none":
+        dose = {"p": 0.2, "schedule": "linear", "start": 0.0, "stop": 1.0}
+        assert dose.items() <= reg.items()
+        assert reg["compensate"] == (name == "dropgaussian")
+    plain = composed(f"method={name}")["trainer"]
+    assert (plain["pseudo_steps"], plain["pseudo_mean"]) == ("joined", "frame")
+
+
+def test_every_warping_augmenter_and_dropout_has_the_paper_s_dose() -> None:
+    """A new one needs its file, or `preset=paper` would leave it at the defaults."""
+    for group, base in (("augment", WarpingAugmenter), ("reg", DropoutRegularizer)):
+        named = {name: registry.lookup(group, name) for name in registry.names(group)}
+        of_family = {name for name, cls in named.items() if issubclass(cls, base)}
+        files = {path.stem for path in (CONF_DIR / "for_preset" / group).glob("paper_*.yaml")}
+        assert {f"paper_{name}" for name in of_family} <= files
+    line = ("preset=paper", "augment=safi", "augment.weight=0.5", "augment.every=3")
+    changed = composed(*line)["augment"]
+    assert (changed["weight"], changed["every"], changed["roll"]) == (0.5, 3, False)
+
+
+def test_the_page_of_the_paper_names_what_the_preset_sets() -> None:
+    page = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
+    for option in ("augment.every=1", "augment.weight=1", "augment.roll=false", "reg.p=0.2"):
+        assert f"`{option}`" in page
+    for option in ("trainer.pseudo_steps=own", "trainer.pseudo_mean=covered"):
+        assert f"`{option}`" in page
+
+
 def test_the_main_ablation_is_the_paper_s_table(runs: FakeRuns) -> None:
     assert main(["sweep=ablation_main", "seed=4"]) == 0
-    assert [method[:2] for method in runs.methods] == list(PAIRS.values())
+    pairs = [(augment, PLUGINS.get(reg, reg)) for augment, reg in PAIRS.values()]
+    assert [method[:2] for method in runs.methods] == pairs
     assert [f.name.rpartition("-")[0] for f in runs.folders] == [
         f"{augment}-{reg}-s4" for augment, reg in PAIRS.values()
     ]
@@ -112,3 +162,4 @@ def test_a_short_run_under_the_paper_s_conditions(tmp_path: Path) -> None:
     record = json.loads((tmp_path / "out" / "record.json").read_text(encoding="utf-8"))
     assert record["status"] == "complete"
     assert record["config"]["capacity"]["name"] == "adc"
+    assert record["dose"] == {}

@@ -61,17 +61,21 @@ def plugins(**names: str) -> Plugins:
 
 
 def train(
-    chosen: Plugins, keeper: Any = None, start: TrainerState | None = None, sh_degree: int = 1
+    chosen: Plugins,
+    keeper: Any = None,
+    start: TrainerState | None = None,
+    sh_degree: int = 1,
+    **changes: Any,
 ) -> Trained:
-    options = dataclasses.replace(OPTIONS, sh_degree=sh_degree)
+    options = dataclasses.replace(OPTIONS, sh_degree=sh_degree, **changes)
     scene = _plane(sh_degree)
     return Trainer(*scene, options, chosen, 0, Silent(), lambda *_: 1.5, keeper, start).run()
 
 
 def outcome(trained: Trained) -> tuple[Any, ...]:
-    """All of a training but its times."""
+    """All of a training but its times; also how much of its methods it got."""
     rows = [(r.step, r.loss, r.gaussians, r.test_psnr, dict(r.logged)) for r in trained.history]
-    return parameters_sha256(trained.gaussians), rows, trained.sh_degree
+    return parameters_sha256(trained.gaussians), rows, trained.sh_degree, dict(trained.dose)
 
 
 @pytest.mark.parametrize(
@@ -94,6 +98,42 @@ def test_a_training_taken_up_again_ends_with_the_same_bits(
         again = train(chosen, start=state, sh_degree=sh_degree)
         assert outcome(again) == outcome(whole)
         assert again.resumed == 1 and again.wall_s > state.wall_s
+
+
+def test_updates_of_pseudo_views_alone_are_taken_up_too(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A training has more updates than steps then, and Adam counts them; what is told in the end is
+    of the whole training."""
+    chosen = plugins(**ACTING)
+    rare = dataclasses.replace(chosen.augment.plugin, min_coverage=0.98)
+    chosen = dataclasses.replace(chosen, augment=dataclasses.replace(chosen.augment, plugin=rare))
+    files = Files(tmp_path, chosen)
+    own: dict[str, Any] = {"pseudo_steps": "own", "pseudo_mean": "covered"}
+    whole = train(chosen, files, **own)
+    asked, made = whole.dose["augment.asked"]
+    assert asked == 7 and 0 < made < asked
+    assert whole.dose["steps"][0] == OPTIONS.steps + whole.dose["loss.pseudo"][0] > OPTIONS.steps
+    messages = [record.getMessage() for record in caplog.records]
+    for step in TAKEN_UP_AT:
+        caplog.clear()
+        state = files.checkpoints(step).newest(files.check)
+        assert state is not None and max(state.adam.steps) == state.dose["steps"][0]
+        assert outcome(train(chosen, start=state, **own)) == outcome(whole)
+        assert [record.getMessage() for record in caplog.records] == messages
+
+
+@pytest.mark.parametrize(
+    "dose", [[], {1: (0, 0.0)}, {"a": (0,)}, {"a": (-1, 0.0)}, {"a": (1, "x")}, {"a": [1, 0.0]}]
+)
+def test_a_forged_dose_is_refused(dose: Any, tmp_path: Path) -> None:
+    chosen = plugins()
+    files = Files(tmp_path, chosen)
+    train(chosen, files)
+    state = files.checkpoints(7).newest(files.check)
+    assert state is not None
+    with pytest.raises(ValueError, match="dose"):
+        files.check(dataclasses.replace(state, dose=dose))
 
 
 def test_keeping_changes_nothing(tmp_path: Path) -> None:

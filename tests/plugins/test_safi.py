@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,8 @@ from framework.errors import UserError
 from framework.methods.warping import WarpingAugmenter, mean_neighbour_distance, perturbed, within
 from framework.plugin import StepContext
 from framework.types import Camera, View
+from plugins.augment.dba import Dba
+from plugins.augment.full_set import FullSet
 from plugins.augment.safi import Safi
 from tests.plugins.fakes import Log, context, stage, wall_of_gaussians
 from tests.warp.stage import camera, photograph
@@ -109,6 +111,36 @@ def test_too_little_coverage_gives_no_view_and_says_so() -> None:
     assert 0 < log.values["safi_coverage"][0] < 1
 
 
+def test_coverage_counts_against_what_confident_depth_covers() -> None:
+    """A scene whose depth covers the left half of every photo still has pseudo views."""
+    now = context()
+    half = [replace(d, confidence=d.confidence.clone()) for d in now.depth]
+    for depth in half:
+        depth.confidence[:, depth.confidence.shape[1] // 2 :] = 0
+    whole, halved = Log({}), Log({})
+    dba = Dba(min_coverage=0.6)
+    only_view(dba, replace(now, log=whole))
+    view = only_view(dba, replace(now, depth=tuple(half), log=halved))
+    assert view.mask is not None
+    (frame,), (of_depth,) = halved.values["dba_coverage"], halved.values["dba_coverage_of_depth"]
+    assert frame == pytest.approx(float(view.mask.mean())) and frame < 0.5
+    assert of_depth == pytest.approx(2 * frame)
+    assert whole.values["dba_coverage"] == whole.values["dba_coverage_of_depth"]
+    nothing = tuple(replace(d, confidence=0 * d.confidence) for d in now.depth)
+    refused = Log({})
+    views, _ = Dba(min_coverage=0.01).pseudo_views(replace(now, depth=nothing, log=refused), None)
+    assert views == [] and refused.values["dba_refused_coverage"] == [1.0]
+    assert refused.values["dba_coverage_of_depth"] == [0.0]
+
+
+def test_how_far_the_supports_are_is_told_in_camera_spacings() -> None:
+    log, now = Log({}), context()
+    view = only_view(FullSet(), replace(now, log=log))
+    distances = [float((v.camera.center - view.camera.center).norm()) for v in now.views]
+    spacing = mean_neighbour_distance([v.camera for v in now.views])
+    assert log.values["full_set_support_distance"] == [pytest.approx(sum(distances) / 3 / spacing)]
+
+
 def test_state_survives_pickling_to_the_same_bits() -> None:
     _, state = Safi().pseudo_views(context(), None)
     revived = pickle.loads(pickle.dumps(state))
@@ -144,6 +176,20 @@ def test_perturbation_has_the_stated_size() -> None:
     angles = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
     assert np.sqrt(np.mean(angles**2)) == pytest.approx(2.0, rel=0.1)
     assert all(torch.allclose(t @ t.T, torch.eye(3).double(), atol=1e-12) for t in turns)
+
+
+def test_without_roll_the_image_never_turns_in_its_plane() -> None:
+    start, rng = camera(0.3, yaw=0.2), stream(0, "perturb")
+    tilts = []
+    for _ in range(400):
+        turned = perturbed(start, rng, 0.0, 2.0, roll=False)
+        turn = (turned.viewmat[:3, :3] @ start.viewmat[:3, :3].T).numpy()
+        assert turn[1, 0] == pytest.approx(turn[0, 1], abs=1e-12)  # no turn about z
+        tilts.append([turn[2, 1], turn[0, 2]])
+    assert np.degrees(np.sqrt((np.square(tilts)).sum(1).mean())) == pytest.approx(2.0, rel=0.1)
+    assert np.degrees(np.std(tilts, axis=0)) == pytest.approx([2**0.5] * 2, rel=0.15)
+    rolled, level = (perturbed(start, stream(0, "p"), 0.5, 2.0, roll) for roll in (True, False))
+    torch.testing.assert_close(rolled.center, level.center)  # the same draws otherwise
 
 
 def test_neighbour_distance() -> None:

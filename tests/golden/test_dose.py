@@ -1,0 +1,232 @@
+"""Pseudo views as training examples of their own, and how much of a method a training got."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from framework import registry
+from framework.options import TrainerOptions
+from framework.plugin import Augmenter, Regularizer, StepContext
+from framework.rasterize.losses import photometric_gradient
+from framework.records.progress import Silent
+from framework.records.record import parameters_sha256
+from framework.registry import Plugged
+from framework.run.members import in_turn
+from framework.run.warmup import _plane
+from framework.train.dose import NEVER, joined, told
+from framework.train.epoch import Item, Items
+from framework.train.optim import Adam
+from framework.train.trainer import Plugins, Trained, Trainer
+from framework.types import PSEUDO, Camera, View
+
+STEPS, K = 12, 3  # four epochs
+
+
+@dataclass(frozen=True)
+class Darker(Augmenter):
+    """One pseudo view in every epoch that `every` divides; says why where there is none."""
+
+    every: int = 1
+
+    def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[View], Any]:
+        if ctx.epoch % self.every:
+            ctx.log("Darker_refused_mood", 1.0)
+            return [], state
+        ctx.log("Darker_light", 0.5 + ctx.epoch)
+        return [replace(ctx.views[0], name="dark", image=ctx.views[0].image * 0.5)], state
+
+
+class Noting(Trainer):
+    """Notes the names of the views of every update."""
+
+    names: list[list[str]]
+
+    def _update(self, items: list[Item], turn: int = 0) -> Any:
+        self.names.append([item.view.name for item in items])
+        return super()._update(items, turn)
+
+
+def plugins(**changes: Plugged) -> Plugins:
+    chosen = {"augment": "none", "reg": "none", "capacity": "fixed"}
+    built = {group: registry.build(group, {"name": name}) for group, name in chosen.items()}
+    return Plugins(**{**built, **changes})
+
+
+def darker(every: int = 1, weight: float = 1.0) -> dict[str, Plugged]:
+    return {"augment": Plugged(Darker(every), weight, 0.0, 1.0)}
+
+
+def train(chosen: Plugins, **options: Any) -> tuple[Trained, list[list[str]]]:
+    settings = TrainerOptions(**{"steps": STEPS, "evaluations": 1, "coarse_factor": 1, **options})
+    trainer = Noting(*_plane(settings.sh_degree), settings, chosen, 0, Silent())
+    trainer.names = []
+    return trainer.run(), trainer.names
+
+
+def test_an_epoch_has_k_real_updates_and_the_pseudo_view_s_own_before_one_of_them() -> None:
+    _, plain = train(plugins())
+    _, together = train(plugins(**darker()))
+    trained, own = train(plugins(**darker()), pseudo_steps="own")
+    assert len(plain) == len(together) == STEPS and len(own) == STEPS + STEPS // K
+    assert all(len(update) == 1 for update in own)
+    # the same real view at every step, and the pseudo views at the same steps
+    assert [update for update in own if update != ["dark"]] == plain
+    joins = [update[0] for update in together if update[1:]]
+    assert [after[0] for update, after in itertools.pairwise(own) if update == ["dark"]] == joins
+    assert own[-1] != ["dark"]
+    assert trained.history[-1].step == STEPS
+    assert trained.dose["steps"][0] == STEPS + STEPS // K
+    assert trained.dose["loss.real"][0] == STEPS and trained.dose["loss.pseudo"][0] == STEPS // K
+
+
+def test_own_updates_differ_from_joined_ones_and_neither_from_itself() -> None:
+    bits = [
+        parameters_sha256(train(plugins(**darker()), pseudo_steps=how)[0].gaussians)
+        for how in ("own", "own", "joined")
+    ]
+    assert bits[0] == bits[1] != bits[2]
+    plain = [train(plugins(), pseudo_steps=how, pseudo_mean=mean)[0].gaussians
+             for how, mean in (("joined", "frame"), ("own", "covered"))]  # fmt: skip
+    assert parameters_sha256(plain[0]) == parameters_sha256(plain[1])
+
+
+def test_opacities_fade_in_real_updates_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    decays: list[float] = []
+    step_from = Adam.step_from
+
+    def noted(self: Adam, found: Any, rates: Any, decay: float = 1.0) -> Any:
+        decays.append(decay)
+        return step_from(self, found, rates, decay)
+
+    monkeypatch.setattr(Adam, "step_from", noted)
+    _, names = train(plugins(**darker()), pseudo_steps="own", opacity_decay=0.9, pace_steps=0)
+    assert decays == [1.0 if update == ["dark"] else 0.9 for update in names]
+
+
+def test_every_update_has_draws_of_its_own_and_the_real_ones_are_the_plain_trainer_s() -> None:
+    @dataclass(frozen=True)
+    class Drawing(Regularizer):
+        def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
+            state = [*(state or []), float(ctx.rng("own").random())]
+            drawn.append(state[-1])
+            return None, state
+
+    drawn: list[float] = []
+    reg = {"reg": Plugged(Drawing(), 1.0, 0.0, 1.0)}
+    _, _ = train(plugins(**reg))
+    plain = list(drawn)
+    drawn.clear()
+    _, names = train(plugins(**reg, **darker()), pseudo_steps="own")
+    assert len(set(drawn)) == len(drawn) == STEPS + STEPS // K
+    assert [d for d, update in zip(drawn, names, strict=True) if update != ["dark"]] == plain
+
+
+def test_the_loss_over_the_covered_pixels() -> None:
+    """Whatever the mask covers, and at the resolution that is trained."""
+    image = torch.rand(3, 32, 32, generator=torch.Generator().manual_seed(0))
+    mask = torch.zeros(32, 32)
+    mask[:20, :12] = 1.0
+    view = View("v", Camera(torch.eye(4), torch.eye(3), 32, 32), image * mask, mask, 0.5)
+    pseudo, black = replace(view, tags=(PSEUDO,)), torch.zeros(3, 32, 32).numpy()
+    for factor in (1, 2):
+        item = Items(covered=True).get(pseudo, factor)
+        size = 32 // factor
+        loss, _ = photometric_gradient(
+            black[:, :size, :size].copy(), item.target, 0.0, item.view.weight
+        )
+        inside = item.view.mask
+        assert inside is not None
+        assert loss == pytest.approx(0.5 * float(item.view.image[:, inside > 0].mean()), rel=1e-5)
+    assert Items(covered=True).get(view, 1).view.weight == 0.5  # a photo's stays
+    assert Items().get(pseudo, 1).view.weight == 0.5
+    assert Items(covered=True).get(replace(pseudo, mask=None), 1).view.weight == 0.5
+    nothing = replace(pseudo, mask=0 * mask)
+    assert Items(covered=True).get(nothing, 1).view.weight == 0.5
+
+
+def test_what_is_told_by_hand() -> None:
+    assert told({"steps": (10, 0.0), "loss.real": (10, 5.0)}) == {}
+    tallies = {
+        **{"steps": (12, 0.0), "loss.real": (12, 3.0), "loss.pseudo": (2, 1.0)},
+        **{"augment.asked": (6, 2.0), "augment.views": (2, 0.0)},
+        **{"log.augment.coverage": (4, 2.0), "log.augment.refused_coverage": (3, 3.0)},
+        **{"reg.asked": (8, 0.0), "reg.acted": (6, 0.0), "reg.dropped": (8, 1.2)},
+        **{"log.reg.ranked": (2, 60.0), "log.capacity.noise": (1, 1.0)},
+    }
+    assert told(tallies) == {
+        **{"views_asked": 6, "views_made": 2, "refused_coverage": 3, "refused_other": 1},
+        **{"coverage_mean": 0.5, "ranked_mean": 30.0},
+        **{"pseudo_share_of_loss": 0.25, "pseudo_share_of_views": pytest.approx(1 / 7)},
+        **{"share_dropped_mean": pytest.approx(0.1), "reg_acted_share": 0.75},
+        **{"augment_acted_share": pytest.approx(1 / 3), "acted_share": pytest.approx(1 / 3)},
+    }
+    unasked = told({"steps": (1, 0.0), "augment.asked": (0, 0.0), "augment.views": (0, 0.0)})
+    assert unasked["views_asked"] == 0 and unasked["acted_share"] == NEVER
+    assert (
+        told({"augment.asked": (1, 1.0), "log.augment.x": (1, float("nan"))})["x_mean"]
+        == "not finite"
+    )
+
+
+def test_members_are_told_together() -> None:
+    one, _ = train(plugins(**darker()))
+    two = in_turn([[one], [one]], STEPS, one.gaussians).dose
+    assert two == joined([one.dose, one.dose]) and two["steps"] == (2 * STEPS, 0.0)
+    assert told(two)["pseudo_share_of_loss"] == pytest.approx(
+        told(one.dose)["pseudo_share_of_loss"]
+    )
+
+
+def test_the_dose_of_a_training() -> None:
+    uniform = registry.build("reg", {"name": "uniform", "p": 0.5, "schedule": "constant",
+                                     "count": "exact", "start": 0.25, "stop": 0.75})  # fmt: skip
+    trained, _ = train(plugins(**darker(every=2, weight=0.0), reg=uniform))
+    found = told(trained.dose)
+    assert (found["views_asked"], found["views_made"]) == (4, 2)
+    assert (found["refused_mood"], found["refused_coverage"], found["refused_other"]) == (2, 0, 0)
+    assert found["light_mean"] == 1.5 and found["pseudo_share_of_loss"] == 0
+    assert found["reg_acted_share"] == 1.0 and found["acted_share"] == 0.5
+    assert found["share_dropped_mean"] == pytest.approx(0.25)  # half of them in half of the steps
+    assert told(train(plugins())[0].dose) == {}
+    more = [told(train(plugins(**darker(weight=w)))[0].dose) for w in (0.3, 1.0)]
+    assert 0 < more[0]["pseudo_share_of_loss"] < more[1]["pseudo_share_of_loss"] < 0.5  # type: ignore[operator]
+
+
+def test_a_method_that_acts_on_less_than_half_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    class Rare(Regularizer):
+        def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
+            few = ctx.step < 5
+            return torch.full((len(ctx.gaussians),), 0.5 if few else 1.0), state
+
+    with caplog.at_level(logging.WARNING, "framework"):
+        train(plugins(**darker(every=2)))
+        assert not caplog.records
+        train(plugins(**darker(every=3), reg=Plugged(Rare(), 1.0, 0.0, 1.0)), steps=15)
+    messages = [record.getMessage() for record in caplog.records]
+    assert messages == [
+        "augment=Darker: a pseudo view in only 2 of 5 epochs that asked for one; 0 covered less"
+        " than augment.min_coverage",
+        "reg=Rare: changed only 5 of the 15 training steps between reg.start=0 and reg.stop=1",
+    ]
+
+
+def test_a_loss_term_is_an_act_however_many_views_a_step_has() -> None:
+    class Faint(Regularizer):
+        def loss(self, ctx: Any, state: Any, view: Any, render: Any) -> Tensor:
+            total: Tensor = ctx.gaussians.opacities.mean()
+            return total
+
+    idle = told(
+        train(plugins(**darker(every=99), reg=Plugged(Regularizer(), 1.0, 0.0, 1.0)))[0].dose
+    )
+    assert idle["reg_acted_share"] == 0 and idle["views_made"] == 1
+    trained, _ = train(plugins(**darker(), reg=Plugged(Faint(), 1.0, 0.0, 1.0)))
+    found = told(trained.dose)
+    assert found["reg_acted_share"] == 1.0 and "share_dropped_mean" not in found
