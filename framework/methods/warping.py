@@ -42,11 +42,10 @@ class WarpingAugmenter(Augmenter):
     sigma_center: the paper's sigma_C, jitter of the centre per axis, in mean distances to the next
     camera. Those are of the training cameras (extents for a single one). sigma_rotation: the
     paper's sigma_theta, jitter of the orientation in degrees, about a random axis. roll: whether
-    that may be any axis, or one across the viewing direction, so that the image never turns in its
-    plane. temperature: softness of the z-buffer as a share of depth. min_coverage: least covered
-    area of a pseudo view, as a share of the area that confident depth covers in a training view. It
-    is the mean over the training views; below it there is no pseudo view. The warm-up is the
-    framework key `start`.
+    that may turn the image in its plane. Without it the axis is one across the viewing direction.
+    temperature: softness of the z-buffer as a share of depth. min_coverage: least area of a pseudo
+    view, as a share of what confident depth covers. That is the mean area over the training views;
+    a view that covers less is not used. The warm-up is the framework key `start`.
     """
 
     every: int = 2

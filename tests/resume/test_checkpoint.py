@@ -31,6 +31,7 @@ def state(step: int) -> TrainerState:
         plugins={"reg": PluginState(True, (1, 2.5))},
         history=(),
         logged={"a": 0.1},
+        dose={"steps": (2, 0.0)},
         psnr=None,
         wall_s=1.5,
         cpu_s=2.5,
