@@ -52,23 +52,6 @@ def test_a_run_reads_back(run_dir: Path) -> None:
     assert read_ply(run_dir / "point_cloud.ply")[1] is not None
 
 
-def test_the_dose_of_the_methods_reads_back(run_dir: Path) -> None:
-    """Numbers and texts; a record of before it was counted has none, and no forged one is read."""
-    path = run_dir / "record.json"
-    old = read_record(path)
-    dose = {"views_asked": 3, "acted_share": 1 / 3, "coverage_mean": "never asked"}
-    record.write_record(run_dir, replace(old, dose=dose))
-    assert read_record(path).dose == dose
-    content = json.loads(path.read_text())
-    for forged in ([], {"a": None}, {"a": [1]}, {"a": "two\nlines"}, {"two\nlines": 1}, {"a": {}}):
-        path.write_text(json.dumps(content | {"dose": forged}))
-        with pytest.raises(UserError, match="dose"):
-            read_record(path)
-    del content["dose"]
-    path.write_text(json.dumps(content))
-    assert read_record(path).dose == {}
-
-
 def test_numbers_in_the_tables_are_exact(run_dir: Path) -> None:
     view = make_view(0)
     expected = evaluate_view(view, noisy(view, 30.0, "x", 0))
@@ -181,7 +164,9 @@ def test_doses_are_read_and_flat(run_dir: Path) -> None:
     dose = {"views_asked": 42, "coverage_mean": 0.4, "how": "text", "none": None}
     path.write_text(json.dumps(content | {"dose": dose}))
     assert read_record(path).dose == dose
-    for wrong in ({"a": [1]}, {"a": "two\nlines"}, [1], None):
+    record.write_record(run_dir, replace(read_record(path), dose=dose))
+    assert read_record(path).dose == dose
+    for wrong in ({"a": [1]}, {"a": "two\nlines"}, {"two\nlines": 1}, [1], None):
         path.write_text(json.dumps(content | {"dose": wrong}))
         with pytest.raises(UserError, match="dose"):
             read_record(path)
