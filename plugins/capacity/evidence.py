@@ -21,13 +21,18 @@ their correlation are left out (`correlated` counts channels as what they are wo
 pixels are far from independent too, but scaling G by that as well removes the scene, see
 `benchmarks/results/capacity.md`).
 
-Growth proposes (the strongest pulled are split), evidence decides. A round removes at most `pace`
-of the Gaussians, those with the least gain first, since gains hold one at a time; it removes more
-where k Gaussians would not even pay if all of them changed the same pixels in the same direction:
-then they change the images by at most k times the sum of their energies (Cauchy-Schwarz). With
-many views few epochs lie between rounds, and residuals that training has not yet mended count as
-noise, so too much goes: below ten epochs the pace falls with the square root of their number
-(chosen by trial, see `benchmarks/results/capacity.md`).
+Growth proposes (the strongest pulled are split), evidence decides. What training has not yet
+mended counts as noise, and the gain is of a Gaussian that is not yet what it will be: both ask for
+too much to go. So
+- no round comes before `start`, until which the trainer takes small images (`trainer.coarse_until`)
+  and detail is still to come: 19 of 20 Gaussians would not pay;
+- a round removes at most `pace` of the Gaussians, those with the least gain first, as gains hold
+  one at a time; it removes more where k Gaussians would not even pay if all of them changed the
+  same pixels in the same direction: then they change the images by at most k times the sum of their
+  energies (Cauchy-Schwarz);
+- with many views few epochs lie between rounds: below ten the pace falls with the square root of
+  their number, and there are at least `APART` (a round costs about as much as two epochs).
+`start`, `pace` and `until` were chosen by trial, see `benchmarks/results/capacity.md`.
 """
 
 from __future__ import annotations
@@ -53,6 +58,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 CRITERIA = ("laplace", "correlated", "bic")
+APART = 2  # epochs from one round to the next at least, if a round comes at all
 FEWEST, HANDFUL = 8, 16  # are kept even if none pays; is when that is told
 ROUNDING_VARIANCE = (1 / 255) ** 2 / 12  # of 8-bit images
 NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
@@ -64,14 +70,12 @@ class Evidence(RoundsCapacity):
     """criterion: "laplace", as derived, "correlated" or "bic". The second is the same with the
     residuals' correlation between the colour channels; with "bic" the cost is k/2 log(number of
     pixel values) for k parameters (Schwarz 1978). pace: share of the Gaussians that a round removes
-    at most. It is that of a round ten epochs after the one before; sooner, less. Few rounds of much
-    growth and removal find better places than many small ones, in less time
-    (`benchmarks/results/capacity.md`).
+    at most. It is that of a round ten epochs after the one before; sooner, less. A larger one keeps
+    fewer, for less PSNR (`benchmarks/results/capacity.md`).
     """
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.25, "stop": 0.75}
 
-    until: float = 0.6
     criterion: str = "laplace"
     pace: float = 0.25
 
@@ -103,6 +107,10 @@ class Evidence(RoundsCapacity):
         if bands is not None:
             ctx.log("bands_dropped", float((keep & ~bands)[: len(ctx.gaussians.shN)].sum()))
         return Selection(keep, 0, bands, sh0)
+
+    def _interval(self, ctx: StepContext) -> int:
+        first = max(1, math.floor(self.until * ctx.n_steps))
+        return max(super()._interval(ctx), min(APART * len(ctx.views), first))
 
     def _pace(self, ctx: StepContext) -> float:
         """The share that a round may remove, with so many views."""

@@ -131,7 +131,7 @@ def test_a_scene_of_one_colour_ends_with_a_handful_and_says_so(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     with caplog.at_level(logging.WARNING, "plugins"):
-        result = trained(with_images(lambda _, image: torch.full_like(image, 0.5)), 120, pace=1.0)
+        result = trained(with_images(lambda _, image: torch.full_like(image, 0.5)), 300)
     assert FEWEST <= len(result.gaussians) <= HANDFUL
     (message,) = [record.getMessage() for record in caplog.records]
     assert "hardly a Gaussian pays for its description" in message and "\n" not in message
@@ -140,7 +140,8 @@ def test_a_scene_of_one_colour_ends_with_a_handful_and_says_so(
 def test_the_warm_up_tells_nothing_of_its_plane() -> None:
     """Neither while it compiles nor in its thread; elsewhere the same training is told of."""
     config: dict[str, Any] = {group: {"name": "none"} for group in ("augment", "reg")}
-    config |= {"capacity": {"name": "evidence"}, "trainer": {}}
+    hasty = {"name": "evidence", "start": 0.0, "until": 0.1, "pace": 1.0}
+    config |= {"capacity": hasty, "trainer": {}}
     notes = list[str]()
     progress = Silent()
     progress.note = notes.append  # type: ignore[method-assign]
@@ -172,7 +173,8 @@ def test_the_size_follows_the_content() -> None:
 
 
 def test_rounds_of_few_epochs_remove_less(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A hundred steps, a round every ten: ten epochs with one view, 2.5 with four."""
+    """A hundred steps, a round every ten: ten epochs with one view, 2.5 with four; with forty two
+    epochs lie between rounds, or as many as the hundred steps allow."""
     paces: list[float] = []
 
     def watching(gain: Any, cost: Any, pace: float) -> Any:
@@ -181,11 +183,17 @@ def test_rounds_of_few_epochs_remove_less(monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr("plugins.capacity.evidence.removable", watching)
     ctx, evidence = watched(step=9), Evidence(pace=0.4)
-    longer = {"n_steps": 400, "step": 39}
-    for n, more in ((1, {}), (4, {}), (40, {}), (4, longer)):
-        seen = replace(ctx, views=ctx.views[:1] * n, **more)
+    for n, steps, last in (
+        (1, 100, 9),
+        (4, 100, 9),
+        (40, 100, 9),
+        (40, 100, 59),
+        (4, 400, 39),
+        (15, 100, 29),
+    ):
+        seen = replace(ctx, views=ctx.views[:1] * n, n_steps=steps, step=last)
         evidence.update(seen, evidence.init_state(seen), pulls(torch.ones(len(ctx.gaussians))))
-    assert paces == pytest.approx([0.4, 0.2, 0.4 * 0.025**0.5, 0.4])
+    assert paces == pytest.approx([0.4, 0.2, 0.4 * 0.15**0.5, 0.4, 0.4 * 0.2**0.5])
 
 
 def test_the_test_views_have_no_say() -> None:
