@@ -3,9 +3,9 @@
 A method is what a user compares: augmenter and regularizer, plus every other option that differs
 between the runs: another capacity plugin, depth provider or initializer, an option of a plugin
 that differs between runs of the same plugin, `trainer.steps`, and so on; the default choices of
-these groups (`USUAL`, of capacities the one that changes nothing) need no name. The seed, the scene, the
-stresses of `framework.report.study.axes` and keys that cannot change a result (`NEUTRAL_KEYS`) are
-no part of it.
+these groups (`USUAL`, of capacities the one that changes nothing) need no name. The seed, the
+scene, the stresses of `framework.report.study.axes` and keys that cannot change a result
+(`NEUTRAL_KEYS`) are no part of it.
 """
 
 from __future__ import annotations
