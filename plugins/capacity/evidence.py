@@ -30,8 +30,9 @@ too much to go. So
   one at a time; it removes more where k Gaussians would not even pay if all of them changed the
   same pixels in the same direction: then they change the images by at most k times the sum of their
   energies (Cauchy-Schwarz);
-- with many views few epochs lie between rounds: below ten the pace falls with the square root of
-  their number, and there are at least `APART` (a round costs about as much as two epochs).
+- with many views few epochs lie between rounds: below ten the pace falls with their number, and
+  with its square root when nothing grows any more and rates fall, so that the noise is nearly that
+  of the end; there are at least `APART` (a round costs about as much as two epochs).
 `start`, `pace` and `until` were chosen by trial, see `benchmarks/results/capacity.md`.
 """
 
@@ -114,7 +115,8 @@ class Evidence(RoundsCapacity):
 
     def _pace(self, ctx: StepContext) -> float:
         """The share that a round may remove, with so many views."""
-        return self.pace * math.sqrt(self.settled(ctx))
+        settled = self.settled(ctx)
+        return self.pace * (settled if self.growing(ctx) else math.sqrt(settled))
 
     def _noise(self, ctx: StepContext) -> tuple[float, float]:
         """(s2 as the criterion takes it, number of training values)."""
