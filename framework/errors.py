@@ -8,10 +8,20 @@ and exits with 2. It derives from `ValueError`, so library callers may catch eit
 from __future__ import annotations
 
 import difflib
+import errno
 import re
 from collections.abc import Iterable
+from pathlib import Path
 
 LONGEST = 1000  # characters of a message
+FULL = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
+MEDIUM = FULL | {errno.EIO, errno.EROFS}  # what writing tells without naming the file
+# what the machine has too little of, whatever the path
+EXHAUSTED = frozenset((errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EAGAIN))
+NO_MEMORY = (  # as libraries tell it
+    *("can't allocate memory", "can't start new thread", "failed to map segment"),
+    *("cannot allocate memory", "insufficient memory", "bad_alloc"),
+)
 
 
 class UserError(ValueError):
@@ -52,3 +62,39 @@ def check_option(options: object, group: str, name: str, ok: bool, expected: str
     got = getattr(options, name)
     told = "nothing" if got == "" else got
     require(ok, f"{group}.{name}: expected {expected}, got {told}")
+
+
+def mendable(error: OSError) -> bool:
+    """Whether the user can mend it: no room, or something is wrong with the path that it names."""
+    about_path = error.filename is not None and error.errno not in EXHAUSTED
+    return error.errno in MEDIUM or (about_path and not isinstance(error, ConnectionError))
+
+
+def os_line(error: OSError, path: Path | str | None = None) -> str:
+    """One line about what the system said against `path`, or the path that the error names."""
+    where = path if path is not None else error.filename or "output"
+    if isinstance(where, bytes):
+        where = where.decode("utf-8", "replace")
+    advice = "free some space" if error.errno in FULL else "change its rights or choose another"
+    if error.errno in (errno.ENAMETOOLONG, errno.ELOOP, errno.ENOENT, errno.ENOTDIR):
+        advice = "correct the path"
+    return (
+        f"{where}: expected what may be opened, got '{error.strerror}'; {advice}, and run the same"
+        " again"
+    )
+
+
+def out_of_memory(error: BaseException) -> bool:
+    """Whether the process may have no more memory or threads, whichever library tells it."""
+    text = str(error).lower()
+    known = isinstance(error, RuntimeError | ImportError | OSError)
+    return isinstance(error, MemoryError) or (known and any(word in text for word in NO_MEMORY))
+
+
+def memory_line(error: BaseException) -> str:
+    """One line about it."""
+    reason = printable_line(str(error))[:160] or type(error).__name__
+    return (
+        f"memory: expected room for the run, got '{reason}'; free some, raise the limit"
+        " (ulimit -v), or choose a smaller scene, a higher scene.downscale, a lower init.budget"
+    )

@@ -21,7 +21,6 @@ from typing import Any, NoReturn
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
 import framework
@@ -37,7 +36,7 @@ from framework.command.config.schema import (
     choices,
     register_config,
 )
-from framework.command.config.trust import check_command
+from framework.command.config.trust import check_command, parsed
 from framework.command.hydra_inside import argument_parser
 from framework.command.job import Job
 from framework.command.program import program
@@ -45,8 +44,14 @@ from framework.command.studies.failures import again, conclude, tell
 from framework.command.studies.study import Outcome, Refused, add_outcome, job_count, ledger
 from framework.command.subcommands import asked_for, obey
 from framework.compute.orphans import end_with_parent
-from framework.errors import UserError
-from framework.files.whole import MENDABLE, unwritable
+from framework.errors import (
+    UserError,
+    memory_line,
+    mendable,
+    os_line,
+    out_of_memory,
+    printable_line,
+)
 from framework.records.progress import unread
 
 register_resolvers()
@@ -93,11 +98,16 @@ def main(argv: Sequence[str]) -> int:
     except BrokenPipeError:  # the reader, for instance `head`, has seen enough
         unread(sys.stdout)
         return 0
-    except OSError as error:
-        if error.errno not in MENDABLE:
+    except (OSError, MemoryError, RuntimeError, ImportError) as error:
+        if "traceback=true" in argv:
+            traceback.print_exc()
+        if isinstance(error, OSError) and mendable(error):
+            print(f"error: {printable_line(os_line(error))}", file=sys.stderr)
+            return 2
+        if not out_of_memory(error):
             raise
-        print(f"error: {unwritable(error, error.filename or 'output')}", file=sys.stderr)
-        return 2
+        print(f"error: {printable_line(memory_line(error))}", file=sys.stderr)
+        return 1
     except SystemExit as end:  # Hydra ends --help and its like this way
         return end.code if isinstance(end.code, int) else int(end.code is not None)
 
@@ -173,11 +183,11 @@ def _options_of_swept_groups(arguments: Sequence[str], overrides: Sequence[str])
     Hydra first composes a configuration without the swept keys, where the group has its default
     choice and the option does not exist.
     """
-    parsed = OverridesParser.create().parse_overrides(list(overrides))
-    swept = {o.key_or_group for o in parsed if o.is_sweep_override()} & set(OBJECT_GROUPS)
+    given = parsed(overrides)
+    swept = {o.key_or_group for o in given if o.is_sweep_override()} & set(OBJECT_GROUPS)
     fixed = {
         o.input_line
-        for o in parsed
+        for o in given
         if o.key_or_group.partition(".")[0] in swept
         and "." in o.key_or_group
         and not o.is_sweep_override()

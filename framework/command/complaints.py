@@ -28,10 +28,18 @@ KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "a te
 
 @contextmanager
 def composing() -> Iterator[None]:
-    """Tell an integer that is too large for a number as UserError; OmegaConf lets the conversion's
-    error through, with the option's name in its text."""
+    """Tell what the libraries refuse without an error of their own as UserError: an integer that is
+    too large for a number, whose error has the option's name in its text; a choice of a group that
+    is no text."""
     try:
         yield
+    except USER_ERRORS:
+        raise
+    except (ValueError, RecursionError) as error:
+        raise UserError(
+            f"command line: expected options of the configuration, got what Hydra refuses"
+            f" ({printable_line(str(error))[:160]}); --help tells what there is"
+        ) from error
     except OverflowError as error:
         key = re.search(r"full_key: (\S+)", str(error))
         if key is None:
@@ -49,7 +57,8 @@ def one_line(error: BaseException) -> str:
         told = _told(cause)
         if told is not None:
             return printable_line(told)
-    return printable_line(str(error)) or type(error).__name__
+    texts = [printable_line(str(cause)) for cause in (*chain[::-1], *chain)]
+    return next(filter(None, texts), f"refused without a reason ({type(chain[0]).__name__})")
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

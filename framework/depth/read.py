@@ -14,7 +14,8 @@ from framework.depth.align import align
 from framework.depth.consistency import agreeing_views
 from framework.errors import UserError, require
 from framework.files.arrays import read_npy, read_npz
-from framework.files.limits import IMAGE_PIXELS
+from framework.files.limits import IMAGE_BYTES, IMAGE_PIXELS
+from framework.files.opened import is_file, read_bytes
 from framework.files.paths import inside
 from framework.files.whole import file_sha256
 from framework.scenes.images import image_size
@@ -58,7 +59,7 @@ def _with_suffixes(image: Path) -> list[Path]:
     """The files named like `image` with a depth suffix instead of its own, or after it."""
     stems = dict.fromkeys([image.with_suffix("").name, image.name])
     candidates = [image.with_name(f"{stem}{suffix}") for stem in stems for suffix in SUFFIXES]
-    return [path for path in candidates if path.is_file()]
+    return [path for path in candidates if is_file(path)]
 
 
 def find_files(training: TrainingSet, options: DepthFileOptions) -> list[Path]:
@@ -106,7 +107,8 @@ def _load_array(file: Path) -> NDArray[np.float64]:
 
 def _load_png(file: Path, scale: float) -> NDArray[np.float64]:
     image_size(file)  # refuses a small file that would unpack to a huge image
-    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    stored = np.frombuffer(read_bytes(file, IMAGE_BYTES), np.uint8)
+    image = cv2.imdecode(stored, cv2.IMREAD_UNCHANGED)
     got = "an unreadable file" if image is None else f"{image.dtype} {image.shape}"
     if image is None or image.dtype != np.uint16 or image.ndim != 2:
         raise UserError(

@@ -1,4 +1,15 @@
-"""Reading and writing safely: whole files, archives and arrays within limits, paths that stay
-inside their folder, locks, trees of values, the user's cache."""
+"""Reading and writing safely: regular files within limits, archives, arrays, documents, paths that
+stay inside their folder, locks, trees of values, the user's cache."""
 
-__all__ = ["archives", "arrays", "cache", "limits", "locks", "paths", "tree", "whole"]
+__all__ = [
+    "archives",
+    "arrays",
+    "cache",
+    "documents",
+    "limits",
+    "locks",
+    "opened",
+    "paths",
+    "tree",
+    "whole",
+]

@@ -9,34 +9,56 @@ from __future__ import annotations
 import struct
 import zipfile
 from pathlib import Path
+from typing import BinaryIO
 
 from framework.errors import UserError, require
-from framework.files.limits import MIB, check_size
+from framework.files.limits import MIB
+from framework.files.opened import open_regular
 
 CONTENTS_BYTES = MIB  # of an archive's table of contents: about ten thousand members
 TAIL_BYTES = 22 + 65535  # the closing record with the longest comment
 CLOSING, LOCATOR, CLOSING_64 = b"PK\5\6", b"PK\6\7", b"PK\6\6"
 
 
+class Archive(zipfile.ZipFile):
+    """Closes the file that it was given open."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        super().__init__(file)
+
+    def close(self) -> None:
+        super().close()
+        self._file.close()
+
+
 def open_zip(path: Path, unpacked_bytes: int) -> zipfile.ZipFile:
     """The archive. Raises UserError when it is none, or its file, table of contents or unpacked
     content is too large."""
-    check_size(path, unpacked_bytes)
-    contents = _contents_bytes(path)
+    file = open_regular(path, unpacked_bytes)
+    try:
+        return _opened(path, file, unpacked_bytes)
+    except BaseException:
+        file.close()
+        raise
+
+
+def _opened(path: Path, file: BinaryIO, unpacked_bytes: int) -> zipfile.ZipFile:
+    """The archive in `file`, which it closes at its end."""
+    contents = _contents_bytes(file)
     require(
         contents <= CONTENTS_BYTES,
         f"{path}: expected a table of contents of at most {CONTENTS_BYTES:,} bytes, got"
         f" {contents:,}; pack fewer files",
     )
     try:
-        archive = zipfile.ZipFile(path)
+        archive = Archive(file)
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, struct.error) as error:
         raise UserError(
             f"{path}: expected a zip archive, got a damaged one ({error}); write it again"
         ) from None
     unpacked = sum(member.file_size for member in archive.infolist())
     if unpacked > unpacked_bytes:
-        archive.close()
         raise UserError(
             f"{path}: expected at most {unpacked_bytes:,} bytes when unpacked, got {unpacked:,};"
             " use smaller arrays (the limits are in framework/files/limits.py)"
@@ -44,13 +66,12 @@ def open_zip(path: Path, unpacked_bytes: int) -> zipfile.ZipFile:
     return archive
 
 
-def _contents_bytes(path: Path) -> int:
+def _contents_bytes(file: BinaryIO) -> int:
     """The size of the table of contents that the archive's closing record states (PKWARE
     APPNOTE 4.3.14 to 4.3.16); 0 without such a record, which `zipfile` refuses."""
-    with path.open("rb") as file:
-        size = file.seek(0, 2)
-        file.seek(max(0, size - TAIL_BYTES - 76))
-        tail = file.read()
+    size = file.seek(0, 2)
+    file.seek(max(0, size - TAIL_BYTES - 76))
+    tail = file.read()
     at = tail.rfind(CLOSING)
     if at < 0 or at + 22 > len(tail):
         return 0

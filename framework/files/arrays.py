@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import lzma
 import math
+import os
 import zipfile
 import zlib
 from pathlib import Path
@@ -15,7 +16,8 @@ from typing import IO, TYPE_CHECKING, Any, Literal
 
 from framework.errors import UserError, require
 from framework.files.archives import open_zip
-from framework.files.limits import ARRAY_BYTES, check_size
+from framework.files.limits import ARRAY_BYTES
+from framework.files.opened import open_regular
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,9 +28,8 @@ UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, zipfile.BadZipFile, z
 
 def read_npy(path: Path) -> NDArray[Any]:
     """The array of a `.npy` file. Raises UserError for a damaged, too large or non-numeric one."""
-    size = check_size(path, ARRAY_BYTES)
-    with path.open("rb") as file:
-        return _array(file, size, str(path))
+    with open_regular(path, ARRAY_BYTES) as file:
+        return _array(file, os.fstat(file.fileno()).st_size, str(path))
 
 
 def read_npz(path: Path, keys: list[str], most_bytes: int = ARRAY_BYTES) -> list[NDArray[Any]]:

@@ -7,8 +7,6 @@ that names it.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from framework.errors import require
 
 MIB = 1 << 20
@@ -23,23 +21,15 @@ MODEL_BYTES = 512 * MIB  # of one file of a COLMAP model
 MODEL_CELLS = 250_000_000  # points x images of a COLMAP model: who sees what, a byte each
 CHECKPOINT_BYTES = 4096 * MIB
 WEIGHTS_BYTES = 512 * MIB  # of LPIPS weights, unpacked
-TEXT_BYTES = 64 * MIB  # of one JSON or CSV file
+TEXT_BYTES = 64 * MIB  # of one JSON file of a scene
+RUN_BYTES = 8 * MIB  # of one JSON or CSV file of a run
 CONFIG_BYTES = MIB // 4  # of one YAML file
-CONFIG_DEPTH = 32  # of nested lists and mappings in a YAML file
 CONFIG_FILES = 1000  # in a folder of configurations
+CONFIG_ENTRIES = 20_000  # files and folders that are looked through for them
+DEPTH = 32  # of nested lists and mappings in a file of configurations or of a run
+TEXT_LENGTH = 10_000  # characters of one text in them
 RUNS = 100_000  # of one command
 PARALLEL_RUNS = 256  # of the joblib launcher
-
-
-def check_size(path: Path, limit: int) -> int:
-    """The size of the file in bytes. Raises UserError when it is larger than `limit` bytes."""
-    size = path.stat().st_size
-    require(
-        size <= limit,
-        f"{path}: expected a file of at most {limit:,} bytes, got {size:,}; use a smaller one (the"
-        " limits are in framework/files/limits.py)",
-    )
-    return size
 
 
 def check_pixels(where: object, width: int, height: int) -> None:

@@ -18,8 +18,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from framework.errors import UserError
-from framework.files.whole import MENDABLE, Unwritable, unwritable
+from framework.errors import UserError, mendable
+from framework.files.whole import Unwritable, unwritable
 
 LOCK = ".lock"
 
@@ -64,7 +64,7 @@ def _taken(path: Path, wait: bool) -> IO[str]:
             path.parent.mkdir(parents=True, exist_ok=True)
             file = path.open("a+", encoding="utf-8")
         except OSError as error:
-            if error.errno not in MENDABLE:
+            if not mendable(error):
                 raise
             raise Unwritable(unwritable(error, path)) from error
         try:

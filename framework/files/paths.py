@@ -25,7 +25,10 @@ def inside(folder: Path, name: str | Path) -> Path:
         "\0" not in text and len(parts) > 0 and not Path(text).is_absolute(),
         f"{where}; correct the name",
     )
-    longest = max(len(part.encode("utf-8", "surrogatepass")) for part in parts)
+    try:
+        longest = max(len(part.encode("utf-8")) for part in parts)
+    except UnicodeEncodeError:  # records and reports are UTF-8 and name it
+        raise UserError(f"{where}, which is not UTF-8; rename the file") from None
     require(
         longest <= NAME_BYTES,
         f"{where}, of {longest} bytes where a file name has at most {NAME_BYTES}; correct it",

@@ -7,28 +7,13 @@ new one. A process killed in between leaves a temporary file, which `remove_temp
 from __future__ import annotations
 
 import contextlib
-import errno
 import hashlib
 import os
+import sys
 from pathlib import Path
 
-from framework.errors import UserError
-
-# what the user can mend: no room, no right, no such medium
-MENDABLE = frozenset(
-    getattr(errno, name)
-    for name in (
-        "ENOSPC",
-        "EDQUOT",
-        "EFBIG",
-        "EROFS",
-        "EACCES",
-        "EPERM",
-        "EEXIST",
-        "ENOTDIR",
-        "EIO",
-    )
-)
+from framework.errors import FULL, UserError, mendable
+from framework.files.opened import open_regular
 
 
 class Unwritable(UserError):
@@ -55,9 +40,19 @@ def write_whole(path: Path, content: bytes | str) -> None:
     except BaseException as error:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.errno in MENDABLE:
+        if isinstance(error, OSError) and mendable(error):
             raise Unwritable(unwritable(error, path, len(data))) from error
         raise
+
+
+def make_folder(path: Path) -> None:
+    """Make `path` and what is missing above it. Raises Unwritable where that cannot be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        if not mendable(error):
+            raise
+        raise Unwritable(unwritable(error, path)) from error
 
 
 def unwritable(error: OSError, path: Path | str, n_bytes: int | None = None) -> str:
@@ -66,7 +61,7 @@ def unwritable(error: OSError, path: Path | str, n_bytes: int | None = None) -> 
     if n_bytes is not None:
         size = f"{n_bytes / 1e6:.1f} MB" if n_bytes >= 1e5 else f"{n_bytes:,} bytes"
         what = f"to write {size}"
-    full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+    full = error.errno in FULL
     advice = "free some space" if full else "make the folder writable or choose another"
     return f"{path}: expected {what}, got '{error.strerror}'; {advice} and run the same again"
 
@@ -81,5 +76,5 @@ def remove_temporaries(folder: Path) -> None:
 
 def file_sha256(path: Path) -> str:
     """SHA-256 hex of a file's content."""
-    with path.open("rb") as file:
+    with open_regular(path, sys.maxsize) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

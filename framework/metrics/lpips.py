@@ -31,7 +31,8 @@ from torch import Tensor
 
 from framework.errors import UserError, require
 from framework.files.archives import open_zip
-from framework.files.limits import WEIGHTS_BYTES, check_size
+from framework.files.limits import WEIGHTS_BYTES
+from framework.files.opened import file_size
 from framework.metrics.values import Measurement, Missing
 
 MOST_CHANNELS = 512  # of VGG-16's widest layer
@@ -173,7 +174,7 @@ def _tensors(file: Path) -> dict[str, Tensor]:
     # is data from elsewhere. PyTorch writes zip archives since 1.6
     try:
         if file.suffix == ".safetensors":
-            check_size(file, WEIGHTS_BYTES)
+            file_size(file, WEIGHTS_BYTES)
             loaded = load_file(file)
         else:
             open_zip(file, WEIGHTS_BYTES).close()

@@ -25,7 +25,8 @@ from pathlib import Path
 
 from framework.errors import UserError, require
 from framework.files.cache import cache_dir
-from framework.files.limits import MIB, check_size
+from framework.files.limits import MIB
+from framework.files.opened import file_size
 from framework.files.whole import file_sha256, write_whole
 from framework.metrics.evaluate import FETCH_LPIPS
 
@@ -167,7 +168,7 @@ def _check(source: Path) -> None:
         f"LPIPS weights: expected the file {ARCHIVE}, got '{source}', which is no file; check the"
         " path",
     )
-    check_size(source, ARCHIVE_BYTES)
+    file_size(source, ARCHIVE_BYTES)
     digest = file_sha256(source)
     require(
         digest == SHA256,

@@ -23,7 +23,8 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from framework.errors import UserError, require
-from framework.files.limits import PLY_BYTES, check_size
+from framework.files.limits import PLY_BYTES
+from framework.files.opened import is_file, open_regular
 from framework.files.whole import write_whole
 
 if TYPE_CHECKING:
@@ -97,9 +98,7 @@ def read_ply(path: Path) -> tuple[Gaussians, Tensor | None]:
     """
     import torch
 
-    require(path.is_file(), f"{path}: expected a PLY file, found none; check the path")
-    check_size(path, PLY_BYTES)
-    with path.open("rb") as file:
+    with open_regular(path, PLY_BYTES) as file:
         header = _read_header(file, path)
         rest = _rest_count(header.names, path)
         expected = file.tell() + 4 * header.count * len(header.names)
@@ -135,7 +134,7 @@ def _read_bands(path: Path, header: _Header) -> np.ndarray:
         f"{path}: expected 'comment bands M' with 0 < M < {header.count} and no f_rest properties,"
         f" got M = {m}; the header is damaged, write the file again",
     )
-    require(beside.is_file(), f"{beside}: expected the SH bands of {path.name}, found none")
+    require(is_file(beside), f"{beside}: expected the SH bands of {path.name}, found none")
     bands = read_npy(beside)
     fits = bands.ndim == 3 and bands.shape[0] == m and bands.shape[1:] in BANDS_SHAPES
     require(

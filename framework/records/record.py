@@ -23,7 +23,6 @@ from __future__ import annotations
 import csv
 import dataclasses
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,11 +30,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from framework.errors import UserError, require
-from framework.files.limits import TEXT_BYTES, check_size
+from framework.errors import UserError, printable_line
+from framework.files.documents import read_json
+from framework.files.limits import RUN_BYTES
+from framework.files.opened import is_file
 from framework.files.whole import write_whole
 from framework.metrics.evaluate import mean_of
 from framework.metrics.values import METRICS, Measurement, Missing, ViewMetrics
+from framework.records.failure import FAILED
 from framework.records.provenance import code_hash, identity_of, provenance, strict_json
 from framework.records.record_check import check_record
 from framework.records.run_files import (
@@ -82,7 +84,7 @@ TRAIN_STAGE = "train"  # the stage whose wall time the report calls train second
 LPIPS = "lpips"  # in the provenance: the network that LPIPS was measured with, None for none
 METHOD_GROUPS = ("augment", "reg", "capacity", "depth", "init")
 RECORD, PLY = "record.json", "point_cloud.ply"
-FAILED, DIVERGED = "failed.json", "diverged.safetensors"
+DIVERGED = "diverged.safetensors"
 
 
 @dataclass(frozen=True)
@@ -231,7 +233,7 @@ def write_failed(
     `failed.json` tells it of the last attempt; the record too, unless it is of a complete run,
     which is kept.
     """
-    error = " ".join(error.split())
+    error = printable_line(" ".join(error.split()))
     told = {"error": error, "kind": kind, "overrides": list(overrides)}
     write_whole(run_dir / FAILED, strict_json(told, indent=2) + "\n")
     record = RunRecord(
@@ -258,13 +260,11 @@ def _is_complete(run_dir: Path) -> bool:
 
 def read_record(path: Path) -> RunRecord:
     """The record in a `record.json`. Raises UserError when it is missing or damaged."""
-    require(path.is_file(), f"{path}: expected a run's record, found none; check the path")
-    check_size(path, TEXT_BYTES)
+    content = read_json(path, RUN_BYTES)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
         check_record(content)
         return _from_json(content)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise UserError(
             f"{path}: expected a run's record, got a damaged one ({type(error).__name__}: {error});"
             " delete that folder and run again"
@@ -276,12 +276,6 @@ def read_run(run_dir: Path) -> Run:
     record = read_record(run_dir / RECORD)
     if record.status != "complete":
         return Run(run_dir, record, Table({}, {}), Table({}, {}))
-    for name in (METRICS_CSV, HISTORY_CSV):
-        require(
-            (run_dir / name).is_file(),
-            f"{run_dir / name}: expected it beside a complete record, found none; delete the folder"
-            " and run again",
-        )
     try:
         metrics, history = (read_table(run_dir / name) for name in (METRICS_CSV, HISTORY_CSV))
     except UserError:
@@ -296,7 +290,7 @@ def read_run(run_dir: Path) -> Run:
 
 def find_complete(run_dir: Path, identity: str) -> RunRecord | None:
     """The record of a complete run with this identity in `run_dir`; None if there is none."""
-    if not all((run_dir / name).is_file() for name in (RECORD, METRICS_CSV, HISTORY_CSV, PLY)):
+    if not all(is_file(run_dir / name) for name in (RECORD, METRICS_CSV, HISTORY_CSV, PLY)):
         return None
     try:
         record = read_record(run_dir / RECORD)

@@ -1,14 +1,24 @@
-"""Whether a `record.json` and the tables beside it are what a run writes: they may come from
-elsewhere, and a report formats, sorts and opens files by what they hold."""
+"""Whether a `record.json`, a `failed.json` and the tables beside them are what a run writes: they
+may come from elsewhere, and a report formats, sorts and opens files by what they hold.
+
+Texts are whole and of bounded length already (`framework.files.documents`). Numbers are small
+enough for the report's sums of squares to be finite.
+"""
 
 from __future__ import annotations
 
 import re
-import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 STEM = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,199}")  # as `run_files.file_stems` writes them
+TAGS = re.compile(r"[A-Za-z0-9_-]{0,40}( [A-Za-z0-9_-]{1,40}){0,8}")
+DIGEST = re.compile(r"[0-9a-f]{0,64}")
+NAME_LENGTH = 255  # of a scene or a choice: as of a folder
+LARGEST = 1e15
+GROUPS = ("scene", "depth", "init", "augment", "reg", "capacity")
+FACTS = ("fishersplat", "python", "code", "cpu", "system")  # of the provenance: texts
+COUNTS = ("cores", "threads")
 
 
 def check_record(content: Any) -> None:
@@ -17,24 +27,48 @@ def check_record(content: Any) -> None:
     for key in ("identity", "parameters_sha256", "status"):
         _check(key, content[key], isinstance(content[key], str))
     _check("status", content["status"], content["status"] in ("complete", "failed"))
+    digest = content["parameters_sha256"]
+    _check("parameters_sha256", digest, DIGEST.fullmatch(digest))
     for key in ("peak_memory_bytes", "gaussians", "sh_degree", "ply_bytes"):
         _check(key, content[key], _is_count(content[key]))
+    _check("sh_degree", content["sh_degree"], content["sh_degree"] <= 10)
     banded = content.get("banded")
     _check("banded", banded, banded is None or _is_count(banded))
     _check("resumed", content.get("resumed", 0), _is_count(content.get("resumed", 0)))
     _check("error", content["error"], content["error"] is None or _is_line(content["error"]))
-    _check("overrides", content["overrides"], _are_texts(content["overrides"]))
-    for key in ("config", "provenance"):
-        _check(key, content[key], isinstance(content[key], Mapping))
-    _check("config.seed", content["config"]["seed"], _is_count(content["config"]["seed"]))
-    for group in ("scene", "depth", "init", "augment", "reg", "capacity"):
-        options = content["config"].get(group)
-        named = isinstance(options, Mapping) and isinstance(options.get("name"), str)
-        _check(f"config.{group}", options, options is None or named or content["error"])
+    _check("overrides", content["overrides"], are_texts(content["overrides"]))
+    check_config(content["config"], complete=content["status"] == "complete")
+    _check("config.seed", content["config"].get("seed"), "seed" in content["config"])
+    _check_provenance(content["provenance"])
     _check_dose(content.get("dose", {}))
     _check_scene(content["scene"])
     _check_timings(content["timings"])
     _check_summary(content["summary"])
+
+
+def check_failure(content: Any) -> None:
+    """The same of a `failed.json`."""
+    _check("the content", content, isinstance(content, Mapping))
+    _check("error", content["error"], isinstance(content["error"], str))
+    _check("kind", content.get("kind", ""), isinstance(content.get("kind", ""), str))
+    _check("overrides", content["overrides"], are_texts(content["overrides"]))
+
+
+def check_config(config: Any, complete: bool) -> None:
+    """The same of a run's configuration; that of a failed run may lack parts."""
+    _check("config", config, isinstance(config, Mapping))
+    if "seed" in config:
+        _check("config.seed", config["seed"], _is_count(config["seed"]))
+    for group in GROUPS:
+        options = config.get(group)
+        named = isinstance(options, Mapping) and _is_name(options.get("name"))
+        optional = options is None and not (complete and group == "scene")
+        _check(f"config.{group}", options, named or optional)
+    path = (config.get("scene") or {}).get("path")
+    _check("config.scene.path", path, path is None or isinstance(path, str))
+    trainer = config.get("trainer", None if complete else {})
+    _check("config.trainer", trainer, isinstance(trainer, Mapping))
+    _check("config.trainer.members", trainer, _is_count(trainer.get("members", 1)))
 
 
 def check_columns(got: Sequence[str], needed: Iterable[str]) -> None:
@@ -45,8 +79,38 @@ def check_columns(got: Sequence[str], needed: Iterable[str]) -> None:
 
 def check_stems(stems: Iterable[str]) -> None:
     """Raise ValueError unless these name files in a folder, and nothing outside of it."""
-    for stem in stems:
-        _check("file", stem, STEM.fullmatch(stem))
+    _check_all("file", stems, STEM.fullmatch)
+
+
+def check_views(views: Iterable[str], tags: Iterable[str]) -> None:
+    """Raise ValueError unless these are names of views, and the words that tell their kind."""
+    _check_all("view", views, _is_name)
+    _check_all("tags", tags, TAGS.fullmatch)
+
+
+def check_number(name: str, value: float) -> None:
+    """Raise ValueError unless `value` is a finite number that can be squared and summed."""
+    _check(name, value, abs(value) <= LARGEST)  # false for NaN
+
+
+def are_texts(value: Any) -> bool:
+    """Whether it is a list of texts."""
+    return isinstance(value, list) and all(isinstance(text, str) for text in value)
+
+
+def _check_provenance(told: Any) -> None:
+    _check("provenance", told, isinstance(told, Mapping))
+    for key in FACTS:
+        _check(f"provenance.{key}", told.get(key), isinstance(told.get(key), str | None))
+    for key in COUNTS:
+        _check(f"provenance.{key}", told.get(key), told.get(key) is None or _is_count(told[key]))
+    packages, git = told.get("packages"), told.get("git")
+    texts = isinstance(packages, Mapping) and all(
+        isinstance(number, str | None) for number in packages.values()
+    )
+    _check("provenance.packages", packages, packages is None or texts)
+    state = isinstance(git, Mapping) and isinstance(git.get("sha"), str) and "dirty" in git
+    _check("provenance.git", git, git is None or state)
 
 
 def _check_dose(dose: Any) -> None:
@@ -66,9 +130,9 @@ def _check_scene(scene: Any) -> None:
         set(scene) == {"name", "protocol", "fingerprint", *("training", "test")},
     )
     for key in ("name", "protocol", "fingerprint"):
-        _check(f"scene.{key}", scene[key], _is_line(scene[key]))
+        _check(f"scene.{key}", scene[key], _is_name(scene[key]))
     for key in ("training", "test"):
-        _check(f"scene.{key}", scene[key], _are_texts(scene[key]))
+        _check(f"scene.{key}", scene[key], are_texts(scene[key]))
 
 
 def _check_timings(timings: Any) -> None:
@@ -89,6 +153,11 @@ def _check_summary(summary: Any) -> None:
         )
 
 
+def _check_all(name: str, values: Iterable[str], good: Callable[[str], object]) -> None:
+    for value in values:
+        _check(name, value, good(value))
+
+
 def _check(name: str, value: Any, good: object) -> None:
     if not good:
         raise ValueError(f"{name[:60]} is {' '.join(str(value)[:200].split())[:60]!r}")
@@ -99,13 +168,12 @@ def _is_count(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    # an integer may be beyond all floats
-    return type(value) in (int, float) and abs(value) <= sys.float_info.max
+    return type(value) in (int, float) and abs(value) <= LARGEST
 
 
 def _is_line(value: Any) -> bool:
     return isinstance(value, str) and "\n" not in value
 
 
-def _are_texts(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(text, str) for text in value)
+def _is_name(value: Any) -> bool:
+    return _is_line(value) and 0 < len(value) <= NAME_LENGTH and value.strip() != ""

@@ -20,11 +20,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from framework.compute.parallel import run_tasks
-from framework.files.limits import TEXT_BYTES, check_size
+from framework.files.limits import RUN_BYTES
+from framework.files.opened import read_text
 from framework.files.whole import write_whole
 from framework.metrics.evaluate import quantise
 from framework.metrics.values import METRICS, Missing, ViewMetrics
-from framework.records.record_check import check_columns, check_stems
+from framework.records.record_check import check_columns, check_number, check_stems, check_views
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -32,12 +33,14 @@ if TYPE_CHECKING:
     from framework.types import View
 
 ERROR_SCALE = 0.25
+STEM_LENGTH = 180  # characters of a view's name in those of its files, which take 200
 METRICS_CSV, HISTORY_CSV, RENDERS = "metrics.csv", "history.csv", "renders"
 METRIC_COLUMNS = ("view", "tags", *METRICS, "render_s", "file", "missing")
 # metrics that runs of before do not have, and why
 LATER = {"lpips_01": "the run was recorded before this was measured"}
 TEXT_COLUMNS = ("view", "tags", "file", "missing")
 COUNT_COLUMNS = ("step", "gaussians", "sh_degree")
+LOGGED = "log/"  # begins the columns of what plugins log
 HISTORY_COLUMNS = ("step", "seconds", "loss", "test_psnr", "gaussians", "sh_degree")
 
 
@@ -66,15 +69,17 @@ class HistoryRow:
 
 def file_stems(views: Sequence[str]) -> list[str]:
     """A file name for each view; one already taken once odd characters are replaced is numbered."""
-    stems: list[str] = []
+    stems: dict[str, None] = {}
+    last: dict[str, int] = {}  # stem -> its highest number so far
     for view in views:
-        stem = re.sub(r"[^A-Za-z0-9._-]", "_", view).lstrip(".") or "view"
-        unique, n = stem, 1
+        stem = re.sub(r"[^A-Za-z0-9._-]", "_", view)[:STEM_LENGTH].lstrip(".") or "view"
+        unique, n = stem, last.get(stem, 1)
         while unique in stems:
             n += 1
             unique = f"{stem}-{n}"
-        stems.append(unique)
-    return stems
+        last[stem] = n
+        stems[unique] = None
+    return list(stems)
 
 
 def metrics_csv(metrics: Sequence[ViewMetrics], stems: Sequence[str]) -> str:
@@ -93,26 +98,26 @@ def history_csv(history: Sequence[HistoryRow]) -> str:
     """One row per logged step; logged names become columns, sorted."""
     names = sorted({name for row in history for name in row.logged})
     rows = [
-        [getattr(row, column) for column in HISTORY_COLUMNS] + [row.logged.get(n) for n in names]
+        [_finite(getattr(row, column)) for column in HISTORY_COLUMNS]
+        + [_finite(row.logged.get(name)) for name in names]
         for row in history
     ]
-    return _csv([*HISTORY_COLUMNS, *(f"log/{name}" for name in names)], rows)
+    return _csv([*HISTORY_COLUMNS, *(f"{LOGGED}{name}" for name in names)], rows)
 
 
 def read_table(path: Path) -> Table:
     """A table written here.
 
-    Raises ValueError, IndexError, OverflowError or csv.Error for anything else, UserError for a too
-    large file.
+    Raises ValueError, IndexError, OverflowError or csv.Error for anything else, UserError for what
+    is no file or too large a one.
     """
-    check_size(path, TEXT_BYTES)
-    with path.open(newline="", encoding="utf-8") as file:
-        columns, *rows = list(csv.reader(file))
+    columns, *rows = list(csv.reader(io.StringIO(read_text(path, RUN_BYTES), newline="")))
     needed = METRIC_COLUMNS if path.name == METRICS_CSV else HISTORY_COLUMNS
     check_columns(columns, [name for name in needed if name not in LATER])
     cells = {name: [row[index] for row in rows] for index, name in enumerate(columns)}
     cells |= {name: [""] * len(rows) for name in needed if name not in cells}
     check_stems(cells.get("file", []))
+    check_views(cells.get("view", []), cells.get("tags", []))
     texts = {name: column for name, column in cells.items() if name in TEXT_COLUMNS}
     numbers = {name: _numbers(name, cells[name]) for name in cells if name not in texts}
     return Table(texts, numbers)
@@ -151,10 +156,19 @@ def error_map(render: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(cv2.applyColorMap(levels, cv2.COLORMAP_MAGMA)[..., ::-1])
 
 
+def _finite(value: float | None) -> float | None:
+    """None, an empty cell, for what is no finite number."""
+    return value if value is not None and math.isfinite(value) else None
+
+
 def _numbers(name: str, cells: Sequence[str]) -> np.ndarray:
     if name in COUNT_COLUMNS:
         return np.array([int(cell) for cell in cells], dtype=np.float64)
-    return np.array([float(cell) if cell else math.nan for cell in cells], dtype=np.float64)
+    values = [float(cell) if cell else math.nan for cell in cells]
+    for cell, value in zip(cells, values, strict=True):
+        if cell and not name.startswith(LOGGED):  # those are the plugins' own, and not drawn
+            check_number(name, value)
+    return np.array(values, dtype=np.float64)
 
 
 def _png(pixels: np.ndarray) -> bytes:

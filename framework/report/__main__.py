@@ -9,7 +9,15 @@ import argparse
 import sys
 from pathlib import Path
 
-from framework.errors import UserError, require
+from framework.errors import (
+    UserError,
+    memory_line,
+    mendable,
+    os_line,
+    out_of_memory,
+    printable_line,
+    require,
+)
 
 
 def main(arguments: list[str] | None = None, prog: str = "python -m framework.report") -> int:
@@ -41,7 +49,15 @@ def main(arguments: list[str] | None = None, prog: str = "python -m framework.re
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    print(f"report: {path}")
+    except Exception as error:
+        if isinstance(error, OSError) and mendable(error):
+            print(f"error: {printable_line(os_line(error))}", file=sys.stderr)
+            return 2
+        if not out_of_memory(error):
+            raise
+        print(f"error: {printable_line(memory_line(error))}", file=sys.stderr)
+        return 1
+    print(f"report: {printable_line(str(path))}")
     return 0
 
 

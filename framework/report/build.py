@@ -7,16 +7,16 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from framework.files.whole import write_whole
+from framework.files.whole import make_folder, write_whole
 from framework.report.export import LATEX, TABLE, comparisons_tex, runs_csv
 from framework.report.figures.images import remove_pictures
-from framework.report.figures.views import own_scenes
+from framework.report.figures.views import DamagedRun, damaged_pictures, own_scenes
 from framework.report.page import html as page
 from framework.report.page import markdown
 from framework.report.page.gallery import gallery
 from framework.report.sections import document
 from framework.report.statistics.outcomes import outcomes
-from framework.report.study.collect import collect
+from framework.report.study.collect import Study, collect
 
 REPORT, PAGE = "report.md", "report.html"
 
@@ -32,10 +32,21 @@ def build_report(
     title: the heading, else the name of the report's folder. out_dir: where the report goes, else
     the first folder. photos: show scenes and link to the runs; without, the embedded scene alone
     and no links, for a report that is passed on where photos may not be; pictures of an earlier
-    report in that folder go. Raises UserError when there is no run or a record is damaged.
+    report in that folder go. A run whose files are not what a run writes counts among the failed
+    ones. Raises UserError when there is no run.
     """
-    study = replace(collect(study_dirs, out_dir), linked=photos)
-    study.out_dir.mkdir(parents=True, exist_ok=True)
+    broken: dict[Path, str] = {}
+    while True:  # each time without another run; with forged sizes aside, twice at most
+        study = replace(collect(study_dirs, out_dir, broken), linked=photos)
+        try:
+            return _build(study, title, photos)
+        except DamagedRun as error:
+            broken |= damaged_pictures(study) or {error.run_dir: str(error)}
+
+
+def _build(study: Study, title: str | None, photos: bool) -> Path:
+    """The report of a study. Raises DamagedRun for a run with a picture that is none."""
+    make_folder(study.out_dir)
     shown = study.scenes if photos else own_scenes(study)
     remove_pictures(study, [scene for scene in study.scenes if scene not in shown])
     with ThreadPoolExecutor(1) as beside:  # photos are encoded while charts are drawn

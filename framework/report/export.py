@@ -11,6 +11,7 @@ from framework.report.statistics.estimates import Interval
 from framework.report.statistics.numbers import interval_text, p_text, signed
 from framework.report.statistics.outcomes import Outcomes
 from framework.report.study.collect import ReportRun, Study
+from framework.report.study.labels import outside
 
 TABLE, LATEX = "runs.csv", "comparisons.tex"
 ESCAPES = {
@@ -50,7 +51,7 @@ def _measured(run: ReportRun) -> dict[str, Any]:
         "parameters": record.parameters,
         "train_wall_s": record.train_s,
         "train_cpu_s": record.train_cpu_s,
-        "run": run.run.run_dir.name,
+        "run": outside(run.run.run_dir.name),
     }
 
 

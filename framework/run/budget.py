@@ -16,7 +16,8 @@ from typing import Any
 
 from framework.compute.stopwatch import Stopwatch
 from framework.errors import UserError
-from framework.files.limits import TEXT_BYTES, check_size
+from framework.files.limits import TEXT_BYTES
+from framework.files.opened import file_size
 from framework.files.whole import write_whole
 from framework.options import MOST_STEPS, TrainerOptions, members_of
 
@@ -104,7 +105,7 @@ def _kept(file: Path, identity: str) -> Choice | None:
     if not file.is_file():
         return None
     try:
-        check_size(file, TEXT_BYTES)
+        file_size(file, TEXT_BYTES)
         content: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
         choice = Choice(**content)
         choice.applied(TrainerOptions())

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from framework.scenes.cameras import check_bounds, check_places
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -118,10 +120,13 @@ def assemble(
     far: float,
 ) -> Scene:
     """The scene. `points.seen` is over the training shots, in their order. Test shots without tags
-    get that of their camera's place."""
+    get that of their camera's place. Raises UserError for bounds or places that no scene has."""
     from framework.scenes.placement import placement
     from framework.types import Scene, TrainingSet
 
+    where, both = f"scene {name}", [*train, *test]
+    check_bounds(near, far, where)
+    check_places(_centers(both), [shot.name for shot in both], far, where)
     training = TrainingSet(name, tuple(map(_view, train)), _points(points), near, far)
     fingerprint = _fingerprint(protocol, train, test, points)
     found = placement(_centers(test), _centers(train))

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import require
+from framework.files.opened import is_file
 from framework.files.paths import inside
 from framework.scenes.options import check_folder_options, check_images
 from framework.scenes.splits import protocol
@@ -80,7 +81,7 @@ def load_colmap(
 def _files(folder: Path, model: Model) -> list[Path]:
     """The photo of each image of the model, by name."""
     files = [inside(folder, name) for name in model.names]
-    missing = [f.name for f in files if not f.is_file()]
+    missing = [f.name for f in files if not is_file(f)]
     require(
         not missing,
         f"{folder}: expected the {len(files)} images of the model, {len(missing)} missing (first:"

@@ -13,8 +13,10 @@ import struct
 from pathlib import Path
 
 from framework.errors import UserError, require
-from framework.files.limits import MODEL_BYTES, check_size
+from framework.files.limits import MODEL_BYTES
+from framework.files.opened import is_file, read_bytes
 from framework.files.paths import inside
+from framework.scenes.cameras import check_quaternion
 from framework.scenes.colmap_text import check_text
 
 PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 10, 8, 8)  # by COLMAP's camera model id
@@ -25,8 +27,7 @@ class _Reader:
     """Walks a binary file; whatever lies outside it raises UserError."""
 
     def __init__(self, path: Path) -> None:
-        check_size(path, MODEL_BYTES)
-        self.path, self.data, self.at = path, path.read_bytes(), 0
+        self.path, self.data, self.at = path, read_bytes(path, MODEL_BYTES), 0
 
     def take(self, layout: str) -> tuple:
         """The values of a struct layout at the current place."""
@@ -84,7 +85,7 @@ def _images(path: Path, cameras: set[int]) -> dict[int, int]:
     """image id -> number of its 2D points."""
     reader, points, names = _Reader(path), {}, set()
     for _ in range(reader.take("<Q")[0]):
-        image = reader.take("<i7d")[0]
+        image, *pose = reader.take("<i7d")
         (camera,) = reader.take("<i")
         name = reader.text()
         (n,) = reader.take("<Q")
@@ -94,6 +95,7 @@ def _images(path: Path, cameras: set[int]) -> dict[int, int]:
             f"{path}: expected image '{name[:80]}' to be listed once with a camera of cameras.bin,"
             f" got id {image} with camera {camera}; rebuild the model",
         )
+        check_quaternion(pose[:4], f"{path}: image '{name[:80]}'")
         points[image] = n
         names.add(name)
     reader.finish()
@@ -122,7 +124,7 @@ def check(folder: Path) -> list[Path]:
     UserError unless they are whole."""
     for suffix in (".bin", ".txt"):
         files = [folder / f"{stem}{suffix}" for stem in STEMS]
-        missing = [file.name for file in files if not file.is_file()]
+        missing = [file.name for file in files if not is_file(file)]
         if len(missing) < len(STEMS):
             break
     require(

@@ -6,7 +6,6 @@ points3D.bin never ends), hence `colmap_files.check`.
 
 from __future__ import annotations
 
-import shutil
 import signal
 import tempfile
 import threading
@@ -20,9 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from framework.errors import UserError, require
-from framework.files.limits import MODEL_CELLS, SIDE_PIXELS
+from framework.files.limits import MODEL_BYTES, MODEL_CELLS
+from framework.files.opened import is_file, read_bytes
 from framework.scenes import colmap_files
 from framework.scenes.assemble import Tracks
+from framework.scenes.cameras import checked_lens, checked_pose, near_points
 from framework.scenes.lens import Distortion, Lens
 
 SUPPORTED = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
@@ -41,7 +42,7 @@ class Model:
 def find_model(folder: Path) -> Path:
     """`sparse/0`, else `sparse`. Raises UserError if neither holds a model."""
     for candidate in (folder / "sparse" / "0", folder / "sparse"):
-        if any((candidate / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt")):
+        if any(is_file(candidate / f"cameras{suffix}") for suffix in (".bin", ".txt")):
             return candidate
     raise UserError(
         f"{folder}: expected a COLMAP model in sparse/0 or sparse (cameras, images, points3D as"
@@ -58,28 +59,18 @@ def _lens(camera: Any, where: Path) -> Lens:
         f" {camera.camera_id}); undistort with `colmap image_undistorter` first",
     )
     p = [float(v) for v in camera.params]
-    sides = (camera.width, camera.height)
-    ok = all(np.isfinite(p)) and p[0] > 0 and all(0 < side <= SIDE_PIXELS for side in sides)
-    require(
-        ok,
-        f"{where}: expected finite intrinsics and sides of 1 to {SIDE_PIXELS} pixels, got camera"
-        f" {camera.camera_id} of {sides[0]}x{sides[1]} with {p}; rebuild the model",
-    )
     two_focals = name in ("PINHOLE", "OPENCV")
     fx, fy, cx, cy = p[:4] if two_focals else (p[0], p[0], p[1], p[2])
     # after these come the model's coefficients, in the order of Distortion's fields
     distortion = Distortion(*p[4 if two_focals else 3 :])
-    return Lens(camera.width, camera.height, fx, fy, cx, cy, distortion)
+    lens = Lens(camera.width, camera.height, fx, fy, cx, cy, distortion)
+    return checked_lens(lens, f"{where}: camera {camera.camera_id}")
 
 
 def _viewmat(image: Any, where: Path) -> NDArray[np.float64]:
     viewmat = np.eye(4)
     viewmat[:3] = np.asarray(image.cam_from_world().matrix(), dtype=np.float64)
-    require(
-        bool(np.isfinite(viewmat).all()),
-        f"{where}: expected finite poses, got NaN or infinity for image {image.name}",
-    )
-    return viewmat
+    return checked_pose(viewmat, f"{where}: image {image.name}")
 
 
 def _tracks(points: dict[int, Any], column: dict[int, int], where: Path) -> Tracks:
@@ -97,7 +88,7 @@ def _tracks(points: dict[int, Any], column: dict[int, int], where: Path) -> Trac
             seen[row, column[element.image_id]] = True
     xyz = np.array([points[i].xyz for i in ids], dtype=np.float64).reshape(-1, 3)
     rgb = np.array([points[i].color for i in ids], dtype=np.uint8).reshape(-1, 3)
-    good = np.isfinite(xyz).all(axis=1)
+    good = near_points(xyz)
     return Tracks(xyz[good], rgb[good], seen[good])
 
 
@@ -130,7 +121,7 @@ def _reconstruction(folder: Path) -> Any:
     pycolmap = _pycolmap()
     with tempfile.TemporaryDirectory() as copy, _quiet(pycolmap):
         for file in files:
-            shutil.copyfile(file, Path(copy) / file.name)
+            (Path(copy) / file.name).write_bytes(read_bytes(file, MODEL_BYTES))
         try:
             return pycolmap.Reconstruction(copy)
         except (ValueError, IndexError, RuntimeError, OSError, KeyError) as error:

@@ -13,7 +13,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from framework.errors import UserError, require
-from framework.files.limits import MODEL_BYTES, check_size
+from framework.files.limits import MODEL_BYTES
+from framework.files.opened import read_text
+from framework.scenes.cameras import check_quaternion
 
 INTEGER = re.compile(r"-?\d{1,18}", re.ASCII)
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|nan)", re.ASCII | re.I)
@@ -47,6 +49,7 @@ def _images(path: Path, cameras: set[int]) -> dict[int, int]:
         image, camera, name = int(row[0]), int(row[8]), " ".join(row[9:])
         known = camera in cameras and image not in points and name not in names
         _require(known, path, number, "each image once, with a camera of cameras.txt", row)
+        check_quaternion([float(word) for word in row[1:5]], f"{path}: image '{name[:80]}'")
         number, triples = next(rows, (number, ["missing"]))
         good = len(triples) % 3 == 0 and _integers(triples[2::3])
         good = good and _numbers(triples[0::3]) and _numbers(triples[1::3])
@@ -72,11 +75,7 @@ def _points(path: Path, images: dict[int, int]) -> None:
 def _records(path: Path, noun: str, pairs: bool = False) -> Iterator[tuple[int, list[str]]]:
     """(line number, words) of the lines that are no comment; blank ones only where the format gives
     them a meaning (`pairs`). As many records as the header says, if it does."""
-    check_size(path, MODEL_BYTES)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        raise UserError(f"{path}: expected text, got binary data; rebuild the model") from None
+    text = read_text(path, MODEL_BYTES).replace("\r\n", "\n")
     lines = text.removesuffix("\n").split("\n")
     found = 0
     for number, line in enumerate(lines, start=1):

@@ -14,10 +14,13 @@ from numpy.typing import NDArray
 
 from framework.errors import UserError, require
 from framework.files.arrays import read_npz
+from framework.files.opened import is_file
+from framework.scenes.cameras import checked_lens, checked_pose
 from framework.scenes.lens import Lens
 
 FILES = ("cameras_sphere.npz", "cameras.npz")
 WIDTH, HEIGHT = 1600, 1200  # of the photos the projections are for
+LARGEST = 1e15  # of a projection: a focal length times a position, each within its limits
 MOST_SKEW = 1e-3  # of the focal length
 
 
@@ -31,7 +34,7 @@ class Calibration:
 
 def read_cameras(folder: Path, n: int) -> list[Calibration]:
     """The calibrations of positions 0 to n - 1. Raises UserError unless all are there and sound."""
-    path = next((folder / name for name in FILES if (folder / name).is_file()), None)
+    path = next((folder / name for name in FILES if is_file(folder / name)), None)
     if path is None:
         raise UserError(
             f"{folder}: expected the cameras in {' or '.join(FILES)}, found neither; is scene.path"
@@ -47,9 +50,10 @@ def decompose(matrix: NDArray, where: str) -> Calibration:
 
     good = matrix.shape in ((3, 4), (4, 4)) and matrix.dtype.kind in "fiu"
     require(
-        good and bool(np.isfinite(matrix).all()),
-        f"{where}: expected a finite 3x4 or 4x4 projection, got"
-        f" {'NaN or infinity' if good else f'{matrix.shape} {matrix.dtype}'}; replace the file",
+        good and bool((np.abs(matrix.astype(np.float64)) <= LARGEST).all()),
+        f"{where}: expected a 3x4 or 4x4 projection of numbers up to {LARGEST:g}, got"
+        f" {'NaN or infinity or more' if good else f'{matrix.shape} {matrix.dtype}'}; replace the"
+        " file",
     )
     projection = matrix[:3].astype(np.float64)
     determinant = np.linalg.det(projection[:, :3])
@@ -70,4 +74,6 @@ def decompose(matrix: NDArray, where: str) -> Calibration:
         f"{where}: expected square pixel axes, got a skew of {K[0, 1]:.3g} at a focal length of"
         f" {K[0, 0]:.4g}; is it a DTU camera?",
     )
-    return Calibration(viewmat, Lens(WIDTH, HEIGHT, K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+    fx, fy, cx, cy = (float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+    lens = Lens(WIDTH, HEIGHT, fx, fy, cx, cy)
+    return Calibration(checked_pose(viewmat, where), checked_lens(lens, where))

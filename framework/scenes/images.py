@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
-from framework.files.limits import IMAGE_BYTES, check_pixels, check_size
+from framework.files.limits import IMAGE_BYTES, check_pixels
+from framework.files.opened import is_file, read_bytes
 from framework.files.paths import inside
 
 if TYPE_CHECKING:
@@ -73,8 +74,7 @@ def opened(path: Path, formats: tuple[str, ...] = FORMATS) -> Iterator[Image.Ima
     from PIL import Image
 
     try:
-        check_size(path, IMAGE_BYTES)
-        stored = io.BytesIO(path.read_bytes())
+        stored = io.BytesIO(read_bytes(path, IMAGE_BYTES))
         with _FILTERS, warnings.catch_warnings():
             # Pillow warns of large images, which are refused here
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
@@ -83,7 +83,7 @@ def opened(path: Path, formats: tuple[str, ...] = FORMATS) -> Iterator[Image.Ima
             check_pixels(path, *image.size)
             yield image
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        if isinstance(error, UserError | PermissionError):
+        if isinstance(error, UserError):
             raise
         reason = re.sub(r"<_io\.BytesIO.*?>|\s+", " ", str(error).replace(str(path), "")).strip(
             " '"
@@ -134,7 +134,7 @@ def read_mask(path: Path, height: int, width: int) -> NDArray[np.float32]:
     """
     import numpy as np
 
-    require(path.is_file(), f"{path}: expected a mask, found no file; restore it")
+    require(is_file(path), f"{path}: expected a mask, found no file; restore it")
     grey = read_image(path)[..., 0]
     require(
         grey.shape == (height, width),

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from framework.scenes.lens import Lens
     from framework.types import Scene
 
-NOT_ROTATION = 1e-3  # largest deviation of an axis' products from those of a rotation
-
 
 @dataclass(frozen=True)
 class Llff:
@@ -61,14 +59,14 @@ class Llff:
         folder = scene_folder("llff", self.path)
         files = list_images(photo_folder(folder, self.images))
         rows = _read_poses(folder / "poses_bounds.npy", files)
-        names, viewmats = [f.name for f in files], [_viewmat(row) for row in rows]
+        source = folder / "poses_bounds.npy"
+        places = [f"{source}: row {i}" for i in range(len(rows))]
+        names, viewmats = [f.name for f in files], list(map(_viewmat, rows, places))
+        lenses = [_lens(row, self.k1, place) for row, place in zip(rows, places, strict=True)]
         split = protocol(self.split).split(names, self.n_views, f"scene=llff: {folder}")
         check_memory([files[i] for i in (*split.train, *split.test)], self.downscale)
         train, test = (
-            [
-                photo_shot(files[i], names[i], _lens(rows[i], self.k1), viewmats[i], self.downscale)
-                for i in part
-            ]
+            [photo_shot(files[i], names[i], lenses[i], viewmats[i], self.downscale) for i in part]
             for part in (split.train, split.test)
         )
         tracks = colmap_tracks(folder, "poses_bounds.npy", names, viewmats)
@@ -83,8 +81,9 @@ def _read_poses(path: Path, files: list[Path]) -> NDArray[np.float64]:
     import numpy as np
 
     from framework.files.arrays import read_npy
+    from framework.files.opened import is_file
 
-    require(path.is_file(), f"{path}: expected LLFF poses, found no file; is scene.path right?")
+    require(is_file(path), f"{path}: expected LLFF poses, found no file; is scene.path right?")
     rows = read_npy(path)
     shape = "x".join(map(str, rows.shape))
     require(
@@ -107,18 +106,14 @@ def _read_poses(path: Path, files: list[Path]) -> NDArray[np.float64]:
         f"{path}: expected 0 < near < far, positive focal and sides of 1 to {SIDE_PIXELS} pixels;"
         f" got otherwise in rows {np.flatnonzero(~good)}; replace it",
     )
-    axes = rows[:, :15].reshape(-1, 3, 5)[:, :, :3]
-    off = np.abs(axes.transpose(0, 2, 1) @ axes - np.eye(3)).max(axis=(1, 2)) > NOT_ROTATION
-    require(
-        not off.any() and bool((np.linalg.det(axes) > 0).all()),
-        f"{path}: expected right-handed, orthonormal camera axes, got others; is it LLFF's layout?",
-    )
     return rows
 
 
-def _viewmat(row: NDArray[np.float64]) -> NDArray[np.float64]:
+def _viewmat(row: NDArray[np.float64], where: str) -> NDArray[np.float64]:
     """[4, 4] OpenCV world-to-camera of one row."""
     import numpy as np
+
+    from framework.scenes.cameras import checked_pose
 
     matrix = row[:15].reshape(3, 5)
     down, right, back, center = (matrix[:, k] for k in range(4))
@@ -126,12 +121,14 @@ def _viewmat(row: NDArray[np.float64]) -> NDArray[np.float64]:
     for k, axis in enumerate((right, down, -back)):
         viewmat[k, :3] = axis
         viewmat[k, 3] = -(axis * center).sum()
-    return viewmat
+    return checked_pose(viewmat, where)
 
 
-def _lens(row: NDArray[np.float64], k1: float) -> Lens:
+def _lens(row: NDArray[np.float64], k1: float, where: str) -> Lens:
     """The camera of a full-size photo."""
+    from framework.scenes.cameras import checked_lens
     from framework.scenes.lens import Distortion, Lens
 
     height, width, focal = round(row[4]), round(row[9]), float(row[14])
-    return Lens(width, height, focal, focal, width / 2, height / 2, Distortion(k1))
+    lens = Lens(width, height, focal, focal, width / 2, height / 2, Distortion(k1))
+    return checked_lens(lens, where)

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from framework.errors import UserError, require
-from framework.files.limits import PLY_BYTES, check_size
+from framework.files.limits import PLY_BYTES
+from framework.files.opened import file_size
 
 HEADER_BYTES = 65536
 KINDS = {
@@ -43,7 +44,7 @@ class _Header:
 
 def read_vertices(path: Path) -> NDArray[Any]:
     """[count] structured array of the vertices. Raises UserError for a file that has none such."""
-    size = check_size(path, PLY_BYTES)
+    size = file_size(path, PLY_BYTES)
     with path.open("rb") as file:
         header = _header(path, file.read(HEADER_BYTES))
         # a value of text takes a digit and what ends it, the last one perhaps without the latter

@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from framework.errors import UserError, require
+from framework.files.opened import is_file
 from framework.scenes.assemble import Tracks
+from framework.scenes.cameras import near_points
 from framework.scenes.ply_vertices import read_vertices
 
 if TYPE_CHECKING:
@@ -76,7 +78,7 @@ def ply_points(path: Path, shots: Sequence[Shot]) -> Tracks:
 
 def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     require(
-        path.is_file(),
+        is_file(path),
         f"{path}: expected a PLY file of coloured points, found none; correct scene.points",
     )
     vertices = read_vertices(path)
@@ -92,7 +94,7 @@ def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         rgb.dtype == np.uint8,
         f"{path}: expected colours of type uchar, got {rgb.dtype}; convert the file",
     )
-    good = np.isfinite(xyz).all(axis=1)
+    good = near_points(xyz)
     return xyz[good], rgb[good]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from framework.errors import UserError, require
-from framework.files.limits import SIDE_PIXELS, TEXT_BYTES, check_size
+from framework.files.limits import TEXT_BYTES
+from framework.files.opened import is_file, read_text
 from framework.files.paths import inside
+from framework.scenes.cameras import checked_lens, checked_pose
 from framework.scenes.images import SUFFIXES
 from framework.scenes.lens import Distortion, Lens
 
@@ -25,7 +28,6 @@ NUMBERS = (
     *("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", "camera_angle_y"),
     *("k1", "k2", "k3", "p1", "p2", *UNSUPPORTED),
 )
-NOT_ROTATION = 1e-3  # largest deviation of the axes' products from those of a rotation
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])  # the signs of a camera's axes
 
 
@@ -57,13 +59,8 @@ class Frame:
         fy = self._focal("fl_y", "camera_angle_y", h)
         distortion = Distortion(*(v.get(k, 0.0) for k in ("k1", "k2", "p1", "p2", "k3")))
         cx, cy = v.get("cx", w / 2), v.get("cy", h / 2)
-        good = min(w, h) >= 1 and max(w, h) <= SIDE_PIXELS and fx > 0 and (fy is None or fy > 0)
-        require(
-            good,
-            f"{self.where}: expected sides of 1 to {SIDE_PIXELS} pixels and positive focal lengths,"
-            f" got {dict(v)}; correct them",
-        )
-        return Lens(round(w), round(h), fx, fx if fy is None else fy, cx, cy, distortion)
+        lens = Lens(round(w), round(h), fx, fx if fy is None else fy, cx, cy, distortion)
+        return checked_lens(lens, self.where)
 
     def _focal(self, key: str, angle: str, size: float) -> float | None:
         """The focal length in pixels under `key`, else from the `angle` of view over `size`."""
@@ -84,12 +81,10 @@ def read_frames(path: Path) -> list[Frame]:
     if not isinstance(entries, list) or not entries:
         raise UserError(f"{path}: expected a list 'frames' of photos, got none; is it complete?")
     common = _values(data, str(path))
+    _check_once(path, _file_paths(path, entries))  # before a file is looked for
     frames = []
     for i, entry in enumerate(entries):
-        where = f"{path}: frame {i}"
-        if not isinstance(entry, dict) or not isinstance(entry.get("file_path"), str):
-            raise UserError(f"{where}: expected an object with 'file_path', got none; add it")
-        where = f"{where} ({entry['file_path']})"
+        where = f"{path}: frame {i} ({entry['file_path'][:200]})"
         file = _photo(path.parent, entry["file_path"])
         viewmat = _viewmat(entry.get("transform_matrix"), where)
         values = {**common, **_values(entry, where)}
@@ -99,11 +94,30 @@ def read_frames(path: Path) -> list[Frame]:
     return sorted(frames, key=lambda frame: frame.name)
 
 
+def _file_paths(path: Path, entries: list[Any]) -> list[str]:
+    for i, entry in enumerate(entries):
+        if not isinstance(entry, dict) or not isinstance(entry.get("file_path"), str):
+            raise UserError(
+                f"{path}: frame {i}: expected an object with 'file_path', got none; add it"
+            )
+    return [entry["file_path"] for entry in entries]
+
+
+def _check_once(path: Path, names: list[str]) -> None:
+    name, times = Counter(names).most_common(1)[0]
+    require(
+        times == 1,
+        f"{path}: expected each photo once, got {name[:200]} more than once; remove the surplus"
+        " frames",
+    )
+
+
 def _read_json(path: Path) -> dict[str, Any]:
-    require(path.is_file(), f"{path}: expected camera poses, found no file; is scene.path right?")
-    check_size(path, TEXT_BYTES)
+    require(is_file(path), f"{path}: expected camera poses, found no file; is scene.path right?")
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(read_text(path, TEXT_BYTES))
+    except UserError:
+        raise
     except (ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise UserError(f"{path}: expected JSON, got a damaged file ({reason}); fix it") from None
@@ -144,10 +158,10 @@ def _photo(folder: Path, file_path: str) -> Path:
     """The photo of a file_path: as it stands, else with a suffix appended. May not exist. Raises
     UserError when it is not inside the folder."""
     exact = inside(folder, file_path)
-    if exact.suffix.lower() in SUFFIXES or exact.is_file():
+    if exact.suffix.lower() in SUFFIXES or is_file(exact):
         return exact
     candidates = [exact.with_name(exact.name + suffix) for suffix in sorted(SUFFIXES)]
-    found = [inside(folder, c.relative_to(folder)) for c in candidates if c.is_file()]
+    found = [inside(folder, c.relative_to(folder)) for c in candidates if is_file(c)]
     require(
         len(found) <= 1,
         f"{exact}: expected one photo of that name, found {', '.join(f.name for f in found)};"
@@ -171,35 +185,19 @@ def _viewmat(matrix: Any, where: str) -> NDArray[np.float64]:
         f"{where}: expected a transform_matrix of 4x4 numbers, got"
         f" {'none' if matrix is None else f'shape {pose.shape}'}; correct it",
     )
-    require(
-        bool(np.isfinite(pose).all()),
-        f"{where}: expected a finite transform_matrix, got NaN or infinity; remove the frame",
-    )
-    rotation = pose[:3, :3]
-    off = np.abs(rotation.T @ rotation - np.eye(3)).max()
-    require(
-        off <= NOT_ROTATION and np.linalg.det(rotation) > 0,
-        f"{where}: expected right-handed, orthonormal axes in transform_matrix, got others (off by"
-        f" {off:.2g}); scale positions, not axes",
-    )
     viewmat = np.eye(4)
-    viewmat[:3, :3] = (rotation * OPENGL_TO_OPENCV).T
-    viewmat[:3, 3] = -viewmat[:3, :3] @ pose[:3, 3]
-    return viewmat
+    viewmat[:3, :3] = (pose[:3, :3] * OPENGL_TO_OPENCV).T
+    with np.errstate(over="ignore", invalid="ignore"):  # refused in the next line
+        viewmat[:3, 3] = -viewmat[:3, :3] @ pose[:3, 3]
+    return checked_pose(viewmat, f"{where}: transform_matrix")
 
 
 def _check_files(path: Path, frames: list[Frame]) -> None:
     """Every frame has a photo of its own."""
-    missing = [frame.name for frame in frames if not frame.file.is_file()]
+    missing = [frame.name for frame in frames if not is_file(frame.file)]
     require(
         not missing,
         f"{path}: expected a photo for each of {len(frames)} frames, {len(missing)} missing (first:"
         f" {missing[0] if missing else ''}); restore them or remove their frames",
     )
-    names = [frame.name for frame in frames]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    require(
-        not twice,
-        f"{path}: expected each photo once, got {twice[0] if twice else ''} more than once; remove"
-        " the surplus frames",
-    )
+    _check_once(path, [frame.name for frame in frames])

@@ -15,25 +15,26 @@ from __future__ import annotations
 
 import functools
 import math
+import os
 import urllib.parse
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
 from hydra import initialize_config_dir
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import ChoiceSweep, Override, RangeSweep
+from hydra.core.override_parser.types import ChoiceSweep, IntervalSweep, Override, RangeSweep
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from framework.command.complaints import composing
 from framework.command.config.schema import CONF_DIR, SWEEPS_DIR
-from framework.errors import UserError, require
+from framework.errors import UserError, printable_line, require
 from framework.files import limits
+from framework.files.documents import check_yaml
 
 LAUNCHERS = ("basic", "joblib")
 FREE = ("mode", "overrides", "runtime", "verbose", "help", "hydra_help", "defaults", "env")
@@ -45,7 +46,6 @@ REFUSED_FLAGS = {
     "config_dir": "use hydra.searchpath=[file://DIR]",
 }
 QUIET = {"version": 1, "root": None, "disable_existing_loggers": False}  # hydra/*_logging=none
-LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 def check_command(flags: Any) -> None:
@@ -56,7 +56,7 @@ def check_command(flags: Any) -> None:
     for name, fix in REFUSED_FLAGS.items():
         if getattr(flags, name) is not None:
             raise UserError(f"--{name.replace('_', '-')}: expected no such flag, got one; {fix}")
-    overrides = OverridesParser.create().parse_overrides(list(flags.overrides))
+    overrides = parsed(flags.overrides)
     folders = [CONF_DIR, SWEEPS_DIR, *_search_path(overrides)]
     for folder in folders:
         check_config_files(folder)
@@ -71,6 +71,29 @@ def check_command(flags: Any) -> None:
     check_run_count(overrides, params)
     multirun = flags.multirun or composed.hydra.mode is RunMode.MULTIRUN
     check_method(overrides, params if multirun else ())
+
+
+def parsed(lines: Sequence[str]) -> list[Override]:
+    """The overrides as Hydra's grammar reads them. Raises UserError, or one of Hydra's, for a line
+    that it cannot read."""
+    try:
+        overrides = OverridesParser.create().parse_overrides(list(lines))
+    except (ValueError, RecursionError) as error:  # an integer of thousands of digits, for instance
+        raise UserError(
+            f"command line: expected values of a usual length, got {_longest(lines)!r}"
+            f" ({printable_line(str(error))[:120]}); write KEY=VALUE"
+        ) from error
+    for override in overrides:
+        require(
+            override.key_or_group != "",
+            f"command line: cannot read {str(override.input_line)[:100]!r}; write KEY=VALUE",
+        )
+    return overrides
+
+
+def _longest(lines: Sequence[str]) -> str:
+    line = max(lines, key=len)
+    return line if len(line) <= 60 else f"{line[:60]} ..."
 
 
 def check_composed(config: DictConfig) -> None:
@@ -96,8 +119,7 @@ def check_composed(config: DictConfig) -> None:
 def check_run_count(overrides: Sequence[Override], params: Mapping[Any, Any]) -> None:
     """Raise UserError when the command asks for more than `limits.RUNS` runs, without listing
     them. params: `hydra.sweeper.params`, which the overrides of the same keys replace."""
-    parser = OverridesParser.create()
-    swept = parser.parse_overrides([f"{key!s}={value}" for key, value in params.items()])
+    swept = parsed([f"{key!s}={value}" for key, value in params.items()])
     lengths = {override.get_key_element(): _length(override) for override in [*swept, *overrides]}
     count = math.prod(lengths.values())
     require(
@@ -123,15 +145,8 @@ def check_config_files(folder: Path) -> None:
 
     No aliases: nine lines of them can stand for a billion values.
     """
-    files = sorted(folder.rglob("*.yaml"))
-    require(
-        len(files) <= limits.CONFIG_FILES,
-        f"{folder}: expected at most {limits.CONFIG_FILES} .yaml files, got {len(files)}; give the"
-        " folder that holds the configurations alone",
-    )
-    for file in files:
-        limits.check_size(file, limits.CONFIG_BYTES)
-        _check_yaml(file)
+    for file in _yaml_files(folder):
+        check_yaml(file)
 
 
 def refuse_environment(*_: Any) -> Any:
@@ -142,25 +157,24 @@ def refuse_environment(*_: Any) -> Any:
     )
 
 
-def _check_yaml(file: Path) -> None:
-    depth = 0
-    try:
-        for event in yaml.parse(file.read_bytes(), Loader=LOADER):
-            if isinstance(event, yaml.AliasEvent):
-                raise UserError(
-                    f"{file}: expected no YAML aliases, got *{event.anchor} in line"
-                    f" {event.start_mark.line + 1}; write the values out"
-                )
-            depth += isinstance(event, yaml.CollectionStartEvent)
-            depth -= isinstance(event, yaml.CollectionEndEvent)
+def _yaml_files(folder: Path) -> list[Path]:
+    """Those below the folder, through links as Hydra finds them, sorted; listed no further than
+    the limits go: the folder may be the whole disk."""
+    found: list[Path] = []
+    entries = 0
+    for here, folders, names in os.walk(folder, followlinks=True):
+        entries += len(folders) + len(names)
+        found += [Path(here, name) for name in names if name.endswith(".yaml")]
+        for count, most, what in (
+            (len(found), limits.CONFIG_FILES, ".yaml files"),
+            (entries, limits.CONFIG_ENTRIES, "files and folders"),
+        ):
             require(
-                depth <= limits.CONFIG_DEPTH,
-                f"{file}: expected at most {limits.CONFIG_DEPTH} nested levels, got more in line"
-                f" {event.start_mark.line + 1}; write it flat",
+                count <= most,
+                f"{folder}: expected at most {most} {what}, got {count} or more; give the folder"
+                " that holds the configurations alone",
             )
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())[:160]
-        raise UserError(f"{file}: expected YAML, got something else ({reason})") from None
+    return sorted(found)
 
 
 def _search_path(overrides: Iterable[Override]) -> list[Path]:
@@ -260,6 +274,11 @@ def _stored(name: str, kind: str = "launcher") -> dict[str, Any]:
 def _length(override: Override) -> int:
     """The number of values an override sweeps over."""
     value = override.value()
+    require(
+        not isinstance(value, IntervalSweep),
+        f"{override.input_line}: expected values to sweep over, as choice(0,0.5,1) or"
+        " range(0,1.1,0.5), got an interval, which does not say which; list them",
+    )
     if isinstance(value, ChoiceSweep):
         return len(value.list)
     if isinstance(value, RangeSweep):

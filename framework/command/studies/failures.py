@@ -28,7 +28,14 @@ from framework.command.studies.study import (
     outcomes,
     short_path,
 )
-from framework.errors import UserError
+from framework.errors import (
+    UserError,
+    memory_line,
+    mendable,
+    os_line,
+    out_of_memory,
+    printable_line,
+)
 from framework.files.locks import Busy
 
 MOST_ROWS = 20
@@ -41,7 +48,7 @@ def kind_of(error: BaseException) -> str:
         return error.kind
     if isinstance(error, USER_ERRORS):
         return UserError.kind
-    return "machine" if isinstance(error, OSError | MemoryError) else "bug"
+    return "machine" if isinstance(error, OSError) or out_of_memory(error) else "bug"
 
 
 def tell(job: Job, raised: Exception) -> None:
@@ -115,13 +122,11 @@ def _rest(count: int) -> list[str]:
 
 
 def _as_bad_input(error: Exception) -> Exception:
-    """A file or folder that may not be opened is no bug; readers leave it to be told here."""
-    if not isinstance(error, PermissionError):
+    """A file or folder that the system refuses is no bug; who opens it may leave it to be told
+    here."""
+    if not isinstance(error, OSError) or not mendable(error):
         return error
-    told = UserError(
-        f"{error.filename}: expected what may be opened, got '{error.strerror}'; change its rights"
-        " or choose another, and run the same again"
-    )
+    told = UserError(os_line(error))
     told.__cause__ = error  # for traceback=true
     return told
 
@@ -132,6 +137,10 @@ def _shown(error: Exception, show: bool) -> str:
         if show:
             traceback.print_exception(error)
         return one_line(error)
+    if out_of_memory(error):
+        if show:
+            traceback.print_exception(error)
+        return printable_line(memory_line(error))
     traceback.print_exception(error)
     first = next(iter(str(error).splitlines()), "")
     return f"{type(error).__name__}: {first}".rstrip(": ")

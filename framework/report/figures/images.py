@@ -16,8 +16,9 @@ from framework.records.run_files import ERROR_SCALE
 from framework.report.figures.files import grid_picture
 from framework.report.figures.views import (
     ShownViews,
+    check_size,
     choose_views,
-    image_file,
+    picture,
     psnr_of,
     shown_methods,
 )
@@ -26,7 +27,6 @@ from framework.report.parts.grid import Band, Cell, Scale
 from framework.report.statistics.numbers import significant
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside, slug
-from framework.scenes.images import read_image
 
 SIGMA_SCALE, SIGMA_COLORS = 0.1, "viridis"
 FEWEST_SEEDS = 3  # a deviation of two values says little about a pixel
@@ -39,18 +39,15 @@ def draw_images(study: Study, scene: str) -> Picture | None:
         return None
     bands = []
     for view, why in shown.views:
-        truth = Cell("ground truth", read_image(image_file(shown.runs[0], view, "truth")))
+        truth = Cell("ground truth", picture(shown.runs[0], view, "truth"))
         renders = [
             Cell(
                 f"{run.method}\n{_psnr_text(run, view)}",
-                read_image(image_file(run, view, "render")),
+                picture(run, view, "render"),
             )
             for run in shown.runs
         ]
-        errors = [
-            Cell(f"error: {run.method}", read_image(image_file(run, view, "error")))
-            for run in shown.runs
-        ]
+        errors = [Cell(f"error: {run.method}", picture(run, view, "error")) for run in shown.runs]
         scale = Scale("mean absolute error", "magma", ERROR_SCALE)
         groups = ((truth, *renders), tuple(errors))
         bands.append(Band(f"{outside(view)} ({why})", groups, scale))
@@ -77,7 +74,7 @@ def draw_sigma_maps(study: Study, scene: str) -> Picture | None:
         return None
     bands = []
     for view, why in shown.views:
-        truth = Cell("ground truth", read_image(image_file(shown.runs[0], view, "truth")))
+        truth = Cell("ground truth", picture(shown.runs[0], view, "truth"))
         scale = Scale("standard deviation over seeds", SIGMA_COLORS, SIGMA_SCALE)
         maps = [_sigma_cell(method, runs, view) for method, runs in groups]
         bands.append(Band(f"{outside(view)} ({why})", ((truth, *maps),), scale))
@@ -95,7 +92,9 @@ def sigma_map(runs: Sequence[ReportRun], view: str) -> np.ndarray:
     the renders in [0, 1]."""
     total = squares = np.zeros(1)
     for run in runs:
-        pixels = read_image(image_file(run, view, "render")).astype(np.float64)
+        pixels = picture(run, view, "render").astype(np.float64)
+        if run is not runs[0]:
+            check_size(run, view, pixels.shape, total.shape)
         total, squares = total + pixels, squares + pixels**2
     n = len(runs)
     variance = np.maximum(squares - total**2 / n, 0.0) / (n - 1)

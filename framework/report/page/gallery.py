@@ -15,10 +15,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
-from framework.files.limits import IMAGE_BYTES, check_size
-from framework.report.figures.views import choose_views, image_file, psnr_of
+from framework.files.limits import IMAGE_BYTES
+from framework.files.opened import read_bytes
+from framework.report.figures.views import choose_views, image_file, picture, psnr_of, reading
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
 from framework.scenes.images import read_image
@@ -54,9 +56,9 @@ def gallery(study: Study, scenes: Sequence[str]) -> Gallery:
         for run, view in layer:
             truth = image_file(run, view, "truth")
             if truth not in truths:
-                truths[truth] = _add(found, truth, known)
-            render = _add(found, image_file(run, view, "render"))
-            error = _add(found, image_file(run, view, "error"), longest=LONGEST_ERROR)
+                truths[truth] = _add(found, run, view, "truth", known)
+            render = _add(found, run, view, "render")
+            error = _add(found, run, view, "error", longest=LONGEST_ERROR)
             psnr = psnr_of(run, view)
             text = "infinite" if psnr is None else f"{psnr:.2f} dB"
             shot = (run.scene, run.method, run.seed, outside(view), text)
@@ -80,14 +82,19 @@ def _layers(study: Study, scenes: Sequence[str]) -> Iterator[list[tuple[ReportRu
 
 
 def _add(
-    found: Gallery, path: Path, known: dict[bytes, int] | None = None, longest: int = LONGEST
+    found: Gallery,
+    run: ReportRun,
+    view: str,
+    kind: str,
+    known: dict[bytes, int] | None = None,
+    longest: int = LONGEST,
 ) -> int:
     """Index of the image's copy; equal files are kept once where `known` is given."""
-    check_size(path, IMAGE_BYTES)
-    original = path.read_bytes()
+    with reading(run):
+        original = read_bytes(image_file(run, view, kind), IMAGE_BYTES)
     if known is not None and original in known:
         return known[original]
-    copy = _copy(path, longest)
+    copy = _copy(picture(run, view, kind), longest)
     found.size += len(copy)
     found.images.append(_uri(copy))
     if known is not None:
@@ -97,18 +104,18 @@ def _add(
 
 def inline_copy(path: Path) -> str:
     """A figure of the report as a data URI, at its own size."""
-    return _uri(_copy(path, None))
+    return _uri(_copy(read_image(path), None))
 
 
 def _uri(copy: bytes) -> str:
     return "data:image/webp;base64," + base64.b64encode(copy).decode()
 
 
-def _copy(path: Path, longest: int | None) -> bytes:
+def _copy(pixels: np.ndarray, longest: int | None) -> bytes:
     """longest: side in pixels; None: as it is."""
     buffer = io.BytesIO()
-    pixels = Image.fromarray(read_image(path))
+    image = Image.fromarray(pixels)
     if longest is not None:
-        pixels.thumbnail((longest, longest), Image.Resampling.LANCZOS)
-    pixels.save(buffer, format="WEBP", quality=QUALITY, method=EFFORT)
+        image.thumbnail((longest, longest), Image.Resampling.LANCZOS)
+    image.save(buffer, format="WEBP", quality=QUALITY, method=EFFORT)
     return buffer.getvalue()

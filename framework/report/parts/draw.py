@@ -24,6 +24,7 @@ from framework.report.parts.palette import (
 STYLE: Any = {
     "svg.hashsalt": "fishersplat",
     "svg.fonttype": "path",
+    "text.parse_math": False,  # a name with $ in it is no formula
     "font.size": 10.0,
     "axes.titlesize": 10.0,
 }

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-import yaml
-
-from framework.errors import UserError, require
+from framework.errors import UserError, printable_line, require
+from framework.files.limits import RUNS
 from framework.metrics.values import Missing
-from framework.records.record import FAILED, RECORD, Run, RunRecord, read_run
+from framework.records.failure import FAILED, read_failure
+from framework.records.record import RECORD, Run, RunRecord, read_run
 from framework.report.study.axes import Axis
+from framework.report.study.folders import run_dirs
 from framework.report.study.labels import (
     MethodLabel,
     SceneLabel,
+    code,
     listed,
     method_labels,
     outside,
@@ -28,6 +30,7 @@ from framework.report.study.labels import (
 )
 from framework.report.study.order import BASELINE, method_order, natural
 
+DAMAGED = "damaged"  # the kind of failure of a folder that no run left
 BUSY = 1.3  # wall seconds per CPU second of a training from which others shared its cores
 
 
@@ -175,15 +178,20 @@ class Study:
         return Path(os.path.relpath(run_dir.resolve(), self.out_dir.resolve())).as_posix()
 
 
-def collect(study_dirs: Path | Sequence[Path], out_dir: Path | None = None) -> Study:
+def collect(
+    study_dirs: Path | Sequence[Path],
+    out_dir: Path | None = None,
+    broken: Mapping[Path, str] = MappingProxyType({}),
+) -> Study:
     """Read every record below the folders. out_dir: where the report goes, else the first folder.
+    broken: folders of runs that turned out damaged, and why.
 
-    Raises UserError if a folder has no run, or a record is damaged.
+    Raises UserError if a folder has no run.
     """
     folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
     runs, failed, origins = [], [], []
     for folder in folders:
-        complete, lost = _read(folder)
+        complete, lost = _read(folder, broken)
         require(
             len(complete) + len(lost) > 0,
             f"{folder}: expected a study's folder with runs in it, got none; give the folder that"
@@ -201,42 +209,43 @@ def collect(study_dirs: Path | Sequence[Path], out_dir: Path | None = None) -> S
     return Study(out_dir or folders[0], tuple(unique), tuple(named), notes, tuple(missing))
 
 
-def _read(folder: Path) -> tuple[list[Run], list[FailedRun]]:
-    """All complete and all failed runs below `folder`, by path."""
-    if not folder.is_dir():
-        return [], []
-    paths = sorted({path.parent for path in [*folder.rglob(RECORD), *folder.rglob(FAILED)]})
-    complete, failed = [], []
-    for path in paths:
-        run = read_run(path) if (path / RECORD).is_file() else None
-        if run is not None and run.record.status == "complete":
-            complete.append(run)
-        elif run is not None:
-            record = run.record
-            error = record.error or "not told"
-            kind = _read_failed(path).kind if (path / FAILED).is_file() else ""
-            failed.append(
-                FailedRun(path, error, kind, record.overrides, record.config, record.provenance)
-            )
+def _read(folder: Path, broken: Mapping[Path, str]) -> tuple[list[Run], list[FailedRun]]:
+    """All complete and all failed runs below `folder`, by path; one that is not what a run writes
+    counts among the failed."""
+    complete: list[Run] = []
+    failed: list[FailedRun] = []
+    for path in run_dirs(folder):
+        try:
+            if path in broken:
+                raise UserError(broken[path])
+            found = _read_run(path)
+        except UserError as error:
+            failed.append(FailedRun(path, _within(path, error), DAMAGED, (), {}, {}))
+            continue
+        if isinstance(found, Run):
+            complete.append(found)
         else:
-            failed.append(_read_failed(path))
+            failed.append(found)
     return complete, failed
 
 
-def _read_failed(run_dir: Path) -> FailedRun:
-    """What a failed run left: its error, and the configuration Hydra noted beside it."""
-    path, composed = run_dir / FAILED, run_dir / ".hydra" / "config.yaml"
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        error, kind = str(content["error"]), str(content.get("kind", ""))
-        overrides = tuple(str(override) for override in content["overrides"])
-        config = yaml.safe_load(composed.read_text(encoding="utf-8")) if composed.is_file() else {}
-    except (ValueError, KeyError, TypeError, AttributeError, OSError, yaml.YAMLError) as problem:
-        raise UserError(
-            f"{path}: expected the error of a failed run, got a damaged file ({problem}); delete"
-            " that folder and run again"
-        ) from problem
-    return FailedRun(run_dir, error, kind, overrides, config or {}, {})
+def _read_run(path: Path) -> Run | FailedRun:
+    """Raises UserError where the files in the folder `path` are not those of a run."""
+    if not os.path.lexists(path / RECORD):
+        left = read_failure(path)
+        return FailedRun(path, left.error, left.kind, left.overrides, left.config, {})
+    run = read_run(path)
+    record = run.record
+    if record.status == "complete":
+        return run
+    kind = read_failure(path).kind if os.path.lexists(path / FAILED) else ""
+    error = record.error or "not told"
+    return FailedRun(path, error, kind, record.overrides, record.config, record.provenance)
+
+
+def _within(path: Path, error: UserError) -> str:
+    """The error, which tells files of the folder `path` without the way to it."""
+    return str(error).replace(printable_line(f"{path}/"), "")
 
 
 def _label(
@@ -269,13 +278,13 @@ def _missing(
     by_folder: dict[Path, list[ReportRun]] = defaultdict(list)
     for run, folder in zip(runs, origins, strict=True):
         by_folder[folder].append(run)
-    lacking = {
-        (scene, method, seed)
+    crosses = [
+        ({run.scene for run in own}, {run.method for run in own}, {run.seed for run in own})
         for own in by_folder.values()
-        for scene in {run.scene for run in own}
-        for method in {run.method for run in own}
-        for seed in {run.seed for run in own}
-    } - there
+    ]
+    # no command asks for more, so what is larger was never meant as a cross
+    asked = [(a, b, c) for a, b, c in crosses if len(a) * len(b) * len(c) <= RUNS]
+    lacking = {cell for cross in asked for cell in product(*cross)} - there
     return sorted(lacking, key=lambda cell: (natural(cell[0]), method_order(cell[1]), cell[2]))
 
 
@@ -288,19 +297,27 @@ def _without_repeats(runs: list[ReportRun]) -> tuple[list[ReportRun], list[str]]
         if first is not run:
             notes.append(
                 f"{run.method} on {run.scene} with seed {run.seed} was found twice; the run in"
-                f" `{run.run.run_dir.name}` is left out in favour of `{first.run.run_dir.name}`."
+                f" {code(run.run.run_dir.name)} is left out in favour of"
+                f" {code(first.run.run_dir.name)}."
             )
     return list(kept.values()), notes
 
 
 def _repeat_notes(runs: Sequence[ReportRun]) -> list[str]:
     """A complete run outlives a repetition that failed, which is told."""
-    again = [run.run.run_dir for run in runs if (run.run.run_dir / FAILED).is_file()]
+    again = [run.run.run_dir for run in runs if os.path.lexists(run.run.run_dir / FAILED)]
     return [
-        f"The run in `{folder.name}` was repeated and failed"
-        f" ({outside(_read_failed(folder).error)}); the earlier, complete one is reported."
+        f"The run in {code(folder.name)} was repeated and failed"
+        f" ({outside(_error_of(folder))}); the earlier, complete one is reported."
         for folder in again
     ]
+
+
+def _error_of(folder: Path) -> str:
+    try:
+        return read_failure(folder).error
+    except UserError as error:
+        return _within(folder, error)
 
 
 def _equal_notes(runs: Sequence[ReportRun]) -> list[str]:

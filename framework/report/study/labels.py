@@ -10,6 +10,7 @@ scene, the stresses of `framework.report.study.axes` and keys that cannot change
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections import defaultdict
@@ -17,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from framework.errors import printable_line
 from framework.records.provenance import NEUTRAL_KEYS
 from framework.records.record import METHOD_GROUPS, SceneInfo
 from framework.report.study.axes import BUDGETS, DATA_KEYS
@@ -31,6 +33,7 @@ USUAL = {"capacity.name": "fixed", "init.name": "stereo", "depth.name": "plane_s
 NO_METHOD = ("seed", "scene", "metrics", *NEUTRAL_KEYS)
 WATCHING = ("trainer.evaluations",)  # changes what is told, not what comes out
 UNKNOWN_SCENE = "unknown scene"
+SLUG_LENGTH = 120  # characters
 
 Flat = Mapping[str, Any]
 
@@ -117,8 +120,9 @@ def text_of(value: Any) -> str:
 
 
 def outside(text: str) -> str:
-    """A text from outside as one line without backticks, which a report gives a meaning."""
-    return " ".join(text.split()).replace("`", "'")
+    """A text from outside as one printable line of bounded length, without backticks, which a
+    report gives a meaning."""
+    return printable_line(" ".join(text.split())).replace("`", "'")
 
 
 def code(text: str) -> str:
@@ -253,5 +257,9 @@ def listed(items: Sequence[object], word: str) -> str:
 
 
 def slug(text: str) -> str:
-    """`text` as part of a file name."""
-    return re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
+    """`text` as part of a file name; where that would lose letters, with a hash of it."""
+    name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
+    if name and text.isascii() and len(name) <= SLUG_LENGTH:
+        return name
+    digest = hashlib.sha256(text.encode("utf-8", "replace")).hexdigest()[:8]
+    return "_".join(filter(None, (name[:SLUG_LENGTH], digest)))

@@ -8,7 +8,7 @@ from collections import defaultdict
 
 from framework.metrics.values import METRICS, Missing
 from framework.report.parts.document import Block, Bullets, Heading, Text, table
-from framework.report.study.collect import Study
+from framework.report.study.collect import DAMAGED, FailedRun, Study
 from framework.report.study.labels import code, outside
 from framework.report.study.names import NAMES
 
@@ -47,12 +47,16 @@ def failures(study: Study) -> list[Block]:
             "Run": code(study.folder_of(run.run_dir)),
             "Kind": outside(run.kind),
             "Reason": outside(run.error),
-            "Again": code(shlex.join(["python", "run.py", *run.overrides, "-m"])),
+            "Again": "" if run.kind == DAMAGED else _again(run),
         }
         for run in study.failed
     ]
     text = "The study's command does them again; the command in the last column does one alone."
     return [Heading(2, "Failed runs"), Text(text), table(rows, WORDS)]
+
+
+def _again(run: FailedRun) -> str:
+    return code(shlex.join(["python", "run.py", *run.overrides, "-m"]))
 
 
 def missing_runs(study: Study) -> list[Block]:

@@ -3,6 +3,7 @@ reason is listed in the report. A mean carries ± half the width of its 95 % int
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from urllib.parse import quote
 
@@ -138,7 +139,8 @@ def _seed_row(study: Study, run: ReportRun, metrics: Sequence[str]) -> dict[str,
     row["Gaussians"] = str(record.gaussians)
     row["PLY (kB)"] = f"{record.ply_bytes / 1000:.0f}"
     row["Parameters"] = f"`{record.parameters_sha256[:12]}`"
-    name, target = run.run.run_dir.name, quote(study.folder_of(run.run.run_dir)) + "/"
+    name = outside(run.run.run_dir.name)
+    target = quote(os.fsencode(study.folder_of(run.run.run_dir))) + "/"
     row["Folder"] = Link(name, target) if study.linked else name
     return row
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from framework.errors import UserError
-from framework.files.limits import TEXT_BYTES, check_size
+from framework.files.limits import TEXT_BYTES
+from framework.files.opened import file_size
 from framework.files.whole import write_whole
 
 FILE = "poses.json"
@@ -71,7 +72,7 @@ def read_found(folder: Path) -> Found:
     """From `poses.json` of `folder`. Raises UserError for a damaged one."""
     path = folder / FILE
     try:
-        check_size(path, TEXT_BYTES)
+        file_size(path, TEXT_BYTES)
         values = json.loads(path.read_text(encoding="utf-8"))
         values["links"] = [Link(**link) for link in values["links"]]
         values["tries"] = [Try(**attempt) for attempt in values["tries"]]

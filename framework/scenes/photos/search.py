@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from framework.compute.orphans import watch
-from framework.errors import UserError, require
-from framework.files.whole import MENDABLE, unwritable
+from framework.errors import UserError, mendable, os_line, require
 from framework.scenes.photos.advice import failure
 from framework.scenes.photos.attempt import Attempt, attempt
 from framework.scenes.photos.found import Found, Try, write_found
@@ -42,9 +41,9 @@ def main() -> None:
     except UserError as error:
         telling.error(str(error))
     except OSError as error:
-        if error.errno not in MENDABLE:
+        if not mendable(error):
             raise
-        telling.error(unwritable(error, error.filename or request["folder"]))
+        telling.error(os_line(error, error.filename or request["folder"]))
 
 
 def _own_stdout() -> TextIO:

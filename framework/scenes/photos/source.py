@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from framework.errors import UserError, require
-from framework.files.limits import IMAGE_BYTES, check_size
+from framework.files.limits import IMAGE_BYTES
+from framework.files.opened import file_size
 from framework.files.paths import inside
 from framework.scenes.images import SUFFIXES
 
@@ -121,7 +122,7 @@ def _check_count(place: Path, n_files: int, n_distinct: int) -> None:
 
 def _sha256(file: Path, limit: int | None = IMAGE_BYTES) -> str:
     if limit is not None:
-        check_size(file, limit)
+        file_size(file, limit)
     with file.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

@@ -27,7 +27,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 
 from framework import types
-from framework.files.limits import CHECKPOINT_BYTES, check_size
+from framework.files.limits import CHECKPOINT_BYTES
+from framework.files.opened import read_bytes
 from framework.files.tree import decode, encode
 from framework.files.whole import write_whole
 from framework.fisher import information as fisher
@@ -141,8 +142,7 @@ class Checkpoints:
     def _read(self, path: Path, check: Check) -> TrainerState | None:
         """The state in `path`; None if it is damaged, which is told, or another run's."""
         try:
-            check_size(path, CHECKPOINT_BYTES)
-            digest = hashlib.sha256(path.read_bytes()).hexdigest()[:32]
+            digest = hashlib.sha256(read_bytes(path, CHECKPOINT_BYTES)).hexdigest()[:32]
             if not path.stem.endswith(f"-{digest}"):
                 raise ValueError("its content does not match the checksum in its name")
             identity, state = unpack(path, self.classes, self.identity)

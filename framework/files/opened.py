@@ -1,0 +1,97 @@
+"""Opening a file from elsewhere. Every reader of such files begins here.
+
+Only a regular file is opened, through links too: a pipe would keep its reader waiting for ever, a
+device has no end. A file is never read beyond its limit. Whatever the system says against a path
+(too long, a circle of links, no right) is bad input, told in one line.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from io import BufferedReader
+from pathlib import Path
+
+from framework.errors import UserError, mendable, os_line, require
+
+KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def open_regular(path: Path, limit: int) -> BufferedReader:
+    """The file, opened for reading its bytes. Raises UserError unless it is a regular one of at
+    most `limit` bytes; OSError where the machine has no memory or handles left."""
+    file_size(path, limit)  # before it is opened: to open a device may do something
+    try:
+        # should it have become a pipe since, it does not wait for a writer
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        raise _told(error, path) from None
+    file = os.fdopen(descriptor, "rb")
+    try:
+        _check(os.fstat(descriptor), path, limit)
+    except UserError:
+        file.close()
+        raise
+    return file
+
+
+def read_bytes(path: Path, limit: int) -> bytes:
+    """The content. Raises as `open_regular`, and UserError for one that cannot be read."""
+    with open_regular(path, limit) as file:
+        try:
+            return file.read(limit)
+        except OSError as error:  # a damaged disk
+            raise _told(error, path) from None
+
+
+def read_text(path: Path, limit: int) -> str:
+    """The content as UTF-8, line ends as they are. Raises as `read_bytes`."""
+    try:
+        return read_bytes(path, limit).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise UserError(
+            f"{path}: expected text in UTF-8, got byte {error.object[error.start]:#04x} at"
+            f" {error.start}; the file is damaged, write it again"
+        ) from None
+
+
+def file_size(path: Path, limit: int) -> int:
+    """The size of the file in bytes. Raises UserError unless it is a regular one of at most
+    `limit` bytes: the check for libraries that open a file by its name."""
+    try:
+        return _check(os.stat(path), path, limit)
+    except OSError as error:
+        raise _told(error, path) from None
+    except ValueError as error:  # half a character, or a zero, in its name
+        if isinstance(error, UserError):
+            raise
+        raise UserError(f"{path}: expected a file's name, got none ({error}); correct it") from None
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is a regular file; False for a name that no file can have."""
+    return os.path.isfile(path)
+
+
+def _check(found: os.stat_result, path: Path, limit: int) -> int:
+    kind = KINDS.get(stat.S_IFMT(found.st_mode), "something else")
+    require(
+        stat.S_ISREG(found.st_mode),
+        f"{path}: expected a regular file, got {kind}; put a file in its place",
+    )
+    require(
+        found.st_size <= limit,
+        f"{path}: expected a file of at most {limit:,} bytes, got {found.st_size:,}; use a smaller"
+        " one (the limits are in framework/files/limits.py)",
+    )
+    return found.st_size
+
+
+def _told(error: OSError, path: Path) -> OSError | UserError:
+    return UserError(os_line(error, path)) if mendable(error) else error

@@ -1,0 +1,43 @@
+"""What a run that failed left: `failed.json`, and the configuration that Hydra noted beside it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from framework.errors import UserError
+from framework.files.documents import read_json, read_yaml
+from framework.files.limits import RUN_BYTES
+from framework.records.record_check import check_config, check_failure
+
+FAILED, COMPOSED = "failed.json", ".hydra/config.yaml"
+
+
+@dataclass(frozen=True)
+class Failure:
+    """error: one line. kind: of it, a word or two, "" where that was not kept. config: as composed,
+    empty where it was not kept."""
+
+    error: str
+    kind: str
+    overrides: tuple[str, ...]
+    config: Mapping[str, Any]
+
+
+def read_failure(run_dir: Path) -> Failure:
+    """Raises UserError when the files are missing or damaged."""
+    path, composed = run_dir / FAILED, run_dir / COMPOSED
+    told = read_json(path, RUN_BYTES)
+    config = read_yaml(composed) if os.path.lexists(composed) else None
+    try:
+        check_failure(told)
+        check_config(config or {}, complete=False)
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(
+            f"{path}: expected the error of a failed run, got a damaged file"
+            f" ({type(error).__name__}: {error}); delete that folder and run again"
+        ) from error
+    return Failure(told["error"], told.get("kind", ""), tuple(told["overrides"]), config or {})

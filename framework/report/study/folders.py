@@ -1,0 +1,34 @@
+"""The folders of runs below that of a study, whatever else lies there."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from framework.records.failure import FAILED
+from framework.records.record import RECORD
+
+DEPTH = 12  # folders between a study and its runs; links are not followed
+
+
+def run_dirs(folder: Path) -> list[Path]:
+    """Those with a record, or with what a failed run left, sorted."""
+    found, waiting = [], [(folder, 0)]
+    while waiting:
+        here, depth = waiting.pop()
+        names, below = _listed(here)
+        if RECORD in names or FAILED in names:
+            found.append(here)
+        if depth < DEPTH:
+            waiting += [(here / name, depth + 1) for name in below]
+    return sorted(found)
+
+
+def _listed(folder: Path) -> tuple[set[str], list[str]]:
+    """(all names, those of folders); nothing where it cannot be read, or is none."""
+    try:
+        with os.scandir(folder) as entries:
+            kinds = {entry.name: entry.is_dir(follow_symlinks=False) for entry in entries}
+    except OSError:
+        return set(), []
+    return set(kinds), [name for name, is_folder in kinds.items() if is_folder]

@@ -1,0 +1,134 @@
+"""What a camera may be, whatever file it is from: every loader has its poses and lenses checked
+here, and `assemble` where they stand together.
+
+A pose is a rigid motion; a lens sees: its focal lengths and principal point are of the order of its
+image. The limits are far beyond any camera; what lies outside comes from a damaged or forged file,
+and would end as a division by zero or as a number without a meaning in a report.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import astuple
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from framework.errors import require
+from framework.files.limits import SIDE_PIXELS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from framework.scenes.lens import Lens
+
+NOT_ROTATION = 1e-3  # largest deviation of the axes' products from those of a rotation
+NOT_UNIT = 1e-2  # largest deviation of a quaternion's length from 1; below, it is normalised
+FARTHEST = 1e9  # scene units, of whatever is in a scene: float32 has to hold its cube
+FOCAL = (0.01, 1000.0)  # focal lengths, over the longer side of the image
+OFF_CENTER = 10.0  # of the principal point from the image's middle, over the longer side
+BENT = 100.0  # largest coefficient of a lens distortion
+ASTRAY = 1000.0  # times the rig's size and the far bound: from there nothing is seen
+
+
+def checked_pose(viewmat: NDArray[np.float64], where: str) -> NDArray[np.float64]:
+    """The [4, 4] world-to-camera. Raises UserError unless it is a rotation and a near place."""
+    require(
+        bool(np.isfinite(viewmat).all()), f"{where}: expected a finite pose, got NaN or infinity"
+    )
+    rotation = viewmat[:3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+        turned = off <= NOT_ROTATION and float(np.linalg.det(rotation)) > 0
+    require(
+        turned,
+        f"{where}: expected right-handed, orthonormal camera axes (within {NOT_ROTATION:g}), got"
+        f" others (off by {off:.2g}); scale positions, not axes",
+    )
+    away = float(np.abs(viewmat[:3, 3]).max())
+    require(
+        away <= FARTHEST,
+        f"{where}: expected a camera within {FARTHEST:g} of the origin, got {away:.3g}; correct its"
+        " position or scale the scene",
+    )
+    return viewmat
+
+
+def check_quaternion(quaternion: Sequence[float], where: str) -> None:
+    """Raise UserError unless the four numbers have a length of about 1."""
+    length = math.hypot(*quaternion)
+    require(
+        abs(length - 1.0) <= NOT_UNIT,  # false for NaN too
+        f"{where}: expected a rotation, a quaternion of length 1 (within {NOT_UNIT:g}), got length"
+        f" {length:.4g}; rebuild the model",
+    )
+
+
+def checked_lens(lens: Lens, where: str) -> Lens:
+    """The lens. Raises UserError for one that no photo is taken with."""
+    numbers = (lens.fx, lens.fy, lens.cx, lens.cy, *astuple(lens.distortion))
+    sides = f"{lens.width}x{lens.height}"
+    require(
+        min(lens.width, lens.height) >= 1 and max(lens.width, lens.height) <= SIDE_PIXELS,
+        f"{where}: expected sides of 1 to {SIDE_PIXELS} pixels, got {sides}; correct the camera",
+    )
+    require(
+        all(map(math.isfinite, numbers)),
+        f"{where}: expected finite intrinsics, got {_few(numbers)}; correct the camera",
+    )
+    longer = max(lens.width, lens.height)
+    least, most = FOCAL[0] * longer, FOCAL[1] * longer
+    require(
+        least <= lens.fx <= most and least <= lens.fy <= most,
+        f"{where}: expected positive focal lengths, {least:g} to {most:g} pixels for {sides}, got"
+        f" {lens.fx:.4g} and {lens.fy:.4g}; correct the camera",
+    )
+    off = max(abs(lens.cx - lens.width / 2), abs(lens.cy - lens.height / 2))
+    require(
+        off <= OFF_CENTER * longer,
+        f"{where}: expected a principal point near the image of {sides}, got ({lens.cx:.4g},"
+        f" {lens.cy:.4g}); correct the camera",
+    )
+    require(
+        all(abs(term) <= BENT for term in astuple(lens.distortion)),
+        f"{where}: expected distortion coefficients of at most {BENT:g}, got"
+        f" {_few(astuple(lens.distortion))}; correct the camera",
+    )
+    return lens
+
+
+def near_points(xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """[M] whether each of the [M, 3] points is finite and within `FARTHEST` of the origin."""
+    near: NDArray[np.bool_] = np.all(np.abs(xyz) <= FARTHEST, axis=1)
+    return near
+
+
+def check_bounds(near: float, far: float, where: str) -> None:
+    """Raise UserError unless these are depths of a scene."""
+    require(
+        1 / FARTHEST <= near < far <= FARTHEST,
+        f"{where}: expected depth bounds {1 / FARTHEST:g} <= near < far <= {FARTHEST:g}, got"
+        f" {near:.4g} and {far:.4g}; correct them",
+    )
+
+
+def check_places(
+    centers: NDArray[np.float64], names: Sequence[str], far: float, where: str
+) -> None:
+    """Raise UserError for a camera that stands out of sight of all others: a wrong position of a
+    test view would enter the mean of every method. centers: [n, 3]. The rig's size is the median
+    distance to the median place, which one wrong position does not move."""
+    away = np.linalg.norm(centers - np.median(centers, axis=0), axis=1)
+    most = ASTRAY * (float(np.median(away)) + far)
+    farthest = int(away.argmax())
+    require(
+        float(away[farthest]) <= most,
+        f"{where}: expected all cameras within {most:.4g} of each other (the rig's size and the far"
+        f" bound, {ASTRAY:g}-fold), got {names[farthest]!r} at {away[farthest]:.4g}; correct its"
+        " position or remove the photo",
+    )
+
+
+def _few(numbers: Sequence[float]) -> str:
+    return ", ".join(f"{number:.4g}" for number in numbers[:9])
