@@ -18,6 +18,7 @@ FULL = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
 MEDIUM = FULL | {errno.EIO, errno.EROFS}  # what writing tells without naming the file
 # what the machine has too little of, whatever the path
 EXHAUSTED = frozenset((errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EAGAIN))
+NOWHERE = "results or cache (FISHERSPLAT_CACHE)"  # of an error that does not tell its file
 NO_MEMORY = (  # as libraries tell it
     *("can't allocate memory", "can't start new thread", "failed to map segment"),
     *("cannot allocate memory", "insufficient memory", "bad_alloc"),
@@ -72,16 +73,17 @@ def mendable(error: OSError) -> bool:
 
 def os_line(error: OSError, path: Path | str | None = None) -> str:
     """One line about what the system said against `path`, or the path that the error names."""
-    where = path if path is not None else error.filename or "output"
+    where = path if path is not None else error.filename or NOWHERE
     if isinstance(where, bytes):
         where = where.decode("utf-8", "replace")
-    advice = "free some space" if error.errno in FULL else "change its rights or choose another"
-    if error.errno in (errno.ENAMETOOLONG, errno.ELOOP, errno.ENOENT, errno.ENOTDIR):
+    expected = "what may be opened"
+    if error.errno in FULL:
+        expected, advice = "room to write", "free some space"
+    elif error.errno in (errno.ENAMETOOLONG, errno.ELOOP, errno.ENOENT, errno.ENOTDIR):
         advice = "correct the path"
-    return (
-        f"{where}: expected what may be opened, got '{error.strerror}'; {advice}, and run the same"
-        " again"
-    )
+    else:
+        advice = "change its rights or choose another"
+    return f"{where}: expected {expected}, got '{error.strerror}'; {advice}, and run the same again"
 
 
 def out_of_memory(error: BaseException) -> bool:

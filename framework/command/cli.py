@@ -62,6 +62,7 @@ MULTIRUN_FLAGS = ("-m", "--multirun")
 def main(argv: Sequence[str]) -> int:
     """Run the command line `argv` (without the program's name); returns the exit code."""
     try:
+        _check_here()
         subcommand = asked_for(argv)
         if subcommand is not None:
             return obey(subcommand, argv[1:])
@@ -135,6 +136,7 @@ def normalise(argv: Sequence[str]) -> list[str]:
 
     A leading `+` goes from known groups: they are in the defaults list, where Hydra wants none.
     """
+    _check_utf8("command line", *argv)
     arguments = [re.sub(rf"^\+(?=({'|'.join(GROUPS)})=)", "", argument) for argument in argv]
     _check_multirun_flag(arguments)
     _check_empty_choices(arguments)
@@ -144,6 +146,30 @@ def normalise(argv: Sequence[str]) -> list[str]:
     if flags.resolve and not flags.cfg:
         raise UserError("command line: expected --cfg beside --resolve, got none; add --cfg job")
     return _options_of_swept_groups(arguments, flags.overrides) if flags.multirun else arguments
+
+
+def _check_here() -> None:
+    """Runs are recorded with the folder that they were started in."""
+    try:
+        here = os.getcwd()
+    except OSError as error:
+        raise UserError(
+            f"the current folder: expected one that exists, got '{error.strerror}'; change to"
+            " another"
+        ) from error
+    _check_utf8("the current folder", here)
+
+
+def _check_utf8(where: str, *texts: str) -> None:
+    """What the system handed over, where a byte that is no text stands for itself."""
+    for text in texts:
+        try:
+            text.encode("utf-8")
+        except UnicodeEncodeError:
+            raise UserError(
+                f"{where}: expected UTF-8, in which records are written, got {text[:200]!r}; rename"
+                " the file or folder"
+            ) from None
 
 
 def _check_multirun_flag(arguments: Sequence[str]) -> None:

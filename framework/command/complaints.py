@@ -20,7 +20,7 @@ from omegaconf.errors import (
     ValidationError,
 )
 
-from framework.errors import UserError, nearest_hint, printable_line
+from framework.errors import UserError, mendable, nearest_hint, os_line, printable_line
 
 USER_ERRORS = (UserError, HydraException, OmegaConfBaseException)
 KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "a text"}
@@ -70,7 +70,9 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def _told(error: BaseException) -> str | None:
-    """Our words for one exception of Hydra or OmegaConf; None if we have none."""
+    """Our words for one exception of Hydra, OmegaConf or the system; None if we have none."""
+    if isinstance(error, OSError) and mendable(error):
+        return os_line(error)
     if isinstance(error, MissingConfigException):
         return _missing_choice(error)
     if isinstance(error, OverrideParseException):

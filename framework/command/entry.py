@@ -26,6 +26,8 @@ from typing import NoReturn, TextIO
 from framework.command import runner
 from framework.command.program import CONSOLE, SCRIPT, typed
 from framework.compute.orphans import watch
+from framework.errors import memory_line
+from framework.files.limits import check_address_space
 
 INTERRUPT = signal.SIGUSR1  # to the child: the run was interrupted, tell so
 SIGNALS = (signal.SIGINT, INTERRUPT)
@@ -39,6 +41,11 @@ def main() -> NoReturn:
 def command(argv: Sequence[str], name: str = SCRIPT) -> NoReturn:
     """Obey the command line `argv` of the program `name` and end this process."""
     typed(name)
+    try:
+        check_address_space()
+    except MemoryError as error:
+        print(f"error: {memory_line(error)}", file=sys.stderr)
+        sys.exit(1)
     if all("=" in word and not word.startswith("-") for word in argv):
         try:
             code = lone(argv)

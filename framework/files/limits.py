@@ -7,6 +7,8 @@ that names it.
 
 from __future__ import annotations
 
+import importlib.util
+
 from framework.errors import require
 
 MIB = 1 << 20
@@ -28,8 +30,23 @@ CONFIG_FILES = 1000  # in a folder of configurations
 CONFIG_ENTRIES = 20_000  # files and folders that are looked through for them
 DEPTH = 32  # of nested lists and mappings in a file of configurations or of a run
 TEXT_LENGTH = 10_000  # characters of one text in them
+ADDRESS_BYTES = 2048 * MIB  # of a process: 1.6 GB are just enough for a small run
 RUNS = 100_000  # of one command
 PARALLEL_RUNS = 256  # of the joblib launcher
+
+
+def check_address_space() -> None:
+    """Raise MemoryError where the process may not have the `ADDRESS_BYTES` that the libraries take
+    before they do anything: with less they fail in ways that tell nothing, or crash."""
+    if importlib.util.find_spec("resource") is None:  # no such limit on this system
+        return
+    import resource
+
+    allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if 0 <= allowed < ADDRESS_BYTES:
+        raise MemoryError(
+            f"{allowed // MIB:,} MiB of address space where {ADDRESS_BYTES // MIB:,} are needed"
+        )
 
 
 def check_pixels(where: object, width: int, height: int) -> None:

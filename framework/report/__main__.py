@@ -18,6 +18,7 @@ from framework.errors import (
     printable_line,
     require,
 )
+from framework.files.limits import check_address_space
 
 
 def main(arguments: list[str] | None = None, prog: str = "python -m framework.report") -> int:
@@ -41,6 +42,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m framework.re
             f"--out: expected a folder for the report of {len(options.study_dirs)} studies, got"
             " none; add --out DIR",
         )
+        check_address_space()
         from framework.report.build import build_report
 
         path = build_report(

@@ -38,6 +38,9 @@ def scene_folder(loader: str, path: str) -> Path:
         f"scene={loader}: expected a folder at '{path}', found"
         f" {'a file' if folder.exists() else 'nothing'}; correct scene.path",
     )
+    real = folder.resolve()
+    if real.name:
+        inside(real.parent, real.name)  # a text: it names the scene in records
     return folder
 
 

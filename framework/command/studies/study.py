@@ -32,7 +32,7 @@ from framework.command.program import program
 from framework.command.studies.disk import check_room
 from framework.command.studies.estimate import announce
 from framework.compute.stopwatch import Stopwatch, duration
-from framework.errors import UserError
+from framework.errors import UserError, mendable, os_line, printable_line
 from framework.files.cache import cache_dir
 from framework.files.locks import locked
 from framework.files.whole import write_whole
@@ -113,7 +113,7 @@ class StudyCallback(Callback):
             if config.estimate:
                 every = [run for configs in studies.values() for run in configs]
                 self._expected_s = announce(every, _at_once(config))
-        except USER_ERRORS as error:
+        except (*USER_ERRORS, OSError) as error:
             raise Refused from error
         os.environ[JOBS_VARIABLE] = str(len(jobs))
         self._watch = Stopwatch()
@@ -210,11 +210,14 @@ def build_reports() -> None:
                 for path in folder.glob(".*.tmp"):  # of a process killed while it built the report
                     path.unlink()
                 report = build_report(folder)
-            say(f"report: {short_path(report)}")
+            say(printable_line(f"report: {short_path(report)}"))
         except Exception as error:
             number = len(outcomes())
             bad_input, again = isinstance(error, UserError), f"{program()} report {folder}"
-            message = f"report of {short_path(folder)}: {type(error).__name__}: {error}"
+            reason = f"{type(error).__name__}: {error}"
+            if isinstance(error, OSError) and mendable(error):
+                bad_input, reason = True, os_line(error)
+            message = printable_line(f"report of {short_path(folder)}: {reason}")
             add_outcome(Outcome(number, str(folder), message, REPORT, again, bad_input=bad_input))
 
 
