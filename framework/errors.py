@@ -76,10 +76,12 @@ def os_line(error: OSError, path: Path | str | None = None) -> str:
     where = path if path is not None else error.filename or NOWHERE
     if isinstance(where, bytes):
         where = where.decode("utf-8", "replace")
+    if error.errno == errno.ENOENT:
+        return f"{where}: expected a file or folder, found none; correct the path"
     expected = "what may be opened"
     if error.errno in FULL:
         expected, advice = "room to write", "free some space"
-    elif error.errno in (errno.ENAMETOOLONG, errno.ELOOP, errno.ENOENT, errno.ENOTDIR):
+    elif error.errno in (errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR):
         advice = "correct the path"
     else:
         advice = "change its rights or choose another"

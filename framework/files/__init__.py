@@ -1,5 +1,5 @@
-"""Reading and writing safely: regular files within limits, archives, arrays, documents, paths that
-stay inside their folder, locks, trees of values, the user's cache."""
+"""Reading and writing safely: regular and whole files, archives, arrays, JSON and YAML within
+limits, paths that stay inside their folder, locks, trees of values, the user's cache."""
 
 __all__ = [
     "archives",

@@ -1,4 +1,13 @@
 """A run as others see it: while it goes (`progress`, `notices`) and afterwards on disk (`record`,
 `run_files`, `ply`, `cameras`), with where it comes from (`provenance`)."""
 
-__all__ = ["cameras", "notices", "ply", "progress", "provenance", "record", "run_files"]
+__all__ = [
+    "cameras",
+    "failure",
+    "notices",
+    "ply",
+    "progress",
+    "provenance",
+    "record",
+    "run_files",
+]

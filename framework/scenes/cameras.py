@@ -35,16 +35,18 @@ ASTRAY = 1000.0  # times the rig's size and the far bound: from there nothing is
 def checked_pose(viewmat: NDArray[np.float64], where: str) -> NDArray[np.float64]:
     """The [4, 4] world-to-camera. Raises UserError unless it is a rotation and a near place."""
     require(
-        bool(np.isfinite(viewmat).all()), f"{where}: expected a finite pose, got NaN or infinity"
+        bool(np.isfinite(viewmat).all()),
+        f"{where}: expected a finite pose, got NaN or infinity; correct it or remove the photo",
     )
     rotation = viewmat[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         off = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-        turned = off <= NOT_ROTATION and float(np.linalg.det(rotation)) > 0
+        turned = float(np.linalg.det(rotation)) > 0
+    got = f"others (off by {off:.2g})" if turned else "left-handed ones"
     require(
-        turned,
+        turned and off <= NOT_ROTATION,
         f"{where}: expected right-handed, orthonormal camera axes (within {NOT_ROTATION:g}), got"
-        f" others (off by {off:.2g}); scale positions, not axes",
+        f" {got}; scale positions, not axes",
     )
     away = float(np.abs(viewmat[:3, 3]).max())
     require(

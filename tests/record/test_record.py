@@ -148,7 +148,7 @@ def test_damaged_table_is_one_line(run_dir: Path) -> None:
 def test_damaged_record_is_one_line(run_dir: Path) -> None:
     (run_dir / "record.json").write_text('{"status": "comp')
     assert find_complete(run_dir, "x") is None
-    with pytest.raises(UserError, match="damaged") as caught:
+    with pytest.raises(UserError, match="expected JSON") as caught:
         read_run(run_dir)
     assert "\n" not in str(caught.value)
     with pytest.raises(UserError, match="found none"):

@@ -246,7 +246,7 @@ def test_records_of_wrong_types_are_damaged(tmp_path: Path, change: Callable) ->
 def test_a_record_of_endless_brackets(tmp_path: Path) -> None:
     file = fake_run(tmp_path) / "record.json"
     file.write_text("[" * 100_000)
-    with pytest.raises(UserError, match="got a damaged one"):
+    with pytest.raises(UserError, match="expected JSON, got something else"):
         read_record(file)
 
 
@@ -263,10 +263,10 @@ def test_the_report_opens_no_file_outside_its_run(tmp_path: Path, stem: str) -> 
 
 def test_large_text_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_dir = fake_run(tmp_path)
-    monkeypatch.setattr("framework.records.run_files.TEXT_BYTES", 100)
+    monkeypatch.setattr("framework.records.run_files.RUN_BYTES", 100)
     with pytest.raises(UserError, match="expected a file of at most 100 bytes, got"):
         read_run(run_dir)
-    monkeypatch.setattr("framework.records.record.TEXT_BYTES", 100)
+    monkeypatch.setattr("framework.records.record.RUN_BYTES", 100)
     with pytest.raises(UserError, match="expected a file of at most 100 bytes, got"):
         read_record(run_dir / "record.json")
 
