@@ -35,9 +35,13 @@ def open_regular(path: Path, limit: int) -> BufferedReader:
     file = os.fdopen(descriptor, "rb")
     try:
         _check(os.fstat(descriptor), path, limit)
+        file.peek(1)  # whether it can be read: /proc has regular files that cannot
     except UserError:
         file.close()
         raise
+    except OSError as error:
+        file.close()
+        raise UserError(os_line(error, path)) from None
     return file
 
 

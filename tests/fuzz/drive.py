@@ -72,6 +72,8 @@ def _note(results: Path, tally: Tally) -> tuple[str, int] | None:
 
 
 def _how(code: int) -> str:
+    if code == -signal.SIGALRM:
+        return "hang: waits for more than 60 s"
     if code == -signal.SIGPROF:
         return "hang: more than 5 s of CPU time"
     return f"crash: {signal.Signals(-code).name if code < 0 else f'exit code {code}'}"

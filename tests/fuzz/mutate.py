@@ -16,7 +16,9 @@ HUGE = [
 WORDS = [
     *(b"nan", b"-inf", b"1e999", b"-1", b"0", b"4294967296", b"99999999999999999999", b"9" * 5000),
     *(b"", b"null", b"[]", b"{}", b'"x"', b"true", b"../../x", b"/etc/passwd", b"\0", b"\xff\xfe"),
-    *(b"*a", b"[" * 3000, b"1" * 400 + b".5", b"0x10", b"1_000", "٣".encode()),
+    *(b"1e300", b"-1e300", b"1e-300", b"0.0", b"\xed\xa0\x80", b"x" * 70_000),
+    *(b"$\\frac{$", b"`|<b>"),
+    *(b"*a", b"[" * 3000, b"[" * 100_000, b"1" * 400 + b".5", b"0x10", b"1_000", "٣".encode()),
 ]
 Mutation = Callable[[bytes, np.random.Generator], bytes]
 
@@ -130,4 +132,4 @@ MUTATIONS: tuple[Mutation, ...] = (
     *(_cut, _flip, _flip, _insert, _delete, _repeat, _count, _count, _number, _word, _lines),
     *(_floats, _floats, _twice),
 )
-TEXTS = (".txt", ".csv", ".json", ".yaml", ".ply")
+TEXTS = (".txt", ".csv", ".json", ".yaml", ".ply", ".line")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,21 +10,27 @@ from typing import Any
 
 import numpy as np
 import torch
+import yaml
 from PIL import Image
 
-from framework.command.config.trust import check_config_files
+from framework.command import cli
+from framework.command.complaints import USER_ERRORS, one_line
+from framework.command.config.schema import register_config
+from framework.command.config.trust import check_command, check_config_files
 from framework.depth.from_file import DepthFile
 from framework.depth.read import load_map
-from framework.errors import UserError
+from framework.errors import UserError, mendable
+from framework.files.opened import read_bytes
 from framework.metrics.lpips import load as load_lpips
 from framework.records.ply import read_ply, write_ply
-from framework.records.record import read_run
+from framework.records.record import read_run, write_failed
+from framework.report.build import build_report
 from framework.scenes import load_scene
 from framework.scenes.images import read_image
 from framework.train.resume.checkpoint import pack, unpack
-from framework.types import Gaussians
+from framework.types import Gaussians, Scene
 from tests.metrics.test_lpips import features, state_dict
-from tests.record.fakes import fake_run, make_gaussians
+from tests.record.fakes import fake_run, make_config, make_gaussians
 from tests.resume.test_checkpoint import state
 from tests.scenes.synthetic import write_llff, write_model, write_scene, write_table
 from tests.scenes.test_dtu import write_dtu
@@ -69,7 +76,81 @@ def _two_degrees() -> Gaussians:
 
 
 def _scene(name: str, **options: Any) -> Step:
-    return lambda folder: load_scene(name, {"path": str(folder), "n_views": 3, **options})
+    return lambda folder: _sensible(
+        load_scene(name, {"path": str(folder), "n_views": 3, **options})
+    )
+
+
+def _sensible(scene: Scene) -> None:
+    """What was read is a scene: numbers that mean nothing would do harm later."""
+    training = scene.training
+    assert 0 < training.near < training.far <= 1e9
+    assert not len(training.points.xyz) or training.points.xyz.abs().max() <= 1e9
+    for view in (*training.views, *scene.test):
+        view.name.encode("utf-8")  # records hold it
+        camera, rotation = view.camera, view.camera.viewmat[:3, :3]
+        assert (rotation @ rotation.T - torch.eye(3)).abs().max() <= 1e-2
+        assert rotation.det() > 0 and camera.center.abs().max() <= 1e10
+        assert 0 < camera.K[0, 0] <= 1e9 and 0 < camera.K[1, 1] <= 1e9
+        assert camera.K.abs().max() <= 1e9 and bool(view.image.isfinite().all())
+
+
+def _named(folder: Path) -> None:
+    write_llff(folder)
+    (folder / "photo.line").write_bytes(b"im01.png")
+
+
+def _renamed(folder: Path) -> None:
+    """The scene, one photo of which is called as `photo.line` says."""
+    name = os.fsdecode(read_bytes(folder / "photo.line", 1 << 20))
+    photos = folder / "images_8"
+    try:
+        (photos / "im01.png").rename(photos / name)
+    except (OSError, ValueError):
+        raise UserError("no file system takes this name") from None
+    try:
+        _scene("llff")(folder)
+    finally:
+        (photos / name).rename(photos / "im01.png")
+
+
+def _study(folder: Path) -> None:
+    """A sound run, and two that are changed: one complete, one that failed."""
+    fake_run(folder, run_name="sound")
+    fake_run(folder, "safi", run_name="x")
+    write_failed(folder / "runs" / "y", make_config(seed=1), ["seed=1"], "no overlap")
+    (folder / "runs/y/record.json").unlink()
+    (folder / "runs/y/.hydra").mkdir()
+    (folder / "runs/y/.hydra/config.yaml").write_text(yaml.safe_dump(make_config(seed=1)))
+
+
+def _reported(folder: Path) -> None:
+    """The report tells the sound run whatever the others are; a damaged one in a line."""
+    path = build_report(folder)
+    told = path.read_text(encoding="utf-8")
+    assert "(runs/sound/)" in told, "the sound run is not told"
+    (folder / "report.html").read_text(encoding="utf-8")
+    rows = [line for line in told.splitlines() if "| damaged |" in line]
+    if rows:
+        assert all(len(row) < 1500 for row in rows)
+        raise UserError("a damaged run is told")
+
+
+def _line(folder: Path) -> None:
+    words = ["augment=safi", "seed=0,1", "reg.weight=0.5", "hydra.searchpath=[file:///srv/conf]"]
+    (folder / "words.line").write_text("\n".join([*words, "+trainer.steps=range(1,9)", "-m"]))
+
+
+def _commanded(folder: Path) -> None:
+    words = os.fsdecode(read_bytes(folder / "words.line", 1 << 20)).split("\n")
+    try:
+        register_config()
+        check_command(cli._parse(cli.normalise(words)))
+    except USER_ERRORS as error:
+        raise UserError(one_line(error)) from None
+    except OSError as error:
+        assert mendable(error), "the command line tells no other in a line"
+        raise UserError(one_line(error)) from None
 
 
 def _photo(name: str, mode: str) -> Step:
@@ -161,6 +242,17 @@ READERS: dict[str, Reader] = {
         tuple(f"runs/run/{name}" for name in ("record.json", "metrics.csv", "history.csv")),
         lambda f: read_run(f / "runs" / "run"),
     ),
+    "study": Reader(
+        _study,
+        (
+            *(f"runs/x/{name}" for name in ("record.json", "metrics.csv", "history.csv")),
+            *(f"runs/x/renders/test_00{kind}.png" for kind in ("", "_truth", "_error")),
+            *("runs/y/failed.json", "runs/y/.hydra/config.yaml"),
+        ),
+        _reported,
+    ),
+    "photo names": Reader(_named, ("photo.line",), _renamed),
+    "command line": Reader(_line, ("words.line",), _commanded),
     "lpips weights": Reader(_lpips, ("weights.pth",), lambda f: load_lpips(f / "weights.pth")),
     # its errors are caught by `Checkpoints`, which then uses the one before
     "checkpoint": Reader(

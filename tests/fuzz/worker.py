@@ -5,8 +5,8 @@
 For every reader and number from FIRST to LAST - 1 a line goes into RESULTS before the case and one
 with its outcome after it; so whoever started this process sees at which case it died.
 `read`: the reader took it. `refused`: its documented error, one line. All else is a bug.
-A case may take 5 s of CPU time (SIGPROF ends the process) and 1 GiB beyond what the process had
-after reading every valid example.
+A case may take 5 s of CPU time (SIGPROF ends the process), 60 s by the clock (SIGALRM) and 1 GiB
+beyond what the process had after reading every valid example.
 """
 
 from __future__ import annotations
@@ -25,8 +25,11 @@ from framework.compute.rng import stream
 from framework.errors import LONGEST
 from tests.fuzz.mutate import mutate
 from tests.fuzz.readers import READERS, Reader
+from tests.fuzz.special import put_back, put_special
 
 CPU_S = 5.0
+WAIT_S = 60.0  # by the clock: for a pipe to which nobody writes, say
+SPECIAL = 0.06  # of the cases have something in the file's place that is no file
 MEMORY = 1 << 30
 
 
@@ -64,15 +67,19 @@ def _case(
     files = pristine[name]
     file = list(files)[int(draw.integers(len(files)))]
     others = [data for other in pristine.values() for data in other.values()]
-    (folder / file).write_bytes(mutate(file, files[file], others, draw))
+    if draw.random() < SPECIAL:
+        put_special(folder / file, draw)
+    else:
+        (folder / file).write_bytes(mutate(file, files[file], others, draw))
     try:
         return _outcome(READERS[name], folder)
     finally:
-        (folder / file).write_bytes(files[file])
+        put_back(folder / file, files[file])
 
 
 def _outcome(reader: Reader, folder: Path) -> str:
     signal.setitimer(signal.ITIMER_PROF, CPU_S)
+    signal.setitimer(signal.ITIMER_REAL, WAIT_S)
     try:
         with contextlib.redirect_stdout(None):
             reader.read(folder)
@@ -85,6 +92,7 @@ def _outcome(reader: Reader, folder: Path) -> str:
         return f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}: {error}"
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.setitimer(signal.ITIMER_REAL, 0)
     return "read"
 
 

@@ -244,8 +244,9 @@ def _read_run(path: Path) -> Run | FailedRun:
 
 
 def _within(path: Path, error: UserError) -> str:
-    """The error, which tells files of the folder `path` without the way to it."""
-    return str(error).replace(printable_line(f"{path}/"), "")
+    """The error, which tells the folder `path` and its files without the way to it."""
+    below = str(error).replace(printable_line(f"{path}/"), "")
+    return below.replace(printable_line(f"{path}:"), printable_line(f"{path.name}:"))
 
 
 def _label(

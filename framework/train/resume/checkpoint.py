@@ -28,7 +28,7 @@ from safetensors.torch import save
 
 from framework import types
 from framework.files.limits import CHECKPOINT_BYTES
-from framework.files.opened import read_bytes
+from framework.files.opened import file_size, read_bytes
 from framework.files.tree import decode, encode
 from framework.files.whole import write_whole
 from framework.fisher import information as fisher
@@ -75,6 +75,7 @@ def unpack(path: Path, classes: Iterable[type], wanted: str | None = None) -> tu
     """(identity, value) of a file of `pack`; of one with another identity than the wanted the value
     is None: it may hold what these classes never were. Raises ValueError, also when it is damaged.
     """
+    file_size(path, CHECKPOINT_BYTES)  # a file, before safetensors maps it
     try:
         with safe_open(path, framework="pt") as file:
             told = json.loads((file.metadata() or {})[KEY])
