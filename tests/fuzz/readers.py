@@ -253,7 +253,13 @@ READERS: dict[str, Reader] = {
     ),
     "photo names": Reader(_named, ("photo.line",), _renamed),
     "command line": Reader(_line, ("words.line",), _commanded),
-    "lpips weights": Reader(_lpips, ("weights.pth",), lambda f: load_lpips(f / "weights.pth")),
+    # the command line tells what the system refuses
+    "lpips weights": Reader(
+        _lpips,
+        ("weights.pth",),
+        lambda f: load_lpips(f / "weights.pth"),
+        (UserError, OSError),
+    ),
     # its errors are caught by `Checkpoints`, which then uses the one before
     "checkpoint": Reader(
         _pack,

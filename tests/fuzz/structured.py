@@ -18,7 +18,7 @@ VALUES: list[Any] = [
     *(1e300, -1e300, 1e15, 1e-300, "x" * 100_000, "y" * 254, "\ud800", "\udcff.png", "\x1b[2J"),
     *("$\\frac{$", "`|<b>[x](y)$_{$", "2001-01-01", " ", "\u202e", ".", "é" * 200, 2**63 - 1),
 ]
-for _level in (20, 60, 900):  # nested lists and mappings
+for _level in (20, 60, 300):  # nested lists and mappings
     _nest: Any = "x"
     for _ in range(_level):
         _nest = {"a": [_nest]}

@@ -1,0 +1,261 @@
+"""A study with a forged or broken run: its report tells that run in a line and all the others."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from PIL import Image
+
+from framework.files.limits import RUNS
+from framework.report.__main__ import main
+from framework.report.build import build_report
+from framework.report.study.collect import collect
+from tests.fuzz.structured import BOMB
+from tests.record.fakes import fake_run, make_config
+
+Forge = Callable[[Path], object]
+FAILURE = '{"error": "no overlap", "kind": "bad input", "overrides": ["seed=1"]}'
+MANY = "x" * 100_000
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seeds of two methods, and the run `x` to be forged."""
+    study = tmp_path_factory.mktemp("sound")
+    for seed in range(2):
+        fake_run(study, seed=seed)
+        fake_run(study, "safi", seed=seed)
+    fake_run(study, "none", "uar", run_name="x")
+    return study
+
+
+@pytest.fixture
+def study(sound: Path, tmp_path: Path) -> Path:
+    shutil.copytree(sound, tmp_path / "study")
+    return tmp_path / "study"
+
+
+def _record(change: Callable[[Any], object]) -> Forge:
+    def forge(run: Path) -> None:
+        record = json.loads((run / "record.json").read_text())
+        change(record)
+        (run / "record.json").write_text(json.dumps(record))
+
+    return forge
+
+
+def _config(**options: Any) -> Forge:
+    return _record(lambda record: record["config"].update(options))
+
+
+def _scene(name: str, **more: Any) -> Forge:
+    def change(record: Any) -> None:
+        record["scene"].update(name=name, fingerprint="0f" * 32)
+        record.update(more)
+
+    return _record(change)
+
+
+def _failed(text: str, config: str | bytes = "") -> Forge:
+    """A folder with `failed.json` alone, and the configuration beside it."""
+
+    def forge(run: Path) -> None:
+        shutil.rmtree(run)
+        (run / ".hydra").mkdir(parents=True)
+        (run / "failed.json").write_text(text)
+        if config:
+            data = config if isinstance(config, bytes) else config.encode()
+            (run / ".hydra" / "config.yaml").write_bytes(data)
+
+    return forge
+
+
+def _pipe(name: str) -> Forge:
+    def forge(run: Path) -> None:
+        (run / name).unlink(missing_ok=True)
+        os.mkfifo(run / name)
+
+    return forge
+
+
+def _pictures(width: int, height: int) -> Forge:
+    buffer = io.BytesIO()
+    Image.new("RGB", (width, height)).save(buffer, "PNG")
+    return lambda run: [p.write_bytes(buffer.getvalue()) for p in (run / "renders").iterdir()]
+
+
+def _cut(name: str) -> Forge:
+    return lambda run: (run / name).write_bytes((run / name).read_bytes()[:700])
+
+
+def _cell(name: str, column: str, text: str) -> Forge:
+    def forge(run: Path) -> None:
+        heads, first, *rest = (run / name).read_text().splitlines()
+        cells = first.split(",")
+        cells[heads.split(",").index(column)] = text
+        (run / name).write_text("\n".join([heads, ",".join(cells), *rest]) + "\n")
+
+    return forge
+
+
+DAMAGED: dict[str, tuple[Forge, str]] = {
+    "alias bomb": (_failed(FAILURE, BOMB), "expected no YAML aliases"),
+    "deep YAML": (_failed(FAILURE, "a: " + "[" * 5000), "at most 32 nested levels"),
+    "date": (_failed(FAILURE, "study: 2001-01-01\n"), "expected texts and numbers, got a date"),
+    "tag": (_failed(FAILURE, "a: !!python/object/apply:os.mkdir [x]\n"), "expected YAML"),
+    "list": (_failed(FAILURE, "- 1\n"), "config is '[1]'"),
+    "scene without a name": (_failed(FAILURE, "scene: {name: [1]}\n"), "config.scene is"),
+    "brackets": (_failed("[" * 100_000), "failed.json: expected JSON"),
+    "types": (_failed('{"error": 1, "overrides": []}'), "error is '1'"),
+    "no file": (lambda run: _pipe("failed.json")(_emptied(run)), "a pipe"),
+    "trainer text": (_config(trainer="x"), "config.trainer is 'x'"),
+    "trainer null": (_config(trainer=None), "config.trainer is 'None'"),
+    "no scene": (_config(scene=None), "config.scene is 'None'"),
+    "packages": (_record(lambda r: r["provenance"].update(packages=[1])), "provenance.packages"),
+    "git": (_record(lambda r: r["provenance"].update(git="x")), "provenance.git is 'x'"),
+    "surrogate": (_scene("\udcff"), "expected whole characters"),
+    "long text": (_scene(MANY), "texts of at most 10,000 characters, got 100,000"),
+    "long name": (_scene("x" * 300), "scene.name is 'xxx"),
+    "empty name": (_scene(" "), "scene.name is ''"),
+    "markup as hash": (_scene("a", parameters_sha256="`<b>"), "parameters_sha256 is"),
+    "huge integer": (_config(x=2**70), "finite numbers below 2^64"),
+    "infinity": (_config(x=float("inf")), "Infinity is no number of JSON"),
+    "huge number": (
+        _record(lambda r: r["summary"]["psnr"].update(mean=1e300)),
+        "summary.psnr is",
+    ),
+    "deep JSON": (_config(x=json.loads("[" * 100 + "]" * 100)), "at most 32 nested levels"),
+    "record pipe": (_pipe("record.json"), "record.json: expected a regular file, got a pipe"),
+    "table pipe": (_pipe("history.csv"), "history.csv: expected a regular file, got a pipe"),
+    "render pipe": (_pipe("renders/test_00.png"), "test_00.png: expected a regular file"),
+    "render gone": (lambda r: (r / "renders/test_01.png").unlink(), "found none"),
+    "render cut": (_cut("renders/test_02.png"), "test_02.png: expected a readable image"),
+    "thin pictures": (_pictures(1, 60_000), "sides of at most 1:40, got 1x60000"),
+    "infinite PSNR": (_cell("metrics.csv", "psnr", "inf"), "psnr is 'inf'"),
+    "huge PSNR": (_cell("metrics.csv", "psnr", "1e300"), "psnr is '1e+300'"),
+    "tags": (_cell("metrics.csv", "tags", "a|b"), "tags is"),
+    "long view": (_cell("metrics.csv", "view", "v" * 300), "view is 'vvv"),
+}
+
+
+def _emptied(run: Path) -> Path:
+    shutil.rmtree(run)
+    run.mkdir()
+    return run
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_damaged_run_is_one_line_among_the_failures(study: Path, name: str) -> None:
+    forge, told = DAMAGED[name]
+    forge(study / "runs" / "x")
+    start = time.process_time()
+    text = build_report(study).read_text(encoding="utf-8")
+    assert time.process_time() - start < 5
+    (row,) = [line for line in text.splitlines() if "| damaged |" in " ".join(line.split())]
+    assert told in row.replace("\\", "") and str(study) not in row and "python run.py" not in row
+    assert "1 of 5 runs failed" in text and "none + uar" not in text
+    for method in ("none-none", "safi-none"):
+        assert text.count(f"(runs/embedded-{method}-s") == 2
+
+
+ODD: dict[str, Forge] = {
+    "mathtext": _scene("$\\frac{$ $x_{$"),
+    "markup": _scene("<b>`|[x](y)</b>\u202e\x1b[2J"),
+    "a long name": _scene("y" * 250),
+    "no letters": _scene("场景"),
+    "method": _config(augment={"name": "$\\frac{$`|", "weight": 1.0}),
+    "long option": _config(augment={"name": "a", "x": "z" * 9000}),
+    "odd options": _config(augment={"name": "a", "x": [1, {"y": None}], "weight": True}),
+    "bytes in its name": lambda run: os.rename(run, os.fsencode(run) + b"\xff`|<i>$"),
+    "provenance": _record(
+        lambda r: r["provenance"].update(
+            git={"sha": "`<b>|", "dirty": 1}, cpu="$x$" * 300, packages={"a|b": "`c"}
+        )
+    ),
+    "no times": _record(lambda r: r.update(timings=[], summary={})),
+    "extreme times": _record(
+        lambda r: [stage.update(wall_s=1e15, cpu_s=1e-300) for stage in r["timings"]]
+    ),
+    "zeros": _record(lambda r: r.update(gaussians=0, ply_bytes=0, peak_memory_bytes=0)),
+    "logged infinity": _cell("history.csv", "log/dropped", "inf"),
+    "no rows": lambda run: [
+        (run / t).write_text((run / t).read_text().splitlines()[0] + "\n")
+        for t in ("metrics.csv", "history.csv")
+    ],
+    "failed beside": lambda run: (run / "failed.json").write_text("[" * 100_000),
+    "failed pipe beside": _pipe("failed.json"),
+    "plain failure": _failed(FAILURE, yaml.safe_dump(make_config(seed=7))),
+    "no git": _record(lambda r: r.update(provenance={})),
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_odd_runs_break_no_report(study: Path, name: str) -> None:
+    ODD[name](study / "runs" / "x")
+    text = build_report(study).read_text(encoding="utf-8")
+    page = (study / "report.html").read_text(encoding="utf-8")
+    assert "<b>" not in page and "<i>" not in page and "\x1b" not in text + page
+    assert all(len(os.fsencode(path.name)) < 200 for path in study.iterdir())
+    for method in ("none-none", "safi-none"):
+        assert text.count(f"(runs/embedded-{method}-s") == 2
+
+
+def test_pictures_of_another_size_are_the_odd_run_s(study: Path) -> None:
+    for seed in (2, 3):
+        fake_run(study, seed=seed)
+    run = study / "runs" / "embedded-none-none-s0"  # the first by name, not the usual one
+    _pictures(50, 50)(run)
+    text = build_report(study).read_text(encoding="utf-8")
+    (row,) = [line for line in text.splitlines() if "| damaged |" in " ".join(line.split())]
+    assert "embedded-none-none-s0" in row and "expected pictures of" in row and "got 50x50" in row
+
+
+def test_a_study_of_broken_runs_alone_is_reported(tmp_path: Path) -> None:
+    for name in "ab":
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        (tmp_path / "runs" / name / "failed.json").write_text("[")
+    assert "expected JSON" in build_report(tmp_path).read_text(encoding="utf-8")
+
+
+def test_folders_without_end(tmp_path: Path) -> None:
+    fake_run(tmp_path)
+    (tmp_path / "runs" / "round").symlink_to(tmp_path)
+    here = Path.cwd()
+    os.chdir(tmp_path)
+    try:
+        for _ in range(1200):  # a path that no call can name, deeper than Python's stack
+            os.mkdir("deep")
+            os.chdir("deep")
+    finally:
+        os.chdir(here)
+    assert len(collect(tmp_path).runs) == 1
+    assert os.system(f"rm -rf '{tmp_path}/deep'") == 0
+
+
+def test_a_cross_that_no_command_could_ask_for_lacks_nothing(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert RUNS > 10
+    assert collect(study).missing
+    monkeypatch.setattr("framework.report.study.collect.RUNS", 5)
+    assert not collect(study).missing
+
+
+@pytest.mark.parametrize("where", ["file", "file/below", "x" * 300, "proc"])
+def test_a_report_that_cannot_be_written(
+    study: Path, capsys: pytest.CaptureFixture[str], where: str
+) -> None:
+    (study / "file").write_text("")
+    out = Path("/proc/here") if where == "proc" else study / where
+    assert main([str(study), "--out", str(out)]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("error: ") and told.count("\n") == 1 and "Traceback" not in told
