@@ -30,6 +30,8 @@ LINES = {
     "=3 -m": "cannot read '=3'",
     "experiment=3": "got what Hydra refuses (Config group override must be a string",
     "-m reg.start=interval(0,1)": "reg.start=interval(0,1): expected values to sweep over, as",
+    "-m seed=range(0,nan)": "expected finite bounds and step",
+    "-m seed=range(0,inf)": "expected finite bounds and step",
     "hydra.searchpath=[file:///]": "/: expected at most",
     f"study={LONG}": "got 'File name too long'; correct the path",
     f"study={LONG} -m": "got 'File name too long'; correct the path",

@@ -18,10 +18,12 @@ WALL_S = 600
 
 @dataclass
 class Tally:
-    """counts: reader -> outcome (`read`, `refused`, `bug`) -> number. bugs: what was not right."""
+    """counts: reader -> outcome (`read`, `refused`, `bug`) -> number. bugs: what was not right.
+    special: how many cases had something in the file's place that is no file."""
 
     counts: dict[str, Counter[str]] = field(default_factory=dict)
     bugs: list[str] = field(default_factory=list)
+    special: int = 0
 
     @property
     def cases(self) -> int:
@@ -68,6 +70,7 @@ def _note(results: Path, tally: Tally) -> tuple[str, int] | None:
             begun = None
         else:
             begun = entry["reader"], entry["index"]
+            tally.special += entry["special"]
     return begun
 
 

@@ -21,6 +21,8 @@ import tempfile
 import traceback
 from pathlib import Path
 
+import numpy as np
+
 from framework.compute.rng import stream
 from framework.errors import LONGEST
 from tests.fuzz.mutate import mutate
@@ -41,8 +43,11 @@ def main(arguments: list[str]) -> None:
         _limit_memory()
         for name in names:
             for index in range(int(first), int(last)):
-                print(json.dumps({"reader": name, "index": index}), file=out, flush=True)
-                outcome = _case(name, Path(folder) / name, pristine, int(seed), index)
+                draw = stream(int(seed), f"fuzz/{name}/{index}")
+                special = bool(draw.random() < SPECIAL)
+                begun = {"reader": name, "index": index, "special": special}
+                print(json.dumps(begun), file=out, flush=True)
+                outcome = _case(name, Path(folder) / name, pristine, special, draw)
                 print(json.dumps({"outcome": outcome}), file=out, flush=True)
 
 
@@ -61,13 +66,16 @@ def _limit_memory() -> None:
 
 
 def _case(
-    name: str, folder: Path, pristine: dict[str, dict[str, bytes]], seed: int, index: int
+    name: str,
+    folder: Path,
+    pristine: dict[str, dict[str, bytes]],
+    special: bool,
+    draw: np.random.Generator,
 ) -> str:
-    draw = stream(seed, f"fuzz/{name}/{index}")
     files = pristine[name]
     file = list(files)[int(draw.integers(len(files)))]
     others = [data for other in pristine.values() for data in other.values()]
-    if draw.random() < SPECIAL:
+    if special:
         put_special(folder / file, draw)
     else:
         (folder / file).write_bytes(mutate(file, files[file], others, draw))
