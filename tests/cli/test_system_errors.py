@@ -26,6 +26,7 @@ LINES = {
     f"seed={'1' * 5000}": "expected values of a usual length, got 'seed=111",
     f"seed={'1' * 5000} -m": "expected values of a usual length, got 'seed=111",
     f"-m seed=1,{'1' * 5000}": "expected values of a usual length",
+    f"reg.weight={'[' * 100_000}": "expected words of at most 10,000 characters, got 100,011",
     "=3": "cannot read '=3'; write KEY=VALUE",
     "=3 -m": "cannot read '=3'",
     "experiment=3": "got what Hydra refuses (Config group override must be a string",

@@ -75,7 +75,13 @@ def check_command(flags: Any) -> None:
 
 def parsed(lines: Sequence[str]) -> list[Override]:
     """The overrides as Hydra's grammar reads them. Raises UserError, or one of Hydra's, for a line
-    that it cannot read."""
+    that it cannot read, or would read for minutes."""
+    for line in lines:
+        require(
+            len(line) <= limits.TEXT_LENGTH,
+            f"command line: expected words of at most {limits.TEXT_LENGTH:,} characters, got"
+            f" {len(line):,} in {line[:60]!r} ...; write them into an experiment's file",
+        )
     try:
         overrides = OverridesParser.create().parse_overrides(list(lines))
     except (ValueError, RecursionError) as error:  # an integer of thousands of digits, for instance
