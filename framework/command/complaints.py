@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import typing
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -23,7 +24,10 @@ from omegaconf.errors import (
 from framework.errors import UserError, mendable, nearest_hint, os_line, printable_line
 
 USER_ERRORS = (UserError, HydraException, OmegaConfBaseException)
-KINDS = {int: "an integer", float: "a number", bool: "true or false", str: "a text"}
+KINDS = {
+    **{int: "an integer", float: "a number", bool: "true or false", str: "a text"},
+    type(None): "null",
+}
 
 
 @contextmanager
@@ -91,6 +95,10 @@ def _expected(error: OmegaConfBaseException) -> str:
     """The declared type of the option that got a wrong value, in words."""
     types = {option.name: option.type for option in _fields(error.object_type)}
     declared = types.get(str(error.key), "another type")
+    return " or ".join(map(_kind, typing.get_args(declared) or (declared,)))
+
+
+def _kind(declared: Any) -> str:
     if isinstance(declared, type):
         return KINDS.get(declared, f"the options of {declared.__name__}")
     return str(declared)

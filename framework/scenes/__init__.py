@@ -16,13 +16,16 @@ from framework.scenes.embedded import Embedded
 from framework.scenes.llff import Llff
 from framework.scenes.mip360 import Mip360
 from framework.scenes.photos import Photos
+from framework.scenes.splits import ALL, UNTESTED
 from framework.scenes.transforms import Transforms
 
 if TYPE_CHECKING:
     from framework.types import Scene
 
 __all__ = [
+    "ALL",
     "LOADERS",
+    "UNTESTED",
     "Colmap",
     "Dtu",
     "Embedded",

@@ -29,10 +29,10 @@ class Colmap:
     """Options of `scene=colmap`."""
 
     path: str  # folder of the scene
-    n_views: int = 12  # training views
+    n_views: int | str = 12  # training views; all = every one that is not for testing
     images: str = "images"  # folder of the photos inside path
     downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
-    split: str = "llff"  # which views train and which test: llff, mip360 or dtu
+    split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
 
     def __post_init__(self) -> None:
         check_folder_options("colmap", self.path, self.n_views, self.split, self.downscale)

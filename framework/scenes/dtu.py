@@ -47,12 +47,12 @@ class Dtu:
     """Options of `scene=dtu`."""
 
     path: str  # folder of the scene
-    n_views: int = 3  # training views
+    n_views: int | str = 3  # training views; all = every one that is not for testing
     scan: int | None = None  # which scan, where path is a folder of scans
     images: str = "auto"  # folder of the photos; auto = images where there is one, else image
     downscale: int | None = None  # photos are reduced by it; null = to 400 x 300
     train_mask: str = "background"  # what of the training photos counts: background, full, object
-    split: str = "dtu"  # which views train and which test: llff, mip360 or dtu
+    split: str = "dtu"  # which views train and which test: llff, mip360, dtu; none = no test
 
     def __post_init__(self) -> None:
         downscale = 1 if self.downscale is None else self.downscale

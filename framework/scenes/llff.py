@@ -37,11 +37,11 @@ class Llff:
     """Options of `scene=llff`."""
 
     path: str  # folder of the scene
-    n_views: int = 3  # training views
+    n_views: int | str = 3  # training views; all = every one that is not for testing
     images: str = "auto"  # folder of the photos; auto = images_8 where there is one, else images
     downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
     k1: float = 0.0  # radial distortion to remove, x (1 + k1 r^2); 0 = none, as is usual
-    split: str = "llff"  # which views train and which test: llff, mip360 or dtu
+    split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
 
     def __post_init__(self) -> None:
         check_folder_options("llff", self.path, self.n_views, self.split, self.downscale)

@@ -23,7 +23,7 @@ class Mip360(Colmap):
     """Options of `scene=mip360`."""
 
     images: str = "auto"  # folder of the photos; auto = images_8 where there is one, else images
-    split: str = "mip360"  # which views train and which test: llff, mip360 or dtu
+    split: str = "mip360"  # which views train and which test: llff, mip360, dtu; none = no test
 
     def __post_init__(self) -> None:
         check_folder_options("mip360", self.path, self.n_views, self.split, self.downscale)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from framework.errors import require
-from framework.scenes.splits import protocol
+from framework.scenes.splits import ALL, protocol
 
 
-def check_n_views(loader: str, n_views: int) -> None:
-    """A positive integer."""
-    whole = isinstance(n_views, int) and not isinstance(n_views, bool)
+def check_n_views(loader: str, n_views: int | str, all_too: bool = False) -> None:
+    """A positive integer; `all` too where a folder has a number of photos."""
+    whole = isinstance(n_views, int) and not isinstance(n_views, bool) and n_views >= 1
     require(
-        whole and n_views >= 1,
-        f"scene={loader}: expected n_views of at least 1, got {n_views}; raise scene.n_views",
+        whole or (all_too and n_views == ALL),
+        f"scene={loader}: expected n_views to be an integer >= 1{f' or {ALL}' if all_too else ''},"
+        f" got {n_views}; set scene.n_views",
     )
 
 
 def check_folder_options(
-    loader: str, path: str, n_views: int, split: str, downscale: int = 1
+    loader: str, path: str, n_views: int | str, split: str, downscale: int = 1
 ) -> None:
     """What every loader of a folder takes: its path, the number of views, the split protocol and
     by how much the photos are reduced."""
@@ -24,7 +25,7 @@ def check_folder_options(
         isinstance(path, str) and path != "",
         f"scene={loader}: expected the scene's folder, got '{path}'; give scene.path=DIR",
     )
-    check_n_views(loader, n_views)
+    check_n_views(loader, n_views, all_too=True)
     whole = isinstance(downscale, int) and not isinstance(downscale, bool)
     require(
         whole and downscale >= 1,

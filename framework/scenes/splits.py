@@ -12,6 +12,11 @@ variant truncates instead of rounding and so takes other frames.
 44, 48, 0, 8, 13 (pixelNeRF, Yu et al. 2021; RegNeRF; CoR-GS), usually 3, 6 or 9; test = the 25
 positions that are neither among these nine nor among 3-7, 16-21, 36-39, which pixelNeRF's
 evaluation leaves out as badly exposed, whatever n_views is.
+
+`none`: every image may train, none tests; n_views are taken of all of them as by `llff`. For the
+best model of a scene, of which then nothing is measured.
+
+n_views is a number or `all`: as many as the protocol leaves for training.
 """
 
 from __future__ import annotations
@@ -24,6 +29,8 @@ from framework.errors import UserError, nearest_hint, require
 DTU_TRAINING = (25, 22, 28, 40, 44, 48, 0, 8, 13)
 DTU_EXCLUDED = (3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 36, 37, 38, 39)
 DTU_POSITIONS = 49
+ALL = "all"  # as the number of views: every one that the protocol leaves for training
+UNTESTED = "none"  # the protocol without test views
 
 
 @dataclass(frozen=True)
@@ -45,8 +52,9 @@ class Protocol:
     pick: Callable[[list[int], int], list[int]]
     images: int | None = None
 
-    def split(self, names: Sequence[str], n_views: int, where: str) -> Split:
-        """The split of `names` (sorted) with n_views training views; `where` opens the error."""
+    def split(self, names: Sequence[str], n_views: int | str, where: str) -> Split:
+        """The split of `names` (sorted) with n_views training views, a number or `ALL`; `where`
+        opens the error."""
         require(list(names) == sorted(names), f"{where}: split protocols need sorted names")
         require(
             self.images in (None, len(names)),
@@ -54,12 +62,13 @@ class Protocol:
             " restore the missing ones or choose another scene.split",
         )
         pool, test = self.divide(len(names))
-        if n_views > len(pool):
+        count = len(pool) if n_views == ALL else int(n_views)
+        if count > len(pool):
             raise UserError(
                 f"{where}: expected n_views of at most {len(pool)} ({len(names)} images, of which"
                 f" split={self.name} keeps {len(test)} for testing), got {n_views}; lower n_views"
             )
-        return Split(tuple(sorted(self.pick(pool, n_views))), tuple(test))
+        return Split(tuple(sorted(self.pick(pool, count))), tuple(test))
 
 
 def _spaced(pool: list[int], count: int) -> list[int]:
@@ -75,6 +84,10 @@ def _first(pool: list[int], count: int) -> list[int]:
 
 def _every_eighth(n: int) -> tuple[list[int], list[int]]:
     return [i for i in range(n) if i % 8], [i for i in range(n) if i % 8 == 0]
+
+
+def _everything(n: int) -> tuple[list[int], list[int]]:
+    return list(range(n)), []
 
 
 def _dtu(n: int) -> tuple[list[int], list[int]]:
@@ -103,6 +116,9 @@ PROTOCOLS: dict[str, Protocol] = {
             _dtu,
             _first,
             images=DTU_POSITIONS,
+        ),
+        Protocol(
+            UNTESTED, "all views train, rounded linspace; nothing is tested", _everything, _spaced
         ),
     )
 }

@@ -41,14 +41,14 @@ class Transforms:
     """
 
     path: str  # folder of the scene
-    n_views: int = 12  # training views
+    n_views: int | str = 12  # training views; all = every one that is not for testing
     file: str = "transforms.json"  # of cameras and photos, inside path
     downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
     paper: str = "white"  # what transparent photos are laid on: white, black
     points: str = "auto"
     near: float | None = None
     far: float | None = None
-    split: str = "llff"  # which views train and which test: llff, mip360 or dtu
+    split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
 
     def __post_init__(self) -> None:
         check_folder_options("transforms", self.path, self.n_views, self.split, self.downscale)

@@ -53,6 +53,16 @@ CASES = {
     "study=../elsewhere": ["study: expected a folder name", "'../elsewhere'"],
     "scene=llff": ["scene.path: required by scene=llff, got nothing; add scene.path=VALUE"],
     "scene=colmap,embedded -m": ["scene.path: required by scene=colmap"],
+    "scene=llff scene.path=x scene.n_views=each": [
+        "scene=llff: expected n_views to be an integer >= 1 or all, got each; set scene.n_views"
+    ],
+    "scene=colmap scene.path=x scene.n_views=3,al -m": ["an integer >= 1 or all, got al; set"],
+    "scene=dtu scene.path=x scene.n_views=2.5": [
+        "scene.n_views: expected an integer or a text, got 2.5"
+    ],
+    "scene=transforms scene.path=x scene.n_views=null": ["scene.n_views: expected an integer or a"],
+    "scene=mip360 scene.path=x scene.split=non": ["split=non: unknown protocol; did you mean"],
+    "scene.n_views=all": ["scene.n_views: expected an integer, got 'all'"],
     "augment=safi -m seed=1,2": ["expected -m first or last", "after 'augment=safi'"],
     "threads=1,2 -m": ["multirun: expected a folder for each run", "study=NAME"],
     "hydra.sweep.subdir=x seed=0,1 -m": ["expected a folder for each run", "hydra.sweep.subdir"],

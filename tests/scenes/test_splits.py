@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from framework.errors import UserError
 from framework.scenes import LOADERS, load_scene
-from framework.scenes.splits import protocol
+from framework.scenes.splits import ALL, PROTOCOLS, UNTESTED, protocol
+from tests.scenes.synthetic import write_llff, write_scene
+
+FOLDERS = sorted({*LOADERS} - {"embedded"})
 
 
 def names(n: int) -> list[str]:
@@ -61,6 +65,41 @@ def test_too_many_views_says_how_many_there_are() -> None:
         protocol("llff").split(names(20), 18, "here")
 
 
+@pytest.mark.parametrize("name", sorted(PROTOCOLS))
+def test_all_views_are_those_that_no_protocol_takes_for_testing(name: str) -> None:
+    rule = protocol(name)
+    split = rule.split(names(49), ALL, "here")
+    pool, test = rule.divide(49)
+    assert (split.train, split.test) == (tuple(sorted(pool)), tuple(test))
+    assert len(split.train) == {UNTESTED: 49, "dtu": 9}.get(name, 42)
+    assert split == rule.split(names(49), len(pool), "here")
+
+
+def test_without_test_views_the_few_are_spread_over_all() -> None:
+    split = protocol(UNTESTED).split(names(100), 12, "here")
+    assert split.train == (0, 9, 18, 27, 36, 45, 54, 63, 72, 81, 90, 99)
+    assert split.test == ()
+    with pytest.raises(UserError, match=r"n_views of at most 3 .* got 4; lower n_views"):
+        protocol(UNTESTED).split(names(3), 4, "here")
+
+
+def test_a_scene_without_test_views(tmp_path: Path) -> None:
+    every = [f"im{i:02d}.png" for i in range(10)]
+    for loader, folder in (
+        ("colmap", write_scene(tmp_path / "colmap")),
+        ("mip360", write_scene(tmp_path / "mip360")),
+        ("llff", write_llff(tmp_path / "llff")),
+    ):
+        options = {"path": str(folder), "n_views": ALL}
+        scene = load_scene(loader, {**options, "split": UNTESTED})
+        assert [view.name for view in scene.training.views] == every
+        assert (scene.test, scene.protocol) == ((), UNTESTED)
+        tested = load_scene(loader, options)
+        assert [view.name for view in tested.training.views] == every[1:8] + every[9:]
+        assert [view.name for view in tested.test] == ["im00.png", "im08.png"]
+        assert tested.fingerprint != scene.fingerprint
+
+
 def test_unknown_protocol_suggests() -> None:
     with pytest.raises(UserError, match="did you mean 'llff'"):
         protocol("lllf")
@@ -69,10 +108,21 @@ def test_unknown_protocol_suggests() -> None:
 @pytest.mark.parametrize("loader", sorted(LOADERS))
 @pytest.mark.parametrize("n_views", [0, -2])
 def test_n_views_below_one(loader: str, n_views: int) -> None:
-    if loader == "photos" and n_views == 0:
-        pytest.skip("there 0 means all but the test views")
-    with pytest.raises(UserError, match=rf"scene={loader}: expected n_views of at least 1, got"):
+    with pytest.raises(UserError, match=rf"scene={loader}: expected n_views to be an integer >= 1"):
         load_scene(loader, {"n_views": n_views} | ({} if loader == "embedded" else {"path": "x"}))
+
+
+@pytest.mark.parametrize("loader", FOLDERS)
+@pytest.mark.parametrize("n_views", ["every", "ALL", "3", "", 2.5, True, None])
+def test_n_views_is_a_number_or_all(loader: str, n_views: object) -> None:
+    told = rf"^scene={loader}: expected n_views to be an integer >= 1 or all, got {n_views}; set"
+    with pytest.raises(UserError, match=told):
+        load_scene(loader, {"path": "x", "n_views": n_views})
+
+
+def test_the_embedded_scene_has_no_number_of_photos() -> None:
+    with pytest.raises(UserError, match=r"^scene=embedded: .* to be an integer >= 1, got all; set"):
+        load_scene("embedded", {"n_views": ALL})
 
 
 def test_unknown_loader_option_and_missing_path() -> None:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from framework.errors import check_option
 from framework.scenes.options import check_folder_options
+from framework.scenes.splits import ALL
 
 if TYPE_CHECKING:
     from framework.types import Scene
@@ -30,16 +31,14 @@ class Photos:
     """Photos without poses: pycolmap finds them, once."""
 
     path: str  # folder of the photos (JPEG, PNG, HEIC where Pillow reads it), or a video
-    n_views: int = 0  # training views; 0 = all but those the split keeps for testing
+    n_views: int | str = ALL  # training views; all = every one that is not for testing
     side: int = 1200  # pixels; larger photos are first reduced to this longer side
     downscale: int = 0  # by which they are then reduced; 0 = until the longer side is at most 800
     frames: int = 40  # of a video: so many of its frames are taken, the sharpest ones
-    split: str = "llff"  # which views train and which test: llff, mip360 or dtu
+    split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
 
     def __post_init__(self) -> None:
-        check_folder_options(
-            "photos", self.path, self.n_views or 1, self.split, self.downscale or 1
-        )
+        check_folder_options("photos", self.path, self.n_views, self.split, self.downscale or 1)
         check_option(self, "scene", "side", 64 <= self.side <= 8192, "64 to 8192 pixels")
         check_option(self, "scene", "frames", 3 <= self.frames <= 1000, "3 to 1000")
 
@@ -52,7 +51,6 @@ class Photos:
         from framework.scenes.photos.cached import poses_folder
         from framework.scenes.photos.found import read_found
         from framework.scenes.photos.source import find_source
-        from framework.scenes.splits import protocol
 
         source = find_source(self.path, self.side, self.frames)
         folder = poses_folder(source)
@@ -68,8 +66,5 @@ class Photos:
                 "scene=photos: trained at %dx%d pixels (scene.downscale=%d of %dx%d)",
                 *(width // downscale, height // downscale, downscale, width, height),
             )
-        pool, _ = protocol(self.split).divide(len(found.placed))
-        options = Colmap(
-            str(folder), n_views=self.n_views or len(pool), downscale=downscale, split=self.split
-        )
+        options = Colmap(str(folder), n_views=self.n_views, downscale=downscale, split=self.split)
         return load_colmap("photos", folder, images, options, name=source.title)
