@@ -19,6 +19,7 @@ from framework.command.collector import import_uncollected
 from framework.command.job import Job
 from framework.errors import UserError
 from framework.records.progress import Terminal
+from framework.scenes import UNTESTED
 
 EXPERIMENT = "framework.run.experiment"
 REPORT = ("framework.report", "pandas", "matplotlib.backends.backend_svg", "PIL.WebPImagePlugin")
@@ -41,7 +42,9 @@ def run(job: Job) -> bool:
     import_uncollected(EXPERIMENT)
     from framework.run.experiment import run_experiment
 
-    progress = Terminal(job.label, job.short_label, in_place=None if job.alone else False)
+    tested = job.config["scene"].get("split") != UNTESTED
+    in_place = None if job.alone else False
+    progress = Terminal(job.label, job.short_label, in_place=in_place, tested=tested)
     run_experiment(job.config, Path(job.run_dir), progress, job.overrides)
     return True
 

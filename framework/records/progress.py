@@ -125,7 +125,7 @@ class Terminal:
     """Writes to `stream`: in place if `in_place`, else a line every 10 s or 10 % of the steps.
 
     label: who speaks, for instance "[run 4 of 12] safi+uar seed 1"; short_label: the same for a
-    narrow terminal. clock: seconds, monotonic.
+    narrow terminal. clock: seconds, monotonic. tested: whether there are test views.
     """
 
     def __init__(
@@ -135,12 +135,13 @@ class Terminal:
         stream: TextIO | None = None,
         in_place: bool | None = None,
         clock: Callable[[], float] = time.monotonic,
+        tested: bool = True,
     ) -> None:
         self._label = label
         self._short_label = short_label if short_label is not None else label
         self._stream = stream if stream is not None else sys.stdout
         self._in_place = self._stream.isatty() if in_place is None else in_place
-        self._clock = clock
+        self._clock, self._tested = clock, tested
         self._marks: deque[tuple[float, int]] = deque()  # (seconds, step), the speed window
         self._told_at = -float("inf")
         self._told_step = 0
@@ -169,6 +170,8 @@ class Terminal:
         parts.append((f"loss {loss:.4f}", f"loss {loss:.3f}"))
         if psnr is not None:
             parts.append((f"test {psnr:.2f} dB", f"{psnr:.1f} dB"))
+        if not self._tested:
+            parts.append(("not tested", "untested"))
         parts.append((f"{gaussians} Gaussians", f"{gaussians} G"))
         speed = self._speed()
         if speed is not None:

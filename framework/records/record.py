@@ -97,7 +97,8 @@ class StageTime:
 
 @dataclass(frozen=True)
 class SceneInfo:
-    """What was trained on. fingerprint: SHA-256 of all that was loaded; ids: view names."""
+    """What was trained on. fingerprint: SHA-256 of all that was loaded. training, test: names of
+    views, the latter empty where every one trains."""
 
     name: str
     protocol: str

@@ -18,8 +18,11 @@ DEFINITIONS = (
     "PSNR, SSIM and FLIP: mean over the test views, then over seeds, from the saved 8-bit renders;"
     " ± is half the width of the 95 % interval of the mean over seeds (t). σ_PSNR: standard"
     " deviation (n − 1) over seeds of the mean PSNR over the test views{pooled}, in brackets its"
-    " 95 % interval (χ², normal errors). Train: wall seconds of the training alone, mean over runs;"
-    " CPU: of all its threads, which other programs disturb less."
+    " 95 % interval (χ², normal errors). "
+)
+TIMES = (
+    "Train: wall seconds of the training alone, mean over runs; CPU: of all its threads, which"
+    " other programs disturb less."
     " Numbers are rounded to what their uncertainty supports."
 )
 POOLED = (
@@ -66,10 +69,10 @@ def main_table(study: Study) -> list[Block]:
     """Every method on every scene and over all."""
     if not study.runs:
         return []
-    pooled = POOLED if len(study.scenes) > 1 else ""
+    pooled = POOLED if len(study.tested) > 1 else ""
     lpips = LPIPS if "lpips" in tables.measured(study) else NO_LPIPS
     rows = tables.main_rows(study, study.scenes)
-    text = DEFINITIONS.format(pooled=pooled) + lpips
+    text = DEFINITIONS.format(pooled=pooled) + TIMES + lpips if study.tested else TIMES
     return [Heading(2, "Results"), table(rows, WORDS), Text(text)]
 
 

@@ -53,7 +53,7 @@ def over_budgets(
     blocks = [*_verdict(study, found)]
     first = [contest for contest in between if contest.method == between[0].method]
     if first:
-        where = study.scenes[0] if len(study.scenes) == 1 else f"{len(study.scenes)} scenes"
+        where = study.tested[0] if len(study.tested) == 1 else f"{len(study.tested)} scenes"
         rivals = f"{first[0].method} against {first[0].against}"
         blocks += [Text(f"How many Gaussians, on {where}, {rivals}:", "finding")]
         blocks += [Bullets(tuple(capacities.sentences(first)))]
@@ -101,9 +101,9 @@ def _verdict(study: Study, found: Outcomes) -> list[Block]:
 
 
 def _roles(study: Study) -> str:
-    if not study.scenes:
+    if not study.tested:
         return ""
-    return roles_sentence(list(dict.fromkeys(map(study.name_of, study.scenes))))
+    return roles_sentence(list(dict.fromkeys(map(study.name_of, study.tested))))
 
 
 def _forest(study: Study, found: Outcomes) -> list[Block]:

@@ -39,7 +39,7 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
     else:
         blocks += opening.plain(study, found)
     blocks += _pictures(study, found, seen, visible)
-    blocks += details.costs(study, [] if panels else study.scenes)
+    blocks += details.costs(study, [] if panels else study.tested)
     blocks += dose(study)
     if not panels:  # the strengths of a stress share their seeds: no independent pairs
         blocks += details.main_table(study)
@@ -47,8 +47,9 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
         blocks += details.stability(found)
     blocks += [*gaps.failures(study), *gaps.missing_runs(study)]
     blocks += [*details.worst(study), *details.by_tag(study, shown), *_courses(study, shown, seen)]
-    if study.runs:
+    if study.tested:
         blocks += published(study)
+    if study.runs:
         blocks += [Heading(2, "Every run"), table(tables.seed_rows(study), details.WORDS)]
     blocks += [*gaps.missing_metrics(study), *provenance_blocks(study)]
     return Document(outside(title), tuple(blocks), tuple(study.scenes), tuple(study.families))

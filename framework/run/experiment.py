@@ -242,12 +242,18 @@ def _info(scene: Scene) -> SceneInfo:
 
 def _result(record: RunRecord) -> str:
     """One line about a finished run."""
-    psnr_db, train_s = record.summary.get("psnr"), record.train_s
-    quality = (
-        "no test PSNR" if psnr_db is None or isinstance(psnr_db, Missing) else f"{psnr_db:.2f} dB"
-    )
+    train_s = record.train_s
     seconds = "" if train_s is None else f" · {train_s:.1f} s of training"
-    return f"test {quality} · {record.gaussians} Gaussians{seconds}"
+    return f"{_quality(record)} · {record.gaussians} Gaussians{seconds}"
+
+
+def _quality(record: RunRecord) -> str:
+    psnr_db = record.summary.get("psnr")
+    if record.scene is not None and not record.scene.test:
+        return f"not tested (scene.split={record.scene.protocol})"
+    if psnr_db is None or isinstance(psnr_db, Missing):
+        return "no test PSNR"
+    return f"test {psnr_db:.2f} dB"
 
 
 def _reused(record: RunRecord) -> str:

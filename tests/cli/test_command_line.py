@@ -91,6 +91,11 @@ def test_the_defaults(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> Non
         ("scene=llff scene.path=photos/llff_fern scene.n_views=3", "llff_fern_3v"),
         ("scene=llff scene.path=photos/fern/ scene.n_views=6", "llff_fern_6v"),
         ("+scene=colmap scene.path=photos/door scene.n_views=12", "colmap_door_12v"),
+        ("scene=llff scene.path=photos/fern scene.n_views=all", "llff_fern_allv"),
+        (
+            "scene=llff scene.path=photos/fern scene.n_views=all scene.split=none",
+            "llff_fern_allv_untested",
+        ),
         ("scene.n_views=4", "embedded_4v"),
         ("study=mine/first", "mine/first"),
     ],
@@ -101,6 +106,14 @@ def test_the_study_is_named_after_the_scene(runs: FakeRuns, line: str, study: st
     assert main(line.split()) == 0
     assert runs.folders[0].parent == Path("reports", study, "runs")
     assert runs.seen[0]["study"] == study
+
+
+def test_views_by_number_and_all_of_them_in_one_study(runs: FakeRuns) -> None:
+    line = "scene=colmap scene.path=. scene.n_views=3,12,all scene.split=llff,none study=views -m"
+    assert main(line.split()) == 0
+    found = {(c["scene"]["n_views"], c["scene"]["split"]) for c in runs.seen}
+    assert found == {(n, split) for n in (3, 12, "all") for split in ("llff", "none")}
+    assert len(set(runs.folders)) == 6
 
 
 def test_a_folder_given_by_hand_gets_everything(

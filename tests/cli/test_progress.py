@@ -79,6 +79,15 @@ def test_a_pause_does_not_stretch_the_time_left() -> None:
     assert "20 steps/s" in stream.getvalue().splitlines()[-1]
 
 
+def test_a_training_without_test_views_says_so(columns: pytest.MonkeyPatch) -> None:
+    for width, expected in (("160", "loss 0.1000 · not tested · 10 G"), ("60", "untested · 10 G")):
+        columns.setenv("COLUMNS", width)
+        stream = io.StringIO()
+        line = Terminal(LABEL, "[4/12] s1", stream, in_place=True, clock=Clock(1), tested=False)
+        line.step(1, 1, 0.1, 10)
+        assert expected in stream.getvalue()
+
+
 def test_stages_and_notes_carry_the_label() -> None:
     stream = io.StringIO()
     line = Terminal("none+none seed 0", stream=stream, in_place=False)

@@ -86,21 +86,22 @@ def fake_run(
     run_name: str | None = None,
     condition: dict[str, Any] | None = None,
     bits: float | None = None,
+    tested: bool = True,
     **more: Any,
 ) -> Path:
     """Write a run whose test PSNR is BASE_PSNR + gain + a little that depends on the seed.
 
     condition: options of the scene; other ones make another scene of the same name. bits: runs with
-    an equal one end with the same parameters."""
+    an equal one end with the same parameters. tested: whether there are test views."""
     config = make_config(augment, reg, seed, **more)
     config["scene"] = config["scene"] | (condition or {})
     mark = f"{scene}{sorted((condition or {}).items())}"
     fingerprint = hashlib.sha256(mark.encode()).hexdigest()
-    views = [make_view(i, tags=tags if tagged else ()) for i, tags in enumerate(TAGS)]
+    views = [make_view(i, tags=tags if tagged else ()) for i, tags in enumerate(TAGS) if tested]
     shift = gain + 0.2 * float(stream(seed, f"{augment}/{reg}").standard_normal())
     renders = [
         (view, noisy(view, base + shift, f"{augment}-{reg}", seed))
-        for view, base in zip(views, BASE_PSNR, strict=True)
+        for view, base in zip(views, BASE_PSNR if tested else (), strict=True)
     ]
     record = RunRecord(
         identity=f"{augment}{reg}{seed}",
@@ -108,7 +109,7 @@ def fake_run(
         overrides=(f"+augment={augment}", f"+reg={reg}", f"seed={seed}"),
         scene=SceneInfo(
             scene,
-            "own",
+            "own" if tested else "none",
             fingerprint,
             ("train 00",),
             tuple(v.name for v in views),
@@ -119,14 +120,14 @@ def fake_run(
     )
     metrics = [evaluate_view(view, image, 0.01) for view, image in renders]
     run_dir = study_dir / "runs" / (run_name or f"{scene}-{augment}-{reg}-s{seed}")
-    gaussians, history = make_gaussians(12, 0), _history(shift, gain)
+    gaussians, history = make_gaussians(12, 0), _history(shift, gain, tested)
     own = float(stream(seed, strict_json(config)).standard_normal())
     gaussians.means[0, 0] = own if bits is None else bits
     write_run(run_dir, record, metrics, history, gaussians, torch.zeros(3), renders)
     return run_dir
 
 
-def _history(shift: float, gain: float) -> list[HistoryRow]:
+def _history(shift: float, gain: float, tested: bool) -> list[HistoryRow]:
     return [
         HistoryRow(
             step=step,
@@ -134,7 +135,9 @@ def _history(shift: float, gain: float) -> list[HistoryRow]:
             loss=0.2 / (1 + step / 100),
             gaussians=12,
             sh_degree=0,
-            test_psnr=24.0 + shift - 4.0 * 0.99 ** (step / 4) if step % 200 == 0 else None,
+            test_psnr=24.0 + shift - 4.0 * 0.99 ** (step / 4)
+            if tested and step % 200 == 0
+            else None,
             logged={"dropped": 0.1},
         )
         for step in range(100, 801, 100)

@@ -18,6 +18,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from framework.command.config.schema import check, rows
 from framework.command.config.trust import refuse_environment
+from framework.scenes import UNTESTED
 
 # A run's name must not depend on these: the seed is written out, the others do not change a run.
 NOT_HASHED = ("seed", "threads", "force", "study", "traceback", "estimate")
@@ -36,14 +37,19 @@ def _plain_value(config: DictConfig, key: str) -> Any:
 
 
 def study_name(config: Mapping[str, Any]) -> str:
-    """The study asked for, else the scene's name: `embedded`, `llff_fern_3v`, `colmap_door_12v`."""
+    """The study asked for, else the scene's name: `embedded`, `llff_fern_3v`, `colmap_door_allv`.
+
+    One without test views is `llff_fern_allv_untested`: its figures stand beside no others.
+    """
     if config["study"] is not None:
         return str(config["study"])
     options = dict(config["scene"])
     loader = str(options["name"])
     if "path" in options:
         stem = _file_name(Path(str(options["path"])).resolve().name)
-        return f"{stem if stem.startswith(loader) else f'{loader}_{stem}'}_{options['n_views']}v"
+        untested = "_untested" if options.get("split") == UNTESTED else ""
+        scene = stem if stem.startswith(loader) else f"{loader}_{stem}"
+        return f"{scene}_{options['n_views']}v{untested}"
     default = {name: option.default for name, _, option in rows("scene", loader)}
     views = options.get("n_views")
     return loader if views == default.get("n_views") else f"{loader}_{views}v"

@@ -49,7 +49,7 @@ class Limit:
 
 
 def panels(study: Study) -> list[Panel]:
-    """The panels of a study; none where no stress varies."""
+    """The panels of a study; none where no stress varies between tested runs."""
     found = [p for axis in STRESSES for p in _panels_along(study, axis)]
     rich = [panel for panel in found if len(panel.levels) >= FEWEST_LEVELS]
     return rich or found
@@ -148,7 +148,7 @@ def rows(panel: Panel) -> list[dict[str, str]]:
 def _panels_along(study: Study, axis: Axis) -> list[Panel]:
     groups: dict[tuple[object, ...], list[ReportRun]] = defaultdict(list)
     for run in study.runs:
-        if run.level(axis) is not None:
+        if run.tested and run.level(axis) is not None:
             label = run.scene_label
             others = tuple((k, text_of(v)) for k, v in label.data.items() if k != axis.key)
             groups[label.name, others].append(run)

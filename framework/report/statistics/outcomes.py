@@ -42,23 +42,23 @@ class Outcomes:
 
 def outcomes(study: Study) -> Outcomes:
     """The outcomes of all methods."""
-    values = {m: seed_means(study.of(method=m), study.scenes) for m in study.methods}
+    values = {m: seed_means(study.of(method=m), study.tested) for m in study.methods}
     psnr = {method: spread(list(found.values())) for method, found in values.items() if found}
     sigmas = {
         method: compare_sigmas(method, list(values[method].values()), base, others)
         for method in study.methods
         if (base := study.baseline_of(method)) != method and (others := list(values[base].values()))
     }
-    several = len(study.scenes) > 1
-    untuned = [scene for scene in study.scenes if role(study.name_of(scene)) != CHOSE]
+    several = len(study.tested) > 1
+    untuned = [scene for scene in study.tested if role(study.name_of(scene)) != CHOSE]
     return Outcomes(
         psnr,
         {method: found for method, found in values.items() if found},
         _scene_sigmas(study) if several else {},
-        corrected(_comparisons(study, study.scenes)),
+        corrected(_comparisons(study, study.tested)),
         sigmas_corrected({m: c for m, c in sigmas.items() if c is not None}),
-        {scene: _comparisons(study, [scene]) for scene in study.scenes} if several else {},
-        corrected(_comparisons(study, untuned)) if 0 < len(untuned) < len(study.scenes) else {},
+        {scene: _comparisons(study, [scene]) for scene in study.tested} if several else {},
+        corrected(_comparisons(study, untuned)) if 0 < len(untuned) < len(study.tested) else {},
     )
 
 
@@ -99,7 +99,7 @@ def _comparisons(study: Study, scenes: Sequence[str]) -> dict[str, Comparison]:
 def _scene_sigmas(study: Study) -> dict[str, tuple[float, Interval]]:
     found = {}
     for method in study.methods:
-        samples = [list(by_pair(study.of(scene, method)).values()) for scene in study.scenes]
+        samples = [list(by_pair(study.of(scene, method)).values()) for scene in study.tested]
         mean = mean_deviation(samples)
         if mean is not None:
             found[method] = mean

@@ -75,6 +75,8 @@ def failure_rate(study: Study, method: str, scene: str | None = None) -> Failure
 
 def has_failed(run: ReportRun, reference: Mapping[tuple[str, int], float]) -> bool:
     """reference: (scene, seed) -> PSNR of `none + none`."""
+    if not run.tested:
+        return False
     psnr = run.mean("psnr")
     if psnr is None or not _has_converged(run):
         return True

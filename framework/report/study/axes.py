@@ -26,8 +26,9 @@ class Axis:
         return self.key.rpartition(".")[2]
 
 
+VIEWS = "scene.n_views"  # `all` of them is their number here
 STRESSES = (
-    Axis("scene.n_views", "training views", -1, "{} training views"),
+    Axis(VIEWS, "training views", -1, "{} training views"),
     Axis("depth.strength", "strength of the depth error", 1, "strength {}"),
     Axis("scene.spread", "camera spread (m)", 1, "a spread of {} m"),
     Axis("scene.pose_noise", "pose noise (px)", 1, "a noise of {} px"),

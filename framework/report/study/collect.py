@@ -63,6 +63,11 @@ class ReportRun:
         value = self.record.summary.get(metric, Missing("not measured"))
         return None if isinstance(value, Missing) else float(value)
 
+    @property
+    def tested(self) -> bool:
+        """Whether there were test views."""
+        return len(self.files) > 0
+
     @cached_property
     def files(self) -> dict[str, str]:
         """View -> first part of the names of its image files."""
@@ -117,6 +122,11 @@ class Study:
     def scenes(self) -> list[str]:
         """Scene labels, sorted."""
         return sorted({run.scene for run in self.runs}, key=natural)
+
+    @cached_property
+    def tested(self) -> list[str]:
+        """The scenes, sorted, of which some run had test views."""
+        return sorted({run.scene for run in self.runs if run.tested}, key=natural)
 
     @cached_property
     def methods(self) -> list[str]:

@@ -21,7 +21,8 @@ from typing import Any
 from framework.errors import printable_line
 from framework.records.provenance import NEUTRAL_KEYS
 from framework.records.record import METHOD_GROUPS, SceneInfo
-from framework.report.study.axes import BUDGETS, DATA_KEYS
+from framework.report.study.axes import BUDGETS, DATA_KEYS, VIEWS
+from framework.scenes import ALL
 
 NAMED = ("augment", "reg")  # groups every method's name starts with
 WITH_STEPS = (  # what presets set beside the steps
@@ -109,9 +110,16 @@ def scene_labels(
         own = [index for index, other in enumerate(names) if other == name]
         texts = _scene_texts(name, [flat[i] for i in own], [scenes[i] for i in own])
         for index, text in zip(own, texts, strict=True):
-            data = {key: flat[index][key] for key in DATA_KEYS if key in flat[index]}
-            labels[index] = SceneLabel(text, name, data)
+            labels[index] = SceneLabel(text, name, _data(flat[index], scenes[index]))
     return [label for label in labels if label is not None]
+
+
+def _data(config: Flat, scene: SceneInfo | None) -> Flat:
+    """The stresses and conditions of a config; of `all` views, how many these were."""
+    data = {key: config[key] for key in DATA_KEYS if key in config}
+    if scene is not None and data.get(VIEWS) == ALL:
+        data[VIEWS] = len(scene.training)
+    return data
 
 
 def text_of(value: Any) -> str:

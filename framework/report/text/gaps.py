@@ -27,8 +27,12 @@ def gap_notes(study: Study, pooled: bool = True) -> list[Block]:
     unfinished = sorted(set(study.tried) - set(study.methods))
     if unfinished:
         texts.append(f"No run finished of {', '.join(unfinished)}.")
-    everywhere = len(study.scenes) if pooled else 0
-    partial = [m for m in study.methods if len({r.scene for r in study.of(method=m)}) < everywhere]
+    untested = [scene for scene in study.scenes if scene not in study.tested]
+    if untested and study.tested:
+        texts.append(f"Not tested (scene.split=none), hence not compared: {', '.join(untested)}.")
+    everywhere = len(study.tested) if pooled else 0
+    on = {m: {run.scene for run in study.of(method=m) if run.tested} for m in study.methods}
+    partial = [method for method, scenes in on.items() if len(scenes) < everywhere]
     if partial:
         texts.append(
             f"Not on every scene, hence left out of the mean over scenes: {', '.join(partial)}."

@@ -60,7 +60,7 @@ def _scenes(study: Study) -> list[str]:
     found = {run.scene: run.record.scene for run in study.runs}
     return [
         f"{label}: protocol {outside(scene.protocol)}, fingerprint {code(scene.fingerprint)};"
-        f" trained on {_some(scene.training)}; tested on {_some(scene.test)}"
+        f" trained on {_some(scene.training)}; tested on {_some(scene.test) or 'none'}"
         for label, scene in found.items()
         if scene is not None
     ]

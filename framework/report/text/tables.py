@@ -27,8 +27,9 @@ Rows = list[dict[str, str]]
 def main_rows(study: Study, scenes: Sequence[str]) -> Rows:
     """One row per scene and method, and over all `scenes` where there are several."""
     groups = [(scene, [scene]) for scene in scenes]
-    if len(scenes) > 1:
-        groups.append((ALL_SCENES, list(scenes)))
+    tested = [scene for scene in scenes if scene in study.tested]
+    if len(tested) > 1:
+        groups.append((ALL_SCENES, tested))
     rows = []
     for label, members in groups:
         shown_as = label if label == ALL_SCENES else marked(label, study.name_of(label))
@@ -42,7 +43,7 @@ def main_rows(study: Study, scenes: Sequence[str]) -> Rows:
 def worst_rows(study: Study) -> Rows:
     """The worst case of every method on every scene, and its failures."""
     rows = []
-    scenes = study.scenes or sorted({run.scene for run in study.failed})
+    scenes = study.tested if study.runs else sorted({run.scene for run in study.failed})
     for scene in scenes:
         for method in study.tried:
             rate = failure_rate(study, method, scene)
@@ -85,7 +86,10 @@ def seed_rows(study: Study) -> list[dict[str, str | Link]]:
 
 
 def measured(study: Study) -> list[str]:
-    """The metrics of the main table: LPIPS only where some run has it."""
+    """The metrics of the main table: LPIPS only where some run has it, none where nothing was
+    tested."""
+    if study.runs and not study.tested:
+        return []
     found = [m for m in LPIPS if any(run.mean(m) is not None for run in study.runs)]
     return ["psnr", "ssim", "flip", *found]
 

@@ -13,11 +13,18 @@ from framework.report.statistics.outcomes import Outcomes
 from framework.report.study.collect import Study
 from framework.report.study.order import BASELINE
 
+UNTESTED = (
+    "Nothing was tested: no photo was held out (scene.split=none), so nothing is known of the"
+    " quality in other views, and methods cannot be compared."
+)
+
 
 def lead(study: Study, found: Outcomes) -> str:
     """What to use, in a sentence."""
     if not study.runs:
         return "No run of this study finished."
+    if not study.tested:
+        return UNTESTED
     if not found.psnr:
         return "No method of this study finished on every scene with a finite PSNR."
     if len(study.methods) == 1:
@@ -69,14 +76,14 @@ def amount(c: Comparison) -> str:
 
 def where(study: Study) -> str:
     """`on fern`, `on these 5 scenes`."""
-    scenes = study.scenes
+    scenes = study.tested
     return f"on {scenes[0]}" if len(scenes) == 1 else f"on these {len(scenes)} scenes"
 
 
 def _level(study: Study, found: Outcomes) -> str:
     (method,) = study.methods
     only = found.psnr[method]
-    where = study.scenes[0] if len(study.scenes) == 1 else f"the mean of {len(study.scenes)} scenes"
+    where = study.tested[0] if len(study.tested) == 1 else f"the mean of {len(study.tested)} scenes"
     if only.mean_interval is None or only.sd is None:
         return (
             f"on {where}, {plainly(method)} reaches {only.mean:.2f} dB in a single run (n = 1),"

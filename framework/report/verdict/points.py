@@ -108,7 +108,7 @@ def _untuned(study: Study, found: Outcomes) -> str:
     alone = [c for c in found.tested.values() if c.joint is not None]
     if not alone:
         return ""
-    scenes = [scene for scene in study.scenes if role(study.name_of(scene)) != CHOSE]
+    scenes = [scene for scene in study.tested if role(study.name_of(scene)) != CHOSE]
     own = [f"{c.method} {amount(c)}" for c in alone if c.significant]
     said = "; ".join(own) if own else "nobody is told apart"
     return f"On {listed(scenes, 'and')} alone, where no default was chosen: {said}."
