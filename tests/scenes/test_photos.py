@@ -80,6 +80,8 @@ def test_the_scene_is_that_of_colmap(room: Path) -> None:
     options = {"path": str(kept(room)), "n_views": 5}
     assert load_scene("colmap", options).fingerprint == scene.fingerprint
     assert len(load(room, n_views=2).training.views) == 2
+    untested = load(room, split="none")
+    assert (len(untested.training.views), untested.test) == (6, ())
     assert load(room, downscale=2).training.views[0].camera.width == WIDTH // 2
     with pytest.raises(UserError, match=r"expected n_views of at most 5 .6 images"):
         load(room, n_views=9)
