@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from framework.compute.stopwatch import Stopwatch
 from framework.errors import UserError
+from framework.files.documents import read_json
 from framework.files.limits import TEXT_BYTES
-from framework.files.opened import file_size
 from framework.files.whole import write_whole
 from framework.options import MOST_STEPS, TrainerOptions, members_of
 
@@ -105,9 +105,7 @@ def _kept(file: Path, identity: str) -> Choice | None:
     if not file.is_file():
         return None
     try:
-        file_size(file, TEXT_BYTES)
-        content: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        choice = Choice(**content)
+        choice = Choice(**read_json(file, TEXT_BYTES))
         choice.applied(TrainerOptions())
     except (UserError, ValueError, TypeError, AttributeError, RecursionError):
         return None  # damaged: choose anew

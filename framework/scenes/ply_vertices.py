@@ -7,6 +7,7 @@ before it. The header is checked against the file before anything is allocated.
 from __future__ import annotations
 
 import io
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from framework.errors import UserError, require
 from framework.files.limits import PLY_BYTES
-from framework.files.opened import file_size
+from framework.files.opened import open_regular
 
 HEADER_BYTES = 65536
 KINDS = {
@@ -44,9 +45,8 @@ class _Header:
 
 def read_vertices(path: Path) -> NDArray[Any]:
     """[count] structured array of the vertices. Raises UserError for a file that has none such."""
-    size = file_size(path, PLY_BYTES)
-    with path.open("rb") as file:
-        header = _header(path, file.read(HEADER_BYTES))
+    with open_regular(path, PLY_BYTES) as file:
+        size, header = os.fstat(file.fileno()).st_size, _header(path, file.read(HEADER_BYTES))
         # a value of text takes a digit and what ends it, the last one perhaps without the latter
         row = 2 * len(_names(header.dtype)) if header.text else header.dtype.itemsize
         least = header.before + header.count * row - header.text

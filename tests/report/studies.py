@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import shutil
 import tempfile
@@ -66,7 +67,7 @@ def _set_psnr(run: Path, psnr: float) -> None:
     record = json.loads((run / "record.json").read_text(encoding="utf-8"))
     shift = psnr - record["summary"]["psnr"]["mean"]
     record["summary"]["psnr"]["mean"] = psnr
-    record["parameters_sha256"] = f"{psnr}"
+    record["parameters_sha256"] = hashlib.sha256(f"{psnr}".encode()).hexdigest()
     (run / "record.json").write_text(json.dumps(record), encoding="utf-8")
     with (run / "metrics.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))

@@ -12,12 +12,11 @@ import numpy as np
 
 from framework.records.run_files import ERROR_SCALE
 from framework.report.figures.files import grid_picture
-from framework.report.figures.views import choose_views, image_file, psnr_of
+from framework.report.figures.views import check_size, choose_views, picture, psnr_of
 from framework.report.parts.document import Picture
 from framework.report.parts.grid import Band, Cell, Scale
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside, slug
-from framework.scenes.images import read_image
 
 SHARE = 4  # of the width and height that a crop takes: one part in so many
 FRAME = np.array([255, 215, 0], dtype=np.uint8)
@@ -36,18 +35,19 @@ def draw_closeup(study: Study, scene: str, families: tuple[str, ...]) -> Picture
     if not shown.views:
         return None
     view, _ = shown.views[min(1, len(shown.views) - 1)]
-    truth = read_image(image_file(runs[0], view, "truth"))
-    renders = [read_image(image_file(run, view, "render")) for run in runs]
-    every = [read_image(image_file(run, view, "render")) for run in shown.runs]
+    truth = picture(runs[0], view, "truth")
+    for run in (*runs, *shown.runs):
+        for kind in ("render", "error"):
+            check_size(run, view, picture(run, view, kind).shape, truth.shape)
+    renders = [picture(run, view, "render") for run in runs]
+    every = [picture(run, view, "render") for run in shown.runs]
     window = _window(every if len(every) > 1 else [truth, *every])
     names = ["ground truth", *(_title(run, view) for run in runs)]
     pictures = [truth, *renders]
     whole = [Cell(n, _framed(p, window)) for n, p in zip(names, pictures, strict=True)]
     parts = [Cell("", np.ascontiguousarray(picture[window])) for picture in pictures]
     errors = [Cell("", np.full_like(truth, 255))]  # of the truth: an empty place
-    errors += [
-        Cell(f"error: {run.method}", read_image(image_file(run, view, "error"))) for run in runs
-    ]
+    errors += [Cell(f"error: {run.method}", picture(run, view, "error")) for run in runs]
     scale = Scale("mean absolute error", "magma", ERROR_SCALE)
     band = Band(f"{scene}: {outside(view)}", (tuple(whole), tuple(parts), tuple(errors)), scale)
     seeds = sorted({run.seed for run in runs})

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from framework.errors import UserError
+from framework.files.documents import read_json
 from framework.files.limits import TEXT_BYTES
-from framework.files.opened import file_size
 from framework.files.whole import write_whole
 
 FILE = "poses.json"
@@ -72,8 +72,7 @@ def read_found(folder: Path) -> Found:
     """From `poses.json` of `folder`. Raises UserError for a damaged one."""
     path = folder / FILE
     try:
-        file_size(path, TEXT_BYTES)
-        values = json.loads(path.read_text(encoding="utf-8"))
+        values = read_json(path, TEXT_BYTES)
         values["links"] = [Link(**link) for link in values["links"]]
         values["tries"] = [Try(**attempt) for attempt in values["tries"]]
         return Found(**values)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from framework.errors import UserError, require
 from framework.files.limits import IMAGE_BYTES
-from framework.files.opened import file_size
+from framework.files.opened import open_regular
 from framework.files.paths import inside
 from framework.scenes.images import SUFFIXES
 
@@ -21,6 +21,7 @@ VERSION = 1  # of the settings and of what is kept; another one finds the poses 
 HEIC = {".heic", ".heif"}
 VIDEO = {".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm"}
 OTHERS = {".tif", ".tiff", ".webp", ".bmp", ".gif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw"}
+VIDEO_BYTES = 2**40  # it is read frame by frame
 FEWEST = 3  # photos with a place: two to train and one to test
 MOST = 2000
 
@@ -78,7 +79,7 @@ def _video(file: Path, side: int, frames: int) -> Source:
         f"{file}: expected a folder of photos or a video ({', '.join(sorted(VIDEO))}), got another"
         " file; correct scene.path",
     )
-    key = _key([side, frames, _sha256(file, limit=None)])
+    key = _key([side, frames, _sha256(file, VIDEO_BYTES)])
     return Source(file.resolve().stem, file.parent, (file,), True, key, side, frames)
 
 
@@ -120,10 +121,8 @@ def _check_count(place: Path, n_files: int, n_distinct: int) -> None:
     )
 
 
-def _sha256(file: Path, limit: int | None = IMAGE_BYTES) -> str:
-    if limit is not None:
-        file_size(file, limit)
-    with file.open("rb") as stream:
+def _sha256(file: Path, limit: int = IMAGE_BYTES) -> str:
+    with open_regular(file, limit) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
