@@ -90,7 +90,7 @@ class Clock:
 
 def child(began: float, output: Path, overrides: list[str]) -> None:
     """One run with a clock around its stages; `began` is the time when the process was started."""
-    from framework.command import runner
+    from framework.command import entry, runner
 
     clock, done = Clock(), runner._done
     ended = began
@@ -111,7 +111,7 @@ def child(began: float, output: Path, overrides: list[str]) -> None:
         return well
 
     runner._done = watched
-    code = runner.lone(overrides)
+    code = entry.lone(overrides)
     clock.seconds[REPORT] = time.time() - ended
     output.write_text(json.dumps(clock.seconds))
     os._exit(code)  # as run.py
