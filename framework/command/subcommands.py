@@ -8,10 +8,12 @@ from collections.abc import Sequence
 from framework.command.program import program
 from framework.errors import UserError, nearest_hint
 
-# name -> (module with `main(arguments, prog) -> exit code`, what it does)
+# name -> (module with `main(arguments, prog) -> exit code`, what it does, in two words). One line
+# each, by name. The module is light to import and reads its arguments with argparse; what it
+# raises is told as for a run: see `framework.command.cli.main`.
 SUBCOMMANDS = {
-    "report": ("framework.report.__main__", "report again"),
     "fetch": ("framework.metrics.lpips_weights", "LPIPS"),
+    "report": ("framework.report.__main__", "report again"),
 }
 
 

@@ -55,7 +55,7 @@ def help_text(overrides: Sequence[str]) -> str:
     with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
         options = "\n".join(_explained(compose("config", list(overrides))))
     chosen = "\n".join(lines)
-    beside = [f"  {does:<13}{program()} {name} ..." for name, (_, does) in SUBCOMMANDS.items()]
+    beside = [f"  {does:<12} {program()} {name} ..." for name, (_, does) in SUBCOMMANDS.items()]
     header = HEADER.format(program=program(), subcommands="\n".join(beside))
     return f"{header}\nChoices, GROUP=NAME:\n{chosen}\n\nOptions, KEY=VALUE:\n\n{options}\n"
 
