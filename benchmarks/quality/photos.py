@@ -1,25 +1,31 @@
 """How well `scene=photos` finds the poses of photos whose poses are known.
 
     python benchmarks/quality/photos.py --output benchmarks/results/photos.md \\
-        fern=DIR:8 fern=DIR:20 door=DIR [--train preset=fast]
+        fern=DIR:8 fern=DIR:20 door=DIR --train preset=fast
 
 Each DIR is a COLMAP scene (`images`, `sparse/0`), of which the given number of photos, evenly
 spread, all without a number, is copied to a new folder: names and pixels, no poses. DIR+DIR takes
 the photos of both. Errors are those of the camera's direction and place after the best similarity
 (rotation: mean of the relative ones; scale and shift: least squares); places in percent of the
-largest distance from the cameras' mean. Seconds are CPU time, all threads together. With --train
-each scene is also trained, with the found and with the known poses of the same photos, on the same
-split.
+largest distance from the cameras' mean. Seconds are CPU time, all threads together.
+
+With --train each scene is also trained, by one command from photos to Gaussians, and once more from
+the known poses of the same photos, on the same split; a second table tells the seconds of the first
+command by stage: those of the poses by the search itself, those of the run by its record, and as
+rest what the whole command took beside them (start, reading photos, writing, the report).
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import resource
+import shlex
 import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,14 +38,22 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from framework.errors import UserError
 from framework.records.provenance import cpu_model
 from framework.scenes.colmap_model import read_model
+from framework.scenes.photos.advice import advice
 from framework.scenes.photos.cached import poses_folder
 from framework.scenes.photos.found import Found, read_found
 from framework.scenes.photos.source import find_source
 
 ROOT = Path(__file__).resolve().parents[2]
 HEADER = (
-    "| photos | placed | tries | features | matching | placing | rotation, median / worst"
-    " | place, median / worst | focal length |\n|---|---:|---:|---:|---:|---:|---:|---:|---:|\n"
+    "| photos | placed | tries | rotation, median / worst | place, median / worst | focal length"
+    " | PSNR, found poses | PSNR, given poses |\n|---|---:|---:|---:|---:|---:|---:|---:|\n"
+)
+SEARCH = ("features", "matching", "mapping")  # stages of the search for poses
+RUN = ("depth", "init", "train", "evaluate")  # and of the run
+SECONDS = (
+    f"| photos | {' | '.join((*SEARCH, *RUN))} | rest | all | on the clock |\n|---|"
+    + "---:|" * (len(SEARCH) + len(RUN) + 3)
+    + "\n"
 )
 Cameras = dict[str, tuple[NDArray[np.float64], float]]  # name -> world-to-camera, focal length
 
@@ -119,32 +133,47 @@ def known_scene(scene: Path, names: set[str], folder: Path) -> None:
     model.write_binary(str(sparse))
 
 
-def trained(scene: list[str], overrides: list[str], out: Path) -> str:
-    """Test PSNR of a run, as its record says it."""
+@dataclass(frozen=True)
+class Trained:
+    """A run: its test PSNR, or its error; CPU seconds by stage; those of the whole command, with
+    all its processes; and its seconds on the clock."""
+
+    psnr: str
+    stages: dict[str, float]
+    cpu_s: float
+    wall_s: float
+
+
+def trained(scene: list[str], overrides: list[str], out: Path) -> Trained:
+    """One command from photos to Gaussians."""
     line = [sys.executable, "run.py", *scene, *overrides, f"hydra.run.dir={out}"]
+    before, started = _children_s(), time.monotonic()
     done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
+    cpu_s, wall_s = _children_s() - before, time.monotonic() - started
     if done.returncode:
-        return done.stderr.strip().splitlines()[-1]
-    summary: dict[str, Any] = json.loads((out / "record.json").read_text())["summary"]
-    return f"{summary['psnr']['mean']:.2f} dB"
+        return Trained(done.stderr.strip().splitlines()[-1], {}, cpu_s, wall_s)
+    record: dict[str, Any] = json.loads((out / "record.json").read_text())
+    stages = {stage["stage"]: stage["cpu_s"] for stage in record["timings"]}
+    return Trained(f"{record['summary']['psnr']['mean']:.2f} dB", stages, cpu_s, wall_s)
 
 
-def row(title: str, found: Found, wrong: Errors | None) -> str:
-    """A row of the table."""
-    names = ("features", "matching", "mapping")
-    stages = [sum(getattr(t, f"{name}_cpu_s") for t in found.tries) for name in names]
-    cells = [title, f"{len(found.placed)} of {len(found.photos)}", str(len(found.tries))]
-    cells += [f"{seconds:.1f} s" for seconds in stages]
-    if wrong is None:
-        return f"| {' | '.join(cells)} | | | |\n"
-    spread = [(np.median(v), v.max()) for v in (wrong.degrees, wrong.percent)]
-    cells += [f"{spread[0][0]:.2f}° / {spread[0][1]:.2f}°"]
-    cells += [f"{spread[1][0]:.2f} % / {spread[1][1]:.2f} %", f"{wrong.focal:+.1f} %"]
-    return f"| {' | '.join(cells)} |\n"
+def _children_s() -> float:
+    """CPU seconds of all processes that this one has waited for, and those that they have."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
-def measured(entry: str, train: list[list[str]], work: Path) -> tuple[str, list[str]]:
-    """The table's row, and remarks, of `title=DIR[+DIR][:count]`."""
+@dataclass(frozen=True)
+class Measured:
+    """A row of each table, and remarks below them."""
+
+    row: str
+    seconds: str = ""
+    remarks: tuple[str, ...] = ()
+
+
+def measured(entry: str, overrides: list[str], work: Path) -> Measured:
+    """The rows of `title=DIR[+DIR][:count]`; overrides: of the trainings, none for no training."""
     title, _, rest = entry.partition("=")
     paths, _, count = rest.partition(":")
     scenes = [Path(path) for path in paths.split("+")]
@@ -152,44 +181,61 @@ def measured(entry: str, train: list[list[str]], work: Path) -> tuple[str, list[
     folder.mkdir()
     names = copied(scenes, int(count) if count else None, folder)
     title = f"{title}, {len(names)}"
+    photos = ["scene=photos", f"scene.path={folder}"]
+    ours = trained(photos, overrides, work / "ours") if overrides else None  # finds the poses too
     try:
         poses = poses_folder(find_source(str(folder), side=1200, frames=40))
     except UserError as error:
-        return f"| {title} | 0 of {len(names)} | | | | | | | |\n", [
-            f"{title}: {error}".replace(str(folder), "DIR")
-        ]
+        told = f"{title}: {error}".replace(str(folder), "DIR")
+        return Measured(f"| {title} | 0 of {len(names)} | | | | | | |\n", remarks=(told,))
     found = read_found(poses)
-    known = [s / "sparse" / "0" for s in scenes]
-    wrong = None
-    if len(scenes) == 1 and known[0].is_dir():
-        wrong = errors(cameras(poses / "sparse" / "0"), cameras(known[0]))
-    remarks = [f"{title}: left out {', '.join(found.left_out)}"] if found.left_out else []
-    for number, overrides in enumerate(train):
-        other = work / f"known{number}"
-        known_scene(scenes[0], set(found.placed), other)
-        views = f"scene.n_views={len(found.placed) - len(range(0, len(found.placed), 8))}"
-        ours = trained(["scene=photos", f"scene.path={folder}", views], overrides, work / "ours")
-        theirs = trained(["scene=colmap", f"scene.path={other}", views], overrides, work / "theirs")
-        remarks.append(f"{title}, {' '.join(overrides)}: found {ours}, known {theirs}")
-    return row(title, found, wrong), remarks
+    remarks = (f"{title}: left out {', '.join(found.left_out)}",) if found.left_out else ()
+    if found.groups:
+        remarks += tuple(f"{title}: {line}" for line in advice(found))
+    theirs, cells = None, ["", "", ""]
+    if len(scenes) == 1 and (scenes[0] / "sparse" / "0").is_dir():
+        wrong = errors(cameras(poses / "sparse" / "0"), cameras(scenes[0] / "sparse" / "0"))
+        spread = [(np.median(v), v.max()) for v in (wrong.degrees, wrong.percent)]
+        cells = [f"{spread[0][0]:.2f}° / {spread[0][1]:.2f}°"]
+        cells += [f"{spread[1][0]:.2f} % / {spread[1][1]:.2f} %", f"{wrong.focal:+.1f} %"]
+        if overrides:
+            known_scene(scenes[0], set(found.placed), work / "known")
+            known = ["scene=colmap", f"scene.path={work / 'known'}", "scene.n_views=all"]
+            theirs = trained(known, overrides, work / "theirs")
+    cells += ["" if run is None else run.psnr for run in (ours, theirs)]
+    placed = f"{len(found.placed)} of {len(found.photos)}"
+    row = f"| {' | '.join([title, placed, str(len(found.tries)), *cells])} |\n"
+    return Measured(row, seconds_row(title, found, ours), remarks)
+
+
+def seconds_row(title: str, found: Found, run: Trained | None) -> str:
+    """CPU seconds by stage; without a training only those of the search."""
+    spent = [sum(getattr(t, f"{name}_cpu_s") for t in found.tries) for name in SEARCH]
+    told = [f"{s:.1f} s" for s in spent]
+    if run is None:
+        return f"| {' | '.join([title, *told])} |{' |' * (len(RUN) + 3)}\n"
+    spent += [run.stages.get(name, 0.0) for name in RUN]
+    told = [f"{s:.1f} s" for s in (*spent, run.cpu_s - sum(spent), run.cpu_s)]
+    return f"| {' | '.join([title, *told, f'{run.wall_s:.0f} s'])} |\n"
 
 
 def main() -> None:
-    """Print the table, or write it."""
+    """Print the tables, or write them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("scenes", nargs="+", metavar="NAME=DIR[+DIR][:COUNT]")
-    parser.add_argument("--train", action="append", default=[], metavar="OVERRIDES")
+    parser.add_argument("--train", default="", metavar="OVERRIDES")
     parser.add_argument("--output", type=Path)
     given = parser.parse_args()
-    rows, remarks = [], []
+    done = []
     for entry in given.scenes:
         with tempfile.TemporaryDirectory() as work:
-            line, more = measured(entry, [t.split() for t in given.train], Path(work))
-        print(line, *more, sep="\n", flush=True)
-        rows.append(line)
-        remarks += more
-    said = "".join(f"- {' '.join(remark.split())}\n" for remark in remarks)
-    text = f"On {cpu_model()}.\n\n{HEADER}{''.join(rows)}\n{said}"
+            done.append(measured(entry, given.train.split(), Path(work)))
+        print(done[-1].row, done[-1].seconds, *done[-1].remarks, flush=True)
+    said = "".join(f"- {' '.join(remark.split())}\n" for one in done for remark in one.remarks)
+    line = f"`{shlex.join(['python', 'benchmarks/quality/photos.py', *sys.argv[1:]])}`"
+    text = f"{line}\n\nOn {cpu_model()}.\n\n{HEADER}{''.join(one.row for one in done)}\n{said}"
+    text += f"\nCPU seconds of the run with found poses:\n\n{SECONDS}"
+    text += "".join(one.seconds for one in done)
     if given.output is not None:
         given.output.write_text(f"# Poses of photos\n\n{text}", encoding="utf-8")
 
