@@ -1,10 +1,11 @@
 """A run as others see it: while it goes (`progress`, `notices`) and afterwards on disk (`record`,
-`run_files`, `ply`, `cameras`), with where it comes from (`provenance`)."""
+`run_files`, `ply`, `cameras`, `photos`), with where it comes from (`provenance`)."""
 
 __all__ = [
     "cameras",
     "failure",
     "notices",
+    "photos",
     "ply",
     "progress",
     "provenance",

@@ -3,8 +3,9 @@
 `cameras.json`, as 3DGS (Kerbl et al. 2023) writes it: a list of id, img_name, width, height,
 position [3] and rotation [3, 3] (camera to world, axes right, down, forward), fy, fx in pixels;
 test views first, as there. `transforms.json`, as instant-ngp and nerfstudio read it: per photo its
-camera-to-world matrix with axes right, up, backward, intrinsics in pixels; and which photos trained
-and which tested. Intrinsics are those of the pictures the run worked with: undistorted, reduced.
+camera-to-world matrix with axes right, up, backward, intrinsics in pixels; which photos trained and
+which tested; and `near_plane`, the depth before which renders draw nothing. Intrinsics are those of
+the pictures the run worked with: undistorted, reduced.
 """
 
 from __future__ import annotations
@@ -22,16 +23,20 @@ if TYPE_CHECKING:
 CAMERAS, TRANSFORMS = "cameras.json", "transforms.json"
 
 
-def write_cameras(folder: Path, training: Sequence[View], test: Sequence[View]) -> None:
-    """Write both files into `folder`."""
+def write_cameras(
+    folder: Path, training: Sequence[View], test: Sequence[View], near: float | None = None
+) -> None:
+    """Write both files into `folder`. near: depth in scene units, where the renders begin."""
     listed = [_listed(number, view) for number, view in enumerate([*test, *training])]
     write_whole(folder / CAMERAS, json.dumps(listed))
-    transforms = {
+    transforms: dict[str, Any] = {
         "camera_model": "PINHOLE",
         "train_filenames": [view.name for view in training],
         "test_filenames": [view.name for view in test],
         "frames": [_frame(view) for view in [*training, *test]],
     }
+    if near is not None:
+        transforms["near_plane"] = near
     write_whole(folder / TRANSFORMS, json.dumps(transforms))
 
 

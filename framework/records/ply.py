@@ -16,7 +16,7 @@ import io
 import math
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -90,14 +90,46 @@ def _npy(bands: Tensor) -> bytes:
     return buffer.getvalue()
 
 
+@dataclass(frozen=True)
+class Splats:
+    """What a PLY holds, as float32 arrays named and shaped as in `framework.types.Gaussians`:
+    means [N, 3], quats [N, 4], log_scales [N, 3], opacity_logits [N], sh0 [N, 1, 3] and
+    shN [M, K-1, 3]. background: red, green, blue, None where the file does not tell it."""
+
+    means: np.ndarray
+    quats: np.ndarray
+    log_scales: np.ndarray
+    opacity_logits: np.ndarray
+    sh0: np.ndarray
+    shN: np.ndarray
+    background: list[float] | None
+
+
 def read_ply(path: Path) -> tuple[Gaussians, Tensor | None]:
     """The Gaussians (float32) and the background [3], None where the file does not tell it.
+
+    Raises as `read_splats`.
+    """
+    import torch
+
+    from framework.types import Gaussians
+
+    splats = read_splats(path)
+    tensors = {
+        field.name: torch.from_numpy(getattr(splats, field.name))
+        for field in fields(splats)
+        if field.name != "background"
+    }
+    background = splats.background
+    return Gaussians(**tensors), None if background is None else torch.tensor(background)
+
+
+def read_splats(path: Path) -> Splats:
+    """The content as arrays, without torch.
 
     Raises UserError when the file is missing, is no splat PLY, is too large, its size contradicts
     its header, or it holds NaN or infinity.
     """
-    import torch
-
     with open_regular(path, PLY_BYTES) as file:
         header = _read_header(file, path)
         rest = _rest_count(header.names, path)
@@ -109,7 +141,6 @@ def read_ply(path: Path) -> tuple[Gaussians, Tensor | None]:
             " the file is damaged, write it again",
         )
         raw = np.fromfile(file, dtype="<f4").reshape(header.count, len(header.names))
-    background = header.background
     columns = {name: index for index, name in enumerate(header.names)}
     used = [columns[name] for name in property_names(rest) if name not in NORMALS]
     bad = np.flatnonzero(~np.isfinite(raw[:, used]).all(axis=1))
@@ -118,10 +149,8 @@ def read_ply(path: Path) -> tuple[Gaussians, Tensor | None]:
         f"{path}: expected finite parameters, got NaN or infinity in {len(bad)} vertices (first:"
         f" {bad[0] if len(bad) else ''}); remove them or export the model again",
     )
-    gaussians = _from_table(raw, columns, rest)
-    if header.banded:
-        gaussians = gaussians.replace(shN=torch.from_numpy(_read_bands(path, header)))
-    return gaussians, None if background is None else torch.tensor(background)
+    splats = replace(_from_table(raw, columns, rest), background=header.background)
+    return replace(splats, shN=_read_bands(path, header)) if header.banded else splats
 
 
 def _read_bands(path: Path, header: _Header) -> np.ndarray:
@@ -156,27 +185,20 @@ def _to_table(gaussians: Gaussians, rest: int) -> np.ndarray:
     return np.ascontiguousarray(np.concatenate(parts, axis=1))
 
 
-def _from_table(raw: np.ndarray, columns: dict[str, int], rest: int) -> Gaussians:
-    import torch
-
-    from framework.types import Gaussians
-
-    def take(*names: str) -> Tensor:
-        return torch.from_numpy(
-            raw[:, [columns[name] for name in names]].astype(np.float32, order="C")
-        )
+def _from_table(raw: np.ndarray, columns: dict[str, int], rest: int) -> Splats:
+    def take(*names: str) -> np.ndarray:
+        return raw[:, [columns[name] for name in names]].astype(np.float32, order="C")
 
     n = len(raw)
-    return Gaussians(
+    bands = take(*(f"f_rest_{i}" for i in range(3 * rest))).reshape(n, 3, rest)
+    return Splats(
         means=take("x", "y", "z"),
         quats=take(*(f"rot_{i}" for i in range(4))),
         log_scales=take(*(f"scale_{i}" for i in range(3))),
         opacity_logits=take("opacity").reshape(n),
         sh0=take(*(f"f_dc_{i}" for i in range(3))).reshape(n, 1, 3),
-        shN=take(*(f"f_rest_{i}" for i in range(3 * rest)))
-        .reshape(n, 3, rest)
-        .transpose(1, 2)
-        .contiguous(),
+        shN=np.ascontiguousarray(bands.transpose(0, 2, 1)),
+        background=None,
     )
 
 

@@ -32,6 +32,7 @@ from framework.metrics.values import Missing
 from framework.options import TrainerOptions
 from framework.records.cameras import write_cameras
 from framework.records.notices import noted
+from framework.records.photos import write_photos
 from framework.records.progress import Progress
 from framework.records.provenance import (
     code_hash,
@@ -185,7 +186,8 @@ def _trained(
         resumed=trained.resumed,
         dose=told(trained.dose),
     )
-    write_cameras(run_dir, scene.training.views, scene.test)
+    write_cameras(run_dir, scene.training.views, scene.test, near)
+    write_photos(run_dir, scene.training.views)
     record = write_run(
         run_dir, record, metrics, trained.history, trained.gaussians, trained.background, renders
     )

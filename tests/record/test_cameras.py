@@ -19,7 +19,7 @@ from tests.scenes.synthetic import write_scene
 def test_both_files_give_the_cameras_back(tmp_path: Path) -> None:
     scene = load_scene("colmap", {"path": str(write_scene(tmp_path / "scene")), "n_views": 3})
     views = [*scene.test, *scene.training.views]
-    write_cameras(tmp_path, scene.training.views, scene.test)
+    write_cameras(tmp_path, scene.training.views, scene.test, near=0.25)
 
     listed = json.loads((tmp_path / CAMERAS).read_text())
     assert [entry["id"] for entry in listed] == list(range(len(views)))
@@ -47,3 +47,4 @@ def test_both_files_give_the_cameras_back(tmp_path: Path) -> None:
     told = json.loads((tmp_path / TRANSFORMS).read_text())
     assert told["train_filenames"] == [view.name for view in scene.training.views]
     assert told["test_filenames"] == [view.name for view in scene.test]
+    assert told["near_plane"] == 0.25
