@@ -10,7 +10,7 @@ RUN := PATH="$(abspath $(VENV))/bin:$$PATH"
 .DEFAULT_GOAL := demo
 
 demo: $(STAMP)
-	$(RUN) python run.py +augment=safi +reg=uar seed=0,1,2 -m
+	$(RUN) python run.py sweep=first
 
 test: $(STAMP)
 	$(RUN) python -m pytest --numprocesses=logical --maxprocesses=4

@@ -1,4 +1,5 @@
-"""How kernels run: compiled (`jit`), on vectors (`simd`, `chunks`), on threads (`parallel`), with
-draws of their own (`rng`), on the clock (`stopwatch`), no longer than who asked (`orphans`)."""
+"""How kernels run: compiled (`jit`; `compiling` notices it), on vectors (`simd`, `chunks`), on
+threads (`parallel`), with draws of their own (`rng`), on the clock (`stopwatch`), no longer than
+who asked (`orphans`)."""
 
-__all__ = ["chunks", "jit", "orphans", "parallel", "rng", "simd", "stopwatch"]
+__all__ = ["chunks", "compiling", "jit", "orphans", "parallel", "rng", "simd", "stopwatch"]

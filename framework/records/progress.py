@@ -63,7 +63,7 @@ class Progress(Protocol):
         """A part other than training begins, for instance "plane-sweep depth"."""
 
     def compiling(self, what: str) -> None:
-        """Kernels are compiled now; only the first run on a machine waits for it."""
+        """`what` is compiled now; only the first run of a checkout waits for it."""
 
     def step(
         self, step: int, n_steps: int, loss: float, gaussians: int, psnr: float | None = None
@@ -150,7 +150,7 @@ class Terminal:
         self._transient(what)
 
     def compiling(self, what: str) -> None:
-        self._transient(f"compiling {what} (once per checkout)")
+        self._transient(f"compiling {what}")
 
     def note(self, text: str) -> None:
         self._line(text)

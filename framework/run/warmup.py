@@ -1,9 +1,10 @@
 """Compile every kernel a run will need before anything is timed, or load it before a training is.
 
-numba compiles on first use and keeps the result on disk. So the first run on a machine does a few
-steps on three tiny synthetic views with the same depth provider, trainer options and plugins; it
-tells the user when that means compiling. Later processes load the kernels in a moment. The kernels
-of the depth provider are compiled by a process beside (numba compiles one at a time in each).
+Kernels are compiled on first use and kept on disk. So the first run of a checkout does a few steps
+on three tiny synthetic views with the same depth provider, trainer options and plugins; it tells
+the user where that really compiles, and afterwards what and how long. Later processes load the
+kernels in a moment. Those of the depth provider are compiled by a process beside (a process
+compiles one at a time).
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import numpy as np
 import torch
 
 from framework import registry
+from framework.compute.compiling import noticed
 from framework.compute.jit import KERNEL_CACHE
 from framework.compute.parallel import alone, threads
 from framework.compute.rng import stream
@@ -43,6 +45,7 @@ from framework.types import Camera, DepthMap, Gaussians, SparsePoints, TrainingS
 
 WIDTH, HEIGHT, FOCAL, DISTANCE, STEP = 64, 48, 60.0, 3.0, 0.2
 STEPS, LOAD_STEPS = 12, 6
+FIRST = "kernels: once per checkout, a minute or two on two idle cores"
 
 _warm: set[str] = set()  # keys this process has warmed up
 
@@ -68,11 +71,10 @@ class Warmup:
         self.markers = [KERNEL_CACHE / f"warm-{_key(names)}" for names in (chosen, depth)]
         self.beside: subprocess.Popen[bytes] | None = None
         self.compiles = self.key not in _warm and not all(m.exists() for m in self.markers)
-        if self.compiles:
-            progress.compiling("kernels")
         if self.compiles and not self.markers[1].exists():
             self.beside = _start_beside(config["depth"])
         self.loading: threading.Thread | None = None
+        self.told = False
 
     def __enter__(self) -> Warmup:
         return self
@@ -90,7 +92,12 @@ class Warmup:
         if self.key in _warm:
             return
         if self.compiles:
-            self._compile()
+            with noticed(self._tell) as compiled:
+                self._compile()
+            if compiled.kernels:
+                self.progress.note(
+                    f"{compiled.kernels} kernels compiled in {compiled.seconds:.0f} s"
+                )
             return
         _estimate(self.config["depth"], _plane(0)[0])
         if threads() == 1:
@@ -116,8 +123,13 @@ class Warmup:
                 with contextlib.suppress(Exception):  # it fails again where it is told
                     load()
 
+    def _tell(self) -> None:
+        """Say that kernels are compiled; once, however many a run waits for."""
+        if not self.told:
+            self.told = True
+            self.progress.compiling(FIRST)
+
     def _compile(self) -> None:
-        self.progress.compiling("kernels")
         training, depth, gaussians = _plane(int(self.config["trainer"]["sh_degree"]))
         done = False
         # a broken plugin fails again, on the user's scene
@@ -125,6 +137,8 @@ class Warmup:
             _train(self.config, training, depth, gaussians, STEPS)
             done = True
         if self.beside is not None:
+            if self.beside.poll() is None:
+                self._tell()
             self.beside.wait()  # if it failed, the next line compiles
         _estimate(self.config["depth"], training)
         _initialize(self.config["init"], training, depth)

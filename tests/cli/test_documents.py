@@ -25,6 +25,7 @@ COMMANDS = sorted(
     }
 )
 TYPED = "python run.py +augment=safi +reg=uar seed=0,1,2 -m"
+DEMO = "python run.py sweep=first"
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -81,4 +82,4 @@ def test_make_demo_runs_the_exact_command() -> None:
     done = subprocess.run(
         ["make", "-n", "demo"], cwd=ROOT, capture_output=True, text=True, check=True
     )
-    assert TYPED in done.stdout
+    assert DEMO in done.stdout

@@ -96,6 +96,6 @@ def test_stages_and_notes_carry_the_label() -> None:
     line.note("reused")
     assert stream.getvalue().splitlines() == [
         "none+none seed 0 · plane-sweep depth",
-        "none+none seed 0 · compiling rasterizer (once per checkout)",
+        "none+none seed 0 · compiling rasterizer",
         "none+none seed 0 · reused",
     ]

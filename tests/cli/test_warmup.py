@@ -112,3 +112,40 @@ def test_both_ways_of_a_gradient_are_warmed_up(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(PluginsAtWork, "regularization", lambda *_: (None, penalty))
     warm(composed("trainer.sh_degree=1"))
     assert set(ways) == {"step", "step_from"}
+
+
+def test_compiling_is_told_once_and_only_where_something_compiles(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    import numba
+
+    def compiles(*_: object) -> None:
+        for add in (1, 2):
+            numba.njit(lambda x, add=add: x + add)(1)
+
+    class Told(Silent):
+        def __init__(self) -> None:
+            self.lines: list[str] = []
+
+        def compiling(self, what: str) -> None:
+            self.lines.append(what)
+
+        def note(self, text: str) -> None:
+            self.lines.append(text)
+
+    told = Told()
+    for part in ("_train", "_initialize"):
+        monkeypatch.setattr(warmup, part, lambda *_: None)
+    with Warmup(composed(), told) as nothing:
+        nothing.begin()
+        nothing.finish()
+    assert told.lines == []
+    monkeypatch.setattr(warmup, "_train", compiles)
+    with Warmup(composed("capacity=adc"), told) as something:
+        something.begin()
+        something.finish()
+    assert [line.split(":")[0] for line in told.lines] == [
+        warmup.FIRST.split(":")[0],
+        told.lines[1],
+    ]
+    assert told.lines[1].startswith("2 kernels compiled in ")

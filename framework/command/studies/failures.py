@@ -20,13 +20,13 @@ from framework.command import own_plugins
 from framework.command.complaints import USER_ERRORS, one_line
 from framework.command.job import Job
 from framework.command.program import program
+from framework.command.studies.closing import short_path
 from framework.command.studies.study import (
     REPORT,
     Outcome,
     add_outcome,
     job_count,
     outcomes,
-    short_path,
 )
 from framework.errors import (
     UserError,

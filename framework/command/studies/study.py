@@ -29,6 +29,7 @@ from framework.command.config.schema import check
 from framework.command.config.trust import check_composed
 from framework.command.hydra_inside import jobs_of
 from framework.command.program import program
+from framework.command.studies.closing import closing, short_path
 from framework.command.studies.disk import check_room
 from framework.command.studies.estimate import announce
 from framework.compute.stopwatch import Stopwatch, duration
@@ -210,7 +211,8 @@ def build_reports() -> None:
                 for path in folder.glob(".*.tmp"):  # of a process killed while it built the report
                     path.unlink()
                 report = build_report(folder)
-            say(printable_line(f"report: {short_path(report)}"))
+            for line in closing(report):
+                say(line)
         except Exception as error:
             number = len(outcomes())
             bad_input, again = isinstance(error, UserError), f"{program()} report {folder}"
@@ -219,9 +221,3 @@ def build_reports() -> None:
                 bad_input, reason = True, os_line(error)
             message = printable_line(f"report of {short_path(folder)}: {reason}")
             add_outcome(Outcome(number, str(folder), message, REPORT, again, bad_input=bad_input))
-
-
-def short_path(path: Path) -> Path:
-    """`path` relative to the current folder if it lies below, else as it is."""
-    absolute = path.resolve()
-    return absolute.relative_to(Path.cwd()) if absolute.is_relative_to(Path.cwd()) else absolute
