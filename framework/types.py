@@ -174,6 +174,10 @@ class Gaussians:
         """A new set with `function` applied to every tensor."""
         return Gaussians(**{name: function(tensor) for name, tensor in self.items()})
 
+    def to(self, device: str | torch.device) -> Gaussians:
+        """The same on another device; what is there already is not copied."""
+        return self.map(lambda t: t.to(device))
+
     def detach(self) -> Gaussians:
         return self.map(Tensor.detach)
 
@@ -201,7 +205,7 @@ class Gaussians:
         these come first."""
         kept = keep[: len(self.shN)]
         rows = torch.cat([kept.nonzero()[:, 0], (~kept).nonzero()[:, 0]])
-        rows = torch.cat([rows, torch.arange(len(kept), len(self))])
+        rows = torch.cat([rows, torch.arange(len(kept), len(self), device=rows.device)])
         return self.map(lambda t: t[kept if t is self.shN else rows])
 
     def replace(self, **changes: Tensor) -> Gaussians:
@@ -244,6 +248,10 @@ class Render:
     alpha: Tensor
     depth: Tensor
     radii: Tensor
+
+    def to(self, device: str | torch.device) -> Render:
+        """The same on another device."""
+        return Render(*(getattr(self, field.name).to(device) for field in fields(self)))
 
     @property
     def expected_depth(self) -> Tensor:

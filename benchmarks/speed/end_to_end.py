@@ -44,7 +44,7 @@ STAGES = {
     "training: pseudo views": ["framework.train.plugged:PluginsAtWork.pseudo_views"],
     "training: the regularizer": ["framework.train.plugged:PluginsAtWork.regularization"],
     "training: the capacity plugin": ["framework.train.trainer:Trainer._edit"],
-    "training: Fisher information": ["framework.train.context:fisher_information"],
+    "training: Fisher information": ["framework.fisher.information:fisher_information"],
     "training: checkpoints": ["framework.train.resume.checkpoint:Checkpoints.keep"],
     "test PSNR along the way": ["framework.train.trainer:Trainer._record"],
     "evaluation: rendering": ["framework.run.experiment:evaluate"],

@@ -30,6 +30,7 @@ from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
+from framework.rasterizers import build_rasterizer
 from framework.records.cameras import write_cameras
 from framework.records.notices import noted
 from framework.records.photos import write_photos
@@ -77,6 +78,7 @@ def run_experiment(
     parallel.set_threads(int(config["threads"]))
     torch.set_num_threads(1)  # kernels have their own pool; small tensors gain nothing from two
     registry.discover()
+    build_rasterizer(config).ready()
     weights = chosen(config["metrics"]["lpips_weights"])
     network = None if weights is None else load(weights)  # a bad path must not cost a training
     with noted(progress), Warmup(config, progress) as warmup:
@@ -151,13 +153,13 @@ def _trained(
 ) -> RunRecord:
     """The record with the result of its run, as written; `timings` are those it holds."""
     config = record.config
-    options = TrainerOptions(**config["trainer"])
+    options, rasterizer = TrainerOptions(**config["trainer"]), build_rasterizer(config)
 
     def start(seed: int) -> Gaussians:
         with _timed(timings, "init"):
             return initial(config, scene, depth, options, seed)
 
-    run = Run(scene, depth, start, run_dir, record.identity, config["force"])
+    run = Run(scene, depth, start, run_dir, record.identity, config["force"], rasterizer)
     if options.seconds > 0:
         progress.stage(f"choosing steps for {options.seconds:g} s")
         choice = budget.chosen(
@@ -178,7 +180,8 @@ def _trained(
     progress.stage("evaluation")
     with _timed(timings, "evaluate"):
         near = options.near_plane * scene.training.near
-        render = renderer(trained.gaussians, trained.background, trained.sh_degree, near)
+        seen = trained.gaussians, trained.background, trained.sh_degree
+        render = renderer(*seen, near, rasterizer)
         metrics, renders = evaluate(render, scene.test, network)
     record = dataclasses.replace(
         record,

@@ -24,7 +24,7 @@ from framework.metrics.evaluate import psnr
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
 from framework.plugin import Plugin
-from framework.rasterize import rasterize
+from framework.rasterizers import NUMBA, Rasterizer
 from framework.records.progress import Part, Parts, Progress, Silent
 from framework.records.record import DIVERGED
 from framework.run.members import IDLE, in_turn, join, member_seed, tuning_options
@@ -97,6 +97,7 @@ class Run:
     folder: Path
     identity: str
     force: bool
+    rasterizer: Rasterizer = NUMBA
 
 
 def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
@@ -164,6 +165,7 @@ def try_out(run: Run, config: Mapping[str, Any], options: TrainerOptions) -> Tra
         seed,
         Silent(),
         tells=False,
+        rasterizer=run.rasterizer,
     ).run()
 
 
@@ -191,7 +193,7 @@ def _parts(config: Mapping[str, Any], options: TrainerOptions) -> list[_Part]:
 
 def _untuned(run: Run, joined: Trained, options: TrainerOptions) -> Trained:
     """`joined` with a history that ends with what the joined Gaussians are."""
-    evaluate = _evaluation(run.scene, options)
+    evaluate = _evaluation(run, options)
     found = evaluate and evaluate(joined.gaussians, joined.background, joined.sh_degree)
     last = replace(joined.history[-1], test_psnr=found, gaussians=len(joined.gaussians))
     return replace(joined, history=(*joined.history[:-1], last))
@@ -229,11 +231,12 @@ def _train(
         opened.plugins,
         part.seed,
         progress,
-        _evaluation(run.scene, part.options),
+        _evaluation(run, part.options),
         checkpoints,
         kept,
         sh_from,
         part.tells,
+        run.rasterizer,
     )
     del gaussians  # the trainer has its own
     trainer.resumed = resumed
@@ -251,14 +254,15 @@ def _train(
     return trained
 
 
-def _evaluation(scene: Scene, options: TrainerOptions) -> Evaluate | None:
+def _evaluation(run: Run, options: TrainerOptions) -> Evaluate | None:
     """Mean PSNR over the test views in dB, if there are any; None where one of them has none."""
+    scene = run.scene
     if not scene.test:
         return None
     near = options.near_plane * scene.training.near
 
     def test_psnr(current: Gaussians, background: Tensor, sh_degree: int) -> float | None:
-        render = renderer(current, background, sh_degree, near)
+        render = renderer(current, background, sh_degree, near, run.rasterizer)
         images = [render(view.camera) for view in scene.test]
         pairs = zip(images, scene.test, strict=True)
         values = run_tasks([partial(psnr, image, view.image, view.mask) for image, view in pairs])
@@ -269,13 +273,20 @@ def _evaluation(scene: Scene, options: TrainerOptions) -> Evaluate | None:
 
 
 def renderer(
-    gaussians: Gaussians, background: Tensor, sh_degree: int, near: float
+    gaussians: Gaussians,
+    background: Tensor,
+    sh_degree: int,
+    near: float,
+    rasterizer: Rasterizer = NUMBA,
 ) -> Callable[[Camera], Tensor]:
-    """What evaluation sees: the Gaussians alone, without plugins or gradients."""
+    """What evaluation sees: the Gaussians alone, without plugins or gradients. Images are on the
+    CPU."""
+    placed = gaussians.detach().to(rasterizer.device)
 
     def render(camera: Camera) -> Tensor:
-        return rasterize(
-            gaussians, camera, background=background, sh_degree=sh_degree, near=near, depth=False
-        ).rgb
+        seen = rasterizer.render(
+            placed, camera, background=background, sh_degree=sh_degree, near=near, depth=False
+        )
+        return seen.rgb.detach().to("cpu")
 
     return render

@@ -34,12 +34,13 @@ from framework.depth import build_provider
 from framework.errors import UserError
 from framework.initialize import INITIALIZERS
 from framework.options import TrainerOptions
+from framework.rasterizers import Rasterizer, build_rasterizer
 from framework.records.notices import QUIET
 from framework.records.progress import Progress, Silent, unwarned
 from framework.records.provenance import cpu_model
 from framework.train.epoch import Items
 from framework.train.gradient import screen_gradient, view_gradient
-from framework.train.optim import Adam
+from framework.train.torch_adam import optimizer_of
 from framework.train.trainer import Plugins, Trainer
 from framework.types import Camera, DepthMap, Gaussians, SparsePoints, TrainingSet, View
 
@@ -66,6 +67,7 @@ class Warmup:
         depth = {"depth": config["depth"]["name"]}
         chosen = depth | {group: config[group]["name"] for group in registry.GROUPS}
         chosen |= {"sh_degree": config["trainer"]["sh_degree"], "init": config["init"]["name"]}
+        chosen |= {"rasterizer": build_rasterizer(config).name}
         # an option's value may call another kernel: warmed up once per process, without a word
         self.key = _key(chosen | {group: config[group] for group in (*registry.GROUPS, "depth")})
         self.markers = [KERNEL_CACHE / f"warm-{_key(names)}" for names in (chosen, depth)]
@@ -194,17 +196,20 @@ def _train(
     plugins = Plugins(
         *(registry.build(group, {**config[group], **always}) for group in registry.GROUPS)
     )
-    Trainer(training, depth, gaussians, options, plugins, 0, Silent(), tells=False).run()
-    _update(training.views[0], gaussians.clone())
+    rasterizer = build_rasterizer(config)
+    given = training, depth, gaussians, options, plugins, 0, Silent()
+    Trainer(*given, tells=False, rasterizer=rasterizer).run()
+    _update(training.views[0], gaussians.clone().to(rasterizer.device), rasterizer)
 
 
-def _update(view: View, gaussians: Gaussians) -> None:
+def _update(view: View, gaussians: Gaussians, rasterizer: Rasterizer) -> None:
     """Both ways of a gradient to the parameters: plugins and their draws decide which a step takes,
     in a run perhaps another than in these few steps."""
-    item, adam = Items().get(view, 1), Adam(gaussians)
+    item, adam = Items(rasterizer=rasterizer).get(view, 1), optimizer_of(rasterizer, gaussians)
     rates = dict.fromkeys(dict(gaussians.items()), 0.0)
-    adam.step_from(screen_gradient(gaussians, item, "warm-up", 0.2)[1], rates)
-    adam.step(gaussians, view_gradient(gaussians, item, "warm-up", 0.2)[1], rates)
+    how = (gaussians, item, "warm-up", 0.2)
+    adam.step_from(screen_gradient(*how, rasterizer=rasterizer)[1], rates)
+    adam.step(gaussians, view_gradient(*how, rasterizer=rasterizer)[1], rates)
 
 
 def _plane(sh_degree: int) -> tuple[TrainingSet, tuple[DepthMap, ...], Gaussians]:

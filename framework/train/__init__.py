@@ -1,7 +1,17 @@
 """The step loop: `trainer` picks a view, renders, takes the loss's gradient, steps and edits.
 
-`schedule` has what changes over a training, `descent` and `optim` the update, `plugged` the plugins
-at work, `dose` how much they did, `resume/` what a checkpoint holds.
+`schedule` has what changes over a training, `descent`, `optim` and `torch_adam` the update,
+`plugged` the plugins at work, `dose` how much they did, `resume/` what a checkpoint holds.
 """
 
-__all__ = ["dose", "epoch", "gradient", "guard", "optim", "resume", "schedule", "trainer"]
+__all__ = [
+    "dose",
+    "epoch",
+    "gradient",
+    "guard",
+    "optim",
+    "resume",
+    "schedule",
+    "torch_adam",
+    "trainer",
+]

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from torch import Tensor
 
 from framework.compute.rng import stream
-from framework.fisher.information import FisherInformation, fisher_information
+from framework.fisher.information import FisherInformation
 from framework.options import TrainerOptions
 from framework.plugin import StepContext
-from framework.rasterize import rasterize
+from framework.rasterizers import NUMBA, Rasterizer
 from framework.types import Camera, DepthMap, Gaussians, Render, TrainingSet
+
+CPU = "cpu"
+NAMES = tuple(field.name for field in fields(Gaussians))
 
 
 @dataclass(frozen=True)
 class Conditions:
     """What stays the same over a training. background: [3]. near: nothing nearer is drawn, in scene
-    units. seed: of every draw."""
+    units. seed: of every draw. rasterizer: who draws."""
 
     training: TrainingSet
     depth: tuple[DepthMap, ...]
@@ -28,6 +31,7 @@ class Conditions:
     background: Tensor
     near: float
     seed: int
+    rasterizer: Rasterizer = NUMBA
 
 
 @dataclass(frozen=True)
@@ -44,22 +48,44 @@ class Moment:
     turn: int = 0
 
 
+class Fetched(Gaussians):
+    """Gaussians of another device, each tensor copied to the CPU when it is first asked for: most
+    plugins look at few of them in few steps."""
+
+    def __init__(self, source: Gaussians) -> None:
+        object.__setattr__(self, "_source", source)
+
+    def __getattr__(self, name: str) -> Tensor:  # asked where there is no attribute yet
+        if name not in NAMES:
+            raise AttributeError(name)
+        tensor: Tensor = getattr(self._source, name).to(CPU)
+        object.__setattr__(self, name, tensor)
+        return tensor
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def replace(self, **changes: Tensor) -> Gaussians:
+        return Gaussians(**{**dict(self.items()), **changes})
+
+
 def step_context(
     of: Conditions, now: Moment, group: str, log: Callable[[str, float], None]
 ) -> StepContext:
     """What the plugin of `group` sees now; its random draws are its own."""
-    gaussians, active = now.gaussians, now.sh_degree
+    gaussians, active, rasterizer = now.gaussians, now.sh_degree, of.rasterizer
     fixed: dict[str, Any] = {"background": of.background, "near": of.near}
 
     def render(camera: Camera) -> Render:
-        return rasterize(gaussians, camera, sh_degree=active, **fixed)
+        seen = rasterizer.render(gaussians, camera, sh_degree=active, **fixed)
+        return seen if rasterizer.device == CPU else seen.to(CPU)
 
     def fisher(
         camera: Camera, others: Gaussians | None = None, sh_degree: int | None = None
     ) -> FisherInformation:
         chosen = gaussians if others is None else others
         degree = active if sh_degree is None else sh_degree
-        return fisher_information(chosen, camera, sh_degree=degree, **fixed)
+        return rasterizer.fisher(chosen, camera, sh_degree=degree, **fixed)
 
     def rng(purpose: str) -> np.random.Generator:
         turn = f"/{now.turn}" if now.turn else ""
@@ -71,7 +97,7 @@ def step_context(
         epoch=now.epoch,
         views=of.training.views,
         depth=of.depth,
-        gaussians=gaussians,
+        gaussians=gaussians if rasterizer.device == CPU else Fetched(gaussians),
         version=now.version,
         sh_degree=active,
         background=of.background,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from framework.compute.rng import stream
-from framework.rasterize.losses import Target
+from framework.rasterizers import NUMBA, Rasterizer
 from framework.types import PSEUDO, View
 
 
@@ -34,10 +35,11 @@ def ordered(
 
 @dataclass(frozen=True)
 class Item:
-    """A view at the resolution that is trained now, with what the loss needs of it."""
+    """A view at the resolution that is trained now, with what the loss needs of it, both on the
+    rasterizer's device."""
 
     view: View
-    target: Target
+    target: Any
 
 
 class Items:
@@ -48,34 +50,41 @@ class Items:
     frame divided by the share that they cover (outside, loss and SSIM's error are 0).
     """
 
-    def __init__(self, covered: bool = False) -> None:
-        self._covered = covered
+    def __init__(self, covered: bool = False, rasterizer: Rasterizer = NUMBA) -> None:
+        self._covered, self._rasterizer = covered, rasterizer
         self._kept: dict[str, tuple[int, Item]] = {}
 
     def get(self, view: View, factor: int) -> Item:
         """`view` box-downsampled by `factor`."""
         if PSEUDO in view.tags:
-            item = _item(view, factor)
-            return _over_covered(item) if self._covered else item
+            small = _smaller_view(view, factor)
+            return self._item(_over_covered(small) if self._covered else small)
         kept = self._kept.get(view.name)
         if kept is None or kept[0] != factor:
-            kept = self._kept[view.name] = factor, _item(view, factor)
+            kept = self._kept[view.name] = factor, self._item(_smaller_view(view, factor))
         return kept[1]
 
+    def _item(self, view: View) -> Item:
+        """`view`, whose image is on the CPU, where it is drawn."""
+        target, device = self._rasterizer.target(view.image, view.mask), self._rasterizer.device
+        if device != "cpu":
+            mask = None if view.mask is None else view.mask.to(device)
+            view = replace(view, image=view.image.to(device), mask=mask)
+        return Item(view, target)
 
-def _item(view: View, factor: int) -> Item:
-    if factor > 1:
-        image, mask = _smaller(view, factor)
-        camera = view.camera.scaled(factor)
-        view = replace(view, camera=camera, image=image, mask=mask, depth=None)
-    return Item(view, Target.of(view.image, view.mask))
+
+def _smaller_view(view: View, factor: int) -> View:
+    if factor == 1:
+        return view
+    image, mask = _smaller(view, factor)
+    camera = view.camera.scaled(factor)
+    return replace(view, camera=camera, image=image, mask=mask, depth=None)
 
 
-def _over_covered(item: Item) -> Item:
-    """The item with a weight that makes its loss the mean over its mask."""
-    view = item.view
+def _over_covered(view: View) -> View:
+    """The view with a weight that makes its loss the mean over its mask."""
     share = 0.0 if view.mask is None else float(np.mean(view.mask.numpy(), dtype=np.float64))
-    return item if share == 0 else replace(item, view=replace(view, weight=view.weight / share))
+    return view if share == 0 else replace(view, weight=view.weight / share)
 
 
 def _smaller(view: View, factor: int) -> tuple[Tensor, Tensor | None]:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from framework.plugin import StepStats
-from framework.rasterize import ScreenGradient, rasterize, render_gradient
-from framework.rasterize.losses import photometric_gradient, photometric_loss
+from framework.rasterizers import NUMBA, Rasterizer, RenderGradient
 from framework.train.epoch import Item
 from framework.train.guard import check_loss
 from framework.types import Gaussians, Render, View
@@ -21,22 +19,28 @@ ViewGradient = tuple[float, dict[str, Tensor], StepStats]
 
 
 def screen_gradient(
-    params: Gaussians, item: Item, where: str, ssim_weight: float, **rendered: Any
-) -> tuple[float, ScreenGradient]:
-    """The loss on a view, and its gradient as far back as the screen.
+    params: Gaussians,
+    item: Item,
+    where: str,
+    ssim_weight: float,
+    rasterizer: Rasterizer = NUMBA,
+    **rendered: Any,
+) -> tuple[float, RenderGradient]:
+    """The loss on a view, and its gradient as far back as the rasterizer takes it at first, which
+    is the screen.
 
-    where: for messages. rendered: the options of `rasterize` but offset and depth. Raises Diverged
-    when the loss is not finite.
+    where: for messages. rendered: the options of `Rasterizer.render` but offset and depth. Raises
+    Diverged when the loss is not finite.
     """
     view, loss = item.view, 0.0
 
-    def image_gradient(rgb: np.ndarray) -> np.ndarray:
+    def image_gradient(rgb: Any) -> Any:
         nonlocal loss
-        loss, gradient = photometric_gradient(rgb, item.target, ssim_weight, view.weight)
+        loss, gradient = rasterizer.loss_gradient(rgb, item.target, ssim_weight, view.weight)
         check_loss(loss, where, params.detach())
         return gradient
 
-    found = render_gradient(params, view.camera, image_gradient, **rendered)
+    found = rasterizer.render_gradient(params, view.camera, image_gradient, **rendered)
     return loss, found
 
 
@@ -46,6 +50,7 @@ def view_gradient(
     where: str,
     ssim_weight: float,
     penalty: Penalty | None = None,
+    rasterizer: Rasterizer = NUMBA,
     **rendered: Any,
 ) -> ViewGradient:
     """The loss on a view, its gradient by the parameters' names, and what capacity plugins see.
@@ -54,8 +59,8 @@ def view_gradient(
     gradient is taken directly, with the same bits. The others as for `screen_gradient`.
     """
     if penalty is not None:
-        return _by_autograd(params, item, where, ssim_weight, penalty, **rendered)
-    loss, found = screen_gradient(params, item, where, ssim_weight, **rendered)
+        return _by_autograd(params, item, where, ssim_weight, penalty, rasterizer, **rendered)
+    loss, found = screen_gradient(params, item, where, ssim_weight, rasterizer, **rendered)
     parameters, means2d = found.pull_back()
     return loss, parameters, step_stats(item, means2d, found.radii)
 
@@ -72,14 +77,17 @@ def _by_autograd(
     where: str,
     ssim_weight: float,
     penalty: Penalty,
+    rasterizer: Rasterizer,
     **rendered: Any,
 ) -> ViewGradient:
-    view, offset = item.view, torch.zeros(len(params), 2, requires_grad=True)
-    render = rasterize(params, view.camera, means2d_offset=offset, **rendered)
-    loss = photometric_loss(render.rgb, item.target, ssim_weight) * view.weight
+    view, offset = item.view, params.means.new_zeros(len(params), 2, requires_grad=True)
+    render = rasterizer.render(params, view.camera, means2d_offset=offset, **rendered)
+    loss = rasterizer.loss(render.rgb, item.target, ssim_weight) * view.weight
     check_loss(float(loss.detach()), where, params.detach())
     loss = loss + penalty(view, render)  # one that is not finite is its plugin's
     tensors = dict(params.items())
-    *gradients, means2d = torch.autograd.grad(loss, [*tensors.values(), offset])
+    *gradients, means2d = torch.autograd.grad(
+        loss, [*tensors.values(), offset], materialize_grads=True
+    )
     stats = step_stats(item, means2d, render.radii)
     return float(loss.detach()), dict(zip(tensors, gradients, strict=True)), stats

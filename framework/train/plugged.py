@@ -84,7 +84,7 @@ class PluginsAtWork:
         if context is None:
             return None, None
         plugin: Any = self._reg.plugged.plugin
-        penalty = functools.partial(self._penalty, replace(context, gaussians=params))
+        penalty = functools.partial(self._penalty, self._in_loss(context, params))
         result = plugin.opacity_factors(context, self._reg.state)
         factors, self._reg.state = hooks.opacity_factors(plugin, result, len(params))
         if not self._reg.idle:
@@ -94,13 +94,19 @@ class PluginsAtWork:
             self._note_act(bool((factors != 1).any()))
         return factors, penalty if plugin.weighted() else None
 
+    def _in_loss(self, context: StepContext, params: Gaussians) -> StepContext:
+        """What a loss term sees: the parameters themselves, where they are."""
+        return replace(
+            context, gaussians=params, background=context.background.to(params.means.device)
+        )
+
     def edits(self, now: Moment, stats: StepStats) -> Edits | None:
         """How the capacity plugin wants the set to change after a step."""
         context = self._context(self._capacity, now)
         if context is None:
             return None
         plugin: Any = self._capacity.plugged.plugin
-        result = plugin.update(context, self._capacity.state, stats)
+        result = plugin.update(context, self._capacity.state, _fetched(stats))
         edits, self._capacity.state = hooks.edits(plugin, result, len(now.gaussians))
         if edits is not None:
             self._dose.add("capacity.edits")
@@ -191,6 +197,13 @@ class PluginsAtWork:
         self.logged[name] = value
         short = name.removeprefix(f"{_name(running.plugged.plugin)}_")
         self._dose.add(f"log.{running.group}.{short}", value)
+
+
+def _fetched(stats: StepStats) -> StepStats:
+    """On the CPU, where plugins work."""
+    if stats.radii.device.type == "cpu":
+        return stats
+    return replace(stats, means2d_grad=stats.means2d_grad.cpu(), radii=stats.radii.cpu())
 
 
 def _name(plugin: Any) -> str:

@@ -24,6 +24,7 @@ from framework.errors import require
 from framework.initialize import background_color, random_background
 from framework.options import TrainerOptions
 from framework.plugin import StepStats
+from framework.rasterizers import NUMBA, Rasterizer
 from framework.records.progress import Progress
 from framework.records.run_files import HistoryRow
 from framework.train import schedule
@@ -32,9 +33,9 @@ from framework.train.descent import descend
 from framework.train.dose import Dose
 from framework.train.edits import apply_edits
 from framework.train.epoch import Item, Items, ordered
-from framework.train.optim import Adam
 from framework.train.plugged import PluginsAtWork
 from framework.train.resume.training_state import Keeper, Plugins, Trained, TrainerState
+from framework.train.torch_adam import optimizer_of
 from framework.types import PSEUDO, DepthMap, Gaussians, TrainingSet, View
 
 LOG = logging.getLogger(__name__)
@@ -50,7 +51,8 @@ class Trainer:
     evaluation steps with copies, and its time does not count. keeper: is offered the state after
     every step. start: a kept state of the same training, to go on from instead of `gaussians`.
     sh_from: the degree of SH that is active in the first step. tells: whether to warn of a method
-    that did nothing.
+    that did nothing. rasterizer: who draws; parameters, moments and targets are on its device, what
+    is given and what comes out on the CPU.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class Trainer:
         start: TrainerState | None = None,
         sh_from: int = 0,
         tells: bool = True,
+        rasterizer: Rasterizer = NUMBA,
     ) -> None:
         require(
             len(gaussians) > 0,
@@ -77,17 +80,19 @@ class Trainer:
         self.options = options = schedule.paced(options, len(training.views))
         self.progress, self.evaluate, self.keeper = progress, evaluate, keeper
         self.sh_from = sh_from
-        self.tells = tells
+        self.tells, self.rasterizer = tells, rasterizer
         self.near, self.extent = options.near_plane * training.near, training.extent
         fixed = background_color(options.background, training)
         self.random_background = fixed is None
         self.background: Tensor = _mean_color(training) if fixed is None else fixed
-        conditions = Conditions(training, depth, options, self.background, self.near, seed)
+        conditions = Conditions(
+            training, depth, options, self.background, self.near, seed, rasterizer
+        )
         self.dose = Dose()
         self.plugins = PluginsAtWork(plugins, conditions, self.dose)
-        self.params = gaussians.clone().map(_parameter)
-        self.optimizer = Adam(self.params)
-        self.items = Items(covered=options.pseudo_mean == "covered")
+        self.params = self._placed(gaussians.clone())
+        self.optimizer = optimizer_of(rasterizer, self.params)
+        self.items = Items(options.pseudo_mean == "covered", rasterizer)
         self.pseudo: list[View] = []
         self.queue: list[tuple[View, ...]] = []
         self.step, self.epoch, self.version = 0, -1, 0
@@ -114,7 +119,7 @@ class Trainer:
                 self.keeper.keep(self.state())
         self._tell_what_did_nothing()
         return Trained(
-            self.params.detach(),
+            self.params.detach().to("cpu"),
             self.background,
             self._sh_degree(),
             tuple(self.history),
@@ -154,6 +159,7 @@ class Trainer:
             self.options.opacity_decay if turn == 0 else 1.0,
             self.options.ssim_weight,
             penalty,
+            self.rasterizer,
             **self._rendered(factors),
         )
         self.dose.add("steps")
@@ -195,8 +201,12 @@ class Trainer:
         if edits is not None:
             where = f"training step {self.step}"
             edited = apply_edits(self.params.detach(), self.optimizer, edits, where)
-            self.params = edited.map(_parameter)
+            self.params = self._placed(edited)
             self.version += int(edits.changes_the_rows)
+
+    def _placed(self, gaussians: Gaussians) -> Gaussians:
+        """`gaussians` as parameters on the rasterizer's device."""
+        return gaussians.to(self.rasterizer.device).map(_parameter)
 
     def _sh_degree(self) -> int:
         return schedule.sh_degree(self.options, self.step, self.params.sh_degree, self.sh_from)
@@ -232,7 +242,7 @@ class Trainer:
             epoch=self.epoch,
             version=self.version,
             left=len(self.queue),
-            gaussians=self.params.detach(),
+            gaussians=self.params.detach().to("cpu"),
             adam=self.optimizer.state(),
             pseudo=tuple(self.pseudo),
             plugins=self.plugins.kept(),
@@ -247,7 +257,7 @@ class Trainer:
 
     def _take_up(self, state: TrainerState) -> None:
         self.step, self.epoch, self.version = state.step, state.epoch, state.version
-        self.params = state.gaussians.map(_parameter)
+        self.params = self._placed(state.gaussians)
         self.optimizer.load(state.adam)
         self.pseudo = list(state.pseudo)
         self.queue = self._ordered()[: state.left] if state.left else []

@@ -25,6 +25,7 @@ ROOMS = (
     "methods",  # common parts of method families; the plugins stand beside it
     "plugin",  # the contracts
     "registry",  # name -> plugin
+    "rasterizers",  # who draws: one contract for several rasterizers
     "fisher",  # information of the Gaussians, and scores from it
     "warp",  # the soft z-buffer
     "initialize",  # the first Gaussians

@@ -17,12 +17,12 @@ from framework.errors import UserError
 from framework.initialize import INITIALIZERS
 from framework.options import TrainerOptions
 from framework.plugin import Capacity, Edits, Regularizer, StepContext, StepStats
+from framework.rasterize import losses
 from framework.rasterize.losses import photometric_gradient
 from framework.records.progress import Silent
 from framework.registry import Plugged
 from framework.run import training
 from framework.run.warmup import _plane
-from framework.train import gradient
 from framework.train.guard import Diverged, diverged
 from framework.train.optim import Adam, AdamState
 from framework.train.resume.checkpoint import unpack
@@ -95,7 +95,7 @@ def test_so_is_one_that_goes_straight_into_the_update(monkeypatch: pytest.Monkey
         taken.append(loss)
         return loss, image * np.float32("nan") if len(taken) == 3 else image
 
-    monkeypatch.setattr(gradient, "photometric_gradient", steep)
+    monkeypatch.setattr(losses, "photometric_gradient", steep)
     with pytest.raises(Diverged, match=r"training step 2 on view 'plane-\d': expected finite grad"):
         train()
     assert len(taken) == 3

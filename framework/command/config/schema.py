@@ -34,7 +34,7 @@ CONF_DIR, SWEEPS_DIR = ((PACKAGE if INSTALLED else ROOT) / name for name in ("co
 
 # Groups that choose an object; `preset` (training conditions), `method` (an augmenter and a
 # regularizer), `experiment` and `sweep` only bundle choices of these.
-OBJECT_GROUPS = ("scene", "depth", "init", "augment", "reg", "capacity")
+OBJECT_GROUPS = ("scene", "depth", "init", "augment", "reg", "capacity", "rasterizer")
 GROUPS = (*OBJECT_GROUPS, "preset", "method", "experiment", "sweep")
 
 Row = tuple[str, Any, Any]  # (option name, type, dataclasses.field)
@@ -52,9 +52,11 @@ def tables() -> dict[str, dict[str, type]]:
     """group -> name -> options class, for the groups that are not plugins."""
     from framework.depth import PROVIDERS
     from framework.initialize import INITIALIZERS
+    from framework.rasterizers import RASTERIZERS
     from framework.scenes import LOADERS
 
-    return {"scene": LOADERS, "depth": PROVIDERS, "init": INITIALIZERS}
+    tables: dict[str, dict[str, type]] = {"scene": LOADERS, "depth": PROVIDERS}
+    return tables | {"init": INITIALIZERS, "rasterizer": RASTERIZERS}
 
 
 def choices(group: str) -> list[str]:

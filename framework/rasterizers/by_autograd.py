@@ -1,0 +1,81 @@
+"""The common part of rasterizers whose gradients are autograd's: loss, gradient and Fisher
+information in torch, on any device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from framework.rasterizers.contract import Rasterizer, RenderGradient
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.fisher.information import FisherInformation
+    from framework.types import Camera, Gaussians
+
+
+@dataclass(frozen=True)
+class TakenGradient:
+    """A gradient that is whole already; see `contract.RenderGradient`. tensors: by name.
+    means2d: [N, 2] in pixels."""
+
+    gaussians: Gaussians
+    radii: Tensor
+    tensors: dict[str, Tensor]
+    means2d: Tensor
+
+    def pull_back(self) -> tuple[dict[str, Tensor], Tensor]:
+        return self.tensors, self.means2d
+
+
+@dataclass(frozen=True)
+class ByAutograd(Rasterizer):
+    """A rasterizer that only has to `render`."""
+
+    def render_gradient(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        image_gradient: Callable[[Any], Any],
+        **how: Any,
+    ) -> RenderGradient:
+        import torch
+
+        placed = gaussians.to(self.device)
+        leaves = placed.map(lambda t: t.detach().requires_grad_())
+        offset = placed.means.new_zeros(len(placed), 2, requires_grad=True)
+        render = self.render(leaves, camera, means2d_offset=offset, depth=False, **how)
+        tensors = dict(leaves.items())
+        *gradients, means2d = torch.autograd.grad(
+            render.rgb,
+            [*tensors.values(), offset],
+            image_gradient(render.rgb.detach()),
+            materialize_grads=True,  # of an image that nobody is in
+        )
+        return TakenGradient(
+            gaussians, render.radii, dict(zip(tensors, gradients, strict=True)), means2d
+        )
+
+    def fisher(self, gaussians: Gaussians, camera: Camera, **how: Any) -> FisherInformation:
+        from framework.fisher.in_torch import fisher_in_torch
+
+        return fisher_in_torch(gaussians.to(self.device), camera, **how)
+
+    def target(self, image: Tensor, mask: Tensor | None) -> Any:
+        from framework.rasterizers.torch_loss import TorchTarget
+
+        return TorchTarget.of(image, mask, self.device)
+
+    def loss(self, rgb: Tensor, target: Any, ssim_weight: float) -> Tensor:
+        from framework.rasterizers.torch_loss import photometric_loss
+
+        return photometric_loss(rgb, target, ssim_weight)
+
+    def loss_gradient(
+        self, rgb: Any, target: Any, ssim_weight: float, weight: float
+    ) -> tuple[float, Any]:
+        from framework.rasterizers.torch_loss import loss_gradient
+
+        return loss_gradient(rgb, target, ssim_weight, weight)

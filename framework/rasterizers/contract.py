@@ -1,0 +1,112 @@
+"""What a training asks of whoever draws Gaussians and takes gradients of what it drew.
+
+The trainer, its gradient, the plugins' context and the evaluation know this contract and no
+rasterizer. Importing it loads neither torch nor numba: `--help` reads the choices.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.fisher.information import FisherInformation
+    from framework.types import Camera, Gaussians, Render
+
+
+class RenderGradient(Protocol):
+    """The gradient of a loss on one render. gaussians: what was rendered. radii [N]: in pixels,
+    0 = culled."""
+
+    @property
+    def gaussians(self) -> Gaussians: ...
+
+    @property
+    def radii(self) -> Tensor: ...
+
+    def pull_back(self) -> tuple[dict[str, Tensor], Tensor]:
+        """The gradient in every tensor of `gaussians`, by name, and in the projected means [N, 2],
+        in pixels. To be asked once."""
+
+
+class Rasterizer(ABC):
+    """A way to draw; frozen dataclasses, whose fields are options of `rasterizer=NAME`.
+
+    Gaussians may be given on any device; what comes back is on `device`, but Fisher information,
+    which is on the CPU. keeps_bits: whether the same seed gives the same bits. fused: its gradients
+    are `framework.rasterize.ScreenGradient`s, which Adam's kernel takes; other rasterizers have
+    torch's arithmetic in Adam as in the loss.
+    """
+
+    name: ClassVar[str]
+    keeps_bits: ClassVar[bool] = True
+    fused: ClassVar[bool] = False
+
+    @property
+    def device(self) -> str:
+        """Where parameters, moments and targets of a training are kept, as torch calls it."""
+        return "cpu"
+
+    def ready(self) -> None:  # noqa: B027 - most are ready anywhere
+        """Raise UserError, in one line, where this machine cannot draw so."""
+
+    @abstractmethod
+    def render(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        *,
+        background: Tensor | None = None,
+        sh_degree: int | None = None,
+        opacity_factors: Tensor | None = None,
+        means2d_offset: Tensor | None = None,
+        near: float = 0.01,
+        depth: bool = True,
+    ) -> Render:
+        """What `camera` sees, as `framework.rasterize.rasterize`; differentiable in all tensors but
+        the background."""
+
+    @abstractmethod
+    def render_gradient(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        image_gradient: Callable[[Any], Any],
+        *,
+        background: Tensor | None = None,
+        sh_degree: int | None = None,
+        opacity_factors: Tensor | None = None,
+        near: float = 0.01,
+    ) -> RenderGradient:
+        """Render, and the gradient of a loss of the colours: `image_gradient` gets rgb [3, H, W]
+        and returns the loss's gradient in it, both as `loss_gradient` has them."""
+
+    @abstractmethod
+    def fisher(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        *,
+        background: Tensor | None = None,
+        sh_degree: int | None = None,
+        near: float = 0.01,
+    ) -> FisherInformation:
+        """Information of the camera's image on each Gaussian, on the CPU; see
+        `framework.fisher.information`."""
+
+    @abstractmethod
+    def target(self, image: Tensor, mask: Tensor | None) -> Any:
+        """What the loss needs of a photo [3, H, W] and its mask [H, W], both on the CPU."""
+
+    @abstractmethod
+    def loss(self, rgb: Tensor, target: Any, ssim_weight: float) -> Tensor:
+        """The photometric loss of a render [3, H, W]; a differentiable scalar."""
+
+    @abstractmethod
+    def loss_gradient(
+        self, rgb: Any, target: Any, ssim_weight: float, weight: float
+    ) -> tuple[float, Any]:
+        """`loss` times `weight`, and its gradient in the render."""

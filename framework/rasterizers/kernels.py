@@ -1,0 +1,61 @@
+"""`rasterizer=numba`: compiled kernels for the CPU; same seed, same bits, on any threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from framework.rasterizers.contract import Rasterizer, RenderGradient
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.fisher.information import FisherInformation
+    from framework.types import Camera, Gaussians, Render
+
+
+@dataclass(frozen=True)
+class Numba(Rasterizer):
+    """`framework.rasterize` and `framework.fisher`, as they are."""
+
+    name: ClassVar[str] = "numba"
+    fused: ClassVar[bool] = True
+
+    def render(self, gaussians: Gaussians, camera: Camera, **how: Any) -> Render:
+        from framework.rasterize import rasterize
+
+        return rasterize(gaussians, camera, **how)
+
+    def render_gradient(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        image_gradient: Callable[[Any], Any],
+        **how: Any,
+    ) -> RenderGradient:
+        from framework.rasterize import render_gradient
+
+        return render_gradient(gaussians, camera, image_gradient, **how)
+
+    def fisher(self, gaussians: Gaussians, camera: Camera, **how: Any) -> FisherInformation:
+        from framework.fisher.information import fisher_information
+
+        return fisher_information(gaussians, camera, **how)
+
+    def target(self, image: Tensor, mask: Tensor | None) -> Any:
+        from framework.rasterize.losses import Target
+
+        return Target.of(image, mask)
+
+    def loss(self, rgb: Tensor, target: Any, ssim_weight: float) -> Tensor:
+        from framework.rasterize.losses import photometric_loss
+
+        return photometric_loss(rgb, target, ssim_weight)
+
+    def loss_gradient(
+        self, rgb: Any, target: Any, ssim_weight: float, weight: float
+    ) -> tuple[float, Any]:
+        from framework.rasterize.losses import photometric_gradient
+
+        return photometric_gradient(rgb, target, ssim_weight, weight)

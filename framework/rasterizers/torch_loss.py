@@ -1,0 +1,79 @@
+"""The photometric loss of `framework.rasterize.losses` in torch, on any device, by autograd."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import conv2d
+
+RADIUS, SIGMA = 5, 1.5  # pixels, of the window
+C1, C2 = 0.01**2, 0.03**2
+
+
+@dataclass(frozen=True)
+class TorchTarget:
+    """What the loss needs of a photo, once per view. image: [3, H, W], multiplied by mask [H, W]
+    (None: all counts). mean, variance: [3, H, W], its window's statistics."""
+
+    image: Tensor
+    mask: Tensor | None
+    mean: Tensor
+    variance: Tensor
+
+    @staticmethod
+    def of(image: Tensor, mask: Tensor | None, device: str) -> TorchTarget:
+        """From an image [3, H, W] and an optional mask [H, W]."""
+        image = image.detach().to(device)
+        if mask is not None:
+            mask = mask.detach().to(device)
+            image = image * mask
+        mean = _blurred(image)
+        return TorchTarget(image, mask, mean, _blurred(image * image) - mean * mean)
+
+
+def photometric_loss(rgb: Tensor, target: TorchTarget, ssim_weight: float) -> Tensor:
+    """(1 - w) mean |a - b| + w (1 - mean SSIM) of a render [3, H, W]; a scalar.
+
+    SSIM: Wang et al. 2004, eq. 13, an 11x11 Gaussian window and zero padding, as
+    `framework.rasterize.losses`."""
+    if rgb.shape != target.image.shape:
+        raise ValueError(
+            f"photometric_loss: expected a render {list(target.image.shape)}, got {list(rgb.shape)}"
+        )
+    seen = rgb if target.mask is None else rgb * target.mask
+    mean = _blurred(seen)
+    variance = _blurred(seen * seen) - mean * mean
+    covariance = _blurred(seen * target.image) - mean * target.mean
+    above = (2 * mean * target.mean + C1) * (2 * covariance + C2)
+    below = (mean**2 + target.mean**2 + C1) * (variance + target.variance + C2)
+    l1 = (seen - target.image).abs().mean()
+    return (1 - ssim_weight) * l1 + ssim_weight * (1 - (above / below).mean())
+
+
+def loss_gradient(
+    rgb: Tensor, target: TorchTarget, ssim_weight: float, weight: float
+) -> tuple[float, Tensor]:
+    """`photometric_loss` times `weight`, and its gradient in the render."""
+    leaf = rgb.detach().requires_grad_()
+    loss = photometric_loss(leaf, target, ssim_weight) * weight
+    (gradient,) = torch.autograd.grad(loss, leaf)
+    return float(loss.detach()), gradient
+
+
+def _blurred(image: Tensor) -> Tensor:
+    """[3, H, W] weighted means over the window of every pixel, rows first."""
+    across, down = _taps(image.dtype, str(image.device))
+    rows = conv2d(image[:, None], across, padding=(0, RADIUS))
+    return conv2d(rows, down, padding=(RADIUS, 0))[:, 0]
+
+
+@functools.lru_cache(maxsize=4)
+def _taps(dtype: torch.dtype, device: str) -> tuple[Tensor, Tensor]:
+    """The window along a row, [1, 1, 1, 11], and along a column."""
+    offsets = torch.arange(-RADIUS, RADIUS + 1, dtype=torch.float64)
+    taps = torch.exp(-(offsets**2) / (2 * SIGMA**2))
+    taps = (taps / taps.sum()).to(dtype).to(device)
+    return taps.reshape(1, 1, 1, -1), taps.reshape(1, 1, -1, 1)

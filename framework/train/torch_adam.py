@@ -1,0 +1,134 @@
+"""Adam in torch, for parameters on any device: the arithmetic of `framework.train.adam_kernels`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from framework.rasterizers import Rasterizer, RenderGradient
+from framework.train.adam_kernels import BETA1, BETA2, EPS, LOWEST_LOGIT
+from framework.train.optim import Adam, AdamState
+from framework.types import Gaussians, edited
+
+TINY = 1e-30  # a first moment below it is none, as in `adam_kernels`
+
+
+class Optimizer(Protocol):
+    """What a training asks of Adam; `optim.Adam` tells what each of it does."""
+
+    def step(
+        self,
+        params: Gaussians,
+        grads: Gaussians | Mapping[str, Tensor | None],
+        rates: Mapping[str, float],
+        opacity_decay: float = 1.0,
+    ) -> tuple[str, ...]: ...
+
+    def step_from(
+        self, gradient: RenderGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
+    ) -> tuple[tuple[str, ...], Tensor]: ...
+
+    def edit(self, keep: Tensor | None, bands: Tensor | None, append: Gaussians | None) -> None: ...
+
+    def zero(self, name: str) -> None: ...
+
+    def state(self) -> AdamState: ...
+
+    def load(self, state: AdamState) -> None: ...
+
+
+def optimizer_of(rasterizer: Rasterizer, params: Gaussians) -> Optimizer:
+    """Adam for the gradients of this rasterizer, with its moments where `params` are."""
+    return Adam(params) if rasterizer.fused else TorchAdam(params)  # type: ignore[return-value]
+
+
+class TorchAdam:
+    """`optim.Adam` in torch."""
+
+    def __init__(self, gaussians: Gaussians) -> None:
+        self._first = gaussians.map(lambda t: torch.zeros_like(t, requires_grad=False))
+        self._second = gaussians.map(lambda t: torch.zeros_like(t, requires_grad=False))
+        self._steps = dict.fromkeys((name for name, _ in gaussians.items()), 0)
+
+    @torch.no_grad()
+    def step(
+        self,
+        params: Gaussians,
+        grads: Gaussians | Mapping[str, Tensor | None],
+        rates: Mapping[str, float],
+        opacity_decay: float = 1.0,
+    ) -> tuple[str, ...]:
+        """Update `params` in place, see `optim.Adam.step`."""
+        gradients = dict(grads.items())
+        finite: dict[str, Tensor] = {}
+        for name, parameter in params.items():
+            gradient = gradients.get(name)
+            if gradient is None:
+                continue
+            first, second = getattr(self._first, name), getattr(self._second, name)
+            _check(name, gradient, parameter, first)
+            self._steps[name] += 1
+            rate = rates[name] / (1 - BETA1 ** self._steps[name])
+            correction = 1 / math.sqrt(1 - BETA2 ** self._steps[name])
+            first.mul_(BETA1).add_(gradient, alpha=1 - BETA1)
+            first[first.abs() < TINY] = 0
+            second.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
+            parameter.sub_(rate * first / (second.sqrt() * correction + EPS))
+            finite[name] = (parameter.abs() + second).isfinite().all()
+        # asked at once: every question waits for the device
+        whole = torch.stack(list(finite.values())).tolist() if finite else []
+        broken = tuple(name for name, fine in zip(finite, whole, strict=True) if not fine)
+        if opacity_decay < 1 and not broken:
+            _fade(params.opacity_logits, opacity_decay)
+        return broken
+
+    def step_from(
+        self, gradient: RenderGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
+    ) -> tuple[tuple[str, ...], Tensor]:
+        """`step` of `gradient.gaussians`, in place, by its gradient; also that in the projected
+        means [N, 2]."""
+        tensors, means2d = gradient.pull_back()
+        return self.step(gradient.gaussians, tensors, rates, opacity_decay), means2d
+
+    def edit(self, keep: Tensor | None, bands: Tensor | None, append: Gaussians | None) -> None:
+        """Follow a change of the set, see `types.edited`; the moments of new ones are zero."""
+        new = None if append is None else append.map(torch.zeros_like)
+        self._first = edited(self._first, keep, bands, new)
+        self._second = edited(self._second, keep, bands, new)
+
+    def zero(self, name: str) -> None:
+        """Forget the moments of one tensor; its step count stays."""
+        getattr(self._first, name).zero_()
+        getattr(self._second, name).zero_()
+
+    def state(self) -> AdamState:
+        """What a checkpoint holds, on the CPU; where that is the device, the own tensors."""
+        return AdamState(self._first.to("cpu"), self._second.to("cpu"), tuple(self._steps.values()))
+
+    def load(self, state: AdamState) -> None:
+        """Continue from a copy of `state`."""
+        device = self._first.means.device
+        self._first = state.first.clone().to(device)
+        self._second = state.second.clone().to(device)
+        self._steps = dict(zip(self._steps, state.steps, strict=True))
+
+
+def _fade(logits: Tensor, decay: float) -> None:
+    """Multiply the opacities by `decay`, as `adam_kernels._decay_range`."""
+    bounded = logits.clamp(min=LOWEST_LOGIT)
+    decayed = math.log(decay) - (1 - decay + (-bounded).exp()).log()
+    logits.copy_(decayed.clamp(min=LOWEST_LOGIT))
+
+
+def _check(name: str, gradient: Tensor, parameter: Tensor, moment: Tensor) -> None:
+    """That they fit each other."""
+    if not gradient.shape == parameter.shape == moment.shape:
+        raise ValueError(
+            f"Adam.{name}: expected one shape for parameter, gradient and moments, got"
+            f" {tuple(parameter.shape)}, {tuple(gradient.shape)} and {tuple(moment.shape)}; call"
+            " edit() when the set of Gaussians changes"
+        )
