@@ -54,7 +54,8 @@ def _build(study: Study, title: str | None, photos: bool) -> Path:
         made = document(study, title or study.out_dir.resolve().name, shown)
         write_whole(study.out_dir / PAGE, page.render(made, shots.result(), study.out_dir))
     if study.runs:
-        write_whole(study.out_dir / TABLE, runs_csv(study))
+        if study.out_dir not in study.tabled:  # else it is what was read
+            write_whole(study.out_dir / TABLE, runs_csv(study))
         found = outcomes(study)
         if found.comparisons:
             write_whole(study.out_dir / LATEX, comparisons_tex(found))

@@ -118,7 +118,7 @@ def stability(found: Outcomes) -> list[Block]:
 def worst(study: Study) -> list[Block]:
     """The worst seed and view, and how often a run fails."""
     rows = tables.worst_rows(study)
-    if not rows:
+    if not rows or study.tabled:  # a table knows neither views nor failed runs
         return []
     limit = (
         ", or lies at least 1 dB below `none + none` of the same scene, budget and seed"
@@ -151,7 +151,7 @@ def costs(study: Study, scenes: Sequence[str]) -> list[Block]:
         blocks += [Heading(3, scene), *own]
     if not blocks:
         return []
-    cpus = sorted({str(run.record.provenance.get("cpu")) for run in study.runs})
+    cpus = sorted({str(run.record.provenance.get("cpu", "not told")) for run in study.runs})
     text = (
         "Train: seconds of the training without its evaluations, by the wall clock and by the CPU"
         " time of all threads of the process, which other programs disturb less. Render: test views"

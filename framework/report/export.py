@@ -12,8 +12,12 @@ from framework.report.statistics.numbers import interval_text, p_text, signed
 from framework.report.statistics.outcomes import Outcomes
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
+from framework.report.study.tabled import CODE, TABLE
+from framework.report.text.provenance import code_of
 
-TABLE, LATEX = "runs.csv", "comparisons.tex"
+__all__ = ["LATEX", "TABLE", "comparisons_tex", "runs_csv"]
+
+LATEX = "comparisons.tex"
 ESCAPES = {
     **{character: f"\\{character}" for character in "&%$#_{}"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
@@ -51,6 +55,11 @@ def _measured(run: ReportRun) -> dict[str, Any]:
         "parameters": record.parameters,
         "train_wall_s": record.train_s,
         "train_cpu_s": record.train_cpu_s,
+        "ply_bytes": record.ply_bytes,
+        "parameters_sha256": record.parameters_sha256[:12],
+        CODE: code_of(record.provenance),
+        "cpu": outside(f"{record.provenance.get('cpu')}, {record.provenance.get('cores')} cores"),
+        "overrides": outside(" ".join(w for w in record.overrides if not w.startswith("seed="))),
         "run": outside(run.run.run_dir.name),
     }
 

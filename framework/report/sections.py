@@ -10,10 +10,11 @@ from framework.report.figures import curves, stress
 from framework.report.figures.closeup import draw_closeup
 from framework.report.figures.files import chart_picture
 from framework.report.figures.images import draw_images, draw_sigma_maps
+from framework.report.figures.kept import kept
 from framework.report.parts.document import Block, Document, Heading, Picture, Text, table
 from framework.report.statistics.outcomes import Outcomes, outcomes
 from framework.report.study.collect import Study
-from framework.report.study.labels import outside
+from framework.report.study.labels import outside, slug
 from framework.report.text import capacities, gaps, tables
 from framework.report.text.dose import dose
 from framework.report.text.provenance import provenance_blocks
@@ -64,6 +65,9 @@ def _pictures(
     if hidden:
         blocks = [Heading(2, "Pictures left out"), Text(HIDDEN.format(scenes=", ".join(hidden)))]
     told = shown_pair(study, found)
+    if study.tabled:
+        found_ones = [(scene, kept(study, f"images_{slug(scene)}", scene)) for scene in seen]
+        return [*blocks, *_section(study, "Pictures", found_ones)]
     close = [(scene, draw_closeup(study, scene, told)) for scene in seen]
     return [
         *blocks,
@@ -88,6 +92,13 @@ def shown_pair(study: Study, found: Outcomes) -> tuple[str, ...]:
 
 def _courses(study: Study, shown: Sequence[str], seen: Sequence[str]) -> list[Block]:
     """Where runs disagree, and quality over training time."""
+    if study.tabled:
+        maps = [(scene, kept(study, f"sigma_{slug(scene)}", scene)) for scene in seen]
+        courses = [(scene, kept(study, f"curves_{slug(scene)}", scene)) for scene in shown]
+        return [
+            *_section(study, "Where runs disagree", maps),
+            *_section(study, "Quality over training time", courses),
+        ]
     maps = [(scene, draw_sigma_maps(study, scene)) for scene in seen]
     return [
         *_section(study, "Where runs disagree", maps),

@@ -29,6 +29,7 @@ from framework.report.study.labels import (
     scene_labels,
 )
 from framework.report.study.order import BASELINE, method_order, natural
+from framework.report.study.tabled import TABLE, TOLD, is_tabled, read_tabled
 
 DAMAGED = "damaged"  # the kind of failure of a folder that no run left
 BUSY = 1.3  # wall seconds per CPU second of a training from which others shared its cores
@@ -66,7 +67,7 @@ class ReportRun:
     @property
     def tested(self) -> bool:
         """Whether there were test views."""
-        return len(self.files) > 0
+        return len(self.files) > 0 or self.mean("psnr") is not None
 
     @cached_property
     def files(self) -> dict[str, str]:
@@ -109,7 +110,8 @@ class FailedRun:
 class Study:
     """out_dir: where the report goes. runs: complete, sorted by scene, method, seed. notes: what a
     reader must be told. missing: (scene, method, seed) that a full cross would have. linked:
-    whether the folders of the runs can be reached from the report."""
+    whether the folders of the runs can be reached from the report. tabled: folders of which only
+    the table of runs is there."""
 
     out_dir: Path
     runs: tuple[ReportRun, ...]
@@ -117,6 +119,7 @@ class Study:
     notes: tuple[str, ...]
     missing: tuple[tuple[str, str, int], ...] = ()
     linked: bool = True
+    tabled: tuple[Path, ...] = ()
 
     @cached_property
     def scenes(self) -> list[str]:
@@ -196,12 +199,19 @@ def collect(
     """Read every record below the folders. out_dir: where the report goes, else the first folder.
     broken: folders of runs that turned out damaged, and why.
 
-    Raises UserError if a folder has no run.
+    A folder without runs is read from its table (`framework.report.study.tabled`). Raises UserError
+    if a folder has neither.
     """
     folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
     runs, failed, origins = [], [], []
+    told: list[ReportRun] = []
+    tabled = []
     for folder in folders:
         complete, lost = _read(folder, broken)
+        if not complete and not lost and is_tabled(folder):
+            told += [ReportRun(*parts) for parts in read_tabled(folder)]
+            tabled.append(folder)
+            continue
         require(
             len(complete) + len(lost) > 0,
             f"{folder}: expected a study's folder with runs in it, got none; give the folder that"
@@ -212,11 +222,25 @@ def collect(
         origins += [folder] * len(complete)
     labelled, named = _label(runs, failed)
     missing = _missing(labelled, named, origins)
-    unique, repeated = _without_repeats(labelled)
+    unique, repeated = _without_repeats([*labelled, *told])
     unique.sort(key=lambda r: (natural(r.scene), method_order(r.method), r.seed))
-    told = (_repeat_notes(unique), _equal_notes(unique), _code_notes(runs), _busy_notes(unique))
-    notes = (*repeated, *chain(*told))
-    return Study(out_dir or folders[0], tuple(unique), tuple(named), notes, tuple(missing))
+    notes = chain(
+        _table_notes(told),
+        repeated,
+        _repeat_notes(unique),
+        _equal_notes(unique),
+        _code_notes(runs),
+        _busy_notes(unique),
+    )
+    return Study(
+        out_dir or folders[0],
+        tuple(unique),
+        tuple(named),
+        tuple(notes),
+        tuple(missing),
+        linked=not tabled,
+        tabled=tuple(tabled),
+    )
 
 
 def _read(folder: Path, broken: Mapping[Path, str]) -> tuple[list[Run], list[FailedRun]]:
@@ -352,6 +376,18 @@ def _equal_notes(runs: Sequence[ReportRun]) -> list[str]:
 
 def _seeds(seeds: Sequence[int]) -> str:
     return f"seed{'s' if len(seeds) > 1 else ''} {listed(seeds, 'and')}"
+
+
+def _table_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """What a report from a table does not know, and of which code its runs are."""
+    if not runs:
+        return []
+    codes = sorted({str(run.record.provenance[TOLD]) for run in runs} - {""})
+    of = f" of {listed(codes, 'and')}, which may differ from today's" if codes else ""
+    return [
+        f"From `{TABLE}` alone, runs{of}: their folders are not here, so views, courses over time"
+        " and failed runs are not told; pictures are those drawn when the runs were made."
+    ]
 
 
 def _code_notes(runs: list[Run]) -> list[str]:

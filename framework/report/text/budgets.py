@@ -68,7 +68,7 @@ def rows(study: Study, scene: str) -> list[dict[str, str]]:
             "Render (frames/s)": mean_text([_frames_per_s(run) for run in runs], 1),
             "Gaussians": mean_text([float(run.record.gaussians) for run in runs], 0),
             "Parameters (k)": mean_text([run.record.parameters / 1000 for run in runs], 0),
-            "PLY (kB)": mean_text([run.record.ply_bytes / 1000 for run in runs], 0),
+            "PLY (kB)": mean_text([run.record.ply_bytes / 1000 or None for run in runs], 0),
             "Worth it": "yes" if method in good else "",
         }
         for method in study.methods

@@ -10,6 +10,7 @@ from framework.compute.stopwatch import duration
 from framework.report.parts.document import Block, Bullets, Heading, Text
 from framework.report.study.collect import Study
 from framework.report.study.labels import code, outside
+from framework.report.study.tabled import TOLD
 
 SHOWN_VIEWS = 12
 
@@ -30,17 +31,31 @@ def provenance_blocks(study: Study) -> list[Block]:
 def _facts(sources: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
     """Each fact of provenance with all the distinct values it has among the runs."""
     facts = {
-        "Code": [
-            _git(p.get("git")) + f", sources {code(str(p.get('code'))[:12])}" for p in sources
-        ],
+        "Code": [_code(p) for p in sources],
         "fishersplat": [outside(str(p.get("fishersplat"))) for p in sources],
         "Python": [outside(str(p.get("python"))) for p in sources],
         "Packages": [_packages(p.get("packages") or {}) for p in sources],
-        "CPU": [outside(f"{p.get('cpu')}, {p.get('cores')} cores") for p in sources],
+        "CPU": [outside(f"{p['cpu']}, {p.get('cores')} cores") for p in sources if "cpu" in p],
         "Threads": [outside(str(p.get("threads"))) for p in sources],
         "System": [outside(str(p.get("system"))) for p in sources],
     }
-    return {name: sorted(set(values)) for name, values in facts.items()}
+    return {name: sorted(set(values) - {"", "None"}) for name, values in facts.items()}
+
+
+def code_of(source: Mapping[str, Any]) -> str:
+    """Of which code a run is, for a table: `git 80cf492d6c with local changes`."""
+    if TOLD in source:
+        return str(source[TOLD])
+    state = source.get("git")
+    if not state:
+        return f"sources {outside(str(source.get('code'))[:12])}"
+    return f"git {outside(str(state['sha'])[:10])}{' with local changes' if state['dirty'] else ''}"
+
+
+def _code(source: Mapping[str, Any]) -> str:
+    if TOLD in source:
+        return str(source[TOLD])
+    return f"{_git(source.get('git'))}, sources {code(str(source.get('code'))[:12])}"
 
 
 def _runs(study: Study) -> list[str]:
@@ -49,8 +64,11 @@ def _runs(study: Study) -> list[str]:
         return []
     stages = [stage for run in study.runs for stage in run.record.timings.values()]
     wall, cpu = sum(stage.wall_s for stage in stages), sum(stage.cpu_s for stage in stages)
+    row = "Every run in a row, with its options and figures: `runs.csv`"
+    if study.tabled:
+        return [row, f"Time: {duration(wall)} in the trainings of all {len(study.runs)} runs"]
     return [
-        "Every run in a row, with its options and figures: `runs.csv`",
+        row,
         f"Time: {duration(wall)} in the stages of all {len(study.runs)} runs, {duration(cpu)} of"
         " CPU time (scene and depth count once per run, also where they were shared)",
     ]

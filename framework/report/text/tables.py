@@ -138,10 +138,11 @@ def _seed_row(study: Study, run: ReportRun, metrics: Sequence[str]) -> dict[str,
     for metric in metrics:
         row[heading_of(metric, study)] = mean_text([run.mean(metric)], DIGITS[metric])
     row["Train (s)"] = mean_text([record.train_s], 1)
-    row["All stages (s)"] = f"{sum(stage.wall_s for stage in record.timings.values()):.1f}"
-    row["Peak memory (MiB)"] = f"{record.peak_memory_bytes / 2**20:.0f}"
+    if not study.tabled:
+        row["All stages (s)"] = f"{sum(stage.wall_s for stage in record.timings.values()):.1f}"
+        row["Peak memory (MiB)"] = f"{record.peak_memory_bytes / 2**20:.0f}"
     row["Gaussians"] = str(record.gaussians)
-    row["PLY (kB)"] = f"{record.ply_bytes / 1000:.0f}"
+    row["PLY (kB)"] = f"{record.ply_bytes / 1000:.0f}" if record.ply_bytes else ABSENT
     row["Parameters"] = f"`{record.parameters_sha256[:12]}`"
     name = outside(run.run.run_dir.name)
     target = quote(os.fsencode(study.folder_of(run.run.run_dir))) + "/"

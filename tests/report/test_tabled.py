@@ -1,0 +1,94 @@
+"""A report from a table of runs says what one from the runs says, as far as the table goes."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from framework.errors import UserError
+from framework.report import build_report
+from framework.report.study.collect import collect
+from framework.report.study.labels import MethodLabel
+from framework.report.study.tabled import method_label
+from tests.record.fakes import fake_run
+
+
+def _study(folder: Path) -> Path:
+    for augment, gain in (("none", 0.0), ("safi", 1.0)):
+        for seed in range(3):
+            fake_run(folder, augment, seed=seed, gain=gain, run_name=f"{augment}{seed}")
+    return build_report(folder)
+
+
+def _table(report: Path, folder: Path) -> Path:
+    folder.mkdir()
+    shutil.copy(report.with_name("runs.csv"), folder / "runs.csv")
+    return folder
+
+
+def _verdict(report: Path) -> str:
+    return next(x for x in report.read_text(encoding="utf-8").splitlines() if x.startswith("**"))
+
+
+def _section(report: Path, heading: str) -> str:
+    return report.read_text(encoding="utf-8").partition(f"## {heading}\n")[2].partition("\n## ")[0]
+
+
+def test_the_same_verdict_and_figures_from_the_table_alone(tmp_path: Path) -> None:
+    report = _study(tmp_path / "runs")
+    again = build_report(_table(report, tmp_path / "table"), "runs")
+    assert _verdict(again) == _verdict(report) != ""
+    assert _section(again, "Results") == _section(report, "Results")
+    assert _section(again, "Comparisons") == _section(report, "Comparisons")
+    told = (report.parent / "differences.csv").read_text(encoding="utf-8")
+    assert (again.parent / "differences.csv").read_text(encoding="utf-8") == told
+    assert "From `runs.csv` alone" in again.read_text(encoding="utf-8")
+
+
+def test_a_table_is_read_back_to_the_same_runs(tmp_path: Path) -> None:
+    report = _study(tmp_path / "runs")
+    before = collect(report.parent)
+    after = collect(_table(report, tmp_path / "table"))
+    for own, other in zip(before.runs, after.runs, strict=True):
+        assert (own.scene, own.method, own.seed) == (other.scene, other.method, other.seed)
+        assert own.mean("psnr") == other.mean("psnr")
+        assert own.record.parameters == other.record.parameters
+        assert own.record.train_s == other.record.train_s
+    assert after.tabled and not after.linked
+
+
+def test_a_figure_kept_beside_the_table_is_shown(tmp_path: Path) -> None:
+    report = _study(tmp_path / "runs")
+    folder = _table(report, tmp_path / "table")
+    scene = collect(folder).scenes[0]
+    shutil.copy(report.with_name(f"images_{scene}.jpg"), folder)
+    text = build_report(folder).read_text(encoding="utf-8")
+    assert f"(images_{scene}.jpg)" in text and "Drawn when the runs were made" in text
+
+
+def test_the_parts_of_a_method_are_read_from_its_name() -> None:
+    name = "safi + uar, augment.eta=0.5, steps=75, members=2, capacity=adc, every=0.1"
+    limits = "steps=75, members=2"
+    label = MethodLabel("safi + uar", "augment.eta=0.5", limits, "capacity=adc, every=0.1")
+    assert method_label(name) == label and label.full == name
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("scene,", "place,"),
+        ("none + none", ""),
+        (",none + none,0,", ",none + none,zero,"),
+        (",none + none,0,", ",none + none,0,7,"),
+        ("none0", ".."),
+    ],
+)
+def test_another_table_ends_in_one_line(tmp_path: Path, change: tuple[str, str]) -> None:
+    folder = _table(_study(tmp_path / "runs"), tmp_path / "table")
+    text = (folder / "runs.csv").read_text(encoding="utf-8")
+    assert change[0] in text
+    (folder / "runs.csv").write_text(text.replace(*change, 1), encoding="utf-8")
+    with pytest.raises(UserError, match=r"runs\.csv: expected a table of runs"):
+        collect(folder)
