@@ -18,6 +18,7 @@ from framework.report.study.roles import roles_sentence
 from framework.report.text import budgets, capacities, gaps
 from framework.report.text.dose import idle_sentence
 from framework.report.verdict import lead, limits, points
+from framework.report.verdict.steady import steady_sentence
 
 TRADEOFF_CAPTION = (
     "A line per method through its budgets that no other budget of the same method beats; faint:"
@@ -50,8 +51,9 @@ def over_budgets(
 ) -> list[Block]:
     """The verdict; what the first method's capacities are worth; advice by time for every scene and
     its chart; the forest plot."""
-    blocks = [*_verdict(study, found)]
     first = [contest for contest in between if contest.method == between[0].method]
+    beside = capacities.in_verdict(first)
+    blocks = [*_verdict(study, found, budgets.in_verdict(study), beside)]
     if first:
         where = study.tested[0] if len(study.tested) == 1 else f"{len(study.tested)} scenes"
         rivals = f"{first[0].method} against {first[0].against}"
@@ -71,10 +73,17 @@ def over_budgets(
     return [*blocks, *_forest(study, found)]
 
 
-def along_stress(study: Study, panels: Sequence[stress.Panel]) -> list[Block]:
+def along_stress(study: Study, panels: Sequence[stress.Panel], outcomes: Outcomes) -> list[Block]:
     """The verdict, the answer on every panel, then the charts and tables."""
     found = stress.limits(study, panels)
-    blocks: list[Block] = [Text(limits.verdict(found, lead.plainly(study.baseline)), "verdict")]
+    if len(study.methods) == 1:
+        said = limits.alone(panels, study.baseline)
+    else:
+        steady = steady_sentence(outcomes)  # of a seed's mean over the strengths
+        said = limits.verdict(found, lead.plainly(study.baseline), steady)
+    blocks: list[Block] = [Text(said, "verdict")]
+    ends = [limits.weakest(panel, study.baseline, points.cost_of) for panel in panels]
+    blocks += [Bullets(tuple(filter(None, ends)))] if any(ends) else []
     details: list[Block] = []
     for panel in panels:
         told = tuple(limits.sentence(limit) for limit in found if limit.panel is panel)
@@ -91,10 +100,10 @@ def along_stress(study: Study, panels: Sequence[stress.Panel]) -> list[Block]:
     return [*blocks, *gaps.gap_notes(study, pooled=False), *details, Text(STRESS_TEXT)]
 
 
-def _verdict(study: Study, found: Outcomes) -> list[Block]:
+def _verdict(study: Study, found: Outcomes, budget: str = "", beside: str = "") -> list[Block]:
     said = [*points.points(study, found), idle_sentence(study), _roles(study)]
     told = tuple(text for text in said if text)
-    blocks: list[Block] = [Text(lead.lead(study, found), "verdict")]
+    blocks: list[Block] = [Text(lead.lead(study, found, budget, beside), "verdict")]
     blocks += [Bullets(told)] if told else []
     how = points.evidence(found)
     return [*blocks, *([Text(how)] if how else [])]

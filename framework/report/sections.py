@@ -34,7 +34,7 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
     seen = [scene for scene in shown if scene in visible]
     blocks: list[Block] = [Heading(1, outside(title))]
     if panels:
-        blocks += opening.along_stress(study, panels)
+        blocks += opening.along_stress(study, panels, found)
     elif has_budgets(study):
         blocks += opening.over_budgets(study, found, between)
     else:

@@ -20,10 +20,11 @@ NOISE = np.array([-0.02, 0.0, 0.02])  # dB, of three seeds
 
 
 def limit(axis: Any, levels: list[float], gains: list[float], spread: float = 1.0) -> Limit:
-    panel = cast(Any, SimpleNamespace(axis=axis, levels=levels))
+    panel = cast(Any, SimpleNamespace(axis=axis, levels=levels, title="s"))
     every = np.array(gains)[:, None] + spread * NOISE
     ends = ((levels[0], gains[0]), (levels[-1], gains[-1]))
-    return Limit(panel, "uar", break_down(np.array(levels), every), tuple(levels), ends)
+    drawn = tuple(gains_of_levels(every))
+    return Limit(panel, "uar", break_down(np.array(levels), every), tuple(levels), ends, drawn)
 
 
 def told(axis: Any, levels: list[float], gains: list[float], spread: float = 1.0) -> str:
@@ -56,8 +57,10 @@ def test_the_sentence(axis: Any, levels: list[float], gains: list[float], expect
 def test_the_verdict_of_a_stress() -> None:
     better, worse = (limit(VIEWS, [9, 4, 2], [g] * 3) for g in (0.5, -0.5))
     unclear = limit(VIEWS, [9, 4, 2], [0.01, -0.01, 0.0])
-    assert verdict([better, worse], "none") == "Use uar where it helps (below), none elsewhere."
-    assert verdict([worse, unclear], "none").startswith("Use none: nothing tested was shown")
+    assert verdict([better, worse], "none").startswith(
+        "Use uar where it helps (below), none elsewhere. Really different: "
+    )
+    assert verdict([worse, unclear], "none").startswith("Use none. Really different: ")
     assert verdict([], "none").startswith("No advice")
 
 

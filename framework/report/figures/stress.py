@@ -16,7 +16,7 @@ import numpy as np
 from framework.report.parts.chart import MIN_SPAN_DB, Chart, Point, Series
 from framework.report.parts.palette import looks
 from framework.report.statistics.breakdown import Breakdown, break_down, gains_of_levels
-from framework.report.statistics.estimates import spread
+from framework.report.statistics.estimates import Interval, spread
 from framework.report.statistics.numbers import mean_text
 from framework.report.study.axes import STRESSES, Axis
 from framework.report.study.collect import ReportRun, Study
@@ -39,13 +39,15 @@ class Panel:
 @dataclass(frozen=True)
 class Limit:
     """Where a method stops helping on a panel. levels: the strengths that were compared. ends:
-    strength and mean gain (dB), of the weakest and of the strongest of them."""
+    strength and mean gain (dB), of the weakest and of the strongest of them. gains: at every one
+    the mean and the interval that is drawn there."""
 
     panel: Panel
     method: str
     found: Breakdown
     levels: tuple[float, ...]
     ends: tuple[tuple[float, float], tuple[float, float]]
+    gains: tuple[tuple[float, Interval | None], ...] = ()
 
 
 def panels(study: Study) -> list[Panel]:
@@ -65,7 +67,8 @@ def limits(study: Study, shown: Sequence[Panel]) -> list[Limit]:
                 means = [(float(v), float(row.mean())) for v, row in zip(*gains, strict=True)]
                 levels = tuple(level for level, _ in means)
                 ends = (means[0], means[-1])
-                found.append(Limit(panel, method, break_down(*gains), levels, ends))
+                drawn = tuple(gains_of_levels(gains[1]))
+                found.append(Limit(panel, method, break_down(*gains), levels, ends, drawn))
     return found
 
 

@@ -43,7 +43,7 @@ def is_tabled(folder: Path) -> bool:
 
 
 def read_tabled(folder: Path) -> list[tuple[Run, MethodLabel, SceneLabel]]:
-    """The complete runs of `folder/runs.csv` with their labels. Raises UserError for another file."""
+    """The runs of `folder/runs.csv` with their labels. Raises UserError for another file."""
     path = folder / TABLE
     try:
         reader = csv.DictReader(io.StringIO(read_text(path, TEXT_BYTES), newline=""), strict=True)
@@ -51,7 +51,7 @@ def read_tabled(folder: Path) -> list[tuple[Run, MethodLabel, SceneLabel]]:
         lacking = [name for name in NEEDED if name not in names]
         if lacking or len(set(names)) < len(names):
             raise ValueError(f"it lacks {lacking[0]}" if lacking else "a column occurs twice")
-        rows = []
+        rows: list[dict[str, str]] = []
         for row in reader:
             if None in row or None in row.values():
                 raise ValueError(f"line {reader.line_num} has not {len(names)} cells")
@@ -99,7 +99,9 @@ def _record(row: Row, flat: Mapping[str, Any]) -> RunRecord:
             if not isinstance(inner, dict):
                 raise ValueError(f"the option {key} is in a value")
         inner[option] = value
-    for group in METHOD_GROUPS:  # a name that all runs share is no column; nor are `fixed`'s options
+    for (
+        group
+    ) in METHOD_GROUPS:  # a name that all runs share is no column; nor are `fixed`'s options
         named = config.setdefault(group, {})
         if isinstance(named, dict):
             named.setdefault("name", "not told" if named else USUAL.get(f"{group}.name", "none"))

@@ -27,9 +27,40 @@ def advice(study: Study, scene: str) -> list[str]:
         return []
     limits: dict[str, list[str]] = {}
     for limit in LIMITS_S:
-        limits.setdefault(_advice(found, limit), []).append(f"{limit:g}")
+        limits.setdefault(_advice(study, found, limit), []).append(f"{limit:g}")
     of_cpu = " of CPU time" if study.by_cpu else ""
     return [f"Within {listed(told, 'or')} s{of_cpu}: {answer}" for answer, told in limits.items()]
+
+
+def in_verdict(study: Study) -> str:
+    """Which budget to take, as the end of the verdict's first sentence: by time on a single scene,
+    else where to look."""
+    if not any(run.method_label.limits for run in study.runs):  # none of steps and the like
+        return ""
+    found = entries(study, study.tested[0]) if len(study.tested) == 1 else []
+    limits: dict[str, list[str]] = {}
+    for limit in LIMITS_S:
+        best = _choice(study, found, limit)
+        if best is not None:
+            limits.setdefault(best.budget, []).append(f"{limit:g}")
+    told = [f"{budget} within {listed(some, 'or')} s" for budget, some in limits.items()]
+    return f", {'; '.join(told)}" if told else " at the budget that suits you (below)"
+
+
+def _choice(study: Study, found: Sequence[Entry], limit_s: float) -> Entry | None:
+    """The best within a time; of the baseline, unless another is really better than it."""
+    within = [entry for entry in found if entry.train_s <= limit_s]
+    if not within:
+        return None
+    best = max(within, key=_mean)
+    plain = [entry for entry in within if entry.family == study.families[0]]
+    if plain and best.psnr.n > 1 and _alike(best, max(plain, key=_mean), max(1, len(within) - 1)):
+        return max(plain, key=_mean)
+    return best
+
+
+def _mean(entry: Entry) -> float:
+    return entry.psnr.mean
 
 
 def smallest(study: Study, scene: str) -> str | None:
@@ -82,16 +113,19 @@ def _frames_per_s(run: ReportRun) -> float | None:
     return len(seconds) / float(seconds.sum()) if seconds.sum() > 0 else None
 
 
-def _advice(found: Sequence[Entry], limit_s: float) -> str:
+def _advice(study: Study, found: Sequence[Entry], limit_s: float) -> str:
     within = [entry for entry in found if entry.train_s <= limit_s]
-    if not within:
+    best = _choice(study, found, limit_s)
+    if best is None:
         quickest = min(found, key=train_s)
         return (
             f"nothing tested fits; the quickest is {quickest.method} with {quickest.train_s:.0f} s."
         )
-    best = max(within, key=lambda entry: entry.psnr.mean)
     level = mean_text([run.mean("psnr") for run in best.runs], 2, show_half=True)
-    return f"{best.method}, {level} dB in {best.train_s:.1f} s; {_rival(best, within)}."
+    return (
+        f"{best.method}, {level} dB in {best.train_s:.1f} s with {best.gaussians:,.0f} Gaussians;"
+        f" {_rival(best, within)}."
+    )
 
 
 def _rival(best: Entry, within: Sequence[Entry]) -> str:

@@ -15,6 +15,7 @@ from framework.report.statistics.outcomes import by_pair
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import MethodLabel
 from framework.report.text.comparisons import tested_cells
+from framework.report.verdict.lead import amount
 
 FIXED = "capacity=fixed"  # has no name among methods
 
@@ -51,6 +52,28 @@ def contests(study: Study) -> list[Contest]:
 def sentences(found: Sequence[Contest]) -> list[str]:
     """Of contests of one method, for every capacity what it takes and what it gives."""
     return [f"{c.capacity}: {_told(c)}." for c in found]
+
+
+def in_verdict(found: Sequence[Contest]) -> str:
+    """Of contests of one method, who is really different and who is not told apart; "" of none."""
+    known = [c for c in found if c.comparison.joint is not None]
+    if not known:
+        return ""
+    clear = sorted((c for c in known if c.comparison.significant), key=_difference)
+    told = "; ".join(f"{c.capacity} {amount(c.comparison)}" for c in clear) or "nobody"
+    alike = [
+        f"{c.capacity} ({significant(c.parameters)} times the parameters)"
+        for c in sorted(known, key=_difference, reverse=True)
+        if not c.comparison.significant
+    ]
+    return (
+        f"Of capacities, really different from {known[0].against}: {told}; not told apart:"
+        f" {', '.join(alike) or 'nobody'}."
+    )
+
+
+def _difference(c: Contest) -> float:
+    return c.comparison.difference
 
 
 def rows(found: Sequence[Contest]) -> list[dict[str, str]]:

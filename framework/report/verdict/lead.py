@@ -1,4 +1,5 @@
-"""What to use, in a sentence.
+"""The first line of a report: what to use, who is really different, who is not told apart, who is
+steadier.
 
 A difference is claimed where its interval excludes zero, and the interval is the one the charts
 draw: corrected for all comparisons of the report.
@@ -6,12 +7,19 @@ draw: corrected for all comparisons of the report.
 
 from __future__ import annotations
 
-from framework.report.statistics.compare import Comparison
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+from framework.report.statistics.compare import Comparison, compare
 from framework.report.statistics.estimates import Interval
 from framework.report.statistics.numbers import decimals, interval_text, significant
-from framework.report.statistics.outcomes import Outcomes
+from framework.report.statistics.outcomes import Outcomes, by_pair
 from framework.report.study.collect import Study
 from framework.report.study.order import BASELINE
+from framework.report.verdict.steady import steady_sentence
+
+MOST_NAMED = 8  # of methods that could not be told apart
 
 UNTESTED = (
     "Nothing was tested: no photo was held out (scene.split=none), so nothing is known of the"
@@ -19,8 +27,9 @@ UNTESTED = (
 )
 
 
-def lead(study: Study, found: Outcomes) -> str:
-    """What to use, in a sentence."""
+def lead(study: Study, found: Outcomes, budget: str = "", beside: str = "") -> str:
+    """The verdict in a line. budget: which one of the advised method to take, for studies of
+    several. beside: a sentence on how the number of Gaussians is decided."""
     if not study.runs:
         return "No run of this study finished."
     if not study.tested:
@@ -32,16 +41,72 @@ def lead(study: Study, found: Outcomes) -> str:
     tested = [c for c in found.comparisons.values() if c.joint is not None]
     if not tested:
         return f"No advice: {_untested(study, found)}"
+    told = [
+        _use(study, found, budget),
+        beside,
+        _different(study, found, tested),
+        _alike(study, found, tested),
+        steady_sentence(found),
+    ]
+    return " ".join(filter(None, told))
+
+
+def _use(study: Study, found: Outcomes, budget: str) -> str:
     best = best_method(study, found)
-    if best == study.baseline_of(best) and has_budgets(study):
-        return (
-            f"Use {plainly(study.families[0])} at the budget that suits you (below): nothing tested"
-            " was shown to be better at an equal one."
-        )
-    if best == study.baseline_of(best):
-        return f"Use {plainly(best)}: nothing tested was shown to be better."
-    c = found.comparisons[best]
-    return f"Use {best}: it {amount(c)} against {plainly(c.baseline)} {where(study)}."
+    if best != study.baseline_of(best):
+        c = found.comparisons[best]
+        return f"Use {best}: it {amount(c)} against {plainly(c.baseline)} {where(study)}{budget}."
+    if has_budgets(study):
+        return f"Use {plainly(study.families[0])} {where(study)}{budget}."
+    return f"Use {plainly(best)} {where(study)}."
+
+
+def _different(study: Study, found: Outcomes, tested: Sequence[Comparison]) -> str:
+    """Every method that is shown to be better or worse than its baseline, but the advised one."""
+    best = best_method(study, found)
+    clear = sorted((c for c in tested if c.significant and c.method != best), key=_difference)
+    than = "" if best == study.baseline_of(best) else f" from {found.comparisons[best].baseline}"
+    than = " at an equal budget" if has_budgets(study) else than
+    told = "; ".join(f"{c.method} {amount(c)}" for c in clear)
+    nobody = "nobody else" if best in found.comparisons else "nobody"
+    return f"Really different{than}: {told or nobody}."
+
+
+def _alike(study: Study, found: Outcomes, tested: Sequence[Comparison]) -> str:
+    """Who is not told apart from the advised one, by name."""
+    rest = not_told_apart(study, found, tested)
+    than = " at an equal budget" if has_budgets(study) else ""
+    named = _by_family(study, rest, tested) if has_budgets(study) else [c.method for c in rest]
+    more = len(named) - MOST_NAMED
+    named = [*named[:MOST_NAMED], *([f"{more} more"] if more > 0 else [])]
+    return f"Not told apart{than}: {', '.join(named) or 'nobody'}."
+
+
+def _by_family(study: Study, rest: Sequence[Comparison], tested: Sequence[Comparison]) -> list[str]:
+    """Of methods with several budgets, at how many of them."""
+    families = {run.method: run.method_label.family for run in study.runs}
+    every = Counter(families[c.method] for c in tested)
+    alike = Counter(families[c.method] for c in rest)
+    return [f if n == every[f] else f"{f} at {n} of {every[f]}" for f, n in alike.items()]
+
+
+def not_told_apart(study: Study, found: Outcomes, tested: Sequence[Comparison]) -> list[Comparison]:
+    """What could not be told from what the verdict says to use, the highest first."""
+    best = best_method(study, found)
+    over = tested if best == study.baseline_of(best) else _against(study, found, best)
+    return sorted((c for c in over if not c.significant), key=lambda c: -c.difference)
+
+
+def _against(study: Study, found: Outcomes, best: str) -> list[Comparison]:
+    """Every other method against the best one, corrected for all of them."""
+    values = {method: by_pair(study.of(method=method)) for method in found.psnr}
+    others = [compare(m, values[m], best, values[best]) for m in found.psnr if m != best]
+    known = [c for c in others if c is not None and c.joint is not None]
+    return [replace(c, tests=len(known)) for c in known]
+
+
+def _difference(c: Comparison) -> float:
+    return c.difference
 
 
 def has_budgets(study: Study) -> bool:

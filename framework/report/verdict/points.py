@@ -1,35 +1,36 @@
-"""What stands behind the verdict, a sentence each: who is really different, who could not be told
-apart, what to expect on other scenes, who is steadier, and at what cost. What was not found is told
-with what the study could have found."""
+"""What stands behind the verdict, a sentence each: how far apart those may be that were not told
+apart, what to expect on other scenes, at what cost, how big, and where it fails."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
-from framework.report.statistics.compare import Comparison, compare
-from framework.report.statistics.numbers import mean_text
-from framework.report.statistics.outcomes import Outcomes, by_pair
-from framework.report.study.collect import Study
-from framework.report.study.labels import listed
+from framework.report.statistics.compare import Comparison
+from framework.report.statistics.numbers import average, mean_text
+from framework.report.statistics.outcomes import Outcomes
+from framework.report.statistics.robustness import failure_rate, worst_case
+from framework.report.study.collect import ReportRun, Study
+from framework.report.study.labels import listed, outside
 from framework.report.study.roles import CHOSE, role
-from framework.report.verdict.lead import amount, best_method, has_budgets, inside, where
-from framework.report.verdict.steady import steady_sentence
-
-MOST_NAMED = 8  # of methods that could not be told apart
+from framework.report.verdict.lead import (
+    MOST_NAMED,
+    amount,
+    best_method,
+    has_budgets,
+    inside,
+    not_told_apart,
+)
 
 
 def points(study: Study, found: Outcomes) -> list[str]:
-    """What stands behind it, a sentence each: really different, not told apart, on other scenes,
-    steadier, and at what cost."""
+    """What stands behind it, a sentence each."""
     tested = [c for c in found.comparisons.values() if c.joint is not None]
     told = [
-        _different(study, tested),
         _alike(study, found, tested),
         *_elsewhere(tested),
         _untuned(study, found),
-        steady_sentence(found),
         _cost(study, found),
+        weakest(study, found),
     ]
     return [text for text in told if text]
 
@@ -48,41 +49,18 @@ def evidence(found: Outcomes) -> str:
     )
 
 
-def _different(study: Study, tested: Sequence[Comparison]) -> str:
-    """Every method that is shown to be better or worse than its baseline, by name."""
-    clear = sorted((c for c in tested if c.significant), key=lambda c: c.difference)
-    if not tested:
-        return ""
-    if not clear:
-        return f"Really different from {_bases(tested)} {where(study)}: nobody."
-    told = "; ".join(f"{c.method} {amount(c)}" for c in clear)
-    return f"Really different from {_bases(tested)} {where(study)}: {told}."
-
-
 def _alike(study: Study, found: Outcomes, tested: Sequence[Comparison]) -> str:
-    """Who could not be told from what the verdict says to use."""
-    if not tested:
-        return ""
-    best = best_method(study, found)
-    rest = [c for c in tested if not c.significant]
-    if best != study.baseline_of(best):
-        rest = [c for c in _against(study, found, best) if not c.significant]
+    """Within what those that are not told apart may differ."""
+    rest = not_told_apart(study, found, tested) if tested else []
     if not rest:
-        return f"Not told apart from {best}: nobody." if best in found.comparisons else ""
-    rest.sort(key=lambda c: -c.difference)
-    named = [f"{c.method} ({inside(c.joint)})" for c in rest[:MOST_NAMED]]
+        return ""
+    named = [f"{c.method} {c.difference:+.2f} dB ({inside(c.joint)})" for c in rest[:MOST_NAMED]]
     more = len(rest) - MOST_NAMED
     others = f"; {more} more under Comparisons" if more > 0 else ""
-    of = best if best != study.baseline_of(best) else _bases(rest)
-    return f"Not told apart from {of}: {', '.join(named)}{others}."
-
-
-def _against(study: Study, found: Outcomes, best: str) -> list[Comparison]:
-    """Every other method against the best one, corrected for all of them."""
-    values = {method: by_pair(study.of(method=method)) for method in found.psnr}
-    others = [compare(m, values[m], best, values[best]) for m in found.psnr if m != best]
-    known = [c for c in others if c is not None and c.joint is not None]
-    return [replace(c, tests=len(known)) for c in known]
+    return (
+        f"Not told apart from {_bases(rest)}, with what they may gain or cost:"
+        f" {', '.join(named)}{others}."
+    )
 
 
 def _elsewhere(tested: Sequence[Comparison]) -> list[str]:
@@ -115,7 +93,7 @@ def _untuned(study: Study, found: Outcomes) -> str:
 
 
 def _cost(study: Study, found: Outcomes) -> str:
-    """Training time and Gaussians of what to use beside those of its baseline."""
+    """Training time and size of what to use beside those of its baseline."""
     if not found.psnr or has_budgets(study):
         return ""
     best = best_method(study, found)
@@ -123,14 +101,48 @@ def _cost(study: Study, found: Outcomes) -> str:
     if len(methods) == 1 and found.comparisons:
         runner = max(found.comparisons, key=lambda m: found.comparisons[m].difference)
         methods.append(runner)
-    told = []
-    for method in methods:
-        runs = study.of(method=method)
-        seconds = mean_text([run.record.train_s for run in runs], 1)
-        cpu = mean_text([run.record.train_cpu_s for run in runs], 1)
-        gaussians = mean_text([float(run.record.gaussians) for run in runs], 0)
-        told.append(f"{method} {seconds} s ({cpu} s of CPU) and {gaussians} Gaussians")
+    told = [f"{method} {cost_of(study.of(method=method))}" for method in methods]
     return f"Cost of a training: {'; '.join(told)}."
+
+
+def cost_of(runs: Sequence[ReportRun]) -> str:
+    """`9.8 s (9.5 s of CPU) and 16128 Gaussians (226 k parameters)`, means over the runs."""
+    seconds = mean_text([run.record.train_s for run in runs], 1)
+    cpu = mean_text([run.record.train_cpu_s for run in runs], 1)
+    gaussians = mean_text([float(run.record.gaussians) for run in runs], 0)
+    parameters = mean_text([run.record.parameters / 1000 for run in runs], 0)
+    return f"{seconds} s ({cpu} s of CPU) and {gaussians} Gaussians ({parameters} k parameters)"
+
+
+def weakest(study: Study, found: Outcomes) -> str:
+    """Where what the verdict advises is worst: scene, seed, view, and how often it failed."""
+    if not found.psnr:
+        return ""
+    best = best_method(study, found)
+    if best == study.baseline_of(best) and has_budgets(study):  # its best budget
+        own = {run.method for run in study.runs if run.method_label.family == study.families[0]}
+        best = max(own & found.psnr.keys(), key=lambda m: (found.psnr[m].mean, m), default=best)
+    means = {
+        scene: value
+        for scene in study.tested
+        if (value := average([run.mean("psnr") for run in study.of(scene, best)])) is not None
+    }
+    scene = min(means, key=lambda scene: means[scene])
+    told = [f"{scene} ({means[scene]:.2f} dB on average)"] if len(means) > 1 else []
+    case = worst_case(study.of(scene, best))
+    if case is not None:
+        told.append(
+            f"its worst view is {outside(case.view)} with {case.view_psnr:.2f} dB (seed"
+            f" {case.view_seed}), its worst seed {case.run_seed} with {case.run_psnr:.2f} dB"
+        )
+    elif values := [
+        (psnr, run.seed) for run in study.of(scene, best) if (psnr := run.mean("psnr"))
+    ]:
+        told.append(f"its worst seed is {min(values)[1]} with {min(values)[0]:.2f} dB")
+    rate = None if study.tabled else failure_rate(study, best)
+    told += [f"{rate.failed} of {rate.n} runs failed"] if rate else []
+    place = "" if len(means) > 1 else f" on {scene}"
+    return f"Where {best} is weakest{place}: {'; '.join(told)}." if told else ""
 
 
 def _bases(tested: Sequence[Comparison]) -> str:

@@ -8,8 +8,8 @@ from framework.report.statistics.variance import SigmaComparison
 
 
 def steady_sentence(found: Outcomes) -> str:
-    """Which method's deviation over seeds differs from the baseline's; where none is shown to, the
-    ratio that the test would have found. "" where nothing was tested."""
+    """Which method's deviation over seeds (σ) differs from the baseline's; where none is shown to,
+    the ratio that the test would have found 8 times in 10. "" where nothing was tested."""
     tested = [c for c in found.sigmas.values() if c.ratio is not None]
     if not tested:
         return ""
@@ -20,15 +20,12 @@ def steady_sentence(found: Outcomes) -> str:
 
 
 def power(found: Outcomes) -> str:
-    """`with 10 seeds each, a σ below 0.35 times the other would have been found 8 times in 10`."""
+    """`10 seeds would have found a ratio of 0.35`."""
     c = min(found.sigmas.values(), key=lambda c: (min(c.n, c.other_n), max(c.n, c.other_n)))
-    seeds = f"{c.n} seeds each" if c.n == c.other_n else f"{c.n} and {c.other_n} seeds"
+    seeds = f"{c.n} seeds" if c.n == c.other_n else f"{c.n} and {c.other_n} seeds"
     if c.detectable is None:
-        return f"{seeds} are too few to find any ratio of σ 8 times in 10"
-    return (
-        f"with {seeds}, a σ below {significant(c.detectable)} times that of {c.baseline} would have"
-        " been found 8 times in 10"
-    )
+        return f"{seeds} are too few to find any ratio of σ"
+    return f"{seeds} would have found a σ of {significant(c.detectable)} times that of {c.baseline}"
 
 
 def _listed(clear: list[SigmaComparison]) -> str:
