@@ -7,6 +7,10 @@ A plugin is one file with one frozen dataclass whose typed fields are its option
     class Mirror(Augmenter):
         every: int = 1
 
+Augmenters, regularizers and capacities act on a training; scene loaders, depth providers,
+initializers and metrics are parts of a run, with the same registration and neither framework keys
+nor state (below: `Part`).
+
 `name` chooses it; `weight`, `start` and `stop` are framework keys every plugin has. State is
 explicit: `init_state` makes it, every hook gets it and returns the next one, checkpoints hold it.
 A plugin validates its options in `__post_init__` with `check`.
@@ -21,17 +25,30 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from framework.depth import DepthProvider
 from framework.errors import check_option
-from framework.registry import register
+from framework.registry import BASES, register
 
 if TYPE_CHECKING:
     import numpy as np
     from torch import Tensor
 
     from framework.fisher.information import FisherInformation
-    from framework.types import Camera, DepthMap, Gaussians, Render, View
+    from framework.types import Camera, DepthMap, Gaussians, Render, Scene, TrainingSet, View
 
-__all__ = ["Augmenter", "Capacity", "Edits", "Regularizer", "StepContext", "StepStats", "register"]
+__all__ = [
+    "Augmenter",
+    "Capacity",
+    "DepthProvider",
+    "Edits",
+    "Initializer",
+    "Metric",
+    "Regularizer",
+    "SceneLoader",
+    "StepContext",
+    "StepStats",
+    "register",
+]
 
 
 @dataclass(frozen=True)
@@ -186,3 +203,54 @@ class Capacity(Plugin):
     def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
         """Called after each step; the trainer applies the edits to parameters and optimizer."""
         raise NotImplementedError
+
+
+class Part:
+    """Base of what a run is made of beside the training's plugins: options alone."""
+
+    name: ClassVar[str]
+    group: ClassVar[str]
+
+    def check(self, option: str, ok: bool, expected: str) -> None:
+        """Raise UserError, with the option's value and what it should be, unless `ok`."""
+        check_option(self, self.group, option, ok, expected)
+
+
+class SceneLoader(Part):
+    """`scene=NAME`: photos with cameras. `framework.scenes.assemble` makes a scene of arrays."""
+
+    group: ClassVar[str] = "scene"
+
+    def load(self) -> Scene:
+        """The scene: its training set and its test views. The same options and files give the same
+        scene and `fingerprint`, which tells a finished run from one to be repeated."""
+        raise NotImplementedError
+
+
+class Initializer(Part):
+    """`init=NAME`: the Gaussians a training starts from."""
+
+    group: ClassVar[str] = "init"
+
+    def build(
+        self, training: TrainingSet, depth: tuple[DepthMap, ...], sh_degree: int, seed: int
+    ) -> Gaussians:
+        """At least one Gaussian of this SH degree; depth: a map per training view. All draws come
+        from `seed`."""
+        raise NotImplementedError
+
+
+class Metric(Part):
+    """`metrics.also=NAME`: a number per test view beside PSNR, SSIM, FLIP and LPIPS; several are
+    joined by +. Built from its defaults."""
+
+    group: ClassVar[str] = "metric"
+
+    def measure(self, render: Tensor, truth: Tensor, mask: Tensor | None) -> float:
+        """Of a render and its photo as saved, [3, H, W] float32 in [0, 1] in steps of 1/255; mask:
+        [H, W] bool, the valid pixels (the others are white in both), or None. What it raises, or a
+        value that is not finite, is reported as missing with the reason."""
+        raise NotImplementedError
+
+
+BASES |= {"scene": SceneLoader, "depth": DepthProvider, "init": Initializer, "metric": Metric}

@@ -1,5 +1,9 @@
 """name -> plugin class, with discovery and checked construction.
 
+Two kinds of groups: of plugins that act on a training (`GROUPS`), built by `build` with framework
+keys beside their options, and of parts of a run (`PARTS`: scene loaders, depth providers,
+initializers, metrics), which join the table of the built-in ones in their room.
+
 Plugins are found in the `plugins/` folder, in installed packages that declare the entry point group
 `fishersplat.plugins`, and in the folder of the user's own that the command line asks for. Launchers
 start fresh processes, so `discover` is cheap to call again.
@@ -13,6 +17,7 @@ import importlib
 import importlib.util
 import math
 import pkgutil
+import re
 import sys
 import typing
 from collections.abc import Callable, Mapping
@@ -26,6 +31,13 @@ from framework.errors import UserError, nearest_hint, require
 from framework.files.paths import own_plugins
 
 GROUPS = {"augment": "plugins.augment", "reg": "plugins.regularize", "capacity": "plugins.capacity"}
+PARTS = {
+    "scene": "plugins.scenes",
+    "depth": "plugins.depth",
+    "init": "plugins.initialize",
+    "metric": "plugins.metrics",
+}
+REQUIRED = {"scene": "load", "depth": "measure", "init": "build", "metric": "measure"}
 FOLDER = Path(__file__).resolve().parent.parent / "plugins"
 FRAMEWORK_KEYS = {"weight": 1.0, "start": 0.0, "stop": 1.0}
 MEANINGS = {
@@ -36,17 +48,21 @@ MEANINGS = {
 OPTION_TYPES = (bool, int, float, str, type(None))
 UNIONS = (typing.Union, UnionType)
 
+BASES: dict[str, type] = {}  # of `PARTS`, by `framework.plugin`, which stands above
 _classes: dict[str, dict[str, type]] = {group: {} for group in GROUPS}
 C = TypeVar("C", bound=type)
 
 
 def register(group: str, name: str) -> Callable[[C], C]:
-    """Class decorator: make a frozen dataclass selectable as `group=name`."""
+    """Class decorator: make a frozen dataclass selectable as `group=name` (a metric as
+    `metrics.also=name`)."""
 
     def add(cls: C) -> C:
-        require(group in GROUPS, f"register: unknown group {group}; {nearest_hint(group, GROUPS)}")
+        known = [*GROUPS, *PARTS]
+        require(group in known, f"register: unknown group {group}; {nearest_hint(group, known)}")
         _check_class(group, name, cls)
-        other = _classes[group].get(name)
+        table = _classes[group] if group in GROUPS else _parts(group)
+        other = table.get(name)
         if other is not None and (other.__module__, other.__qualname__) != (
             cls.__module__,
             cls.__qualname__,
@@ -56,10 +72,26 @@ def register(group: str, name: str) -> Callable[[C], C]:
                 f" {cls.__module__}; rename one"
             )
         cls.name, cls.group = name, group  # type: ignore[attr-defined]
-        _classes[group][name] = cls
+        table[name] = cls
         return cls
 
     return add
+
+
+def _parts(group: str) -> dict[str, type]:
+    """The table of a group of `PARTS`, in the room that uses it: name -> class."""
+    from framework.depth import PROVIDERS
+    from framework.initialize import INITIALIZERS
+    from framework.metrics.values import MEASURES
+    from framework.scenes import LOADERS
+
+    return {"scene": LOADERS, "depth": PROVIDERS, "init": INITIALIZERS, "metric": MEASURES}[group]
+
+
+def parts(group: str) -> dict[str, type]:
+    """The table of a group of `PARTS`, built-in classes and plugins: name -> class."""
+    discover()
+    return _parts(group)
 
 
 def _check_class(group: str, name: str, cls: type) -> None:
@@ -71,12 +103,15 @@ def _check_class(group: str, name: str, cls: type) -> None:
         f"{where}: expected a frozen dataclass, got another class; put @dataclass(frozen=True)"
         " between @register and the class",
     )
+    taken = (*(FRAMEWORK_KEYS if group in GROUPS else ()), "name", "group")
     for option in dataclasses.fields(cls):
         require(
-            option.name not in (*FRAMEWORK_KEYS, "name", "group"),
-            f"{where}: expected options beside {', '.join(FRAMEWORK_KEYS)}, name and group, which"
-            f" every plugin has, got a field '{option.name}'; rename it, or set it in `defaults`",
+            option.name not in taken,
+            f"{where}: expected options beside {', '.join(taken)}, which every plugin of this group"
+            f" has, got a field '{option.name}'; rename it, or set it in `defaults`",
         )
+    if group in PARTS:
+        _check_part(group, name, cls, where)
     typed = {*cls.__annotations__, "defaults", "name", "group"}  # the last two: registered twice
     for key, value in vars(cls).items():
         require(
@@ -86,9 +121,41 @@ def _check_class(group: str, name: str, cls: type) -> None:
         )
 
 
+def _check_part(group: str, name: str, cls: type, where: str) -> None:
+    """Raise UserError unless `cls` can be this part of a run under this name."""
+    require(
+        re.fullmatch(r"[a-z][a-z0-9_]*", name) is not None,
+        f"{where}: expected a name of lower-case letters, digits and _, got {name!r:.40}; rename"
+        " it",
+    )
+    from framework.metrics.values import RESERVED
+
+    require(
+        group != "metric" or name not in RESERVED,
+        f"{where}: expected another name than those of every run's table, got {name}; rename it",
+    )
+    base = BASES.get(group)
+    require(
+        base is not None and issubclass(cls, base),
+        f"{where}: expected a class derived from framework.plugin."
+        f"{getattr(base, '__name__', group)}, got another; derive it",
+    )
+    require(
+        getattr(cls, REQUIRED[group]) is not getattr(base, REQUIRED[group]),
+        f"{where}: expected the method `{REQUIRED[group]}`, got none; add it",
+    )
+    for _, _, option in plain_fields(cls):
+        needed = option.default is dataclasses.MISSING
+        require(
+            group != "metric" or not needed,
+            f"{where}: expected a default for '{option.name}', got none; a metric is built from its"
+            " defaults",
+        )
+
+
 def discover() -> None:
     """Import every plugin module, so that all of them are registered."""
-    for package_name in GROUPS.values():
+    for package_name in (*GROUPS.values(), *PARTS.values()):
         package = importlib.import_module(package_name)
         _check_place(package)
         for module in pkgutil.iter_modules(package.__path__):
@@ -166,6 +233,13 @@ def option_fields(cls: type) -> list[tuple[str, Any, Any]]:
         (key, float, field(default=float(overrides.get(key, default))))
         for key, default in FRAMEWORK_KEYS.items()
     ]
+    return rows + plain_fields(cls)
+
+
+def plain_fields(cls: type) -> list[tuple[str, Any, Any]]:
+    """(name, type, dataclasses.field) of every field of an options class. UserError for a type
+    that the command line cannot give."""
+    rows: list[tuple[str, Any, Any]] = []
     hints = typing.get_type_hints(cls)
     for option in dataclasses.fields(cls):
         hint = hints[option.name]
@@ -176,7 +250,7 @@ def option_fields(cls: type) -> list[tuple[str, Any, Any]]:
             f" int, float or str, got {hint}; make a choice a str and check it in"
             " __post_init__",
         )
-        rows.append((option.name, hint, field(default=option.default)))
+        rows.append((option.name, hint, option))
     return rows
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,12 +27,16 @@ from framework.files.cache import cache_dir
 _STRICT: dict[str, Any] = {"nogil": True, "fastmath": False, "error_model": "numpy"}
 
 
+_COMPILED = re.compile(rb"^\s*(?:from|import) (?:numba|framework\.compute\.jit)\b", re.MULTILINE)
+
+
 def _sources_hash() -> str:
-    """Of every source that defines kernels or vector operations, and of numba's version."""
+    """Of every source that defines kernels or vector operations, or constants in them, and of
+    numba's version; a file that only speaks of them does not count."""
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         source = path.read_bytes()
-        if b"numba" in source or b"framework.compute.jit" in source or path.name == "constants.py":
+        if _COMPILED.search(source) or path.name == "constants.py":
             digest.update(path.name.encode() + source)
     return digest.hexdigest()[:16]
 

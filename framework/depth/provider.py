@@ -48,6 +48,10 @@ class DepthProvider:
         )
         check_option(self, "depth", "corruption_seed", self.corruption_seed >= 0, "an integer >= 0")
 
+    def check(self, option: str, ok: bool, expected: str) -> None:
+        """Raise UserError, with the option's value and what it should be, unless `ok`."""
+        check_option(self, "depth", option, ok, expected)
+
     def corruptions(self) -> tuple[str, ...]:
         """The chosen corruptions in the order they act."""
         return () if self.corruption == NONE else tuple(self.corruption.split("+"))

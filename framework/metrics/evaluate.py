@@ -26,13 +26,14 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, ParamSpec
+from typing import TYPE_CHECKING, ParamSpec, Protocol
 
 import numpy as np
 
 from framework.compute import parallel
+from framework.errors import printable_line
 from framework.metrics.values import Measurement, Missing, ViewMetrics
 
 if TYPE_CHECKING:
@@ -40,6 +41,13 @@ if TYPE_CHECKING:
 
     from framework.metrics.lpips import Lpips
     from framework.types import Camera, View
+
+
+class Measure(Protocol):
+    """A metric that a plugin brings, `framework.plugin.Metric`."""
+
+    def measure(self, render: Tensor, truth: Tensor, mask: Tensor | None) -> float: ...
+
 
 P = ParamSpec("P")
 SSIM_WINDOW = 11
@@ -115,23 +123,31 @@ def evaluate_view(
 
     Raises ValueError when the sizes differ.
     """
-    return _measured([(view, render, render_s)], network)[0]
+    return _measured([(view, render, render_s)], network, {})[0]
 
 
 def evaluate(
-    render: Callable[[Camera], Tensor], views: Sequence[View], network: Lpips | None = None
+    render: Callable[[Camera], Tensor],
+    views: Sequence[View],
+    network: Lpips | None = None,
+    also: Mapping[str, Measure] | None = None,
 ) -> tuple[list[ViewMetrics], list[tuple[View, Tensor]]]:
-    """Render and measure every test view; also gives the (view, [3, H, W] image) pairs to save."""
+    """Render and measure every test view; also gives the (view, [3, H, W] image) pairs to save.
+
+    also: name -> further metrics, see `framework.plugin.Metric`.
+    """
     timed: list[tuple[View, Tensor, float]] = []
     for view in views:
         start = time.perf_counter()
         image = render(view.camera).detach()
         timed.append((view, image, time.perf_counter() - start))
-    return _measured(timed, network), [(view, image) for view, image, _ in timed]
+    return _measured(timed, network, also or {}), [(view, image) for view, image, _ in timed]
 
 
 def _measured(
-    renders: Sequence[tuple[View, Tensor, float]], network: Lpips | None
+    renders: Sequence[tuple[View, Tensor, float]],
+    network: Lpips | None,
+    also: Mapping[str, Measure],
 ) -> list[ViewMetrics]:
     """The metrics of (view, render [3, H, W], seconds)."""
     pairs = parallel.run_tasks([partial(_pair, r, view.image, view.mask) for view, r, _ in renders])
@@ -152,9 +168,26 @@ def _measured(
             lpips=centred[i],
             lpips_01=fed[i],
             render_s=render_s,
+            also={name: plugged(name, one, x, y, valid) for name, one in also.items()},
         )
         for i, ((view, _, render_s), (x, y, valid)) in enumerate(zip(renders, pairs, strict=True))
     ]
+
+
+def plugged(
+    name: str, metric: Measure, x: np.ndarray, y: np.ndarray, valid: np.ndarray | None
+) -> Measurement:
+    """A plugin's metric of two [H, W, 3] uint8 images: whatever it does wrong costs no training."""
+    import torch
+
+    def planar(image: np.ndarray) -> Tensor:
+        return torch.from_numpy(image.transpose(2, 0, 1).astype(np.float32) / 255)
+
+    mask = None if valid is None else torch.from_numpy(valid.copy())
+    try:
+        return _finite(float(metric.measure(planar(x), planar(y), mask)), name)
+    except Exception as error:  # whatever somebody else's code raises
+        return Missing(printable_line(f"{name} raised {type(error).__name__}: {error}"))
 
 
 def mean_of(metrics: Sequence[ViewMetrics], metric: str) -> Measurement:

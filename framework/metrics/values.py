@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
+from framework.errors import nearest_hint, require
+
+# what every run measures; `MEASURES` has the plugins that `metrics.also` chooses among
 METRICS = ("psnr", "ssim", "flip", "lpips", "lpips_01")
+MEASURES: dict[str, type] = {}
+RESERVED = (*METRICS, "view", "tags", "render_s", "file", "missing")  # columns of metrics.csv
 
 
 @dataclass(frozen=True)
@@ -20,7 +26,7 @@ Measurement = float | Missing
 @dataclass(frozen=True)
 class ViewMetrics:
     """One test view: psnr in dB, ssim, flip, lpips, lpips_01, each or why missing; render_s
-    in s."""
+    in s; also: what plugins measured, by name."""
 
     view: str
     tags: tuple[str, ...]
@@ -30,7 +36,25 @@ class ViewMetrics:
     lpips: Measurement
     lpips_01: Measurement
     render_s: float
+    also: Mapping[str, Measurement] = field(default_factory=dict)
 
     def value(self, metric: str) -> Measurement:
-        """The measurement named `metric`, one of `METRICS`."""
-        return getattr(self, metric)
+        """The measurement named `metric`, one of `METRICS` or of `also`."""
+        return self.also[metric] if metric in self.also else getattr(self, metric)
+
+
+def measures(chosen: str | None) -> list[str]:
+    """The names in `metrics.also`, in their order. UserError for an unknown or repeated one."""
+    names = [] if chosen is None else chosen.split("+")
+    for name in names:
+        require(
+            name in MEASURES,
+            f"metrics.also: unknown metric '{name}'; "
+            + (nearest_hint(name, MEASURES) if MEASURES else "no plugin has one")
+            + ", several are joined by +",
+        )
+        require(
+            names.count(name) == 1,
+            f"metrics.also: expected each metric once, got {name} twice; drop one",
+        )
+    return names

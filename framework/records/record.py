@@ -211,7 +211,10 @@ def write_run(
         banded=len(gaussians.shN) if gaussians.sh_degree else None,
         parameters_sha256=parameters_sha256(gaussians),
         ply_bytes=ply_bytes,
-        summary={name: mean_of(metrics, name) for name in METRICS},
+        summary={
+            name: mean_of(metrics, name)
+            for name in (*METRICS, *(metrics[0].also if metrics else ()))
+        },
         status="complete",
         error=None,
     )

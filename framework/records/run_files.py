@@ -83,15 +83,19 @@ def file_stems(views: Sequence[str]) -> list[str]:
 
 
 def metrics_csv(metrics: Sequence[ViewMetrics], stems: Sequence[str]) -> str:
-    """One row per view; tags are joined by blanks, `missing` is a JSON object metric -> reason."""
+    """One row per view; tags are joined by blanks, `missing` is a JSON object metric -> reason; at
+    the end what plugins measured."""
     rows = []
     for entry, stem in zip(metrics, stems, strict=True):
-        values = {name: entry.value(name) for name in METRICS}
+        values = {name: entry.value(name) for name in (*METRICS, *entry.also)}
         reasons = {k: v.reason for k, v in values.items() if isinstance(v, Missing)}
         numbers = [None if isinstance(v, Missing) else v for v in values.values()]
         explained = json.dumps(reasons) if reasons else None
-        rows.append([entry.view, " ".join(entry.tags), *numbers, entry.render_s, stem, explained])
-    return _csv(METRIC_COLUMNS, rows)
+        own, others = numbers[: len(METRICS)], numbers[len(METRICS) :]
+        cells = [entry.view, " ".join(entry.tags), *own, entry.render_s, stem, explained]
+        rows.append([*cells, *others])
+    also = metrics[0].also if metrics else {}
+    return _csv([*METRIC_COLUMNS, *also], rows)
 
 
 def history_csv(history: Sequence[HistoryRow]) -> str:

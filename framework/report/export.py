@@ -12,7 +12,7 @@ from framework.report.statistics.numbers import interval_text, p_text, signed
 from framework.report.statistics.outcomes import Outcomes
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
-from framework.report.study.tabled import CODE, TABLE
+from framework.report.study.tabled import ALSO, CODE, TABLE
 from framework.report.text.provenance import code_of
 
 __all__ = ["LATEX", "TABLE", "comparisons_tex", "runs_csv"]
@@ -51,6 +51,7 @@ def _measured(run: ReportRun) -> dict[str, Any]:
         "method": run.method,
         "seed": run.seed,
         **{metric: run.mean(metric) for metric in METRICS},
+        **{f"{ALSO}{name}": run.mean(name) for name in run.record.summary if name not in METRICS},
         "gaussians": record.gaussians,
         "parameters": record.parameters,
         "train_wall_s": record.train_s,

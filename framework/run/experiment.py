@@ -28,7 +28,7 @@ from framework.files.whole import remove_temporaries
 from framework.metrics.evaluate import evaluate
 from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
-from framework.metrics.values import Missing
+from framework.metrics.values import MEASURES, Missing, measures
 from framework.options import TrainerOptions
 from framework.rasterizers import build_rasterizer
 from framework.records.cameras import write_cameras
@@ -51,11 +51,11 @@ from framework.records.record import (
     find_complete,
     write_run,
 )
-from framework.run import budget
+from framework.run import answers, budget
 from framework.run.lpips_later import lacks_lpips, with_lpips
 from framework.run.training import Run, initial, renderer, train, try_out
 from framework.run.warmup import Warmup
-from framework.scenes import load_scene
+from framework.scenes import LOADERS, load_scene
 from framework.train.dose import told
 from framework.train.resume.checkpoint import remove_checkpoints
 from framework.types import DepthMap, Gaussians, Scene
@@ -182,7 +182,8 @@ def _trained(
         near = options.near_plane * scene.training.near
         seen = trained.gaussians, trained.background, trained.sh_degree
         render = renderer(*seen, near, rasterizer)
-        metrics, renders = evaluate(render, scene.test, network)
+        also = {name: MEASURES[name]() for name in measures(config["metrics"]["also"])}
+        metrics, renders = evaluate(render, scene.test, network, also)
     record = dataclasses.replace(
         record,
         peak_memory_bytes=peak_memory_bytes(),
@@ -213,7 +214,8 @@ def _options(key: str) -> tuple[str, dict[str, Any]]:
 def _scene(key: str) -> tuple[Scene, StageTime]:
     timings: dict[str, StageTime] = {}
     with _timed(timings, "scene"):
-        scene = load_scene(*_options(key))
+        name, options = _options(key)
+        scene = answers.scene(name, LOADERS[name], load_scene(name, options))
     return scene, timings["scene"]
 
 
@@ -231,7 +233,9 @@ def _depth(scene_key: str, key: str, fingerprint: str) -> tuple[tuple[DepthMap, 
     """The depth maps; `fingerprint` tells files that were replaced since they were last read."""
     timings: dict[str, StageTime] = {}
     with _timed(timings, "depth"):
-        depth = build_provider(*_options(key)).estimate(_scene(scene_key)[0].training)
+        name, options = _options(key)
+        training, provider = _scene(scene_key)[0].training, build_provider(name, options)
+        depth = answers.depth(name, type(provider), provider.estimate(training), training)
     return depth, timings["depth"]
 
 

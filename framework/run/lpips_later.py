@@ -90,10 +90,13 @@ def _views(table: Table, run_dir: Path) -> list[ViewMetrics]:
 
 def _view(table: Table, i: int) -> ViewMetrics:
     reasons = json.loads(table.texts["missing"][i] or "{}")
-    numbers = {metric: float(table.numbers[metric][i]) for metric in METRICS}
+    numbers = {metric: float(column[i]) for metric, column in table.numbers.items()}
+    render_s = numbers.pop("render_s")
+    found = {m: Missing(str(reasons[m])) if math.isnan(v) else v for m, v in numbers.items()}
     return ViewMetrics(
         view=table.texts["view"][i],
         tags=tuple(table.texts["tags"][i].split()),
-        render_s=float(table.numbers["render_s"][i]),
-        **{m: Missing(str(reasons[m])) if math.isnan(v) else v for m, v in numbers.items()},
+        render_s=render_s,
+        **{metric: found.pop(metric) for metric in METRICS},
+        also=found,
     )

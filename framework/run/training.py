@@ -27,6 +27,7 @@ from framework.plugin import Plugin
 from framework.rasterizers import NUMBA, Rasterizer
 from framework.records.progress import Part, Parts, Progress, Silent
 from framework.records.record import DIVERGED
+from framework.run import answers
 from framework.run.members import IDLE, in_turn, join, member_seed, tuning_options
 from framework.train import schedule
 from framework.train.guard import Diverged
@@ -50,9 +51,10 @@ def initial(
 ) -> Gaussians:
     """The Gaussians that the chosen initializer starts from."""
     rest = dict(config["init"])
-    builder = INITIALIZERS[rest.pop("name")](**rest)
+    name = rest.pop("name")
+    builder = INITIALIZERS[name](**rest)
     gaussians: Gaussians = builder.build(scene.training, depth, options.sh_degree, seed)
-    return gaussians
+    return answers.gaussians(name, type(builder), gaussians, options.sh_degree)
 
 
 @dataclass(frozen=True)

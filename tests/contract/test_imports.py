@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from framework import registry
 from framework.command.config.schema import ROOT
 
 FRAMEWORK = sorted((ROOT / "framework").rglob("*.py"))
@@ -48,7 +49,7 @@ PLUGIN_MAY_IMPORT = {
     f"framework.{name}"
     for name in (
         *("plugin", "types", "shapes", "geometry", "errors", "registry"),
-        *("methods", "fisher", "warp", "rasterize.losses"),
+        *("methods", "fisher", "warp", "rasterize.losses", "scenes", "depth", "initialize"),
     )
 }
 REPORT_MUST_NOT_IMPORT = {
@@ -174,7 +175,7 @@ def test_the_framework_imports_no_plugin(path: Path) -> None:
 
 @pytest.mark.parametrize("path", FRAMEWORK, ids=name_of)
 def test_the_framework_names_no_plugin_module(path: Path) -> None:
-    packages = {"plugins.augment", "plugins.regularize", "plugins.capacity"}
+    packages = {*registry.GROUPS.values(), *registry.PARTS.values()}
     tree = ast.parse(path.read_text(encoding="utf-8"))
     texts = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)}
     named = {text for text in texts if isinstance(text, str) and text.startswith("plugins.")}

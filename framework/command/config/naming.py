@@ -49,7 +49,8 @@ def study_name(config: Mapping[str, Any]) -> str:
         stem = _file_name(Path(str(options["path"])).resolve().name)
         untested = "_untested" if options.get("split") == UNTESTED else ""
         scene = stem if stem.startswith(loader) else f"{loader}_{stem}"
-        return f"{scene}_{options['n_views']}v{untested}"
+        views = f"_{options['n_views']}v" if "n_views" in options else ""
+        return f"{scene}{views}{untested}"
     default = {name: option.default for name, _, option in rows("scene", loader)}
     views = options.get("n_views")
     return loader if views == default.get("n_views") else f"{loader}_{views}v"

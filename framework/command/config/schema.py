@@ -1,6 +1,6 @@
 """The typed configuration: which groups there are, what each choice accepts, and its check.
 
-Every choice of a group (a plugin, a scene loader, a depth provider, an initialiser) is a dataclass
+Every choice of a group (a plugin or a built-in part) is a dataclass
 whose typed fields are its options. From each one a Hydra structured-config node is made: the key
 `name` and the options, so that Hydra refuses unknown keys and wrong types by itself. An option
 without a default is MISSING ("???") until the user gives it. `conf/config.yaml` has the top level.
@@ -24,6 +24,7 @@ from omegaconf import MISSING, OmegaConf
 import framework
 from framework import registry
 from framework.errors import UserError, nearest_hint, require
+from framework.metrics.values import measures
 from framework.options import TrainerOptions
 
 PACKAGE = Path(framework.__file__).resolve().parent
@@ -45,18 +46,15 @@ SCALARS = {
     **{"force": bool, "traceback": bool, "estimate": bool},
 }
 MOST_THREADS = 1024
-METRICS = {"lpips_weights": str | None}
+METRICS = {"lpips_weights": str | None, "also": str | None}
 
 
 def tables() -> dict[str, dict[str, type]]:
-    """group -> name -> options class, for the groups that are not plugins."""
-    from framework.depth import PROVIDERS
-    from framework.initialize import INITIALIZERS
+    """group -> name -> options class, for the parts of a run that are chosen by a group."""
     from framework.rasterizers import RASTERIZERS
-    from framework.scenes import LOADERS
 
-    tables: dict[str, dict[str, type]] = {"scene": LOADERS, "depth": PROVIDERS}
-    return tables | {"init": INITIALIZERS, "rasterizer": RASTERIZERS}
+    chosen = {group: registry.parts(group) for group in registry.PARTS if group in OBJECT_GROUPS}
+    return chosen | {"rasterizer": RASTERIZERS}
 
 
 def choices(group: str) -> list[str]:
@@ -70,7 +68,7 @@ def rows(group: str, name: str) -> list[Row]:
         return registry.option_fields(registry.lookup(group, name))
     table = tables()[group]
     require(name in table, f"{group}={name}: unknown {group}; {nearest_hint(name, table)}")
-    return class_rows(table[name])
+    return registry.plain_fields(table[name])
 
 
 def class_rows(cls: type) -> list[Row]:
@@ -144,6 +142,8 @@ def check(config: Mapping[str, Any]) -> None:
     for group, table in tables().items():
         options = dict(config[group])
         table[options.pop("name")](**options)
+    registry.parts("metric")
+    measures(config["metrics"]["also"])
     TrainerOptions(**config["trainer"])
     _check_scalars(config["seed"], config["threads"], config["study"])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from framework.metrics.values import METRICS
 from framework.records import record
 from framework.report.study.collect import Study
 from framework.report.study.labels import outside
@@ -17,12 +18,19 @@ UNITS = {"psnr": "(dB)", "ssim": "↑"}
 def heading_of(metric: str, study: Study | None = None) -> str:
     """The heading of a metric's column; of LPIPS with the network that the runs were measured with,
     if they tell it."""
+    if metric not in NAMES:  # a plugin's, which says itself what is better
+        return outside(metric)
     unit = UNITS.get(metric, "↓")
     told = networks(study) if study is not None and metric in LPIPS else []
     if not told:
         return f"{NAMES[metric]} {unit}"
     name, rest = NAMES[metric][: len("LPIPS")], NAMES[metric][len("LPIPS") :]
     return f"{name} ({', '.join(told)}){rest} {unit}"
+
+
+def own_metrics(study: Study) -> list[str]:
+    """What plugins measured beside `METRICS` in some run, sorted."""
+    return sorted({name for run in study.runs for name in run.record.summary} - {*METRICS})
 
 
 def networks(study: Study) -> list[str]:

@@ -10,7 +10,7 @@ from framework.metrics.values import METRICS, Missing
 from framework.report.parts.document import Block, Bullets, Heading, Text, table
 from framework.report.study.collect import DAMAGED, FailedRun, Study
 from framework.report.study.labels import code, outside
-from framework.report.study.names import NAMES
+from framework.report.study.names import NAMES, own_metrics
 
 WORDS = ("Run", "Kind", "Reason", "Again")
 
@@ -82,10 +82,10 @@ def missing_metrics(study: Study) -> list[Block]:
     """Each missing metric once per reason, with the number of runs it concerns."""
     counts: dict[tuple[str, str], int] = defaultdict(int)
     for run in study.runs:
-        for metric in METRICS:
+        for metric in (*METRICS, *own_metrics(study)):
             value = run.record.summary.get(metric)
             if isinstance(value, Missing):
-                counts[NAMES[metric], outside(value.reason)] += 1
+                counts[NAMES.get(metric, outside(metric)), outside(value.reason)] += 1
     lines = [
         f"{metric}: missing in {n} of {len(study.runs)} runs: {reason}"
         for (metric, reason), n in sorted(counts.items())

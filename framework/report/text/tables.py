@@ -15,11 +15,12 @@ from framework.report.statistics.outcomes import seed_means
 from framework.report.statistics.robustness import failure_rate, worst_case
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
-from framework.report.study.names import LPIPS, heading_of
+from framework.report.study.names import LPIPS, heading_of, own_metrics
 from framework.report.study.roles import marked
 
 ALL_SCENES = "mean of all"
 DIGITS = {"psnr": 2, "ssim": 4, "flip": 4, "lpips": 4, "lpips_01": 4}
+OWN_DIGITS = 4  # of what plugins measure
 
 Rows = list[dict[str, str]]
 
@@ -73,7 +74,9 @@ def tag_rows(study: Study, scenes: Sequence[str]) -> Rows:
                 for metric in ("psnr", "ssim"):
                     values = [_tag_mean(run, tag, metric) for run in runs]
                     heading = f"{heading_of(metric)}, {outside(tag)}"
-                    row[heading] = mean_text(values, DIGITS[metric], show_half=metric == "psnr")
+                    row[heading] = mean_text(
+                        values, DIGITS.get(metric, OWN_DIGITS), show_half=metric == "psnr"
+                    )
             if len(row) > 2:
                 rows.append(row)
     return rows if len(scenes) > 1 else _without(rows, "Scene")
@@ -91,7 +94,7 @@ def measured(study: Study) -> list[str]:
     if study.runs and not study.tested:
         return []
     found = [m for m in LPIPS if any(run.mean(m) is not None for run in study.runs)]
-    return ["psnr", "ssim", "flip", *found]
+    return ["psnr", "ssim", "flip", *found, *own_metrics(study)]
 
 
 def _main_row(
@@ -101,7 +104,7 @@ def _main_row(
     for metric in measured(study):
         values = list(seed_means(runs, scenes, metric).values())
         row[heading_of(metric, study)] = mean_text(
-            values, DIGITS[metric], show_half=metric == "psnr"
+            values, DIGITS.get(metric, OWN_DIGITS), show_half=metric == "psnr"
         )
         if metric == "psnr":
             row["σ_PSNR (dB)"] = sigma_text(values)
@@ -136,7 +139,9 @@ def _seed_row(study: Study, run: ReportRun, metrics: Sequence[str]) -> dict[str,
     row: dict[str, str | Link] = {"Scene": run.scene} if len(study.scenes) > 1 else {}
     row |= {"Method": run.method, "Seed": str(run.seed)}
     for metric in metrics:
-        row[heading_of(metric, study)] = mean_text([run.mean(metric)], DIGITS[metric])
+        row[heading_of(metric, study)] = mean_text(
+            [run.mean(metric)], DIGITS.get(metric, OWN_DIGITS)
+        )
     row["Train (s)"] = mean_text([record.train_s], 1)
     if not study.tabled:
         row["All stages (s)"] = f"{sum(stage.wall_s for stage in record.timings.values()):.1f}"

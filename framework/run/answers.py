@@ -1,0 +1,74 @@
+"""What plugins for the parts of a run hand over is checked where it comes, so that the message
+names the plugin; see `framework.plugin` for what is expected. The project's own have tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from framework.errors import UserError
+from framework.shapes import check_gaussians, check_kind, check_tensor, check_view
+from framework.types import DepthMap, Scene, SparsePoints, TrainingSet
+
+T = TypeVar("T")
+
+
+def scene(name: str, cls: type, found: T) -> T:
+    """`found`, a Scene if `cls` is a plugin. Raises UserError, naming it, for anything else."""
+    return _checked(f"scene={name}: load", cls, found, _check_scene)
+
+
+def depth(name: str, cls: type, found: T, training: TrainingSet) -> T:
+    """`found`, a map per training view. Raises UserError as `scene` does."""
+    return _checked(f"depth={name}: measure", cls, found, lambda maps: _check_depth(maps, training))
+
+
+def gaussians(name: str, cls: type, found: T, sh_degree: int) -> T:
+    """`found`, Gaussians of this degree. Raises UserError as `scene` does."""
+
+    def check(value: Any) -> None:
+        check_gaussians("the Gaussians", value, None, (sh_degree + 1) ** 2 - 1)
+
+    return _checked(f"init={name}: build", cls, found, check)
+
+
+def _checked(where: str, cls: type, found: T, check: Callable[[Any], None]) -> T:
+    if cls.__module__.partition(".")[0] == "framework":
+        return found
+    try:
+        check(found)
+    except ValueError as error:
+        raise UserError(f"{where}: {error}; repair the plugin") from error
+    return found
+
+
+def _check_scene(found: Any) -> None:
+    check_kind("the scene", found, Scene)
+    for text in ("name", "protocol", "fingerprint"):
+        check_kind(f"the scene's {text}", getattr(found, text), str)
+    check_kind("the training set", found.training, TrainingSet)
+    if not found.training.views:
+        raise ValueError("the training set: expected at least one view, got none")
+    for part, views in (("training", found.training.views), ("test", found.test)):
+        check_kind(f"the {part} views", views, tuple)
+        for number, view in enumerate(views):
+            check_view(f"{part} view {number}", view)
+    names = [view.name for view in (*found.training.views, *found.test)]
+    if len(set(names)) < len(names):
+        raise ValueError("the views: expected a name of its own for each, got one twice")
+    check_kind("the points", found.training.points, SparsePoints)
+    if not 0 < found.training.near < found.training.far:
+        near, far = found.training.near, found.training.far
+        raise ValueError(f"the bounds: expected 0 < near < far, got {near} and {far}")
+
+
+def _check_depth(found: Any, training: TrainingSet) -> None:
+    check_kind("the maps", found, tuple)
+    if len(found) != len(training.views):
+        views = len(training.views)
+        raise ValueError(f"expected a map for each of {views} training views, got {len(found)}")
+    for view, one in zip(training.views, found, strict=True):
+        check_kind(f"the map of {view.name}", one, DepthMap)
+        for part in ("depth", "confidence"):
+            size = view.camera.height, view.camera.width
+            check_tensor(f"the {part} of {view.name}", getattr(one, part), *size)

@@ -1,0 +1,1 @@
+"""Depth providers beside the project's own, which are in framework/depth: a file each."""

@@ -1,0 +1,1 @@
+"""Initializers beside the project's own, which are in framework/initialize: a file each."""

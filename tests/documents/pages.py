@@ -1,0 +1,67 @@
+"""The code blocks of a page: files that it tells the reader to write, and commands to type."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from framework.command.config.schema import ROOT
+
+FENCE = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+COMMANDS = ("fishersplat", "python run.py")
+QUICK = ("trainer.steps=10", "trainer.evaluations=1")
+SMALL = ("scene.width=96", "scene.height=72")  # the embedded scene's
+
+
+@dataclass(frozen=True)
+class Block:
+    """language: of the fence. title: the file that it is saved as, "" for none. exit_code: of its
+    commands."""
+
+    language: str
+    title: str
+    text: str
+    exit_code: int = 0
+
+    def lines(self) -> Iterator[str]:
+        """Its commands, a line each, without comments."""
+        for line in self.text.splitlines():
+            typed = re.sub(r"(^|\s)#.*", "", line).strip()
+            if typed:
+                yield typed
+
+
+def blocks(page: Path) -> list[Block]:
+    """The code blocks of a Markdown file in their order."""
+    found = []
+    for language, rest, text in FENCE.findall(page.read_text(encoding="utf-8")):
+        title = re.search(r'title="([^"]+)"', rest)
+        code = re.search(r"exit=(\d+)", rest)
+        found.append(Block(language, title[1] if title else "", text, int(code[1]) if code else 0))
+    return found
+
+
+def words_of(line: str) -> list[str] | None:
+    """What a command line hands to the program; None for another program."""
+    for command in COMMANDS:
+        if line.startswith(f"{command} "):
+            return shlex.split(line.removeprefix(f"{command} "))
+    return None
+
+
+def quick(words: list[str]) -> list[str]:
+    """The same training, small and with few steps; what trains nothing as it is."""
+    if words[0].isalpha() or {"--help", "--cfg", "--version"} & {*words}:
+        return words
+    embedded = not any(word.lstrip("+").startswith("scene=") for word in words)
+    extra = [*QUICK, *(SMALL if embedded else ())]
+    last = [word for word in words if word == "-m"]
+    return [*(word for word in words if word != "-m"), *extra, *last]
+
+
+def tutorials() -> list[Path]:
+    """The pages whose every block runs."""
+    return sorted((ROOT / "docs" / "tutorials").glob("*.md"))

@@ -1,0 +1,46 @@
+"""Every block of the tutorials runs, in their order, as a reader would type it, only smaller."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from framework.command.cli import main
+from framework.command.own_plugins import take_flag
+from tests.documents.pages import Block, blocks, quick, tutorials, words_of
+
+SHOWN = {"text", "toml", "json"}  # not typed by the reader: output, and files of other projects
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", tutorials(), ids=lambda page: page.stem)
+def test_its_blocks_run(page: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        for block in blocks(page):
+            obey(block, capsys)
+    finally:
+        take_flag([])  # later tests have no plugins of a reader's
+
+
+def obey(block: Block, capsys: pytest.CaptureFixture[str]) -> None:
+    """Write the file or run the commands of a block."""
+    if block.title:
+        Path(block.title).parent.mkdir(parents=True, exist_ok=True)
+        Path(block.title).write_text(block.text, encoding="utf-8")
+        return
+    if block.language in SHOWN:
+        return
+    assert block.language == "bash", f"a block of {block.language}: give it a title or make it text"
+    for line in block.lines():
+        words = words_of(line)
+        if words is None:
+            subprocess.run(["bash", "-euc", line], check=True, timeout=60)
+            continue
+        assert main(quick(words)) == block.exit_code, f"{line}\n{capsys.readouterr().err}"
