@@ -49,8 +49,8 @@ def study_name(config: Mapping[str, Any]) -> str:
         stem = _file_name(Path(str(options["path"])).resolve().name)
         untested = "_untested" if options.get("split") == UNTESTED else ""
         scene = stem if stem.startswith(loader) else f"{loader}_{stem}"
-        views = f"_{options['n_views']}v" if "n_views" in options else ""
-        return f"{scene}{views}{untested}"
+        number = f"_{options['n_views']}v" if "n_views" in options else ""
+        return f"{scene}{number}{untested}"
     default = {name: option.default for name, _, option in rows("scene", loader)}
     views = options.get("n_views")
     return loader if views == default.get("n_views") else f"{loader}_{views}v"
