@@ -13,12 +13,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from framework.compute.portable import inverse, sinc_cosine
 from framework.types import Camera
 
 
 def rotation_matrices(quats: Tensor) -> Tensor:
     """[..., 3, 3] rotations of `quats` [..., 4] wxyz (normalised here; zero-length is invalid)."""
-    w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
+    w, x, y, z = _normalised(quats).unbind(-1)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
@@ -47,7 +48,7 @@ def quaternions(rotations: Tensor) -> Tensor:
     largest = products.diagonal(dim1=-2, dim2=-1).argmax(-1)
     index = largest[..., None, None].expand(*largest.shape, 1, 4)
     q = products.gather(-2, index).squeeze(-2)
-    q = q / q.norm(dim=-1, keepdim=True)
+    q = _normalised(q)
     return torch.where(q[..., :1] < 0, -q, q)
 
 
@@ -63,11 +64,11 @@ def covariances(quats: Tensor, log_scales: Tensor) -> Tensor:
 def axis_angle_matrix(axis_angle: Tensor) -> Tensor:
     """[3, 3] rotation about the direction of `axis_angle` [3] by its length, in radians.
 
-    Through the quaternion (cos t/2, sin(t/2) v/t); sinc keeps it exact and differentiable at 0.
+    Through the quaternion (cos t/2, sin(t/2) v/t), differentiable at 0, too.
     """
-    half = axis_angle.square().sum().clamp(min=1e-60).sqrt() / 2
-    vector = axis_angle / 2 * torch.sinc(half / torch.pi)
-    return rotation_matrices(torch.cat([half.cos()[None], vector]))
+    x, y, z = axis_angle.square().unbind()
+    sinc, cosine = sinc_cosine((x + y + z) / 4)
+    return rotation_matrices(torch.cat([cosine[None], axis_angle / 2 * sinc]))
 
 
 def project(points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
@@ -93,7 +94,7 @@ def unproject(depth: Tensor, camera: Camera) -> Tensor:
             f"unproject: expected a depth map [{camera.height}, {camera.width}] like the camera,"
             f" got {tuple(depth.shape)}"
         )
-    inverse_K = torch.linalg.inv(camera.K).to(depth.dtype)
+    inverse_K = torch.from_numpy(inverse(camera.K.numpy())).to(depth.dtype)
     y, x = torch.meshgrid(
         torch.arange(camera.height, dtype=depth.dtype) + 0.5,
         torch.arange(camera.width, dtype=depth.dtype) + 0.5,
@@ -108,11 +109,22 @@ def perturbed(camera: Camera, axis_angle: Tensor, shift: Tensor) -> Camera:
     """`camera` turned by `axis_angle` [3] (radians, about its own axes) with its centre moved by
     `shift` [3] (scene units, along world axes)."""
     turn = axis_angle_matrix(axis_angle.to(torch.float64))
-    rotation = turn @ camera.viewmat[:3, :3]
+    rotation = _product(turn, camera.viewmat[:3, :3])
     viewmat = camera.viewmat.clone()
     viewmat[:3, :3] = rotation
-    viewmat[:3, 3] = -rotation @ (camera.center + shift.to(torch.float64))
+    viewmat[:3, 3] = -_rotate(rotation, camera.center + shift.to(torch.float64))
     return Camera(viewmat, camera.K, camera.width, camera.height)
+
+
+def _normalised(q: Tensor) -> Tensor:
+    """`q` [..., 4] divided by their lengths, whose squares are summed in one order."""
+    w, x, y, z = (q * q).unbind(-1)
+    return q / (w + x + y + z).sqrt()[..., None]
+
+
+def _product(a: Tensor, b: Tensor) -> Tensor:
+    """[3, 3] = a @ b."""
+    return torch.stack([_rotate(a, column) for column in b.unbind(-1)], -1)
 
 
 def _rotate(matrix: Tensor, vectors: Tensor) -> Tensor:

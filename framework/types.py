@@ -52,7 +52,9 @@ class Camera:
     def center(self) -> Tensor:
         """[3] float64, the camera's position in the world."""
         rotation, translation = self.viewmat[:3, :3], self.viewmat[:3, 3]
-        return -rotation.T @ translation
+        # in one order: a product of the library's comes out as the processor has it
+        x, y, z = rotation * translation[:, None]
+        return -(x + y + z)
 
     def scaled(self, factor: int) -> Camera:
         """The camera of the image box-downsampled by an integer `factor` (floor of the size)."""
@@ -119,7 +121,9 @@ class TrainingSet:
         """1.1 x the largest distance of a training camera to their centroid (3DGS); for a single
         camera, where that is zero, a tenth of the near bound."""
         centers = torch.stack([v.camera.center for v in self.views])
-        spread = 1.1 * float((centers - centers.mean(0)).norm(dim=1).max())
+        away = centers - centers.sum(0) / len(centers)
+        x, y, z = away.square().unbind(1)
+        spread = 1.1 * float((x + y + z).max().sqrt())
         return spread if spread > 0 else 0.1 * self.near
 
 

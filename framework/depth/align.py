@@ -33,20 +33,30 @@ def fit_scale_shift(
     values: NDArray[np.float64], targets: NDArray[np.float64]
 ) -> tuple[float, float]:
     """(s, b) that minimise sum |s values + b - targets| over [M] pairs."""
-    design = np.stack([values, np.ones_like(values)], axis=1)
     floor = 1e-6 * float(np.abs(targets).max())  # keeps the weights of exact fits finite
     weights = np.ones_like(values)
     solution = np.zeros(2)
     for _ in range(ITERATIONS):
-        root = np.sqrt(weights)[:, None]
-        update = np.linalg.lstsq(design * root, targets * root[:, 0], rcond=None)[0]
+        update = _weighted_line(values, targets, weights)
         settled = np.allclose(update, solution, rtol=1e-9, atol=0.0)
         solution = update
         if settled:
             break
-        residuals = np.maximum(np.abs(design @ solution - targets), floor)
+        residuals = np.maximum(np.abs(solution[0] * values + solution[1] - targets), floor)
         weights = floor / residuals
     return float(solution[0]), float(solution[1])
+
+
+def _weighted_line(
+    values: NDArray[np.float64], targets: NDArray[np.float64], weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """[2] slope and offset of the least squares line through [M] points; a level one through equal
+    values. Written out, as a library's comes out as the processor has it."""
+    total = weights.sum()
+    x, y = (float((weights * v).sum() / total) for v in (values, targets))
+    spread = float((weights * np.square(values - x)).sum())
+    slope = float((weights * (values - x) * (targets - y)).sum()) / spread if spread > 0 else 0.0
+    return np.array([slope, y - slope * x])
 
 
 def point_samples(

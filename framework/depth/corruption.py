@@ -25,8 +25,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import correlate1d
 
+from framework.compute import portable
 from framework.compute.rng import stream
 from framework.types import DepthMap
 
@@ -62,7 +63,7 @@ def _noise(
     depth: Array, confidence: NDArray[np.float32], view: int, n: int, strength: float, seed: int
 ) -> tuple[Array, NDArray[np.float32]]:
     field = normal_field(depth.shape, NOISE_LENGTH, stream(seed, "depth/noise", view))
-    return depth * np.exp(NOISE * strength * field), confidence
+    return depth * portable.exp(NOISE * strength * field), confidence
 
 
 def _bias(
@@ -70,7 +71,7 @@ def _bias(
 ) -> tuple[Array, NDArray[np.float32]]:
     spread = np.linspace(-1.0, 1.0, n) if n > 1 else np.ones(1)
     share = stream(seed, "depth/bias").permutation(spread)[view]
-    return depth * math.exp(BIAS * strength * share), confidence
+    return depth * portable.exp(BIAS * strength * share), confidence
 
 
 def _holes(
@@ -92,8 +93,8 @@ def _blur(
     known = depth > 0
     inverse = np.where(known, 1.0 / np.where(known, depth, 1.0), 0.0)
     sigma_px = BLUR_LENGTH * strength * math.hypot(*depth.shape)
-    total = gaussian_filter(inverse, sigma_px, mode="nearest")
-    weight = gaussian_filter(known.astype(np.float64), sigma_px, mode="nearest")
+    total = _smoothed(inverse, sigma_px, "nearest")
+    weight = _smoothed(known.astype(np.float64), sigma_px, "nearest")
     return np.where(known, weight / np.where(known, total, 1.0), depth), confidence
 
 
@@ -112,6 +113,16 @@ def normal_field(shape: tuple[int, ...], length: float, rng: np.random.Generator
     sigma_px = length * math.hypot(*shape)
     impulse = np.zeros(shape)
     impulse[0, 0] = 1.0
-    response = gaussian_filter(impulse, sigma_px, mode="wrap")
-    smooth: Array = gaussian_filter(rng.standard_normal(shape), sigma_px, mode="wrap")
+    response = _smoothed(impulse, sigma_px, "wrap")
+    smooth = _smoothed(rng.standard_normal(shape), sigma_px, "wrap")
     return smooth / math.sqrt(float(np.square(response).sum()))
+
+
+def _smoothed(values: Array, sigma_px: float, mode: str) -> Array:
+    """`values` [H, W] through a Gaussian cut at four standard deviations."""
+    reach = int(4 * sigma_px + 0.5)
+    taps = portable.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / sigma_px))
+    taps /= taps.sum()
+    for axis in (0, 1):
+        values = correlate1d(values, taps, axis, mode=mode)
+    return values

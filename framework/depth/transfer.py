@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from framework.compute.portable import inverse, product
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -22,15 +24,16 @@ def pixel_transfer(a: Camera, b: Camera) -> tuple[NDArray[np.float64], NDArray[n
     """A [3, 3] and t [3] that carry pixels of `a` over to `b`."""
     K_a, K_b = a.K.numpy(), b.K.numpy()
     pose_a, pose_b = a.viewmat.numpy(), b.viewmat.numpy()
-    rotation = pose_b[:3, :3] @ pose_a[:3, :3].T
-    translation = pose_b[:3, 3] - rotation @ pose_a[:3, 3]
-    return K_b @ rotation @ np.linalg.inv(K_a), K_b @ translation
+    rotation = product(pose_b[:3, :3], pose_a[:3, :3].T)
+    translation = pose_b[:3, 3] - product(rotation, pose_a[:3, 3])
+    A = product(product(K_b, rotation), inverse(K_a))
+    return A, product(K_b, translation)
 
 
 def project(camera: Camera, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
     """[M, 3] world points to [M, 3] rows (u, v, z): pixels and depth; u, v are NaN where z <= 0."""
     pose = camera.viewmat.numpy()
-    image = (xyz @ pose[:3, :3].T + pose[:3, 3]) @ camera.K.numpy().T
+    image = product(product(xyz, pose[:3, :3].T) + pose[:3, 3], camera.K.numpy().T)
     z = image[:, 2]
     safe = np.where(z > 0, z, np.nan)
     return np.stack([image[:, 0] / safe, image[:, 1] / safe, z], axis=1)

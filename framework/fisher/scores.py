@@ -16,6 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from torch import Tensor, from_numpy
 
+from framework.compute import portable
 from framework.errors import UserError
 
 FORMS = ("trace", "log")
@@ -98,7 +99,7 @@ def gains_over(candidate: Tensor, unknown: Sequence[Tensor], form: str = "trace"
         if form == "trace":  # einsum: in a fixed order on one thread, without the [N, P] of ratios
             gains.append(0.5 * float(np.einsum("np,np->", gained, left)))
         else:
-            gains.append(0.5 * float(np.sum(np.log1p(gained * left))))
+            gains.append(0.5 * float(np.sum(portable.log1p(gained * left))))
     return gains
 
 
@@ -122,7 +123,7 @@ def _block_gain(gained: np.ndarray, known: np.ndarray, prior: np.ndarray, form: 
     if form == "log":
         return 0.5 * float(np.sum(_log_det(known + gained, floor) - _log_det(known, floor)))
     lambdas = floor[:, :, None] * np.eye(prior.shape[0])
-    return 0.5 * float(np.sum(np.linalg.inv(known + lambdas) * gained))
+    return 0.5 * float(np.sum(portable.inverses(known + lambdas) * gained))
 
 
 def block_prior(blocks: Sequence[Tensor], regulariser: float) -> Tensor:
@@ -142,7 +143,7 @@ def removal_energy(diagonal: Tensor, opacity_logits: Tensor) -> Tensor:
     cut-offs (alphas clamped at 0.99 are missing, at most the central 2 % of a Gaussian's square).
     Others do not fill the gap; what a refit loses is less. Returns [N] float64, intensity^2.
     """
-    transparency = 1 / (1 + np.exp(np.minimum(_float64(opacity_logits), LARGEST_LOGIT)))
+    transparency = 1 / (1 + portable.exp(np.minimum(_float64(opacity_logits), LARGEST_LOGIT)))
     return from_numpy(_float64(diagonal)[:, OPACITY] / transparency**2)
 
 
@@ -207,7 +208,7 @@ def _log_det(blocks: np.ndarray, prior: np.ndarray) -> np.ndarray:
     total = np.zeros(blocks.shape[0])
     for i in range(size):
         pivot = np.maximum(a[i, i] + prior[:, i], prior[:, i])
-        total += np.log(pivot)
+        total += portable.log(pivot)
         for row in range(i + 1, size):
             factor = a[row, i] / pivot
             for col in range(i + 1, row + 1):

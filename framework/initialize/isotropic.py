@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from framework.compute import portable
 from framework.types import Gaussians
 
 SH_C0 = 0.5 / math.sqrt(math.pi)  # Y_00; a colour is 0.5 + SH_C0 * sh0 + higher bands
@@ -24,7 +25,7 @@ def isotropic_gaussians(
     return Gaussians(
         means=_float32(xyz),
         quats=quats,
-        log_scales=_float32(np.log(scales))[:, None].repeat(1, 3),
+        log_scales=_float32(portable.log(scales))[:, None].repeat(1, 3),
         opacity_logits=torch.full((n,), math.log(opacity / (1 - opacity))),
         sh0=_float32((rgb - 0.5) / SH_C0)[:, None, :].contiguous(),
         shN=torch.zeros(n, n_bases - 1, 3),

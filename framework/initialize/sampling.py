@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import uniform_filter
 
+from framework.compute import portable
+
 FLOOR = 0.15  # density of a pixel without any detail, in units of the image's mean
 
 
@@ -26,7 +28,7 @@ def detail_density(image: np.ndarray, detail: float) -> np.ndarray:
     mean = gradient.mean()
     if mean <= 0:
         return np.ones_like(gradient)
-    return np.maximum(gradient / mean, 0) ** detail + FLOOR
+    return portable.power(np.maximum(gradient / mean, 0), detail) + FLOOR
 
 
 def inclusion_probabilities(density: np.ndarray, budget: int) -> np.ndarray:

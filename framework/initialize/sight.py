@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from scipy.ndimage import minimum_filter
 
+from framework.compute import portable
 from framework.compute.jit import kernel
 from framework.compute.parallel import run_blocks, run_tasks
 from framework.types import Camera, DepthMap, View
@@ -241,5 +242,10 @@ def _confident(view: View, estimate: DepthMap) -> tuple[np.ndarray, np.ndarray]:
 
 def _camera(camera: Camera) -> np.ndarray:
     """A row of `Sights.cameras`."""
-    parts = (camera.viewmat[:3], camera.K, torch.linalg.inv(camera.K), camera.center)
+    parts = (
+        camera.viewmat[:3],
+        camera.K,
+        torch.from_numpy(portable.inverse(camera.K.numpy())),
+        camera.center,
+    )
     return np.concatenate([part.numpy().reshape(-1) for part in parts])

@@ -25,6 +25,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from framework.compute import portable
 from framework.rasterize.reference import sh_basis
 from framework.types import Gaussians
 
@@ -43,7 +44,7 @@ class BandsEvidence:
 
 def prior_variance(gaussians: Gaussians) -> float:
     """q: the mean square of all coefficients above degree 0."""
-    return float(gaussians.shN.double().square().mean())
+    return float(np.square(gaussians.shN.double().numpy()).mean())
 
 
 def bands_evidence(
@@ -65,18 +66,18 @@ def bands_evidence(
     for channel in range(3):
         rows, mean = _centred(basis, weights[:, :, channel])
         sh0[:, channel] += (mean * coefficients[:, :, channel]).sum(1) / y0
-        change = (rows @ coefficients[:, :, channel, None])[..., 0]
+        change = portable.product(rows, coefficients[:, :, channel, None])[..., 0]
         gain += np.square(change).sum(1) / (2 * noise)
         small = rows if rows.shape[1] <= rows.shape[2] else rows.transpose(0, 2, 1)
-        gram = small @ small.transpose(0, 2, 1) * (spread / noise)
-        cost += 0.5 * np.linalg.slogdet(np.eye(gram.shape[1]) + gram)[1]
+        gram = portable.product(small, small.transpose(0, 2, 1)) * (spread / noise)
+        cost += 0.5 * portable.log_det(np.eye(gram.shape[1]) + gram)
     return BandsEvidence(gain, cost, sh0)
 
 
 def _centred(basis: Array, weights: Array) -> tuple[Array, Array]:
     """sqrt(a_v) (y_v - y) [M, V, K - 1] and y [M, K - 1] from the y_v and the a_v [M, V]."""
     total = np.maximum(weights.sum(1), np.finfo(np.float64).tiny)
-    mean = np.einsum("mv,mvk->mk", weights, basis) / total[:, None]
+    mean = (weights[:, :, None] * basis).sum(1) / total[:, None]
     centred: Array = np.sqrt(weights)[:, :, None] * (basis - mean[:, None])
     return centred, mean
 

@@ -64,5 +64,6 @@ class PullCapacity(Capacity):
             )
         visible = stats.radii > 0
         half_size = stats.means2d_grad.new_tensor([stats.width / 2, stats.height / 2])
-        norm = (stats.means2d_grad * half_size).square().sum(1).sqrt()
+        u, v = (stats.means2d_grad * half_size).square().unbind(1)
+        norm = (u + v).sqrt()
         return Pull(state.total + norm * visible, state.seen + visible)

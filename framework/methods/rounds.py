@@ -144,12 +144,14 @@ def _halves(parents: Gaussians) -> Gaussians:
     """The 2 P Gaussians that P parents are split into."""
     import torch
 
+    from framework.compute import portable
     from framework.geometry import rotation_matrices
     from framework.types import concatenate
 
     rows, longest = torch.arange(len(parents)), parents.log_scales.argmax(1)
     axes = rotation_matrices(parents.quats)[rows, :, longest]
-    offsets = OFFSET * axes * parents.log_scales.amax(1).exp()[:, None]
+    widths = torch.from_numpy(portable.exp(parents.log_scales.amax(1).numpy())).float()
+    offsets = OFFSET * axes * widths[:, None]
     log_scales = parents.log_scales.clone()
     log_scales[rows, longest] += math.log(NARROWED)
     narrowed = parents.replace(log_scales=log_scales)

@@ -173,7 +173,12 @@ def within(scores: Sequence[float], eta: float) -> list[int]:
 def center_distances(views: Sequence[View], camera: Camera) -> list[float]:
     """Distance of each view's camera centre (not of its translation column, which also depends on
     the orientation) to that of `camera`, in scene units."""
-    return [float((view.camera.center - camera.center).norm()) for view in views]
+    return [_distance(view.camera, camera) for view in views]
+
+
+def _distance(a: Camera, b: Camera) -> float:
+    x, y, z = (a.center - b.center).tolist()
+    return math.sqrt(x * x + y * y + z * z)
 
 
 def known_share(supports: Sequence[Support]) -> float:
@@ -189,14 +194,10 @@ def _spacing(ctx: StepContext) -> float:
 
 def mean_neighbour_distance(cameras: Sequence[Camera]) -> float:
     """Mean distance of a camera to its nearest other one, in scene units; 0 for a single camera."""
-    import torch
-
     if len(cameras) < 2:
         return 0.0
-    centers = torch.stack([camera.center for camera in cameras])
-    distances = (centers[:, None] - centers[None]).norm(dim=2)
-    distances.fill_diagonal_(math.inf)
-    return float(distances.min(dim=1).values.mean())
+    nearest = [min(_distance(a, b) for b in cameras if b is not a) for a in cameras]
+    return sum(nearest) / len(nearest)
 
 
 def perturbed(

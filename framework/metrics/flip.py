@@ -12,13 +12,16 @@ magnify it.
 from __future__ import annotations
 
 import math
+from typing import Any
 
-import cv2
 import numpy as np
+
+from framework.compute import portable
+from framework.compute.jit import kernel
 
 PIXELS_PER_DEGREE = 0.7 * 3840 / 0.7 * math.pi / 180  # 4k, 0.7 m wide, seen from 0.7 m
 COLOUR_POWER, COLOUR_KNEE, KNEE_ERROR = 0.7, 0.4, 0.95  # q_c, p_c, p_t
-FEATURE_WIDTH, FEATURE_POWER = 0.082, 0.5  # w in degrees, q_f
+FEATURE_WIDTH = 0.082  # w in degrees
 
 # contrast sensitivity: (a, b) of the Gaussians of each opponent channel
 SENSITIVITY = (((1.0, 0.0047),), ((1.0, 0.0053),), ((34.1, 0.04), (13.5, 0.025)))
@@ -32,8 +35,10 @@ XYZ_OF_RGB = np.array(
 )  # sRGB with white D65
 WHITE = XYZ_OF_RGB.sum(1)
 # linear RGB to Y_y C_x C_z without the offset of -16 in Y_y, which no filter below sees
-OPPONENT = np.array([[0, 116, 0], [500, -500, 0], [0, 200, -200]]) @ np.diag(1 / WHITE) @ XYZ_OF_RGB
-UNOPPONENT = np.linalg.inv(OPPONENT)
+OPPONENT = portable.product(
+    np.array([[0, 116, 0], [500, -500, 0], [0, 200, -200]]), XYZ_OF_RGB / WHITE[:, None]
+)
+UNOPPONENT = portable.inverse(OPPONENT)
 
 Array = np.ndarray
 
@@ -41,19 +46,19 @@ Array = np.ndarray
 def error_map(reference: Array, test: Array) -> Array:
     """[H, W] float32 in [0, 1] of two [H, W, 3] uint8 images in sRGB; symmetric."""
     decoded = [_linear(image) for image in (reference, test)]
-    opponent = [cv2.transform(image, OPPONENT.astype(np.float32)) for image in decoded]
+    opponent = [_transformed(image, OPPONENT) for image in decoded]
     colour = _redistributed(_hyab(*(_lab(_seen(image)) for image in opponent)))
-    features = [_features(image[..., 0] / np.float32(116)) for image in opponent]
+    features = [_features(image[0] / np.float32(116)) for image in opponent]
     lost = np.maximum(*(abs(a - b) for a, b in zip(*features, strict=True)))  # edges, points
-    strength = (lost / math.sqrt(2)) ** np.float32(FEATURE_POWER)
-    return np.power(colour, 1 - strength)
+    strength = np.sqrt(lost / np.float32(math.sqrt(2)))  # to the power q_f = 1/2
+    return _float32(portable.powers(colour, 1 - strength))
 
 
 def _linear(image: Array) -> Array:
-    """Linear RGB of 8-bit sRGB, float32."""
+    """[3, H, W] float32 linear RGB of 8-bit sRGB [H, W, 3]."""
     encoded = np.arange(256) / 255
-    low, high = encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4
-    return np.where(encoded <= 0.04045, low, high).astype(np.float32)[image]
+    low, high = encoded / 12.92, portable.power((encoded + 0.055) / 1.055, 2.4)
+    return _float32(np.where(encoded <= 0.04045, low, high))[image.transpose(2, 0, 1)]
 
 
 def _seen(opponent: Array) -> Array:
@@ -63,37 +68,37 @@ def _seen(opponent: Array) -> Array:
     degrees = np.arange(-radius, radius + 1) / PIXELS_PER_DEGREE
     blurred = np.zeros_like(opponent)
     for channel, gaussians in enumerate(SENSITIVITY):
-        rows = [np.exp(-((math.pi * degrees) ** 2) / b) for _, b in gaussians]
+        rows = [portable.exp(-np.square(math.pi * degrees) / b) for _, b in gaussians]
         weights = np.array([a * math.sqrt(math.pi / b) for a, b in gaussians])
         weights /= (weights * [row.sum() ** 2 for row in rows]).sum()
         for row, weight in zip(rows, weights, strict=True):
-            blurred[..., channel] += _filtered(opponent[..., channel], row, weight * row)
-    return np.clip(cv2.transform(blurred, UNOPPONENT.astype(np.float32)), 0, 1)
+            blurred[channel] += _filtered(opponent[channel], row, weight * row)
+    return np.clip(_transformed(blurred, UNOPPONENT), 0, 1)
 
 
 def _lab(linear: Array) -> Array:
     """CIELAB with Hunt's adjustment: colours of dark pixels differ less."""
-    relative = cv2.transform(linear, (XYZ_OF_RGB / WHITE[:, None]).astype(np.float32))
+    relative = _transformed(linear, XYZ_OF_RGB / WHITE[:, None])
     delta = 6 / 29
     low = relative / np.float32(3 * delta**2) + np.float32(4 / 29)
-    x, y, z = cv2.split(np.where(relative > delta**3, np.cbrt(relative), low))
+    x, y, z = np.where(relative > delta**3, _float32(portable.power(relative, 1 / 3)), low)
     light = 116 * y - 16
     hunt = np.float32(0.01) * light
-    return cv2.merge([light, 500 * (x - y) * hunt, 200 * (y - z) * hunt])
+    return np.stack([light, 500 * (x - y) * hunt, 200 * (y - z) * hunt])
 
 
 def _hyab(a: Array, b: Array) -> Array:
     """Distance of two colours: city-block in lightness, Euclidean in the rest."""
-    light, red, blue = cv2.split(a - b)
-    return abs(light) + np.hypot(red, blue)
+    light, red, blue = a - b
+    return abs(light) + np.sqrt(red * red + blue * blue)
 
 
 def _redistributed(distance: Array) -> Array:
     """Distances to errors in [0, 1]: large ones, which look alike, are compressed."""
-    green, blue = (_lab(np.array([[c]], np.float32)) for c in ((0, 1, 0), (0, 0, 1)))
-    largest = float(_hyab(green, blue)[0, 0]) ** COLOUR_POWER
+    green, blue = (_lab(np.array(c, np.float32)[:, None]) for c in ((0, 1, 0), (0, 0, 1)))
+    largest = float(portable.power(_hyab(green, blue)[0], COLOUR_POWER))
     knee = COLOUR_KNEE * largest
-    error = np.power(distance, np.float32(COLOUR_POWER))
+    error = _float32(portable.power(distance, COLOUR_POWER))
     low = error * np.float32(KNEE_ERROR / knee)
     high = KNEE_ERROR + (error - knee) * np.float32((1 - KNEE_ERROR) / (largest - knee))
     return np.where(error < knee, low, high)
@@ -105,13 +110,13 @@ def _features(grey: Array) -> tuple[Array, Array]:
     deviation = 0.5 * FEATURE_WIDTH * PIXELS_PER_DEGREE
     radius = math.ceil(3 * deviation)
     x = np.arange(-radius, radius + 1)
-    smooth = np.exp(-(x**2) / (2 * deviation**2))
+    smooth = portable.exp(-(x**2) / (2 * deviation**2))
     edge, point = _balanced(-x * smooth), _balanced((x**2 / deviation**2 - 1) * smooth)
     smooth /= smooth.sum()
 
     def magnitude(row: Array) -> Array:
-        found: Array = np.hypot(_filtered(grey, row, smooth), _filtered(grey, smooth, row))
-        return found
+        u, v = _filtered(grey, row, smooth), _filtered(grey, smooth, row)
+        return np.sqrt(u * u + v * v)
 
     return magnitude(edge), magnitude(point)
 
@@ -124,4 +129,38 @@ def _balanced(weights: Array) -> Array:
 
 def _filtered(image: Array, across: Array, down: Array) -> Array:
     """Correlation with a separable filter, the image continued by its border."""
-    return cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_REPLICATE)
+    reach = len(across) // 2
+    padded = np.pad(image, ((0, 0), (reach, reach)), mode="edge")
+    once, out = np.zeros_like(image), np.zeros_like(image)
+    _correlate(padded, _float32(across), _float32(down), once, out)
+    return out
+
+
+@kernel
+def _correlate(padded: Any, across: Any, down: Any, once: Any, out: Any) -> None:
+    """Of an image whose rows are `padded`, first along them, then along the columns: tap by tap, so
+    that the order of a pixel's sum is that of the taps, on any processor."""
+    height, width = out.shape
+    reach = len(down) // 2
+    for y in range(height):
+        for k in range(len(across)):
+            for x in range(width):
+                once[y, x] += across[k] * padded[y, x + k]
+    for y in range(height):
+        for k in range(len(down)):
+            row = min(max(y + k - reach, 0), height - 1)
+            for x in range(width):
+                out[y, x] += down[k] * once[row, x]
+
+
+def _transformed(image: Array, matrix: Array) -> Array:
+    """[3, ...] float32 of an image [3, ...], each channel a sum of three in their order."""
+    rows = []
+    for weights in _float32(matrix):
+        a, b, c = (weight * channel for weight, channel in zip(weights, image, strict=True))
+        rows.append(a + b + c)
+    return np.stack(rows)
+
+
+def _float32(values: Array) -> Array:
+    return values.astype(np.float32)

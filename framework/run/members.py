@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from framework.compute import portable
 from framework.compute.rng import stream
 from framework.options import TrainerOptions
 from framework.train.dose import joined
@@ -96,6 +97,7 @@ def in_turn(rounds: Sequence[Sequence[Trained]], steps: int, gaussians: Gaussian
 
 
 def _thinner(gaussians: Gaussians, n: int) -> Gaussians:
-    opacities = torch.sigmoid(gaussians.opacity_logits.double()).numpy()
-    thin = torch.from_numpy(np.maximum(thinner(opacities, n), LOWEST))
-    return replace(gaussians, opacity_logits=torch.logit(thin).float())
+    opacities = 1 / (1 + portable.exp(-gaussians.opacity_logits.double().numpy()))
+    thin = np.maximum(thinner(opacities, n), LOWEST)
+    logits = portable.log(thin / (1 - thin)).astype(np.float32)
+    return replace(gaussians, opacity_logits=torch.from_numpy(logits))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from framework.compute import portable
 from framework.scenes.cameras import check_bounds, check_places
 
 if TYPE_CHECKING:
@@ -85,7 +86,9 @@ def _points(tracks: Tracks) -> SparsePoints:
 
 def _centers(shots: Sequence[Shot]) -> NDArray[np.float64]:
     """[n, 3] camera centres in the world."""
-    return np.array([-s.viewmat[:3, :3].T @ s.viewmat[:3, 3] for s in shots]).reshape(-1, 3)
+    poses = [shot.viewmat for shot in shots]
+    centers = [-portable.product(pose[:3, :3].T, pose[:3, 3]) for pose in poses]
+    return np.array(centers).reshape(-1, 3)
 
 
 def _fingerprint(protocol: str, train: Sequence[Shot], test: Sequence[Shot], points: Tracks) -> str:

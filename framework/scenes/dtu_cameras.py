@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from framework.compute import portable
 from framework.errors import UserError, require
 from framework.files.arrays import read_npz
 from framework.files.opened import is_file
@@ -46,8 +47,6 @@ def read_cameras(folder: Path, n: int) -> list[Calibration]:
 
 def decompose(matrix: NDArray, where: str) -> Calibration:
     """The calibration of a projection, [3, 4] or [4, 4]; `where` opens the error."""
-    from scipy.linalg import rq
-
     good = matrix.shape in ((3, 4), (4, 4)) and matrix.dtype.kind in "fiu"
     require(
         good and bool((np.abs(matrix.astype(np.float64)) <= LARGEST).all()),
@@ -56,18 +55,16 @@ def decompose(matrix: NDArray, where: str) -> Calibration:
         " file",
     )
     projection = matrix[:3].astype(np.float64)
-    determinant = np.linalg.det(projection[:, :3])
+    determinant = (np.cross(projection[0, :3], projection[1, :3]) * projection[2, :3]).sum()
     require(
         abs(determinant) > 1e-12 * np.abs(projection[:, :3]).max() ** 3,
         f"{where}: expected a projection of full rank, got a singular matrix; replace the file",
     )
     projection = projection * np.sign(determinant)
-    K, rotation = rq(projection[:, :3])
-    signs = np.sign(np.diag(K))
-    K, rotation = K * signs, signs[:, None] * rotation
+    K, rotation = _triangular(projection[:, :3])
     viewmat = np.eye(4)
     viewmat[:3, :3] = rotation
-    viewmat[:3, 3] = np.linalg.solve(K, projection[:, 3])
+    viewmat[:3, 3] = portable.product(portable.inverse(K), projection[:, 3])
     K = K / K[2, 2]
     require(
         abs(K[0, 1]) <= MOST_SKEW * K[0, 0],
@@ -77,3 +74,20 @@ def decompose(matrix: NDArray, where: str) -> Calibration:
     fx, fy, cx, cy = (float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
     lens = Lens(WIDTH, HEIGHT, fx, fy, cx, cy)
     return Calibration(checked_pose(viewmat, where), checked_lens(lens, where))
+
+
+def _triangular(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """K and R [3, 3] with K R = `matrix`, K upper triangular with a positive diagonal, R orthogonal:
+    Gram and Schmidt's from the last row up. Twice, as the rounding of one pass shows in R."""
+    K, rotation = np.eye(3), matrix
+    for _ in range(2):
+        upper, rows = np.zeros((3, 3)), np.zeros((3, 3))
+        for k in (2, 1, 0):
+            rest = rotation[k]
+            for j in range(k + 1, 3):
+                upper[k, j] = (rest * rows[j]).sum()
+                rest = rest - upper[k, j] * rows[j]
+            upper[k, k] = np.sqrt(np.square(rest).sum())
+            rows[k] = rest / upper[k, k]
+        K, rotation = portable.product(K, upper), rows
+    return K, rotation

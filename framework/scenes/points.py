@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from framework.compute import portable
 from framework.errors import UserError, require
 from framework.files.opened import is_file
 from framework.scenes.assemble import Tracks
@@ -30,8 +31,7 @@ PERCENTILES = (0.1, 99.9)  # of the depths, as LLFF's poses_bounds.npy has them
 
 def center_of(viewmat: NDArray[np.float64]) -> NDArray[np.float64]:
     """[3] camera centre of a [4, 4] world-to-camera."""
-    center: NDArray[np.float64] = -viewmat[:3, :3].T @ viewmat[:3, 3]
-    return center
+    return -portable.product(viewmat[:3, :3].T, viewmat[:3, 3])
 
 
 def colmap_tracks(
@@ -100,7 +100,8 @@ def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
 
 def _in_image(shot: Shot, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
     """[M] whether each point lies in front of the camera and inside its image."""
-    pixel = (xyz @ shot.viewmat[:3, :3].T + shot.viewmat[:3, 3]) @ shot.K.T
+    seen = portable.product(xyz, shot.viewmat[:3, :3].T) + shot.viewmat[:3, 3]
+    pixel = portable.product(seen, shot.K.T)
     z = pixel[:, 2]
     u, v = pixel[:, 0], pixel[:, 1]
     height, width = shot.image.shape[:2]
@@ -117,7 +118,7 @@ def depth_bounds(
     depths = []
     for i in train:
         xyz, viewmat = tracks.xyz[tracks.seen[:, i]], viewmats[i]
-        depths.append(xyz @ viewmat[2, :3] + viewmat[2, 3])
+        depths.append(portable.product(xyz, viewmat[2, :3]) + viewmat[2, 3])
     z = np.concatenate(depths)
     z = z[z > 0]
     if not len(z):

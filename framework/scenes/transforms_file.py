@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from framework.compute import portable
 from framework.errors import UserError, require
 from framework.files.limits import TEXT_BYTES
 from framework.files.opened import is_file, read_text
@@ -71,7 +72,8 @@ class Frame:
             0 < view < math.pi,
             f"{self.where}: expected {angle} in (0, pi) radians, got {view}; correct it",
         )
-        return size / (2 * math.tan(view / 2))
+        sinc, cosine = portable.sinc_cosine((view / 2) ** 2)
+        return size / view * cosine / sinc
 
 
 def read_frames(path: Path) -> list[Frame]:
@@ -188,7 +190,7 @@ def _viewmat(matrix: Any, where: str) -> NDArray[np.float64]:
     viewmat = np.eye(4)
     viewmat[:3, :3] = (pose[:3, :3] * OPENGL_TO_OPENCV).T
     with np.errstate(over="ignore", invalid="ignore"):  # refused in the next line
-        viewmat[:3, 3] = -viewmat[:3, :3] @ pose[:3, 3]
+        viewmat[:3, 3] = -portable.product(viewmat[:3, :3], pose[:3, 3])
     return checked_pose(viewmat, f"{where}: transform_matrix")
 
 

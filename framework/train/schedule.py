@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from framework.compute import portable
 from framework.options import TrainerOptions, members_of
 from framework.types import PSEUDO, View
 
@@ -46,8 +47,8 @@ def paced(options: TrainerOptions, n_views: int) -> TrainerOptions:
     shorter = min(1.0, full_way / o.steps) if o.pace_steps else 1.0
     return replace(
         o,
-        lr_scale=o.lr_scale * shorter * fewer**VIEWS_EXPONENT,
-        opacity_decay=o.opacity_decay ** (shorter * fewer),
+        lr_scale=o.lr_scale * shorter * _power(fewer, VIEWS_EXPONENT),
+        opacity_decay=_power(o.opacity_decay, shorter * fewer),
         pace_steps=0,
         pace_views=0,
     )
@@ -56,9 +57,9 @@ def paced(options: TrainerOptions, n_views: int) -> TrainerOptions:
 def learning_rates(options: TrainerOptions, step: int, extent: float) -> dict[str, float]:
     """Rate of every tensor of the Gaussians; the means' in scene units."""
     o, progress = options, step / options.steps
-    others = o.lr_scale * o.lr_final ** max(0.0, 2 * progress - 1)
+    others = o.lr_scale * _power(o.lr_final, max(0.0, 2 * progress - 1))
     return {
-        "means": o.lr_scale * o.lr_means * extent * o.lr_means_final**progress,
+        "means": o.lr_scale * o.lr_means * extent * _power(o.lr_means_final, progress),
         "quats": o.lr_quats * others,
         "log_scales": o.lr_scales * others,
         "opacity_logits": o.lr_opacities * others,
@@ -89,3 +90,7 @@ def evaluation_steps(options: TrainerOptions) -> frozenset[int]:
     short training after every step."""
     n, steps = min(options.evaluations, options.steps), options.steps
     return frozenset(steps * (i + 1) // n for i in range(n))
+
+
+def _power(base: float, exponent: float) -> float:
+    return float(portable.power(base, exponent))

@@ -23,9 +23,9 @@ from functools import cached_property
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import interpolate
 
 from framework.compute.parallel import BLOCKS, run_blocks
+from framework.compute.portable import inverse, product
 from framework.errors import require
 from framework.shapes import check_camera, check_tensor
 from framework.types import Camera, DepthMap, View
@@ -152,10 +152,11 @@ def warp_views(
 
 def relative_projection(source: Camera, target: Camera) -> np.ndarray:
     """[3, 4] float64 P with (x, y, w) = P (col, row, 1, 1/z), w = target z / source z."""
-    relative = target.viewmat.numpy() @ np.linalg.inv(source.viewmat.numpy())
+    relative = product(target.viewmat.numpy(), inverse(source.viewmat.numpy()))
     K_target, K_source = target.K.numpy(), source.K.numpy()
-    homography = K_target @ relative[:3, :3] @ np.linalg.inv(K_source)
-    return np.ascontiguousarray(np.column_stack([homography, K_target @ relative[:3, 3]]))
+    homography = product(product(K_target, relative[:3, :3]), inverse(K_source))
+    shift = product(K_target, relative[:3, 3])
+    return np.ascontiguousarray(np.column_stack([homography, shift]))
 
 
 @dataclass(frozen=True)
@@ -262,4 +263,10 @@ def _four_neighbours(x: np.ndarray, combine: np.ufunc, *, outside: bool) -> np.n
 
 def _bilinear(x: Tensor) -> Tensor:
     """Twice the size, sampled at the new pixel centres."""
-    return interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
+    for dim in (2, 3):
+        n = x.shape[dim]
+        before = torch.cat([x.narrow(dim, 0, 1), x.narrow(dim, 0, n - 1)], dim)
+        after = torch.cat([x.narrow(dim, 1, n - 1), x.narrow(dim, n - 1, 1)], dim)
+        fine = torch.stack([0.25 * before + 0.75 * x, 0.75 * x + 0.25 * after], dim + 1)
+        x = fine.flatten(dim, dim + 1)
+    return x

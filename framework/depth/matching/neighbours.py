@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from framework.compute import portable
 from framework.depth.transfer import inside, project
 
 if TYPE_CHECKING:
@@ -29,9 +30,11 @@ def angle_weight(xyz: NDArray[np.float64], a: Camera, b: Camera) -> NDArray[np.f
     """[M] g(angle) of the rays from points [M, 3] to the centres of two cameras."""
     rays = [camera.center.numpy() - xyz for camera in (a, b)]
     units = [ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in rays]
-    angle = np.degrees(np.arccos(np.clip((units[0] * units[1]).sum(1), -1.0, 1.0)))
+    apart, along = (np.sqrt(np.square(v).sum(1)) for v in (units[0] - units[1], sum(units)))
+    angle = np.degrees(2 * portable.arctan(apart / np.maximum(along, 1e-300)))
     narrow = np.minimum(1.0, angle / 3.0)
-    weight: NDArray[np.float64] = narrow * np.exp(-((np.maximum(0.0, angle - 15.0) / 20.0) ** 2))
+    wide = np.square(np.maximum(0.0, angle - 15.0) / 20.0)
+    weight: NDArray[np.float64] = narrow * portable.exp(-wide)
     return weight
 
 
@@ -40,11 +43,11 @@ def grid_points(camera: Camera, near: float, far: float) -> NDArray[np.float64]:
     steps = (np.arange(GRID) + 0.5) / GRID
     u, v = np.meshgrid(steps * camera.width, steps * camera.height)
     pixels = np.stack([u.ravel(), v.ravel(), np.ones(GRID * GRID)])
-    rays = (np.linalg.inv(camera.K.numpy()) @ pixels).T
+    rays = portable.product(portable.inverse(camera.K.numpy()), pixels).T
     depths = 1.0 / np.linspace(1.0 / far, 1.0 / near, LEVELS)
     pose = camera.viewmat.numpy()
     points: NDArray[np.float64] = np.concatenate([rays * z for z in depths]) - pose[:3, 3]
-    return points @ pose[:3, :3]
+    return portable.product(points, pose[:3, :3])
 
 
 def _shared_scores(training: TrainingSet, index: int) -> NDArray[np.float64]:

@@ -39,7 +39,8 @@ MIN_ZNCC = 0.05  # floor of the score in a confidence, so that a consistent pixe
 
 def grey(view: View) -> NDArray[np.float32]:
     """[H, W] float32 luma, its mean removed, which keeps float32 window sums accurate."""
-    luma = np.tensordot(LUMA, view.image.numpy(), 1)
+    red, green, blue = LUMA[:, None, None] * view.image.numpy()
+    luma = red + green + blue
     centred: NDArray[np.float32] = np.ascontiguousarray(luma - luma.mean(), np.float32)
     return centred
 
@@ -154,7 +155,7 @@ def confidence(
     zncc: NDArray[np.float32], agreeing: NDArray[np.int32], checked: int
 ) -> NDArray[np.float32]:
     """[H, W] in [0, 1]: max(ZNCC, 0.05) (1 - 2^-n) / (1 - 2^-N) for n of N views that agree."""
-    share = (1.0 - 0.5**agreeing) / (1.0 - 0.5 ** max(checked, 1))
+    share = (1.0 - np.ldexp(1.0, -agreeing)) / (1.0 - 0.5 ** max(checked, 1))
     return (np.clip(zncc, MIN_ZNCC, 1.0) * share).astype(np.float32)
 
 

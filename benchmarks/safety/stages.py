@@ -1,0 +1,244 @@
+"""What every stage computes, as one SHA-256 each, printed as JSON; `determinism.py` compares them.
+
+Small, so that it also runs in the suite: the embedded scene and photos of another one, depth,
+initial Gaussians, trainings with every kind of plugin, metrics, a report.
+
+    python benchmarks/safety/stages.py [STAGE ...]
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+SCENE = {"width": 96, "height": 72, "supersampling": 2}
+DEPTHS = {
+    "plane sweep": {"name": "plane_sweep", "planes": 48},
+    "noise": {"name": "ground_truth", "corruption": "noise"},
+    "bias": {"name": "ground_truth", "corruption": "bias"},
+    "blur": {"name": "ground_truth", "corruption": "blur"},
+    "holes": {"name": "ground_truth", "corruption": "holes"},
+}
+TRAININGS: dict[str, list[str]] = {
+    "plain": ["reg=none", "augment=none", "capacity=fixed"],
+    "safi, uar, evidence, SH 1": [
+        "augment=safi",
+        "reg=uar",
+        "capacity=evidence",
+        "trainer.sh_degree=1",
+    ],
+    "dba, uniform, adc": ["augment=dba", "reg=uniform", "capacity=adc_short"],
+    "full_set, dropgaussian, budget": ["augment=full_set", "reg=dropgaussian", "capacity=budget"],
+    "euclidean, uar_hard, fisher_prune": [
+        "augment=euclidean",
+        "reg=uar_hard",
+        "capacity=fisher_prune",
+    ],
+    "two members": ["augment=none", "reg=none", "trainer.members=2", "trainer.tuning=0.2"],
+}
+STEPS = 20
+
+
+def digest(parts: Iterable[Any]) -> str:
+    """Of arrays, tensors, texts, numbers and bytes in their order."""
+    import numpy as np
+
+    found = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, (str, int, float, type(None))):
+            found.update(repr(part).encode())
+        elif isinstance(part, bytes):
+            found.update(part)
+        else:
+            array = np.ascontiguousarray(part)
+            found.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
+    return found.hexdigest()
+
+
+def _of_scene(scene: Any) -> Iterable[Any]:
+    for view in (*scene.training.views, *scene.test):
+        yield from (view.name, view.image, view.camera.viewmat, view.camera.K)
+        yield from () if view.mask is None else (view.mask,)
+    yield from (scene.training.near, scene.training.far, scene.training.extent)
+    points = scene.training.points
+    yield from () if points is None else (points.xyz, points.rgb)
+
+
+def scene(folder: Path) -> dict[str, str]:
+    """The embedded scene, with every option that computes."""
+    from framework.scenes import load_scene
+
+    kinds: dict[str, dict[str, Any]] = {
+        "plain": {},
+        "changed": {"gloss": 0.5, "texture": 0.5, "pose_noise": 1.0, "spread": 0.5},
+    }
+    return {
+        f"scene {kind}": digest(_of_scene(load_scene("embedded", {**SCENE, **more})))
+        for kind, more in kinds.items()
+    }
+
+
+def photos(folder: Path) -> dict[str, str]:
+    """PNG and JPEG photos through a lens and a box filter, with a PLY of points."""
+    import numpy as np
+    from PIL import Image
+
+    from framework.compute.rng import stream
+    from framework.scenes import load_scene
+
+    found = {}
+    for suffix in ("png", "jpg"):
+        where = folder / suffix
+        where.mkdir()
+        frames = []
+        for k in range(9):
+            small = stream(k, "stages").integers(0, 256, (13, 17, 3), dtype=np.uint8)
+            Image.fromarray(small.repeat(8, 0).repeat(8, 1)).save(where / f"im{k}.{suffix}")
+            pose = np.eye(4)
+            pose[0, 3], pose[1, 3] = 0.1 * k, 0.05 * k
+            frames.append({"file_path": f"im{k}.{suffix}", "transform_matrix": pose.tolist()})
+        lens = {"fl_x": 120.0, "fl_y": 121.0, "cx": 68.0, "cy": 52.5, "w": 136, "h": 104}
+        lens |= {"k1": 0.05, "k2": -0.01, "p1": 0.001, "p2": -0.002}
+        (where / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+        options = {"path": str(where), "n_views": 3, "downscale": 2, "near": 1.0, "far": 9.0}
+        found[f"photos {suffix}"] = digest(_of_scene(load_scene("transforms", options)))
+    return found
+
+
+def _training() -> Any:
+    from framework.scenes import load_scene
+
+    return load_scene("embedded", SCENE).training
+
+
+def depth(folder: Path) -> dict[str, str]:
+    """Depth maps by stereo and with every corruption."""
+    from framework.depth import build_provider
+
+    found = {}
+    for kind, options in DEPTHS.items():
+        maps = build_provider(options["name"], {k: v for k, v in options.items() if k != "name"})
+        parts = [x for m in maps.estimate(_training()) for x in (m.depth, m.confidence)]
+        found[f"depth {kind}"] = digest(parts)
+    return found
+
+
+def init(folder: Path) -> dict[str, str]:
+    """Initial Gaussians of every initializer."""
+    from framework.depth import build_provider
+    from framework.initialize import INITIALIZERS
+
+    training, found = _training(), {}
+    maps = build_provider("plane_sweep", {"planes": 48}).estimate(training)
+    for name, builder in INITIALIZERS.items():
+        gaussians = builder().build(training, maps, 1, 0)
+        found[f"init {name}"] = digest(x for _, x in gaussians.items())
+    return found
+
+
+def training(folder: Path) -> dict[str, str]:
+    """Whole runs: what each wrote, but times and what tells of the machine."""
+    from framework.command import cli
+
+    found = {}
+    size = [f"scene.{key}={value}" for key, value in SCENE.items()]
+    for k, (kind, options) in enumerate(TRAININGS.items()):
+        run = folder / f"run{k}"
+        given = [*size, "depth.planes=48", *options, f"trainer.steps={STEPS}", "threads=2"]
+        code = cli.main(["scene=embedded", *given, f"hydra.run.dir={run}"])
+        if code != 0:
+            raise SystemExit(f"{kind}: exit code {code}")
+        found[f"training {kind}"] = digest([(run / "point_cloud.ply").read_bytes()])
+        found[f"run {kind}"] = digest(_of_run(run))
+    return found
+
+
+def _of_run(run: Path) -> Iterable[Any]:
+    import pandas as pd
+
+    record = json.loads((run / "record.json").read_text(encoding="utf-8"))
+    keys = ("dose", "gaussians", "parameters_sha256", "summary", "scene")
+    yield from (json.dumps(record[key], sort_keys=True) for key in keys)
+    for name, timed in (("history.csv", "seconds"), ("metrics.csv", "render_s")):
+        yield pd.read_csv(run / name, dtype=str).drop(columns=timed).to_csv()
+    yield (run / "cameras.json").read_bytes()
+    for file in sorted((run / "renders").iterdir()):
+        yield file.read_bytes()
+
+
+def metrics(folder: Path) -> dict[str, str]:
+    """Every metric of images that differ a little, a lot, and by a mask."""
+    import torch
+
+    from framework.compute.rng import stream
+    from framework.metrics import evaluate, lpips
+    from tests.metrics.test_lpips import features, state_dict
+
+    found = {}
+    networks = {}
+    for kind in ("VGG-16", "AlexNet"):
+        torch.save(state_dict(kind, features(kind)), folder / f"{kind}.pth")
+        networks[kind] = lpips.load(folder / f"{kind}.pth")
+    images = [view.image for view in _training().views]
+    noise = torch.from_numpy(stream(0, "stages").random(images[0].shape)).float()
+    mask = (images[0][0] > 0.4).float()
+    pairs = [
+        (images[0], images[1], None),
+        (images[0], (images[0] + 0.05 * noise).clamp(0, 1), None),
+        (images[2], noise, mask),
+    ]
+    for name in ("psnr", "ssim", "flip"):
+        values = [getattr(evaluate, name)(*pair) for pair in pairs]
+        found[f"metric {name}"] = digest(map(repr, values))
+    for kind, network in networks.items():
+        values = [evaluate.lpips(x, y, network, m, c) for x, y, m in pairs for c in (True, False)]
+        found[f"metric lpips {kind}"] = digest(map(repr, values))
+    return found
+
+
+def report(folder: Path) -> dict[str, str]:
+    """Every file of the report of a made-up study."""
+    from framework.report import build_report
+    from tests.record.fakes import fake_run
+
+    study = folder / "study"
+    for seed in range(3):
+        for augment in ("none", "safi"):
+            run = fake_run(study, augment, "uar" if seed else "none", seed, gain=0.3)
+            path = run / "record.json"
+            record = json.loads(path.read_text(encoding="utf-8"))
+            record["provenance"] |= {"cpu": "some", "cores": 2, "code": "0" * 64, "git": None}
+            path.write_text(json.dumps(record), encoding="utf-8")
+    build_report(study)
+    files = sorted(file for file in study.iterdir() if file.is_file())
+    return {f"report {file.suffix[1:]} {file.name}": digest([file.read_bytes()]) for file in files}
+
+
+STAGES: dict[str, Callable[[Path], dict[str, str]]] = {
+    function.__name__: function
+    for function in (scene, photos, depth, init, training, metrics, report)
+}
+
+
+def main(argv: list[str]) -> int:
+    import contextlib
+
+    found: dict[str, str] = {}
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(sys.stderr):
+        for name in argv or STAGES:
+            (Path(folder) / name).mkdir()
+            found |= STAGES[name](Path(folder) / name)
+    print(json.dumps(found, indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

@@ -1,0 +1,247 @@
+"""Functions whose bits depend on no processor, for what NumPy, PyTorch, BLAS and the C library
+compute in ways that differ between processors.
+
+Sums, products, quotients and square roots are rounded as IEEE 754 says everywhere; exponentials,
+logarithms, powers and products of matrices come out in the last bit as the vector units allow:
+each library has code of its own for SSE, FMA, AVX2 and AVX-512. Here they are made of the former,
+in one order. Errors are a few units in the last place of float64.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic as numba_intrinsic
+from numpy.typing import ArrayLike, NDArray
+
+from framework.compute.jit import inlined, kernel
+
+Array = NDArray[np.float64]
+_intrinsic: Any = numba_intrinsic
+
+LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # 33 bits, the rest
+LOG2E = 1.4426950408889634
+LARGEST, SMALLEST = 709.782712893384, -745.1332191019412  # beyond: infinity, 0
+SQRT_HALF_BITS = 0x3FE6A09E667F3BCD
+_LEAST_NORMAL, _54_BITS = 2.2250738585072014e-308, 18014398509481984.0
+_EXP = tuple(1 / math.factorial(k) for k in range(13, -1, -1))  # to 2e-18 on [-ln 2 / 2, ln 2 / 2]
+_LOG = tuple(2 / (2 * k + 1) for k in range(10, -1, -1))  # of 2 artanh(s) / s, to 1e-18
+
+
+@_intrinsic
+def _bits(typing_context, x):  # type: ignore[no-untyped-def]
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.bitcast(values[0], ir.IntType(64))
+
+    return types.int64(types.float64), generate
+
+
+@_intrinsic
+def _from_bits(typing_context, x):  # type: ignore[no-untyped-def]
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.bitcast(values[0], ir.DoubleType())
+
+    return types.float64(types.int64), generate
+
+
+@inlined
+def exp_of(x: float) -> float:
+    """e^x of a float64, in kernels."""
+    if not (x <= LARGEST):
+        return x * np.inf if x > 0 else x  # NaN stays
+    if x < SMALLEST:
+        return 0.0
+    whole = math.floor(x * LOG2E + 0.5)
+    rest = (x - whole * LN2_HIGH) - whole * LN2_LOW
+    power = _EXP[0]
+    for coefficient in _EXP[1:]:
+        power = power * rest + coefficient
+    exponent = np.int64(whole)
+    half = exponent >> 1
+    power *= _from_bits((half + 1023) << 52)
+    return power * _from_bits((exponent - half + 1023) << 52)
+
+
+@inlined
+def log_of(x: float) -> float:
+    """The natural logarithm of a float64, in kernels."""
+    if not (x > 0) or x == np.inf:
+        return -np.inf if x == 0 else (x if x == np.inf else np.nan)
+    shift = 0
+    if x < _LEAST_NORMAL:
+        x *= _54_BITS
+        shift = 54
+    bits = _bits(x)
+    exponent = (bits - SQRT_HALF_BITS) >> 52
+    mantissa = _from_bits(bits - (exponent << 52))
+    s = (mantissa - 1.0) / (mantissa + 1.0)
+    square = s * s
+    series = _LOG[0]
+    for coefficient in _LOG[1:]:
+        series = series * square + coefficient
+    n = float(exponent - shift)
+    return n * LN2_HIGH + (s * series + n * LN2_LOW)
+
+
+@inlined
+def power_of(x: float, y: float) -> float:
+    """x^y of x >= 0, in kernels."""
+    if y == 1.0:
+        return x
+    return 1.0 if y == 0.0 else exp_of(y * log_of(x))
+
+
+@kernel
+def _exp(x: Any, out: Any) -> None:
+    for i in range(len(x)):
+        out[i] = exp_of(x[i])
+
+
+@kernel
+def _log(x: Any, out: Any) -> None:
+    for i in range(len(x)):
+        out[i] = log_of(x[i])
+
+
+@kernel
+def _log1p(x: Any, out: Any) -> None:
+    for i in range(len(x)):
+        more = 1.0 + x[i]
+        out[i] = log_of(more)
+        if more < np.inf:  # what the sum lost
+            out[i] += (x[i] - (more - 1.0)) / more if more > 0 else 0.0
+
+
+@kernel
+def _power(x: Any, y: float, out: Any) -> None:
+    for i in range(len(x)):
+        out[i] = power_of(x[i], y)
+
+
+@kernel
+def _powers(x: Any, y: Any, out: Any) -> None:
+    for i in range(len(x)):
+        out[i] = power_of(x[i], y[i])
+
+
+def _each(function: Any, x: ArrayLike, *more: Any) -> Array:
+    given = np.ascontiguousarray(x, np.float64)
+    out = np.empty_like(given)
+    function(given.reshape(-1), *more, out.reshape(-1))
+    return out.reshape(np.shape(x))
+
+
+def exp(x: ArrayLike) -> Array:
+    """e^x, float64 of the shape of x."""
+    return _each(_exp, x)
+
+
+def log(x: ArrayLike) -> Array:
+    """The natural logarithm, float64 of the shape of x."""
+    return _each(_log, x)
+
+
+def log1p(x: ArrayLike) -> Array:
+    """log(1 + x), float64 of the shape of x."""
+    return _each(_log1p, x)
+
+
+def power(x: ArrayLike, y: float) -> Array:
+    """x^y of x >= 0 and a number y, float64 of the shape of x."""
+    return _each(_power, x, float(y))
+
+
+def powers(x: ArrayLike, y: ArrayLike) -> Array:
+    """x^y of x >= 0 and y of one shape, float64 of that shape."""
+    return _each(_powers, x, np.ascontiguousarray(y, np.float64).reshape(-1))
+
+
+def arctan(x: ArrayLike) -> Array:
+    """The angle in radians, float64 of the shape of x. Three halvings, then the series."""
+    given = np.array(x, np.float64)
+    with np.errstate(divide="ignore"):
+        rest = np.where(np.abs(given) > 1, 1 / given, given)
+    for _ in range(3):
+        rest = rest / (1 + np.sqrt(1 + rest * rest))
+    square, series = rest * rest, np.zeros_like(rest)
+    for k in range(14, -1, -1):
+        series = series * -square + 1 / (2 * k + 1)
+    angle = 8 * rest * series
+    return np.where(np.abs(given) > 1, np.copysign(np.pi / 2, given) - angle, angle)
+
+
+def sinc_cosine(square: Any) -> Any:
+    """(sin x / x, cos x) of x whose square is given, up to a few turns: a number, or a tensor whose
+    gradient is wanted. Three halvings of x, then the series."""
+    a = square / 64
+    sinc = cosine = 1.0
+    for k in range(9, 0, -1):
+        sinc = 1 - sinc * a / (2 * k * (2 * k + 1))
+        cosine = 1 - cosine * a / (2 * k * (2 * k - 1))
+    for _ in range(3):
+        sinc, cosine = sinc * cosine, 1 - 2 * a * sinc * sinc
+        a = 4 * a
+    return sinc, cosine
+
+
+def product(a: ArrayLike, b: ArrayLike) -> Array:
+    """a @ b of small float64 matrices [..., n, m] and [..., m, k], or of a vector b [m], summed in
+    the order of m."""
+    x, y = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    if y.ndim == 1:
+        return product(x, y[:, None])[..., 0]
+    total = x[..., :, :1] * y[..., :1, :]
+    for k in range(1, x.shape[-1]):
+        total = total + x[..., :, k : k + 1] * y[..., k : k + 1, :]
+    return total
+
+
+def inverse(matrix: ArrayLike) -> Array:
+    """[3, 3] float64 inverse by cofactors; of [4, 4] with a last row (0, 0, 0, 1), too."""
+    m = np.asarray(matrix, np.float64)
+    if m.shape == (4, 4):
+        out = np.eye(4)
+        out[:3, :3] = inverse(m[:3, :3])
+        out[:3, 3] = -product(out[:3, :3], m[:3, 3])
+        return out
+    (a, b, c), (d, e, f), (g, h, i) = m
+    first = (e * i - f * h, f * g - d * i, d * h - e * g)
+    determinant = a * first[0] + b * first[1] + c * first[2]
+    rows = [
+        [first[0], c * h - b * i, b * f - c * e],
+        [first[1], a * i - c * g, c * d - a * f],
+        [first[2], b * g - a * h, a * e - b * d],
+    ]
+    return np.array(rows) / determinant
+
+
+def log_det(blocks: ArrayLike) -> Array:
+    """[N] log determinants of positive definite blocks [N, D, D], by the pivots of L D L^T."""
+    a = np.array(np.moveaxis(np.asarray(blocks, np.float64), 0, -1), order="C")  # lanes: blocks
+    total = np.zeros(a.shape[-1])
+    for i in range(len(a)):
+        total += log(a[i, i])
+        for row in range(i + 1, len(a)):
+            factor = a[row, i] / a[i, i]
+            for col in range(i + 1, row + 1):
+                a[row, col] -= factor * a[col, i]
+    return total
+
+
+def inverses(blocks: ArrayLike) -> Array:
+    """[N, D, D] inverses of positive definite blocks, by Gauss and Jordan's elimination."""
+    a = np.array(np.moveaxis(np.asarray(blocks, np.float64), 0, -1), order="C")
+    for i in range(len(a)):
+        pivot = 1 / a[i, i]
+        a[i, i] = 1.0
+        a[i] *= pivot
+        for row in range(len(a)):
+            if row != i:
+                factor = a[row, i].copy()
+                a[row, i] = 0.0
+                a[row] -= factor * a[i]
+    return np.moveaxis(a, -1, 0)
