@@ -9,6 +9,9 @@ leftovers, and no run may have been done twice; then a new one is begun, until a
 Every attempt is a process forked from one that has imported everything and compiled the kernels.
 
     python benchmarks/safety/kill.py [--kills 52] [--steps 80] [--output benchmarks/results/kill.md]
+        [--capacities fixed,budget] [--launchers basic,joblib]
+
+With several capacities and launchers each pair gets its share of the kills.
 
 `--small` kills once at each kind of moment, in a study of two shorter runs.
 """
@@ -16,6 +19,7 @@ Every attempt is a process forked from one that has imported everything and comp
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import signal
 import sys
@@ -72,6 +76,7 @@ def begin(folder: Path, words: list[str]) -> int:
     child = os.fork()
     if child:
         return child
+    os.setpgid(0, 0)
     os.chdir(folder)
     quiet = os.open(folder / "log.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(quiet, 1)
@@ -101,9 +106,23 @@ def attempt(folder: Path, words: list[str], target: str, delay_s: float) -> int:
             os.kill(child, signal.SIGKILL)
             code = ended(child, wait=True)
             assert code is not None
+            gone(child)
             return code
         time.sleep(0.0005)
     return code
+
+
+def gone(group: int) -> None:
+    """Wait until a killed launcher's workers have noticed."""
+    for _ in range(200):
+        alive = False
+        for stat in Path("/proc").glob("[0-9]*/stat"):
+            with contextlib.suppress(OSError):
+                state, _, of_group = stat.read_text().rsplit(") ", 1)[1].split()[:3]
+                alive = alive or (int(of_group) == group and state != "Z")
+        if not alive:
+            return
+        time.sleep(0.05)
 
 
 def records(study: Path) -> dict[str, tuple[int, int]]:
@@ -214,6 +233,8 @@ def main() -> int:
     parser.add_argument("--steps", type=int, default=80)
     parser.add_argument("--output", type=Path)
     parser.add_argument("--small", action="store_true")
+    parser.add_argument("--capacities", default="evidence")
+    parser.add_argument("--launchers", default="basic")
     given = parser.parse_args()
     if given.small:
         study, targets, late = SMALL, [CLOCK, *WRITES][::-1], 0.0

@@ -1,5 +1,6 @@
 """How kernels run: compiled (`jit`; `compiling` notices it), on vectors (`simd`, `chunks`), on
 threads (`parallel`), with draws of their own (`rng`), on the clock (`stopwatch`), no longer than
-who asked (`orphans`)."""
+who asked (`orphans`); and arithmetic that is the same bits on every processor (`portable`)."""
 
-__all__ = ["chunks", "compiling", "jit", "orphans", "parallel", "rng", "simd", "stopwatch"]
+__all__ = ["chunks", "compiling", "jit", "orphans", "parallel", "portable", "rng", "simd"]
+__all__ += ["stopwatch"]

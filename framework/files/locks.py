@@ -3,11 +3,16 @@
 The system drops the lock when its process ends, however it ends, so there are no stale locks to
 judge; the file that a killed process leaves is simply locked anew, and `remove_stale` takes it
 away where nobody will. It tells who holds it.
+
+Where the file system has no such locks (some network ones), a file `.lock.held` that only one can
+create stands for it. It stays when its process is killed: one of this machine is told from a living
+one by its number, one of another machine is for the user to judge, in one line.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import json
 import os
@@ -21,7 +26,9 @@ from typing import IO
 from framework.errors import UserError, mendable
 from framework.files.whole import Unwritable, unwritable
 
-LOCK = ".lock"
+LOCK, HELD = ".lock", ".lock.held"
+NO_LOCKS = frozenset((errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL))
+POLL_S = 0.2  # between looks at a file that stands for a lock
 
 
 class Busy(UserError):
@@ -37,8 +44,9 @@ def locked(folder: Path, wait: bool = False) -> Iterator[None]:
         _sign(file)
         yield
     finally:
-        with contextlib.suppress(OSError):
-            (folder / LOCK).unlink()  # while it is still ours
+        for name in (HELD, LOCK) if file.name.endswith(HELD) else (LOCK,):
+            with contextlib.suppress(OSError):
+                (folder / name).unlink()  # while it is still ours
         file.close()
 
 
@@ -77,9 +85,64 @@ def _taken(path: Path, wait: bool) -> IO[str]:
                 f"{path.parent}: expected nobody else at this run, got {owner};"
                 " wait for it, or stop it"
             ) from error
+        except OSError as error:
+            file.close()
+            if error.errno not in NO_LOCKS:
+                raise
+            return _held(path.with_name(HELD), wait)
         if _is_same(file, path):
             return file
         file.close()  # its owner removed it between our opening and locking it
+
+
+def _held(path: Path, wait: bool) -> IO[str]:
+    """The file that stands for a lock, created by us."""
+    while True:
+        try:
+            return path.open("x", encoding="utf-8")
+        except FileExistsError:
+            text = _text(path)
+        if text is not None and _dead(text):
+            _bury(path, text)
+        elif not wait:
+            raise Busy(
+                f"{path.parent}: expected nobody else at this run, got {_owner(text or '')}, and no"
+                f" locks on this file system; wait for it, or remove {path.name} if it is gone"
+            )
+        else:
+            time.sleep(POLL_S)
+
+
+def _text(path: Path) -> str | None:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:  # just removed
+        return None
+
+
+def _dead(text: str) -> bool:
+    """Whether the owner was a process of this machine that is no more."""
+    try:
+        told = json.loads(text)
+        if told["host"] != platform.node():
+            return False
+        os.kill(int(told["pid"]), 0)
+    except ProcessLookupError:
+        return True
+    except (ValueError, KeyError, TypeError, OverflowError, OSError):
+        return False
+    return False
+
+
+def _bury(path: Path, text: str) -> None:
+    """Remove the file of a dead owner: renamed first, as only one of several can do, and put back
+    if it was another's by then."""
+    grave = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    with contextlib.suppress(OSError):
+        path.rename(grave)
+        if _text(grave) != text:
+            os.link(grave, path)
+        grave.unlink()
 
 
 def _is_same(file: IO[str], path: Path) -> bool:

@@ -77,8 +77,9 @@ def decompose(matrix: NDArray, where: str) -> Calibration:
 
 
 def _triangular(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """K and R [3, 3] with K R = `matrix`, K upper triangular with a positive diagonal, R orthogonal:
-    Gram and Schmidt's from the last row up. Twice, as the rounding of one pass shows in R."""
+    """K and R [3, 3] with K R = `matrix`, K upper triangular with a positive diagonal, R
+    orthogonal: Gram and Schmidt's from the last row up. Twice, as the rounding of one pass shows in
+    R."""
     K, rotation = np.eye(3), matrix
     for _ in range(2):
         upper, rows = np.zeros((3, 3)), np.zeros((3, 3))

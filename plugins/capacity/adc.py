@@ -91,15 +91,15 @@ class AdaptiveDensityControl(PullCapacity):
 
     def _densified(self, ctx: StepContext, state: Pull, ceiling: float | None) -> tuple[Edits, int]:
         """The edits of one densification and the number of Gaussians after them."""
-        from framework.compute import portable
+        from framework.compute.portable import log
         from framework.types import concatenate
 
         gaussians = ctx.gaussians
         # compared as they are stored: PyTorch's exponential has other bits on other processors
-        lowest = float(portable.log(self.min_opacity / (1 - self.min_opacity)))
+        lowest = float(log(self.min_opacity / (1 - self.min_opacity)))
         opaque = gaussians.opacity_logits >= lowest
         chosen = self._chosen(state.mean, opaque)
-        widest = float(portable.log(self.percent_dense * ctx.extent))
+        widest = float(log(self.percent_dense * ctx.extent))
         large = gaussians.log_scales.amax(1) > widest
         clone, split = chosen & ~large, chosen & large
         children = _children(gaussians[split], ctx.rng("split").standard_normal)
@@ -133,13 +133,13 @@ def _children(parents: Gaussians, standard_normal) -> Gaussians:  # type: ignore
     """
     import torch
 
-    from framework.compute import portable
+    from framework.compute.portable import exp
     from framework.geometry import rotation_matrices
     from framework.types import concatenate
 
     doubled = concatenate([parents] * CHILDREN)
     draws = torch.from_numpy(standard_normal((len(doubled), 3))).to(doubled.means.dtype)
-    local = draws * torch.from_numpy(portable.exp(doubled.log_scales.numpy())).float()
+    local = draws * torch.from_numpy(exp(doubled.log_scales.numpy())).float()
     offsets = (rotation_matrices(doubled.quats) * local[:, None, :]).sum(-1)
     return doubled.replace(
         means=doubled.means + offsets, log_scales=doubled.log_scales - math.log(SHRINK)

@@ -193,7 +193,7 @@ def description_cost(gaussians: Gaussians, information: FisherInformation, noise
     where the addition theorem makes a coefficient's mean information that of sh0."""
     import numpy as np
 
-    from framework.compute import portable
+    from framework.compute.portable import log1p, log_det
     from framework.methods.bands import prior_variance
 
     g = gaussians
@@ -202,10 +202,10 @@ def description_cost(gaussians: Gaussians, information: FisherInformation, noise
     known = information.diagonal.double().numpy() * prior / noise
     root = np.sqrt(prior[:6])
     block = information.block.double().numpy() * np.outer(root, root) / noise
-    logs = portable.log_det(block + np.eye(6)) + portable.log1p(known[:, 6:]).sum(1)
+    logs = log_det(block + np.eye(6)) + log1p(known[:, 6:]).sum(1)
     if g.sh_degree > 0:
         higher = information.diagonal[: len(g.shN), SH0:].double().numpy() / noise
-        each = portable.log1p(higher * prior_variance(g)).sum(1)
+        each = log1p(higher * prior_variance(g)).sum(1)
         logs[: len(g.shN)] += g.shN.shape[1] * each
     cost: Array = 0.5 * logs + math.log(2)
     return cost
