@@ -153,6 +153,7 @@ def training(folder: Path) -> dict[str, str]:
     for k, (kind, options) in enumerate(TRAININGS.items()):
         run = folder / f"run{k}"
         given = [*size, "depth.planes=48", *options, f"trainer.steps={STEPS}", "threads=2"]
+        given += ["metrics.lpips_weights=none"]  # whatever the user has fetched
         code = cli.main(["scene=embedded", *given, f"hydra.run.dir={run}"])
         if code != 0:
             raise SystemExit(f"{kind}: exit code {code}")
