@@ -2,5 +2,14 @@
 threads (`parallel`), with draws of their own (`rng`), on the clock (`stopwatch`), no longer than
 who asked (`orphans`); and arithmetic that is the same bits on every processor (`portable`)."""
 
-__all__ = ["chunks", "compiling", "jit", "orphans", "parallel", "portable", "rng", "simd"]
-__all__ += ["stopwatch"]
+__all__ = [
+    "chunks",
+    "compiling",
+    "jit",
+    "orphans",
+    "parallel",
+    "portable",
+    "rng",
+    "simd",
+    "stopwatch",
+]
