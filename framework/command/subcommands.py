@@ -14,6 +14,7 @@ from framework.errors import UserError, nearest_hint
 SUBCOMMANDS = {
     "fetch": ("framework.metrics.lpips_weights", "LPIPS"),
     "report": ("framework.report.__main__", "report again"),
+    "view": ("framework.view.main", "look at it"),
 }
 
 

@@ -1,5 +1,5 @@
 """Reading and writing safely: regular and whole files, archives, arrays, JSON and YAML within
-limits, paths that stay inside their folder, locks, trees of values, the user's cache."""
+limits, pages, paths that stay inside their folder, locks, trees of values, the user's cache."""
 
 __all__ = [
     "archives",
@@ -9,6 +9,7 @@ __all__ = [
     "limits",
     "locks",
     "opened",
+    "pages",
     "paths",
     "tree",
     "whole",

@@ -32,6 +32,7 @@ PACKAGES = (
     *("torch", "numpy", "numba", "llvmlite", "scipy", "scikit-image"),
     *("pycolmap", "opencv-contrib-python-headless", "hydra-core"),
 )
+SHOWING = ("framework/report/", "framework/view/")  # rooms that no result depends on
 PLUGIN_ENTRY_POINTS = "fishersplat.plugins"
 
 
@@ -75,7 +76,7 @@ def git_state(root: Path) -> dict[str, Any] | None:
 
 @functools.cache
 def code_hash() -> str:
-    """SHA-256 over the sources of framework/ (without report/), plugins/ and of plugin packages
+    """SHA-256 over the sources of framework/ (without `SHOWING`), plugins/ and of plugin packages
     found by entry point; taken once per process, since that is the code it runs."""
     digest = hashlib.sha256()
     for name, path in [*_own_sources(ROOT), *_foreign_sources()]:
@@ -157,7 +158,7 @@ def _git(root: Path, *arguments: str) -> str | None:
 def _own_sources(root: Path) -> list[tuple[str, Path]]:
     files = [*(root / "framework").rglob("*.py"), *(root / "plugins").rglob("*.py")]
     named = {path.relative_to(root).as_posix(): path for path in files}
-    return [(n, named[n]) for n in sorted(named) if not n.startswith("framework/report/")]
+    return [(n, named[n]) for n in sorted(named) if not n.startswith(SHOWING)]
 
 
 def _foreign_sources() -> Iterable[tuple[str, Path]]:

@@ -32,7 +32,9 @@ __all__ = [
     "Llff",
     "Mip360",
     "Transforms",
+    "cameras",
     "images",
+    "lens",
     "load_scene",
 ]
 

@@ -21,6 +21,7 @@ REPORT = sorted((ROOT / "framework" / "report").rglob("*.py"))
 ROOMS = (
     "command",  # what a user types, and what they are told
     "report",  # records -> report
+    "view",  # a run in the browser
     "run",  # scene -> depth -> start -> training -> measures -> record
     "train",  # the step loop
     "methods",  # common parts of method families; the plugins stand beside it

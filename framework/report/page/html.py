@@ -6,16 +6,12 @@ content security policy allows its own script and style by their hashes and noth
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import html
-import json
 import re
 from collections import Counter
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
+from framework.files.pages import filled, policy_hash, script_json
 from framework.report.page.data import page_data
 from framework.report.page.gallery import LONGEST, Gallery, inline_copy
 from framework.report.parts.document import (
@@ -33,7 +29,6 @@ from framework.report.parts.palette import DARK, LIGHT
 ASSETS = Path(__file__).parent / "assets"
 SCRIPTS = ("base", "tables", "charts", "forest", "viewer", "filter", "start")
 LONG = 12  # rows, from which on a table is folded on a narrow screen
-PLACEHOLDER = re.compile(r"\{\{(\w+)\}\}")
 
 
 def render(document: Document, pictures: Gallery, folder: Path) -> str:
@@ -41,15 +36,15 @@ def render(document: Document, pictures: Gallery, folder: Path) -> str:
     parts = "".join(_asset(f"{name}.js") for name in SCRIPTS)
     script, style = f'"use strict";\n(() => {{\n{parts}}})();\n', _colors() + _asset("page.css")
     body = _body(document, pictures, folder)
-    return _filled(
+    return filled(
         _asset("page.html"),
         {
             "title": html.escape(document.title),
-            "policy": f"default-src 'none'; img-src data:; script-src {_hash(script)};"
-            f" style-src {_hash(style)}; base-uri 'none'; form-action 'none'",
+            "policy": f"default-src 'none'; img-src data:; script-src {policy_hash(script)};"
+            f" style-src {policy_hash(style)}; base-uri 'none'; form-action 'none'",
             "style": style,
             "body": body,
-            "data": _json(page_data(document, pictures)),
+            "data": script_json(page_data(document, pictures)),
             "script": script,
         },
     )
@@ -169,24 +164,13 @@ def _viewer(pictures: Gallery) -> str:
         "Move the slider from the ground truth over the render to its error map. Copies for looking"
         f" at, at most {LONGEST} pixels long; {len(pictures.shots)} pictures of runs.{left}"
     )
-    return _filled(_asset("viewer.html"), {"note": html.escape(note)})
+    return filled(_asset("viewer.html"), {"note": html.escape(note)})
 
 
 def _inline(text: str) -> str:
     """Escaped; what stands in backticks is code."""
     parts = re.split(r"`([^`]*)`", html.escape(text))
     return "".join(f"<code>{p}</code>" if k % 2 else p for k, p in enumerate(parts))
-
-
-def _json(value: Any) -> str:
-    """JSON that can stand in a script element."""
-    text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def _filled(template: str, values: Mapping[str, str]) -> str:
-    """`{{name}}` replaced in one pass, so that no value is read as a template."""
-    return PLACEHOLDER.sub(lambda found: values[found[1]], template)
 
 
 def _colors() -> str:
@@ -199,8 +183,3 @@ def _colors() -> str:
 
 def _asset(name: str) -> str:
     return (ASSETS / name).read_text(encoding="utf-8")
-
-
-def _hash(text: str) -> str:
-    digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-    return f"'sha256-{digest}'"

@@ -1,0 +1,94 @@
+"""The cameras of a run as its `transforms.json` tells them (`framework.records.cameras`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from framework.errors import UserError, require
+from framework.files.documents import read_json
+from framework.files.limits import RUN_BYTES
+from framework.records.cameras import TRANSFORMS
+from framework.scenes.cameras import checked_lens, checked_pose
+from framework.scenes.lens import Lens
+
+NEAR = 0.01  # scene units, of runs that do not tell it
+INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
+LARGEST = 1e12  # of a number in the file; far beyond any camera
+
+
+@dataclass(frozen=True)
+class RunCamera:
+    """name: of the view. tests: whether it tested, and did not train. viewmat: [4, 4] OpenCV
+    world-to-camera. lens: pixels of the pictures that the run worked with."""
+
+    name: str
+    tests: bool
+    viewmat: NDArray[np.float64]
+    lens: Lens
+
+    @property
+    def center(self) -> NDArray[np.float64]:
+        """[3], in the world."""
+        return np.asarray(-self.viewmat[:3, :3].T @ self.viewmat[:3, 3])
+
+
+def read_cameras(run_dir: Path) -> tuple[tuple[RunCamera, ...], float]:
+    """The cameras, test views first, and the depth in front of which nothing is drawn.
+
+    Raises UserError where the file is missing or is not what a run writes.
+    """
+    path = run_dir / TRANSFORMS
+    told = read_json(path, RUN_BYTES)
+    frames = told.get("frames") if isinstance(told, Mapping) else None
+    if not isinstance(frames, list):
+        raise UserError(f"{path}: expected a list 'frames' of cameras, got none; run again")
+    test = told.get("test_filenames", [])
+    _check(path, isinstance(test, list), "a list 'test_filenames'", test)
+    near = told.get("near_plane", NEAR)
+    _check(path, _is_number(near) and near > 0, "a positive near_plane", near)
+    cameras = [_camera(path, i, frame, test) for i, frame in enumerate(frames)]
+    names = {camera.name for camera in cameras}
+    _check(path, len(names) == len(cameras), "each camera once", f"{len(names)} names")
+    return tuple(sorted(cameras, key=lambda camera: not camera.tests)), float(near)
+
+
+def _camera(path: Path, number: int, frame: Any, test: Sequence[Any]) -> RunCamera:
+    where = f"{path}: frame {number}"
+    _check(where, isinstance(frame, Mapping), "an object", frame)
+    name, matrix = frame.get("file_path"), frame.get("transform_matrix")
+    _check(where, isinstance(name, str) and name.strip(), "a file_path", name)
+    rows = isinstance(matrix, list) and len(matrix) == 4
+    rows = rows and all(isinstance(row, list) and len(row) == 4 for row in matrix)
+    _check(where, rows and all(_is_number(v) for row in matrix for v in row), "4x4 numbers", matrix)
+    values = [frame.get(key) for key in INTRINSICS]
+    _check(where, all(map(_is_number, values)), f"numbers {', '.join(INTRINSICS)}", values)
+    width, height, fx, fy, cx, cy = values
+    _check(where, width == int(width) and height == int(height), "whole pixels", values[:2])
+    to_world = np.array(matrix, dtype=np.float64)
+    to_world[:3, 1:3] *= -1  # up and backward become down and forward
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = to_world[:3, :3].T
+    viewmat[:3, 3] = -to_world[:3, :3].T @ to_world[:3, 3]
+    lens = checked_lens(Lens(int(width), int(height), fx, fy, cx, cy), where)
+    return RunCamera(name, name in test, checked_pose(viewmat, where), lens)
+
+
+def upward(cameras: Sequence[RunCamera]) -> list[float]:
+    """[3] unit: where the cameras, taken together, have their upper side."""
+    total = sum((-camera.viewmat[1, :3] for camera in cameras), np.zeros(3))
+    length = float(np.linalg.norm(total))
+    return [0.0, -1.0, 0.0] if length < 1e-3 else [float(v) for v in total / length]
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and abs(value) <= LARGEST
+
+
+def _check(where: object, good: object, expected: str, got: object) -> None:
+    require(bool(good), f"{where}: expected {expected}, got {str(got)[:80]!r}; run again")

@@ -1,0 +1,125 @@
+"""The page: one HTML file that needs nothing else, no network and no other file.
+
+As in reports, texts from outside are escaped, data is JSON in which `<` cannot occur, and the
+content security policy allows the page's own script and style by their hashes alone.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from framework.errors import printable_line
+from framework.files.pages import filled, policy_hash, script_json
+from framework.view.cameras import RunCamera, upward
+from framework.view.pack import Packed, packed
+from framework.view.photos import copies
+from framework.view.runs import ViewedRun
+
+ASSETS = Path(__file__).parent / "assets"
+SCRIPTS = ("math", "model", "shaders", "renderer", "camera", "input", "page")
+SETTINGS = ("capacity", "depth", "init")  # named where they tell two runs apart
+
+
+def view_page(runs: Sequence[ViewedRun], photos: bool = True) -> str:
+    """The page of one run, or of two beside each other (`framework.view.check_together`).
+
+    photos: whether it holds those of the runs. Raises UserError for a photo that is none.
+    """
+    models = [packed(run.splats) for run in runs]
+    script = '"use strict";\n(() => {\n' + "".join(_asset(f"{n}.js") for n in SCRIPTS) + "})();\n"
+    style = _asset("page.css")
+    names = labels(runs)
+    blobs = "\n".join(
+        f'<script type="text/plain" id="splats{i}">{model.text}</script>'
+        for i, model in enumerate(models)
+    )
+    return filled(
+        _asset("page.html"),
+        {
+            "title": html.escape(printable_line(runs[0].scene)),
+            "policy": f"default-src 'none'; img-src data: blob:; script-src {policy_hash(script)};"
+            f" style-src {policy_hash(style)}; base-uri 'none'; form-action 'none'",
+            "style": style,
+            "facts": "".join(
+                f"<p>{html.escape(_facts(run, name))}</p>"
+                for run, name in zip(runs, names, strict=True)
+            ),
+            "blobs": blobs,
+            "data": script_json(_data(runs, models, names, photos)),
+            "script": script,
+        },
+    )
+
+
+def labels(runs: Sequence[ViewedRun]) -> list[str]:
+    """What each run is called, as short as tells them apart."""
+    methods = [run.record.methods for run in runs]
+    differing = [key for key in SETTINGS if len({m.get(key) for m in methods}) > 1]
+    named = []
+    for run, method in zip(runs, methods, strict=True):
+        parts = [f"{method.get('augment', 'none')} + {method.get('reg', 'none')}"]
+        parts += [f"{key} {method.get(key, 'none')}" for key in differing]
+        named.append(" · ".join([*parts, f"seed {run.record.seed}"]))
+    if len(set(named)) < len(named):
+        named = [f"{name} · {run.folder.name}" for name, run in zip(named, runs, strict=True)]
+    return [printable_line(name) for name in named]
+
+
+def _facts(run: ViewedRun, name: str) -> str:
+    psnr = run.record.summary.get("psnr")
+    tested = f" · test PSNR {psnr:.2f} dB" if isinstance(psnr, float) else ""
+    return f"{name} · {len(run.splats.means):,} Gaussians{tested}"
+
+
+def _data(
+    runs: Sequence[ViewedRun], models: Sequence[Packed], names: Sequence[str], photos: bool
+) -> dict[str, Any]:
+    """What the page's script reads: runs, cameras, photos, where it looks first."""
+    cameras = {c.name: c for run in reversed(runs) for c in reversed(run.cameras)}
+    ordered = sorted(reversed(cameras.values()), key=lambda camera: not camera.tests)
+    files = {name: file for run in reversed(runs) for name, file in run.photos.items()}
+    kept = [camera.name for camera in ordered if photos and camera.name in files]
+    places = {name: i for i, name in enumerate(kept)}
+    return {
+        "runs": [_run(*each) for each in zip(runs, models, names, strict=True)],
+        "cameras": [_camera(camera, runs, places) for camera in ordered],
+        "photos": copies([files[name] for name in kept]),
+        "up": upward(ordered),
+        "first": 0,
+    }
+
+
+def _run(run: ViewedRun, model: Packed, name: str) -> dict[str, Any]:
+    background = run.splats.background or [0.0, 0.0, 0.0]
+    return {
+        "label": name,
+        "n": model.count,
+        "banded": model.banded,
+        "rest": model.rest,
+        "log_scales": model.log_scales,
+        "sh0": model.sh0,
+        "bands": model.bands,
+        "background": [min(1.0, max(0.0, value)) for value in background],
+        "near": run.near,
+    }
+
+
+def _camera(camera: RunCamera, runs: Sequence[ViewedRun], places: dict[str, int]) -> dict[str, Any]:
+    lens = camera.lens
+    return {
+        "name": printable_line(camera.name),
+        "role": "test" if camera.tests else "train",
+        "rotation": camera.viewmat[:3, :3].ravel().tolist(),
+        "center": camera.center.tolist(),
+        **{"fx": lens.fx, "fy": lens.fy, "cx": lens.cx, "cy": lens.cy},
+        **{"w": lens.width, "h": lens.height},
+        "photo": places.get(camera.name),
+        "psnr": [run.psnr.get(camera.name) for run in runs],
+    }
+
+
+def _asset(name: str) -> str:
+    return (ASSETS / name).read_text(encoding="utf-8")
