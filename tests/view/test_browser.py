@@ -1,0 +1,125 @@
+"""The page in a real headless browser, and its pictures against our own renders. It needs node, a
+Chromium and puppeteer-core (npm), told by `FISHERSPLAT_BROWSER` (the executable) and
+`FISHERSPLAT_PUPPETEER` (the package's main module)."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from framework.metrics.evaluate import quantise
+from framework.rasterize import rasterize
+from framework.records.cameras import write_cameras
+from framework.records.ply import write_ply
+from framework.view import read_viewed, view_page
+from framework.view.main import main
+from framework.view.server import PageServer
+from tests.view.runs import NEAR, scene_gaussians, seen_run, views
+
+SCRIPT = Path(__file__).with_name("browser.mjs")
+HOSTILE = '<img src=x onerror=alert(1)>"</script><script>alert(2)</script>'
+LEAST_DB = 45.0  # the page blends half floats; measured: 50 and more
+
+
+Browse = Callable[[str], dict[str, Any]]
+
+
+@pytest.fixture
+def browse() -> Browse:
+    """What `browser.mjs` tells of the page at an address."""
+    browser = os.environ.get("FISHERSPLAT_BROWSER")
+    library = os.environ.get("FISHERSPLAT_PUPPETEER")
+    node = shutil.which("node")
+    if not (browser and library and node):
+        pytest.skip("needs node, FISHERSPLAT_BROWSER and FISHERSPLAT_PUPPETEER")
+
+    def told(page: str) -> dict[str, Any]:
+        command = [node, str(SCRIPT), library, browser, page]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=400)
+        assert done.returncode == 0, done.stderr
+        return dict(json.loads(done.stdout))
+
+    return told
+
+
+def scene_run(folder: Path, banded: int = 250, seed: int = 3, **more: Any) -> Path:
+    """A made-up run with Gaussians to look at, not all with spherical harmonics."""
+    run = seen_run(folder, **more)
+    write_ply(run / "point_cloud.ply", *scene_gaussians(400, banded, seed))
+    return run
+
+
+def check(told: dict[str, Any]) -> None:
+    """What holds of every page."""
+    for found in told.values():
+        assert found["problems"] == [] and found["overflow"] == 0 and found["fits"]
+        assert found["stage"] > 0.5
+        assert found["first"].startswith("Test camera test 00 · PSNR")
+        assert found["second"].startswith("Test camera test 01")
+        assert found["again"] == found["first"]
+        assert found["photo"] and found["loaded"] == 64 and found["beside"]
+        assert found["clips"][0] < 20 < found["clips"][1]
+        for deed in ("turned", "closer", "hidden", "flown", "home", "help"):
+            assert found[deed], deed
+    assert told["wide"]["background"] != told["phone"]["background"]  # light and dark
+
+
+def psnr_of(picture: list[Any], run: Path, camera: Any) -> float:
+    """dB of the page's picture against our render of the run, both of 8 bits."""
+    from framework.records.ply import read_ply
+
+    gaussians, background = read_ply(run / "point_cloud.ply")
+    ours = quantise(rasterize(gaussians, camera, background=background, near=NEAR).rgb.detach())
+    width, height, data = picture
+    pixels = np.frombuffer(base64.b64decode(data), np.uint8).reshape(height, width, 4)[..., :3]
+    error = np.mean((pixels.astype(float) - ours.astype(float)) ** 2)
+    return float(10 * np.log10(255**2 / max(error, 1e-9)))
+
+
+def test_the_page_works_and_shows_what_we_render(tmp_path: Path, browse: Browse) -> None:
+    run = scene_run(tmp_path, scene=HOSTILE, run_name="x")
+    with PageServer(view_page([read_viewed(run)])) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        told = browse(server.address)
+        server.shutdown()
+    check(told)
+    training, tested = views()
+    assert told["wide"]["names"] == [view.name for view in [*tested, *training]]
+    for view, pictures in zip([*tested, *training], told["wide"]["pictures"], strict=True):
+        assert psnr_of(pictures[0], run, view.camera) > LEAST_DB
+
+
+def test_the_file_of_two_runs_works(tmp_path: Path, browse: Browse) -> None:
+    first, second = scene_run(tmp_path), scene_run(tmp_path, 0, 5, augment="safi")
+    page = tmp_path / "both.html"
+    assert main([str(first), str(second), "--static", str(page)], "fishersplat view") == 0
+    told = browse(page.as_uri())
+    check(told)
+    for view, pictures in zip(views()[1], told["wide"]["pictures"], strict=False):
+        for run, picture in zip((first, second), pictures, strict=True):
+            assert psnr_of(picture, run, view.camera) > LEAST_DB
+
+
+def test_more_gaussians_than_fit_a_row(tmp_path: Path, browse: Browse) -> None:
+    """Texture rows and chunks of quads have ends."""
+    run = seen_run(tmp_path)
+    gaussians, background = scene_gaussians(3000, 3000)
+    gaussians.log_scales.sub_(1.0)
+    write_ply(run / "point_cloud.ply", gaussians, background)
+    training, tested = views()
+    write_cameras(run, training, tested, NEAR)
+    page = tmp_path / "many.html"
+    page.write_text(view_page([read_viewed(run)]), encoding="utf-8")
+    told = browse(page.as_uri())
+    for view, pictures in zip(tested, told["wide"]["pictures"], strict=False):
+        assert psnr_of(pictures[0], run, view.camera) > LEAST_DB
