@@ -6,7 +6,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 STAMP := $(VENV)/.installed
 RUN := PATH="$(abspath $(VENV))/bin:$$PATH"
 
-.PHONY: demo test lint setup
+.PHONY: demo test lint setup lock audit
 .DEFAULT_GOAL := demo
 
 demo: $(STAMP)
@@ -21,6 +21,19 @@ lint: $(STAMP)
 	$(RUN) mypy
 
 setup: $(STAMP)
+
+# what comes with torch's build on the index; a machine has its own
+OWN := torch triton cuda-bindings cuda-pathfinder cuda-toolkit $(addprefix nvidia-,cublas cuda-cupti cuda-nvrtc \
+	cuda-runtime cudnn-cu13 cufft cufile curand cusolver cusparse cusparselt-cu13 nccl-cu13 nvjitlink nvshmem-cu13 nvtx)
+
+lock:
+	head -3 requirements-ci.txt > requirements-ci.new
+	uv pip compile pyproject.toml --extra dev --generate-hashes --python-version 3.11 --no-annotate --no-header \
+		$(addprefix --no-emit-package ,$(OWN)) --quiet -o - >> requirements-ci.new
+	mv requirements-ci.new requirements-ci.txt
+
+audit:
+	pip-audit --disable-pip --require-hashes -r requirements-ci.txt
 
 $(STAMP): pyproject.toml
 	@test -n "$(PYTHON)" || { echo "error: expected Python >= 3.11, found none; install it or set PYTHON=PATH" >&2; exit 2; }

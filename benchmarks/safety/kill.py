@@ -26,7 +26,9 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,6 +47,12 @@ SMALL = [  # for the tests: two runs
     *("trainer.evaluations=1",),
 ]
 SMALL_COST_TIMES = 3  # short runs end before a checkpoint is due otherwise, on a quick machine
+LAUNCHERS = {
+    "basic": [],
+    "joblib": ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"],
+    "submitit_local": ["hydra/launcher=submitit_local"],
+    "ray": ["hydra/launcher=ray"],
+}
 CLOCK = "any moment"
 WRITES = {  # what is being written -> its temporary file, relative to the study
     "a checkpoint": "runs/*/checkpoints/.step-*.tmp",
@@ -71,8 +79,9 @@ class Tally:
     resumed: int = 0
 
 
-def begin(folder: Path, words: list[str]) -> int:
-    """Give the command `words` in `folder`, in a process of its own; returns its id."""
+def begin(folder: Path, words: list[str], inside: Callable[[], object] = lambda: None) -> int:
+    """Give the command `words` in `folder`, in a process of its own, which calls `inside` first;
+    returns its id."""
     child = os.fork()
     if child:
         return child
@@ -83,6 +92,7 @@ def begin(folder: Path, words: list[str]) -> int:
     os.dup2(quiet, 2)
     from framework.command import cli
 
+    inside()
     os._exit(cli.main(words))
 
 
@@ -165,8 +175,8 @@ def one_study(
         tally.caught[target] += any(study.glob(pattern))
 
 
-def measure(words: list[str], targets: list[str], late: float, work: Path) -> Tally:
-    """All kills, the last of `targets` first; prints a line per completed study."""
+def measure(words: list[str], targets: list[str], late: float, work: Path, tally: Tally) -> None:
+    """All kills, the last of `targets` first, added to `tally`; a line per completed study."""
     (work / "whole").mkdir()
     started = time.monotonic()
     code = ended(begin(work / "whole", words), wait=True)
@@ -175,21 +185,21 @@ def measure(words: list[str], targets: list[str], late: float, work: Path) -> Ta
         raise SystemExit(f"the undisturbed study ended with {code}: {log}")
     whole_s, study = time.monotonic() - started, work / "whole" / "reports" / "kill"
     expected, hashes = digests(study), parameters(study)
-    tally, kills = Tally(), len(targets)
+    kills, before, studies = len(targets), sum(tally.killed.values()), 0
     while targets:
-        name = f"{tally.studies}"
+        name = f"{studies}"
         study = one_study(work / name, words, targets, whole_s, late, tally, name)
         found = digests(study)
         differ = sorted(k for k in {*found, *expected} if found.get(k) != expected.get(k))
         equal = not differ and parameters(study) == hashes
+        studies += 1
         tally.studies += 1
         tally.unequal += not equal or bool(leftovers(study))
         tally.resumed += (work / name / "log.txt").read_text().count("going on at step")
-        if tally.studies > 2 * kills + 4:
+        if studies > 2 * kills + 4:
             raise SystemExit(f"{targets[-1]} never happened; give more --steps")
-        killed = sum(tally.killed.values())
-        print(f"study {name}: {killed} of {kills} kills, equal: {equal}", *differ)
-    return tally
+        killed = sum(tally.killed.values()) - before
+        print(f"study {name}: {killed} of {kills} kills, equal: {equal}", *differ, flush=True)
 
 
 def moments(kills: int) -> list[str]:
@@ -246,9 +256,20 @@ def main() -> int:
             from framework.train.resume import checkpoint
 
             checkpoint.COST_TIMES = SMALL_COST_TIMES
-        tally = measure([*study, f"trainer.steps={given.steps}"], targets, late, Path(folder))
+        words = [*study, f"trainer.steps={given.steps}"]
+        pairs = list(product(given.launchers.split(","), given.capacities.split(",")))
+        tally = Tally()
+        for k, (launcher, capacity) in enumerate(pairs):
+            share = targets[k :: len(pairs)]
+            more = [*LAUNCHERS[launcher], f"capacity={capacity}"]
+            work = Path(folder) / f"{launcher}-{capacity}"
+            work.mkdir()
+            print(f"{launcher}, {capacity}:", flush=True)
+            measure([*words, *more], share, late, work, tally)
     shown = "--small" if given.small else f"--kills {given.kills}"
     command = f"python benchmarks/safety/kill.py {shown} --steps {given.steps}"
+    if len(pairs) > 1:
+        command += f" --launchers {given.launchers} --capacities {given.capacities}"
     text = table(tally, command, 2 if given.small else 4)
     print(text)
     if given.output is not None:
