@@ -53,7 +53,8 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
     if study.runs:
         blocks += [Heading(2, "Every run"), table(tables.seed_rows(study), details.WORDS)]
     blocks += [*gaps.missing_metrics(study), *provenance_blocks(study)]
-    return Document(outside(title), tuple(blocks), tuple(study.scenes), tuple(study.families))
+    scenes, families, methods = map(tuple, (study.scenes, study.families, study.methods))
+    return Document(outside(title), tuple(blocks), scenes, families, methods)
 
 
 def _pictures(

@@ -39,9 +39,12 @@ async function visit(width, scheme) {
       slider.dispatchEvent(new Event("input"));
       return [render.style.clipPath, error.style.clipPath];
     };
-    const method = viewer.querySelectorAll("select")[1], before = render.src;
+    const method = viewer.querySelector('select[data-key="1"]'), before = render.src;
     method.selectedIndex = method.options.length - 1;
     method.dispatchEvent(new Event("change"));
+    viewer.querySelector(".beside").click();
+    const [one, two] = [...viewer.querySelectorAll(".pane")];
+    const besides = !two.hidden && one.querySelector(".render").src !== two.querySelector(".render").src;
     const tip = document.querySelector(".tip");
     const clipped = [...document.querySelectorAll(".scroll, figure")]
       .filter((part) => part.scrollWidth > part.clientWidth + 1).length;
@@ -51,8 +54,15 @@ async function visit(width, scheme) {
     const chip = [...document.querySelectorAll('[data-of="methods"] button')].pop();
     chip.click();
     const fewer = [rows(), marks()];
+    const link = document.querySelector("a.permalink").href;
     chip.click();
+    const option = [...document.querySelectorAll(".filter .chips")].find((c) => c.textContent.startsWith("augment"));
+    const safi = [...option.querySelectorAll("button")].find((b) => b.textContent === "safi");
+    safi.click();
+    const without = [rows(), marks()];
+    safi.click();
     return {
+      besides, link, without,
       rising, falling, start: slide(0), middle: slide(1.25), end: slide(2),
       changed: render.src !== before, loaded: render.naturalWidth > 0,
       tip: tip.style.visibility === "visible" && tip.textContent,
@@ -61,13 +71,25 @@ async function visit(width, scheme) {
       background: getComputedStyle(document.body).backgroundColor,
     };
   });
+  await tab.goto("about:blank");
+  await tab.goto(found.link);
+  await tab.waitForSelector(".chart svg g path");
+  const linked = await tab.evaluate(() => [
+    [...document.querySelectorAll("tbody tr")].filter((row) => !row.hidden).length,
+    document.querySelectorAll(".forest g.row").length,
+    document.querySelector('.pane select[data-key="1"]').value,
+    document.querySelector(".pane[hidden]") === null,
+  ]);
+  await tab.goto("about:blank");
+  await tab.goto(page);
+  await tab.waitForSelector(".chart svg g path");
   await tab.emulateMediaType("print");
   await tab.setViewport({ width: 718, height: 1000 }); // A4 within its margins, at 96 dpi
   await new Promise((done) => setTimeout(done, 500));
   const printed = await tab.evaluate(() => [...document.querySelectorAll("table, svg, img, p")]
     .filter((part) => part.getBoundingClientRect().right > innerWidth + 1).length);
   await tab.close();
-  return { ...found, printed, problems };
+  return { ...found, linked, printed, problems };
 }
 
 const result = { wide: await visit(1280, "light"), phone: await visit(390, "dark") };

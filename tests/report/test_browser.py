@@ -38,7 +38,9 @@ def test_the_page_works_in_a_browser(tmp_path: Path) -> None:
         assert found["problems"] == [] and found["overflow"] == 0
         assert found["clipped"] == 0 and found["printed"] == 0
         assert found["fewer"][0] < found["all"][0] and found["fewer"][1] < found["all"][1]
-        assert found["again"] == found["all"]
+        assert found["again"] == found["all"] and found["without"] == found["fewer"]
+        assert found["besides"]
+        assert found["linked"] == [*found["fewer"], "none + none", True]  # the link brings it back
         assert found["rising"] == sorted(found["rising"])
         assert found["falling"] == sorted(found["falling"], reverse=True)
         assert found["start"] == ["inset(0px 100% 0px 0px)", "inset(0px 100% 0px 0px)"]

@@ -44,7 +44,7 @@ def chart(study: Study, scene: str) -> Chart | None:
     for method in shown_methods(study, scene):
         found = study.of(scene, method)
         look = given[found[0].method_label.family]
-        runs = [table for run in found if len(table := _evaluations(run))]
+        runs = [table for run in found if len(table := evaluations(run))]
         if runs:
             series += _series(method, look, runs)
     if not series:
@@ -76,7 +76,8 @@ def _mean_point(step: int, pairs: Sequence[tuple[float, float]]) -> Point:
     return Point(seconds, found.mean, low, high, f"step {step}")
 
 
-def _evaluations(run: ReportRun) -> Evaluations:
+def evaluations(run: ReportRun) -> Evaluations:
+    """Of a run, where it was tested during training."""
     history = run.run.history.numbers
     rows = zip(history["step"], history["seconds"], history["test_psnr"], strict=True)
     return {int(step): (float(s), float(psnr)) for step, s, psnr in rows if not math.isnan(psnr)}

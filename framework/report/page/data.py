@@ -20,6 +20,7 @@ def page_data(document: Document, pictures: Gallery) -> dict[str, Any]:
         "forests": [_forest(picture.forest) for picture in drawn if picture.forest],
         "scenes": document.scenes,
         "methods": document.methods,
+        "names": document.names,
         "images": pictures.images,
         "shots": pictures.shots,
     }

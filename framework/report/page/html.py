@@ -25,9 +25,10 @@ from framework.report.parts.document import (
     Text,
 )
 from framework.report.parts.palette import DARK, LIGHT
+from framework.report.study.labels import slug
 
 ASSETS = Path(__file__).parent / "assets"
-SCRIPTS = ("base", "tables", "charts", "forest", "viewer", "filter", "start")
+SCRIPTS = ("base", "link", "tables", "charts", "forest", "viewer", "filter", "start")
 LONG = 12  # rows, from which on a table is folded on a narrow screen
 
 
@@ -55,6 +56,13 @@ class Places:
 
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()
+
+    def name(self, text: str) -> str:
+        """An id for a heading, for links to it; none twice."""
+        found = slug(text).lower()
+        self._counts[f"#{found}"] += 1
+        n = self._counts[f"#{found}"]
+        return found if n == 1 else f"{found}_{n}"
 
     def next(self, kind: str) -> str:
         """An empty element for the next chart or forest plot of the page's data."""
@@ -96,7 +104,7 @@ def _is_scene(block: Block) -> bool:
 def _block(block: Block, places: Places, folder: Path) -> str:
     match block:
         case Heading():
-            return f"<h{block.level}>{_inline(block.text)}</h{block.level}>"
+            return _heading(block, places)
         case Text():
             note = "<strong>Note.</strong> " if block.kind == "note" else ""
             return f'<p class="{block.kind}">{note}{_inline(block.text)}</p>'
@@ -107,6 +115,14 @@ def _block(block: Block, places: Places, folder: Path) -> str:
             return _table(block)
         case Picture():
             return _figure(block, places, folder)
+
+
+def _heading(block: Heading, places: Places) -> str:
+    name = html.escape(places.name(block.text))
+    text = _inline(block.text)
+    if block.level > 1:
+        text = f'<a href="#{name}">{text}</a>'
+    return f'<h{block.level} id="{name}">{text}</h{block.level}>'
 
 
 def _table(table: Table) -> str:

@@ -71,12 +71,14 @@ Block = Heading | Text | Bullets | Table | Picture
 @dataclass(frozen=True)
 class Document:
     """scenes, methods: by which the page can be filtered; a heading of level 3 that is a scene's
-    name begins what is told of that scene alone."""
+    name begins what is told of that scene alone. names: of the methods with their budgets, whose
+    parts are the options to filter by."""
 
     title: str
     blocks: tuple[Block, ...] = field(default_factory=tuple)
     scenes: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
 
 
 def table(rows: Sequence[Mapping[str, str | Link]], left: Sequence[str]) -> Table:

@@ -16,7 +16,7 @@ function html(name, className, parent) {
 }
 
 const redraws = []; // what to call when the filter changes
-const hiddenScenes = new Set(), hiddenMethods = new Set();
+const hiddenScenes = new Set(), hiddenMethods = new Set(), hiddenOptions = new Set();
 
 /* a name belongs to a method if it is that, or goes on with its options or its number of runs */
 function methodOf(name) {
@@ -24,4 +24,14 @@ function methodOf(name) {
   return fits.sort((a, b) => b.length - a.length)[0];
 }
 
-const isShown = (name) => !hiddenMethods.has(methodOf(name));
+/* `safi + uar, steps=75 (n = 3)` as augment=safi, reg=uar, steps=75 */
+function partsOf(name) {
+  const [pair, ...rest] = name.replace(/ \(n = \d+\)$/, "").split(", ");
+  const [augment, reg] = pair.split(" + ");
+  const groups = reg === undefined ? [] : [`augment=${augment}`, `reg=${reg}`];
+  return [...groups, ...rest.filter((part) => part.includes("="))];
+}
+
+const hasHidden = (parts) => parts.some((part) => hiddenOptions.has(part));
+const isShown = (name) => !hiddenMethods.has(methodOf(name)) && !(hiddenOptions.size && hasHidden(partsOf(name)));
+const isShownPoint = (note) => !(hiddenOptions.size && hasHidden(note.split(", ")));

@@ -67,13 +67,15 @@ function drawSeries(svg, series, x, y, spots) {
   const color = `var(--s${series.color})`;
   const group = element("g", { stroke: color, fill: color, opacity: series.faint ? 0.4 : 1 }, svg);
   const at = series.points.map((p) => [x(p[0]), y(p[1])]);
-  if (series.joined) {
-    const path = "M" + at.map(([px, py]) => `${px.toFixed(1)},${py.toFixed(1)}`).join("L");
+  const shown = at.filter((_, k) => isShownPoint(series.points[k][4]));
+  if (series.joined && shown.length) {
+    const path = "M" + shown.map(([px, py]) => `${px.toFixed(1)},${py.toFixed(1)}`).join("L");
     const style = { d: path, fill: "none", "stroke-width": series.faint ? 1 : 2.2, "stroke-dasharray": series.dash };
     element("path", style, group);
   }
   series.points.forEach((p, k) => {
     const [px, py] = at[k];
+    if (!isShownPoint(p[4])) return;
     if (p[3] > p[2] && !series.faint) {
       const top = y(p[3]), low = y(p[2]);
       element("path", { d: `M${px},${top}V${low}M${px - 4},${top}h8M${px - 4},${low}h8`, "stroke-width": 1.2, fill: "none" }, group);
@@ -117,7 +119,7 @@ function drawChart(place, chart, hidden) {
   const width = Math.max(280, place.clientWidth), height = Math.min(420, 240 + width * 0.22);
   const svg = element("svg", { viewBox: `0 0 ${width} ${height}`, height, role: "img", "aria-label": `${chart.title}: ${chart.y_label}` }, place);
   const shown = chart.series.filter((series) => !hidden.has(series.name) && isShown(series.name));
-  const points = shown.flatMap((series) => series.points);
+  const points = shown.flatMap((series) => series.points).filter((p) => isShownPoint(p[4]));
   const tip = html("div", "tip", place);
   legend(place, chart, hidden);
   if (!points.length) return;

@@ -1,4 +1,4 @@
-/* filter: a click on a scene or method hides or shows it everywhere on the page */
+/* filter: a click on a scene, method or option hides or shows it everywhere on the page */
 
 function hideRows() {
   for (const table of document.querySelectorAll("table")) {
@@ -12,20 +12,63 @@ function hideRows() {
   for (const part of document.querySelectorAll("[data-scene]")) part.hidden = hiddenScenes.has(part.dataset.scene);
 }
 
-function setUpFilter(place) {
-  for (const list of place.querySelectorAll(".chips")) {
-    const hidden = list.dataset.of === "scenes" ? hiddenScenes : hiddenMethods;
-    for (const name of data[list.dataset.of]) {
-      const button = html("button", "", list);
-      button.type = "button";
-      button.textContent = name;
-      button.setAttribute("aria-pressed", "true");
-      button.addEventListener("click", () => {
-        if (!hidden.delete(name)) hidden.add(name);
-        button.setAttribute("aria-pressed", String(!hidden.has(name)));
-        hideRows();
-        for (const redraw of redraws) redraw();
-      });
+/* the options in which methods differ: name -> values, where there are several */
+function options() {
+  const found = new Map();
+  for (const name of data.names) {
+    for (const part of partsOf(name)) {
+      const [key, value] = part.split(/=(.*)/s);
+      found.set(key, (found.get(key) ?? new Set()).add(value));
     }
   }
+  return [...found].filter(([, values]) => values.size > 1);
+}
+
+function chips(list, names, hidden, keyOf) {
+  const buttons = names.map((name) => {
+    const button = html("button", "", list);
+    button.type = "button";
+    button.textContent = name;
+    button.setAttribute("aria-pressed", "true");
+    button.addEventListener("click", () => {
+      const key = keyOf(name);
+      if (!hidden.delete(key)) hidden.add(key);
+      filterAgain();
+      remember();
+    });
+    return [button, keyOf(name)];
+  });
+  redraws.push(() => {
+    for (const [button, key] of buttons) button.setAttribute("aria-pressed", String(!hidden.has(key)));
+  });
+}
+
+function filterAgain() {
+  hideRows();
+  for (const redraw of redraws) redraw();
+}
+
+function setUpFilter(place) {
+  const [scenes, methods] = place.querySelectorAll(".chips");
+  chips(scenes, data.scenes, hiddenScenes, (name) => name);
+  chips(methods, data.methods, hiddenMethods, (name) => name);
+  for (const [key, values] of options()) {
+    const list = html("div", "chips", place);
+    html("span", "", list).textContent = key;
+    chips(list, [...values], hiddenOptions, (value) => `${key}=${value}`);
+  }
+  const all = { "hide-scene": hiddenScenes, "hide-method": hiddenMethods, "hide-option": hiddenOptions };
+  states.push({
+    write(link) {
+      for (const [key, hidden] of Object.entries(all)) for (const name of hidden) link.append(key, name);
+    },
+    read(link) {
+      for (const [key, hidden] of Object.entries(all)) {
+        hidden.clear();
+        for (const name of link.getAll(key)) hidden.add(name);
+      }
+      place.open ||= Object.values(all).some((hidden) => hidden.size);
+      hideRows();
+    },
+  });
 }

@@ -8,3 +8,5 @@ document.querySelectorAll(".chart").forEach(setUpChart);
 document.querySelectorAll(".forest").forEach(setUpForest);
 document.querySelectorAll(".viewer").forEach(setUpViewer);
 document.querySelectorAll(".filter").forEach(setUpFilter);
+recall();
+addEventListener("hashchange", recall);

@@ -1,55 +1,106 @@
 /* viewer: a shot is [scene, method, seed, view, PSNR, truth, render, error] */
 
+function fill(select, values, kept) {
+  select.replaceChildren(...values.map((v) => new Option(String(v), String(v), false, v === kept)));
+}
+
+function setUpPane(pane) {
+  const [method, seed] = pane.querySelectorAll("select");
+  const [truth, render, error] = pane.querySelectorAll(".stage img");
+  const seam = pane.querySelector(".seam");
+  const chosen = { method: null, seed: null }; // what was chosen last, where it exists
+  return {
+    chosen, method, seed,
+    offer(shots, taken) { // without a choice, another method than is taken; returns which
+      const methods = [...new Set(shots.map((shot) => shot[1]))];
+      const other = methods.find((name) => name !== taken) ?? methods[0];
+      const own = methods.includes(chosen.method) ? chosen.method : other;
+      const seeds = [...new Set(shots.filter((shot) => shot[1] === own).map((shot) => shot[2]))].sort((a, b) => a - b);
+      const kept = seeds.includes(chosen.seed) ? chosen.seed : seeds[0];
+      fill(method, methods, own);
+      fill(seed, seeds, kept);
+      const shot = shots.find((one) => one[1] === own && one[2] === kept);
+      [truth.src, render.src, error.src] = [5, 6, 7].map((k) => data.images[shot[k]]);
+      pane.querySelector(".told").textContent = `${own}, seed ${kept}: ${shot[4]}`;
+      return own;
+    },
+    wipe(value) {
+      const cut = (part) => `inset(0 ${100 - 100 * part}% 0 0)`;
+      render.style.clipPath = cut(Math.min(1, value));
+      error.style.clipPath = cut(Math.max(0, value - 1));
+      const share = value <= 1 ? value : value - 1;
+      seam.style.left = `calc(${100 * share}% - 1px)`;
+      seam.style.visibility = share > 0 && share < 1 ? "visible" : "hidden";
+    },
+  };
+}
+
 function setUpViewer(viewer) {
-  const selects = [...viewer.querySelectorAll("select")];
-  const slider = viewer.querySelector("input");
-  const [truth, render, error] = viewer.querySelectorAll(".stage img");
-  const seam = viewer.querySelector(".seam");
-  const wanted = new Map(); // what was chosen last, where it exists
+  const [scenes, views] = viewer.querySelectorAll(":scope > .choices select");
+  const slider = viewer.querySelector("input"), beside = viewer.querySelector(".beside");
+  const places = [...viewer.querySelectorAll(".pane")], panes = places.map(setUpPane);
+  const wanted = { scene: null, view: null };
+  if (new Set(data.shots.map((shot) => shot[1] + shot[2])).size < 2) beside.hidden = true;
 
   function refill() {
     let left = data.shots.filter((shot) => !hiddenScenes.has(shot[0]) && isShown(shot[1]));
     if (!left.length) left = data.shots;
-    for (const select of selects) {
-      const key = Number(select.dataset.key);
+    for (const [select, key, name] of [[scenes, 0, "scene"], [views, 3, "view"]]) {
       const values = [...new Set(left.map((shot) => shot[key]))];
-      if (key === 2) values.sort((a, b) => a - b);
-      const kept = values.includes(wanted.get(key)) ? wanted.get(key) : values[0];
-      select.replaceChildren(...values.map((value) => new Option(String(value), String(value), false, value === kept)));
+      const kept = values.includes(wanted[name]) ? wanted[name] : values[0];
+      fill(select, values, kept);
       left = left.filter((shot) => shot[key] === kept);
     }
-    show(left[0]);
-  }
-
-  function show(shot) {
-    truth.src = data.images[shot[5]];
-    render.src = data.images[shot[6]];
-    error.src = data.images[shot[7]];
-    viewer.querySelector(".psnr").textContent = `(${shot[4]})`;
+    panes[1].offer(left, panes[0].offer(left));
   }
 
   function wipe() {
-    const value = Number(slider.value), share = value <= 1 ? value : value - 1;
-    const cut = (part) => `inset(0 ${100 - 100 * part}% 0 0)`;
-    render.style.clipPath = cut(Math.min(1, value));
-    error.style.clipPath = cut(Math.max(0, value - 1));
-    seam.style.left = `calc(${100 * share}% - 1px)`;
-    seam.style.visibility = share > 0 && share < 1 ? "visible" : "hidden";
+    const value = Number(slider.value);
+    for (const pane of panes) pane.wipe(value);
     slider.setAttribute("aria-valuetext", ["ground truth", "render", "error map"][Math.round(value)]);
   }
 
-  for (const select of selects) {
-    select.addEventListener("change", () => {
-      const key = Number(select.dataset.key);
-      wanted.set(key, key === 2 ? Number(select.value) : select.value);
-      refill();
-    });
+  function pair(on) {
+    places[1].hidden = !on;
+    viewer.classList.toggle("two", on);
+    beside.setAttribute("aria-pressed", String(on));
+  }
+
+  const changed = (set) => (event) => { set(event.target.value); refill(); remember(); };
+  scenes.addEventListener("change", changed((value) => { wanted.scene = value; }));
+  views.addEventListener("change", changed((value) => { wanted.view = value; }));
+  for (const { method, seed, chosen } of panes) {
+    method.addEventListener("change", changed((value) => { chosen.method = value; }));
+    seed.addEventListener("change", changed((value) => { chosen.seed = Number(value); }));
   }
   for (const button of viewer.querySelectorAll(".marks button")) {
-    button.addEventListener("click", () => { slider.value = button.dataset.to; wipe(); });
+    button.addEventListener("click", () => { slider.value = button.dataset.to; wipe(); remember(); });
   }
   slider.addEventListener("input", wipe);
+  slider.addEventListener("change", remember);
+  beside.addEventListener("click", () => { pair(places[1].hidden); remember(); });
   redraws.push(refill);
+  states.push({
+    write(link) { // only what was chosen: a link to the page as it opens is short
+      for (const key of ["scene", "view"]) if (wanted[key] !== null) link.set(key, wanted[key]);
+      panes.forEach(({ chosen }, k) => {
+        if (chosen.method !== null) link.set(`method${k + 1}`, chosen.method);
+        if (chosen.seed !== null) link.set(`seed${k + 1}`, chosen.seed);
+      });
+      if (!places[1].hidden) link.set("two", "1");
+      if (slider.value !== "0.5") link.set("at", slider.value);
+    },
+    read(link) {
+      for (const key of ["scene", "view"]) wanted[key] = link.get(key);
+      panes.forEach(({ chosen }, k) => {
+        chosen.method = link.get(`method${k + 1}`);
+        chosen.seed = link.has(`seed${k + 1}`) ? Number(link.get(`seed${k + 1}`)) : null;
+      });
+      pair(link.has("two") && !beside.hidden);
+      slider.value = link.get("at") ?? "0.5";
+      wipe();
+    },
+  });
   refill();
   wipe();
 }
