@@ -12,7 +12,9 @@ from framework.errors import UserError, nearest_hint
 # each, by name. The module is light to import and reads its arguments with argparse; what it
 # raises is told as for a run: see `framework.command.cli.main`.
 SUBCOMMANDS = {
+    "compare": ("framework.report.pair", "two runs"),
     "fetch": ("framework.metrics.lpips_weights", "LPIPS"),
+    "leaderboard": ("framework.report.leaderboard", "all studies"),
     "report": ("framework.report.__main__", "report again"),
     "view": ("framework.view.main", "look at it"),
 }

@@ -34,7 +34,7 @@ from framework.report.study.folders import run_dirs
 from framework.report.study.labels import listed, outside
 from framework.report.study.order import method_order, natural
 from framework.report.study.tabled import is_tabled
-from framework.report.verdict.lead import best_method
+from framework.report.verdict.lead import best_method, has_budgets
 
 REPORT, PAGE, TABLE = "leaderboard.md", "leaderboard.html", "leaderboard.csv"
 WORDS = ("Study", "Use", "Method", "Scenes", "Against", "Why", "Told")
@@ -45,6 +45,7 @@ RANKED = (
     " by how much oftener they are really better than worse, then by their mean difference. Studies"
     " share scenes and seeds, so these are no independent votes."
 )
+EVERY = "Budgets and capacities of one method against each other are here, too; they have no rank."
 DRAWN = (
     "Difference of test PSNR to the baseline of the same study and budget, to the right: better."
     " Bars: 95 % intervals that hold for all comparisons of that study at once; a filled mark is"
@@ -63,11 +64,13 @@ class Entry:
 
 @dataclass(frozen=True)
 class Match:
-    """A comparison of a study. family: its method without the budget."""
+    """A comparison of a study. family: its method without the budget. ranked: with another method,
+    not with another budget of the same one."""
 
     entry: Entry
     family: str
     comparison: Comparison
+    ranked: bool
 
 
 def leaderboard(folder: Path, out_dir: Path) -> Path:
@@ -81,10 +84,11 @@ def leaderboard(folder: Path, out_dir: Path) -> Path:
     )
     matches = [match for entry in entries for match in _matches(entry)]
     make_folder(out_dir)
-    blocks = [*_opening(entries, matches), *_studies(entries, out_dir), *_broken(broken)]
+    ranked = [match for match in matches if match.ranked]
+    blocks = [*_opening(entries, ranked), *_drawn(ranked, out_dir)]
+    blocks += [*_studies(entries, out_dir), *_broken(broken)]
     if matches:
-        blocks += [*_drawn(matches, out_dir), Heading(2, "Every comparison")]
-        blocks += [table(_rows(matches), WORDS)]
+        blocks += [Heading(2, "Every comparison"), table(_rows(matches), WORDS), Text(EVERY)]
     families = sorted({match.family for match in matches}, key=method_order)
     made = Document("Leaderboard", tuple(blocks), (), tuple(families))
     write_whole(out_dir / PAGE, page.render(made, Gallery(), out_dir))
@@ -129,7 +133,10 @@ def _study_dirs(folder: Path) -> list[Path]:
 def _matches(entry: Entry) -> list[Match]:
     families = {run.method: run.method_label.family for run in entry.study.runs}
     known = [c for c in entry.found.comparisons.values() if c.joint is not None]
-    return [Match(entry, families[c.method], c) for c in known]
+    return [
+        Match(entry, families[c.method], c, families[c.method] != families[c.baseline])
+        for c in known
+    ]
 
 
 def _opening(entries: Sequence[Entry], matches: Sequence[Match]) -> list[Block]:
@@ -137,8 +144,8 @@ def _opening(entries: Sequence[Entry], matches: Sequence[Match]) -> list[Block]:
     better = [match.family for match in matches if _sign(match) > 0]
     worse = [match.family for match in matches if _sign(match) < 0]
     said = (
-        f"Really better than its baseline in some study: {_named(better)}. Really worse in some:"
-        f" {_named(worse)}. Of {len(matches)} comparisons in {len(entries)} studies."
+        f"Of {len(matches)} comparisons of methods in {len(entries)} studies, really better than"
+        f" the baseline: {_named(better)}; really worse: {_named(worse)}."
     )
     blocks: list[Block] = [Heading(1, "Leaderboard"), Text(said, "verdict")]
     return [*blocks, table(rows, WORDS), Text(RANKED)] if rows else blocks
@@ -181,7 +188,7 @@ def _studies(entries: Sequence[Entry], out_dir: Path) -> list[Block]:
     rows = []
     for entry in entries:
         study, found = entry.study, entry.found
-        best = best_method(study, found)
+        best = _used(study, found)
         values = list(found.seeds.get(best, {}).values())
         runs = study.of(method=best)
         row: dict[str, str | Link] = {
@@ -197,6 +204,15 @@ def _studies(entries: Sequence[Entry], out_dir: Path) -> list[Block]:
         rows.append(row)
     text = "PSNR, Gaussians and seconds: of what to use, over the scenes or strengths of the study."
     return [Heading(2, "Studies"), table(rows, WORDS), Text(text)] if rows else []
+
+
+def _used(study: Study, found: Outcomes) -> str:
+    """What the verdict advises; of the baseline with several budgets, the highest."""
+    best = best_method(study, found)
+    if best != study.baseline_of(best) or not has_budgets(study):
+        return best
+    own = {run.method for run in study.runs if run.method_label.family == study.families[0]}
+    return max(own & found.psnr.keys(), key=lambda m: (found.psnr[m].mean, m), default=best)
 
 
 def _link(entry: Entry, out_dir: Path) -> str | Link:
@@ -217,8 +233,7 @@ def _broken(broken: dict[str, str]) -> list[Block]:
 
 
 def _drawn(matches: Sequence[Match], out_dir: Path) -> list[Block]:
-    """A forest plot by method and study; of several budgets, those that are really different and
-    the one in the middle."""
+    """A forest plot by method and study; of very many, those that are really different."""
     shown = sorted(matches, key=lambda m: (method_order(m.family), natural(m.entry.name)))
     if len(shown) > MOST_ROWS:
         shown = [match for match in shown if _sign(match)][:MOST_ROWS]

@@ -226,6 +226,7 @@ def main(arguments: list[str], prog: str) -> int:
         "--out", type=Path, default=Path("compare"), help="folder of the report (default: compare)"
     )
     options = parser.parse_args(arguments)
-    path = compare_runs(*options.runs, options.out)
+    first, second = options.runs
+    path = compare_runs(first, second, options.out)
     print(f"compared: {printable_line(str(path))}")
     return 0

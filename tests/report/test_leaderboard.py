@@ -1,0 +1,54 @@
+"""`fishersplat leaderboard`: methods over all studies of a folder."""
+
+from __future__ import annotations
+
+import csv
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from framework.command.cli import main as command
+from framework.errors import UserError
+from framework.report import build_report
+from framework.report.leaderboard import leaderboard
+from tests.record.fakes import fake_run
+
+
+def _study(folder: Path, gains: dict[str, float]) -> Path:
+    for augment, gain in gains.items():
+        for seed in range(4):
+            fake_run(folder, augment, seed=seed, gain=gain, run_name=f"{augment}{seed}")
+    return build_report(folder)
+
+
+def test_methods_over_studies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "reports"
+    _study(folder / "one", {"none": 0.0, "safi": 3.0, "dba": 0.02})
+    other = _study(folder / "two", {"none": 0.0, "safi": 3.0, "euclidean": -3.0})
+    shutil.rmtree(other.parent / "runs")  # its table remains
+    assert command(["leaderboard", str(folder)]) == 0
+    assert capsys.readouterr().out.startswith("leaderboard: ")
+    text = (folder / "leaderboard.md").read_text(encoding="utf-8")
+    assert (
+        "Of 4 comparisons of methods in 2 studies, really better than the baseline: safi + none"
+        " (2); really worse: euclidean + none (1)." in text
+    )
+    ranks = re.findall(r"^\| (\w+ \+ none) +\| +\d", text, re.MULTILINE)
+    assert ranks[:3] == ["safi + none", "dba + none", "euclidean + none"]
+    assert "[one](one/report.md)" in text and (folder / "leaderboard.html").is_file()
+    rows = list(csv.DictReader((folder / "leaderboard.csv").read_text("utf-8").splitlines()))
+    assert {row["study"] for row in rows} == {"one", "two"} and len(rows) == 4
+    before = (folder / "leaderboard.html").read_bytes()
+    leaderboard(folder, folder)
+    assert (folder / "leaderboard.html").read_bytes() == before
+
+
+def test_a_folder_without_studies_and_a_broken_table(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="expected studies with runs"):
+        leaderboard(tmp_path, tmp_path / "out")
+    (tmp_path / "odd").mkdir()
+    (tmp_path / "odd" / "runs.csv").write_text("a,b\n1,2\n", encoding="utf-8")
+    text = leaderboard(tmp_path, tmp_path / "out").read_text(encoding="utf-8")
+    assert "## Not read" in text and "it lacks scene" in text

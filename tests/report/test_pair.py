@@ -1,0 +1,51 @@
+"""`fishersplat compare`: two runs beside each other, and what is no pair of runs."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from framework.command.cli import main as command
+from framework.errors import UserError
+from framework.report.pair import compare_runs
+from tests.record.fakes import fake_run
+
+
+def test_two_runs_beside_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plain, safi = fake_run(tmp_path, run_name="a"), fake_run(tmp_path, "safi", gain=1.0)
+    out = tmp_path / "out"
+    assert command(["compare", str(plain), str(safi), "--out", str(out)]) == 0
+    assert capsys.readouterr().out.startswith("compared: ")
+    text = (out / "compare.md").read_text(encoding="utf-8")
+    assert text.startswith("# none + none against safi + none\n")
+    assert re.search(r"\*\*safi \+ none reaches \d+\.\d\d dB on embedded, 1\.\d\d dB above", text)
+    assert "Single runs say nothing of chance" in text
+    assert re.search(r"\| augment\.name +\| +none +\| +safi", text)
+    for name in ("compare.html", "closeup_embedded.jpg", "curves.svg", "curves.csv"):
+        assert (out / name).is_file()
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    compare_runs(plain, safi, out)
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_runs_of_one_method_are_told_apart_by_seed(tmp_path: Path) -> None:
+    runs = [fake_run(tmp_path, seed=seed, run_name=f"s{seed}") for seed in (0, 1)]
+    text = compare_runs(*runs, tmp_path / "out").read_text(encoding="utf-8")
+    assert text.startswith("# none + none, seed=0 against none + none, seed=1\n")
+    assert re.search(r"\| seed +\| +0 +\| +1", text)
+
+
+def test_what_is_no_pair_of_runs_ends_in_one_line(tmp_path: Path) -> None:
+    run = fake_run(tmp_path)
+    with pytest.raises(UserError, match="expected the folder of a run, got none with record"):
+        compare_runs(run, tmp_path, tmp_path / "out")
+    with pytest.raises(UserError, match="expected two runs, got one twice"):
+        compare_runs(run, run, tmp_path / "out")
+
+
+def test_different_scenes_are_not_compared(tmp_path: Path) -> None:
+    runs = [fake_run(tmp_path, scene=name, run_name=name) for name in ("fern", "fox")]
+    text = compare_runs(*runs, tmp_path / "out").read_text(encoding="utf-8")
+    assert "Different scenes, hence not compared: fern and fox." in text
