@@ -14,7 +14,7 @@ from pathlib import Path
 
 from framework.errors import printable_line, require
 from framework.files.whole import make_folder, write_whole
-from framework.records.record import RECORD, Run, read_run
+from framework.records.record import METHOD_GROUPS, RECORD, Run, read_run
 from framework.report.figures.closeup import draw_closeup
 from framework.report.figures.curves import evaluations
 from framework.report.figures.files import chart_picture
@@ -54,7 +54,8 @@ def compare_runs(first: Path, second: Path, out_dir: Path) -> Path:
     runs = _labelled([_complete(first), _complete(second)])
     make_folder(out_dir)
     study = Study(out_dir, runs, (), ())
-    made = Document(_title(runs), tuple(_blocks(study)), (), tuple(study.families))
+    blocks, families = tuple(_blocks(study)), tuple(study.families)
+    made = Document(_title(runs), blocks, (), families, beside=True)
     write_whole(out_dir / PAGE, page.render(made, gallery(study, _same_scene(study)), out_dir))
     write_whole(out_dir / REPORT, markdown.render(made))
     return out_dir / REPORT
@@ -105,7 +106,7 @@ def _blocks(study: Study) -> list[Block]:
     a, b = study.runs
     same = _same_scene(study)
     blocks: list[Block] = [Heading(1, _title(study.runs)), Text(_verdict(a, b, same), "verdict")]
-    options = _options(a, b)
+    options, inner = _options(a, b)
     blocks += [table(options, WORDS)] if options else [Text(SAME_OPTIONS, "note")]
     pairs = (a.method, b.method)
     pictures = [draw_closeup(study, scene, pairs) for scene in same]
@@ -116,6 +117,8 @@ def _blocks(study: Study) -> list[Block]:
     blocks += [Heading(2, "Every test view"), table(rows, WORDS)] if rows else []
     curve = _curves(study)
     blocks += [Heading(2, "Quality over training time"), curve] if curve else []
+    blocks += [Heading(2, "Options of plugins that only one run has")] if inner else []
+    blocks += [table(inner, WORDS)] if inner else []
     return [*blocks, Heading(2, "Cost, size and code"), table(_facts(study), WORDS)]
 
 
@@ -140,15 +143,27 @@ def _common(a: ReportRun, b: ReportRun) -> list[str]:
     return [view for view in a.psnr if view in b.psnr]
 
 
-def _options(a: ReportRun, b: ReportRun) -> list[dict[str, str]]:
-    """The options that differ, by their full names; an empty cell: the plugin has no such one."""
+Rows = list[dict[str, str | Link]]
+
+
+def _options(a: ReportRun, b: ReportRun) -> tuple[Rows, Rows]:
+    """The options that differ, by their full names; apart, those of plugins of which the other run
+    has another."""
     one, other = (flatten(run.record.config) for run in (a, b))
-    rows = []
+    groups = {group for group in METHOD_GROUPS if _named(one, group) != _named(other, group)}
+    rows: Rows = []
+    inner: Rows = []
     for key in sorted(one.keys() | other.keys()):
         values = [text_of(own[key]) if key in own else "" for own in (one, other)]
         if key not in UNTOLD and values[0] != values[1]:
-            rows.append({"Option": outside(key), **_cells(a, b, values)})
-    return rows
+            group, _, option = key.partition(".")
+            place = inner if group in groups and option != "name" else rows
+            place.append({"Option": outside(key), **_cells(a, b, values)})
+    return rows, inner
+
+
+def _named(flat: Mapping[str, object], group: str) -> object:
+    return flat.get(f"{group}.name")
 
 
 def _cells(a: ReportRun, b: ReportRun, values: Sequence[str]) -> dict[str, str]:

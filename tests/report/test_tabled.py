@@ -8,7 +8,10 @@ from pathlib import Path
 import pytest
 
 from framework.errors import UserError
+from framework.records.provenance import ROOT
 from framework.report import build_report
+from framework.report.statistics.outcomes import outcomes
+from framework.report.study.axes import STRESSES
 from framework.report.study.collect import collect
 from framework.report.study.labels import MethodLabel
 from framework.report.study.tabled import method_label
@@ -92,3 +95,18 @@ def test_another_table_ends_in_one_line(tmp_path: Path, change: tuple[str, str])
     (folder / "runs.csv").write_text(text.replace(*change, 1), encoding="utf-8")
     with pytest.raises(UserError, match=r"runs\.csv: expected a table of runs"):
         collect(folder)
+
+
+COMMITTED = sorted((ROOT / "reports").glob("*/runs.csv"))
+
+
+@pytest.mark.parametrize("table", COMMITTED, ids=lambda path: path.parent.name)
+def test_every_committed_report_opens_with_its_verdict(table: Path) -> None:
+    """It says so of the runs of its table: the first line is what that table gives today."""
+    study = collect(table.parent)
+    found = outcomes(study)
+    shown = (table.parent / "report.md").read_text(encoding="utf-8").splitlines()[2]
+    assert shown.startswith("**Use ") and shown.endswith("**")
+    assert all(c.method in shown for c in found.comparisons.values() if c.significant) or any(
+        run.level(axis) is not None for run in study.runs for axis in STRESSES
+    )

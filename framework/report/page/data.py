@@ -21,6 +21,7 @@ def page_data(document: Document, pictures: Gallery) -> dict[str, Any]:
         "scenes": document.scenes,
         "methods": document.methods,
         "names": document.names,
+        "beside": document.beside,
         "images": pictures.images,
         "shots": pictures.shots,
     }

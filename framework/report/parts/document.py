@@ -72,13 +72,14 @@ Block = Heading | Text | Bullets | Table | Picture
 class Document:
     """scenes, methods: by which the page can be filtered; a heading of level 3 that is a scene's
     name begins what is told of that scene alone. names: of the methods with their budgets, whose
-    parts are the options to filter by."""
+    parts are the options to filter by. beside: whether the viewer opens with two runs."""
 
     title: str
     blocks: tuple[Block, ...] = field(default_factory=tuple)
     scenes: tuple[str, ...] = ()
     methods: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
+    beside: bool = False
 
 
 def table(rows: Sequence[Mapping[str, str | Link]], left: Sequence[str]) -> Table:

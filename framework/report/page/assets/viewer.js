@@ -87,7 +87,7 @@ function setUpViewer(viewer) {
         if (chosen.method !== null) link.set(`method${k + 1}`, chosen.method);
         if (chosen.seed !== null) link.set(`seed${k + 1}`, chosen.seed);
       });
-      if (!places[1].hidden) link.set("two", "1");
+      if (places[1].hidden === data.beside) link.set("two", data.beside ? "0" : "1");
       if (slider.value !== "0.5") link.set("at", slider.value);
     },
     read(link) {
@@ -96,7 +96,7 @@ function setUpViewer(viewer) {
         chosen.method = link.get(`method${k + 1}`);
         chosen.seed = link.has(`seed${k + 1}`) ? Number(link.get(`seed${k + 1}`)) : null;
       });
-      pair(link.has("two") && !beside.hidden);
+      pair(link.has("two") !== data.beside && !beside.hidden);
       slider.value = link.get("at") ?? "0.5";
       wipe();
     },
