@@ -13,9 +13,12 @@ from framework.errors import UserError, nearest_hint
 # raises is told as for a run: see `framework.command.cli.main`.
 SUBCOMMANDS = {
     "compare": ("framework.report.pair", "two runs"),
+    "export": ("framework.exports.export", "for viewers"),
     "fetch": ("framework.metrics.lpips_weights", "LPIPS"),
     "leaderboard": ("framework.report.leaderboard", "all studies"),
+    "render": ("framework.exports.render", "pictures"),
     "report": ("framework.report.__main__", "report again"),
+    "video": ("framework.exports.video", "a fly-through"),
     "view": ("framework.view.main", "look at it"),
 }
 

@@ -36,6 +36,7 @@ __all__ = [
     "images",
     "lens",
     "load_scene",
+    "transforms_file",
 ]
 
 LOADERS: dict[str, type] = {

@@ -7,7 +7,7 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,8 @@ OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])  # the signs of a camera's axes
 
 @dataclass(frozen=True)
 class Frame:
-    """name: the file path as written, suffix included. viewmat: [4, 4] OpenCV world-to-camera.
+    """name: the file path as written, suffix included. file: the photo; the transforms.json where
+    only cameras are read. viewmat: [4, 4] OpenCV world-to-camera.
     values: the intrinsics that apply to it; where: opens an error about them."""
 
     name: str
@@ -78,6 +79,18 @@ class Frame:
 
 def read_frames(path: Path) -> list[Frame]:
     """The frames, sorted by name. Raises UserError for whatever is missing or unsound."""
+    frames = []
+    for frame in read_cameras(path):
+        file = _photo(path.parent, frame.name)
+        name = frame.name.removeprefix("./")
+        frames.append(replace(frame, name=_with_suffix(name, file), file=file))
+    _check_files(path, frames)
+    return sorted(frames, key=lambda frame: frame.name)
+
+
+def read_cameras(path: Path) -> list[Frame]:
+    """The frames in the file's order, whether there are photos or not; names as written. Raises
+    UserError for what is unsound."""
     data = _read_json(path)
     entries = data.get("frames")
     if not isinstance(entries, list) or not entries:
@@ -87,13 +100,10 @@ def read_frames(path: Path) -> list[Frame]:
     frames = []
     for i, entry in enumerate(entries):
         where = f"{path}: frame {i} ({entry['file_path'][:200]})"
-        file = _photo(path.parent, entry["file_path"])
         viewmat = _viewmat(entry.get("transform_matrix"), where)
         values = {**common, **_values(entry, where)}
-        name = entry["file_path"].removeprefix("./")
-        frames.append(Frame(_with_suffix(name, file), file, viewmat, values, where))
-    _check_files(path, frames)
-    return sorted(frames, key=lambda frame: frame.name)
+        frames.append(Frame(entry["file_path"], path, viewmat, values, where))
+    return frames
 
 
 def _file_paths(path: Path, entries: list[Any]) -> list[str]:

@@ -22,6 +22,7 @@ ROOMS = (
     "command",  # what a user types, and what they are told
     "report",  # records -> report
     "view",  # a run in the browser
+    "exports",  # a finished run -> pictures, videos, files of other programs
     "run",  # scene -> depth -> start -> training -> measures -> record
     "train",  # the step loop
     "methods",  # common parts of method families; the plugins stand beside it

@@ -290,12 +290,21 @@ def test_photos_that_are_not_read(tmp_path: Path) -> None:
     Image.new("I;16", (64, 48)).save(tmp_path / "a.png")
     with pytest.raises(UserError, match=r"expected a photo of 8 bits .* got mode I;16; convert it"):
         prepare(tmp_path / "a.png", tmp_path, 0, SIDE)
-    try:
-        import pillow_heif  # noqa: F401
-    except ImportError:
-        (tmp_path / "a.HEIC").write_bytes(b"heic")
-        with pytest.raises(UserError, match=r"got HEIC, .* convert it to JPEG, or install pillow"):
-            prepare(tmp_path / "a.HEIC", tmp_path, 0, SIDE)
+
+
+def test_heic_needs_a_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("framework.scenes.photos.prepare.HEIF_READERS", ("none_of_this_name",))
+    (tmp_path / "a.HEIC").write_bytes(b"heic")
+    with pytest.raises(UserError, match=r"got HEIC, .* pip install pi-heif, or convert it to JPEG"):
+        prepare(tmp_path / "a.HEIC", tmp_path, 0, SIDE)
+
+
+def test_heic_is_read_where_there_is_one(tmp_path: Path) -> None:
+    heif = pytest.importorskip("pillow_heif", reason="writes HEIC; no dependency, see docs")
+    heif.register_heif_opener()
+    Image.new("RGB", (160, 120), (200, 40, 90)).save(tmp_path / "a.heic", quality=95)
+    photo = prepare(tmp_path / "a.heic", tmp_path, 0, SIDE)
+    assert (photo.name, photo.width, photo.height) == ("a.heic.jpg", 160, 120)
 
 
 def test_folders_without_enough_photos(tmp_path: Path) -> None:

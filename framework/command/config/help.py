@@ -37,11 +37,11 @@ WIDTH = 80  # characters of a summary
 HEADER = """\
 fishersplat: sparse-view 3D Gaussian Splatting studies on a CPU
 
-  one run      {program} augment=safi reg=uar
-  a study      {program} +augment=safi +reg=uar seed=0,1,2 -m
-  own photos   {program} scene=photos scene.path=DIR
-  named study  {program} sweep=demo
-  own plugins  {program} --plugins DIR reg=NAME
+  one run       {program} augment=safi reg=uar
+  a study       {program} +augment=safi +reg=uar seed=0,1,2 -m
+  own photos    {program} scene=photos scene.path=DIR
+  named study   {program} sweep=demo
+  own plugins   {program} --plugins DIR reg=NAME
 {subcommands}
 
 -m (a run for every combination of the values) goes first or last on the line.
@@ -55,7 +55,7 @@ def help_text(overrides: Sequence[str]) -> str:
     with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
         options = "\n".join(_explained(compose("config", list(overrides))))
     chosen = "\n".join(lines)
-    beside = [f"  {does:<12} {program()} {name} ..." for name, (_, does) in SUBCOMMANDS.items()]
+    beside = [f"  {does:<13} {program()} {name} ..." for name, (_, does) in SUBCOMMANDS.items()]
     header = HEADER.format(program=program(), subcommands="\n".join(beside))
     return f"{header}\nChoices, GROUP=NAME:\n{chosen}\n\nOptions, KEY=VALUE:\n\n{options}\n"
 

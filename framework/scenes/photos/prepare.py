@@ -7,6 +7,7 @@ the film's is 43.27 mm; else focal length in mm times the sensor's pixels per mm
 
 from __future__ import annotations
 
+import importlib
 import logging
 import math
 import shutil
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 FILM_DIAGONAL_MM = 43.27
 ORIENTATION, MAKE, MODEL, EXIF = 0x0112, 0x010F, 0x0110, 0x8769
 FOCAL_MM, FOCAL_35MM, PLANE_X, PLANE_UNIT, PIXELS_X = 0x920A, 0xA405, 0xA20E, 0xA210, 0xA002
+# Pillow's plugins, no dependencies: their wheels hold libheif (LGPL), the second one's x265 (GPL)
+HEIF_READERS = ("pi_heif", "pillow_heif")
 UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0}  # inch, cm, mm
 
 log = logging.getLogger(__name__)
@@ -72,14 +75,17 @@ def _formats(file: Path) -> tuple[str, ...]:
     """What Pillow may take the file for."""
     if file.suffix.lower() not in HEIC:
         return FORMATS
-    try:
-        from pillow_heif import register_heif_opener
-    except ImportError:
+    for name in HEIF_READERS:
+        try:
+            importlib.import_module(name).register_heif_opener()
+        except ImportError:
+            continue
+        break
+    else:
         raise UserError(
             f"{file}: expected a JPEG or PNG photo, got HEIC, which is not read without the"
-            " package pillow-heif; convert it to JPEG, or install pillow-heif"
-        ) from None
-    register_heif_opener()
+            " package pi-heif; pip install pi-heif, or convert it to JPEG"
+        )
     return ("HEIF",)
 
 

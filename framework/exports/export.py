@@ -1,0 +1,91 @@
+"""`fishersplat export RUN`: the Gaussians of a finished run as files that other programs open, with
+their cameras, a first view and the background beside them."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from framework.errors import require
+from framework.exports.formats import SUFFIXES, packed
+from framework.files.whole import make_folder, write_whole
+
+if TYPE_CHECKING:
+    from framework.types import Camera
+
+NAME = "scene"
+
+
+def main(arguments: list[str], prog: str) -> int:
+    """Exit status 0. Raises UserError for bad input."""
+    options = _parser(prog).parse_args(arguments)
+    kinds = list(SUFFIXES) if "all" in options.format else list(dict.fromkeys(options.format))
+    folder = options.out or options.run / "export"
+    require(
+        folder.resolve() != options.run.resolve(),
+        f"--out: expected another folder than the run's, got {folder}; the cameras of the run would"
+        " be lost",
+    )
+    from framework.exports.flight import distance, lens_of
+    from framework.exports.opened import open_run
+    from framework.exports.rig import rig
+    from framework.exports.settings import SETTINGS, settings
+    from framework.exports.upright import moved_camera, moved_gaussians, upright
+
+    run = open_run(options.run)
+    cameras = [given.camera for given in run.cameras]
+    away = distance(run, rig(cameras), lens_of(cameras, None))
+    if options.frame == "upright":
+        motion = upright(rig(cameras), away)
+        cameras = [moved_camera(camera, motion) for camera in cameras]
+        run = replace(run, gaussians=moved_gaussians(run.gaussians, motion))
+    make_folder(folder)
+    for kind in kinds:
+        content = packed(run.gaussians, run.background, kind)
+        write_whole(folder / f"{NAME}{SUFFIXES[kind]}", content)
+        print(f"export: {NAME}{SUFFIXES[kind]} {len(content) / 1e6:.2f} MB", flush=True)
+    _write_cameras(folder, [given.name for given in run.cameras], cameras, run.near)
+    write_whole(folder / SETTINGS, settings(cameras, run.background.tolist(), away))
+    print(
+        f"export: {len(run.gaussians):,} Gaussians in {folder}, with their cameras and {SETTINGS}"
+    )
+    return 0
+
+
+def _write_cameras(folder: Path, names: list[str], cameras: list[Camera], near: float) -> None:
+    import torch
+
+    from framework.records.cameras import write_cameras
+    from framework.types import View
+
+    views = [
+        View(name, camera, torch.empty(3, 0, 0))
+        for name, camera in zip(names, cameras, strict=True)
+    ]
+    write_cameras(folder, views, [], near)
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=prog, description=__doc__)
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a finished run")
+    parser.add_argument(
+        "--format",
+        nargs="+",
+        default=["spz"],
+        choices=[*SUFFIXES, "all"],
+        metavar="FORMAT",
+        help=f"one or more of {', '.join(SUFFIXES)}, or all (default: spz)",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of the files (default: RUN/export)"
+    )
+    parser.add_argument(
+        "--frame",
+        choices=("upright", "scene"),
+        default="upright",
+        help="turned and moved as viewers expect it, or in the world of the photos' cameras"
+        " (default: upright)",
+    )
+    return parser

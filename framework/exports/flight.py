@@ -1,0 +1,146 @@
+"""The way of a camera through a scene, from where its training cameras stand.
+
+- `spiral`: two turns around the mean camera, as wide as the cameras stand apart, looking at one
+  point, as in LLFF (Mildenhall et al. 2019); for cameras that look the same way.
+- `orbit`: once around the point that all look at, at the distance and height that the cameras have
+  there; for cameras all around.
+- `spline`: through all training cameras in the order of their names, and back.
+
+All of them end where they began, so that a video can repeat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from framework.exports.rig import Array, Rig, around, plane, rig, unit
+
+if TYPE_CHECKING:
+    from framework.exports.opened import OpenedRun
+    from framework.types import Camera
+
+KINDS = ("spline", "spiral", "orbit")
+SECONDS = {"spiral": 6.0, "orbit": 10.0}
+SECONDS_EACH, MOST_SECONDS = 1.0, 20.0  # of a spline: for each camera on the way
+WIDTH = 0.9  # quantile of the cameras' offsets that a spiral reaches
+LEAST_WIDTH = 0.03  # of the distance looked at; a single camera moves too
+WAVES = 2  # terms of an orbit's distance and height
+DAMPED = 0.1  # as if a tenth of the cameras stood in the mean circle
+
+
+def usual_seconds(kind: str, n: int) -> float:
+    """How long a flight past n cameras takes."""
+    return SECONDS.get(kind) or min(MOST_SECONDS, max(4.0, 2 * SECONDS_EACH * (n - 1)))
+
+
+def flight(run: OpenedRun, kind: str, n: int, lens: Camera) -> list[Camera]:
+    """n cameras with the size and intrinsics of `lens`."""
+    stood = rig([given.camera for given in run.cameras])
+    make: dict[str, Callable[[], list[Array]]] = {
+        "spiral": lambda: _spiral(stood, n, distance(run, stood, lens)),
+        "orbit": lambda: _orbit(stood, n),
+        "spline": lambda: _spline(stood, n),
+    }
+    return [_with_pose(lens, viewmat) for viewmat in make[kind]()]
+
+
+def lens_of(cameras: Sequence[Camera], side: int | None) -> Camera:
+    """A camera with the training cameras' usual size, or `side` pixels as its longer side, their
+    median focal length and the principal point in the middle; sides are even, as videos want."""
+    import torch
+
+    sizes = [(camera.width, camera.height) for camera in cameras]
+    width, height = max(sorted(set(sizes)), key=sizes.count)
+    focal = np.median(
+        [float(c.K[0, 0]) / c.width for c in cameras if (c.width, c.height) == (width, height)]
+    )
+    scale = 1.0 if side is None else side / max(width, height)
+    w, h = (max(2, 2 * round(length * scale / 2)) for length in (width, height))
+    K = torch.tensor([[focal * w, 0.0, w / 2], [0.0, focal * w, h / 2], [0.0, 0.0, 1.0]])
+    return replace(cameras[0], K=K, width=w, height=h)
+
+
+def looking(center: Array, forward: Array, down: Array) -> Array:
+    """[4, 4] world-to-camera at `center`, with the picture's down side as near to `down` as can
+    be."""
+    z = unit(forward)
+    x = unit(np.cross(down, z))
+    rotation = np.stack([x, np.cross(z, x), z])
+    viewmat = np.eye(4)
+    viewmat[:3, :3], viewmat[:3, 3] = rotation, -rotation @ center
+    return viewmat
+
+
+def _with_pose(lens: Camera, viewmat: Array) -> Camera:
+    import torch
+
+    return replace(lens, viewmat=torch.from_numpy(viewmat))
+
+
+def distance(run: OpenedRun, stood: Rig, lens: Camera) -> float:
+    """Median depth in the middle of the mean camera's picture."""
+    middle = looking(stood.centers.mean(axis=0), stood.forward.mean(axis=0), -stood.up)
+    render = run.render(_with_pose(lens, middle), depth=True)
+    h, w = lens.height // 4, lens.width // 4
+    depth = render.expected_depth[h : -h or None, w : -w or None].numpy()
+    seen = depth[depth > 0]
+    return float(np.median(seen)) if len(seen) else 100 * run.near
+
+
+def _spiral(stood: Rig, n: int, distance: float) -> list[Array]:
+    center, forward = stood.centers.mean(axis=0), unit(stood.forward.mean(axis=0))
+    axes = looking(center, forward, -stood.up)[:3, :3]
+    spread = np.quantile(np.abs((stood.centers - center) @ axes.T), WIDTH, axis=0)
+    wide = np.maximum(spread, [LEAST_WIDTH * distance, LEAST_WIDTH * distance / 2, 0.0])
+    target = center + distance * forward
+    found = []
+    for angle in 4 * np.pi * np.arange(n) / n:
+        turn = np.array([np.cos(angle), np.sin(angle), np.sin(angle / 2)])
+        place = center + (wide * turn) @ axes
+        found.append(looking(place, target - place, -stood.up))
+    return found
+
+
+def _orbit(stood: Rig, n: int) -> list[Array]:
+    """Distance and height are smooth functions of the angle, fitted to the cameras'."""
+    angles, reach, height = around(stood.centers - stood.focus, stood.up)
+    way = angles[0] + 2 * np.pi * np.arange(n) / n
+    basis, wanted = _waves(angles), np.stack([reach, height], axis=1)
+    weight = DAMPED * len(angles) * np.diag([0.0, *([1.0] * (2 * WAVES))])
+    fitted = np.linalg.solve(basis.T @ basis + weight, basis.T @ wanted)
+    at = _waves(way) @ fitted
+    at = np.clip(at, wanted.min(axis=0), wanted.max(axis=0))
+    first, second = plane(stood.up)
+    found = []
+    for angle, (r, h) in zip(way, at, strict=True):
+        offset = r * (np.cos(angle) * first + np.sin(angle) * second) + h * stood.up
+        found.append(looking(stood.focus + offset, -offset, -stood.up))
+    return found
+
+
+def _waves(angles: Array) -> Array:
+    """[n, 1 + 2 WAVES]: 1, and cosine and sine of the angles' multiples."""
+    terms = [np.ones_like(angles)]
+    for k in range(1, WAVES + 1):
+        terms += [np.cos(k * angles), np.sin(k * angles)]
+    return np.stack(terms, axis=1)
+
+
+def _spline(stood: Rig, n: int) -> list[Array]:
+    """There and back, slow at both ends. Positions and axes are interpolated by pieces of cubics
+    that do not overshoot (Fritsch and Carlson 1980)."""
+    from scipy.interpolate import PchipInterpolator
+
+    if len(stood.centers) == 1:
+        return [looking(stood.centers[0], stood.forward[0], stood.down[0])] * n
+    steps = np.linalg.norm(np.diff(stood.centers, axis=0), axis=1)
+    steps = np.maximum(steps, 1e-3 * max(float(steps.max()), 1e-9))  # a turn on the spot takes time
+    marks = np.concatenate([[0.0], np.cumsum(steps)])
+    keys = np.concatenate([stood.centers, stood.forward, stood.down], axis=1)
+    along = marks[-1] * (1 - np.cos(2 * np.pi * np.arange(n) / n)) / 2
+    at = PchipInterpolator(marks, keys)(along)
+    return [looking(row[:3], row[3:6], row[6:]) for row in at]

@@ -1,0 +1,183 @@
+"""Gaussians as files of other programs. All but SPZ keep the axes of a splat PLY (y down).
+
+- `ply`: as 3DGS writes it; every Gaussian has the SH bands of the highest.
+- `compressed-ply` (PlayCanvas): chunks of 256, 16 bytes each and a byte per SH coefficient. By
+  gsply (MIT).
+- `spz` (Niantic), version 3: gzip, quaternions by their smallest three components. Version 4 packs
+  the same numbers with zstd, which fewer programs read and another package must write; version 2
+  has coarser rotations. Its axes are right, up, back: the model is turned by half a turn about x.
+  By gsply.
+- `splat` (antimatter15): 32 bytes each, sorted by how much they cover; colours without SH bands.
+- `sog` (PlayCanvas): WebP images in a ZIP, SH bands by a palette. By gaussforge (Apache-2.0), the
+  extra `sog`.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import math
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from framework.errors import UserError, require
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.types import Gaussians
+
+Y0 = 0.28209479177387814  # the harmonic of degree 0: 1 / (2 sqrt(pi))
+SPZ_VERSION = 3
+SPZ_BITS = 24  # of a coordinate, signed; how many are behind the point is for the file to say
+SPZ_FRACTION = (4, 14)  # least and most of these; readers shift by them
+TURNED = np.diag([1.0, -1.0, -1.0, 1.0])  # right, down, forward to right, up, back
+
+SUFFIXES = {
+    "ply": ".ply",
+    "compressed-ply": ".compressed.ply",
+    "spz": ".spz",
+    "splat": ".splat",
+    "sog": ".sog",
+}
+
+
+def packed(gaussians: Gaussians, background: Tensor, kind: str) -> bytes:
+    """The content of a file of this kind. Raises UserError where its writer is not there."""
+    return _WRITERS[kind](_full(gaussians), background)
+
+
+def _full(gaussians: Gaussians) -> Gaussians:
+    """With SH bands for all Gaussians, zeros where there were none."""
+    import torch
+
+    n, bands = len(gaussians), gaussians.shN
+    if gaussians.sh_degree == 0:
+        return gaussians.replace(shN=bands.new_zeros(n, 0, 3))
+    return gaussians.replace(
+        shN=torch.cat([bands, bands.new_zeros(n - len(bands), *bands.shape[1:])])
+    )
+
+
+def _ply(gaussians: Gaussians, background: Tensor) -> bytes:
+    from framework.records.ply import write_ply
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "a.ply"
+        write_ply(file, gaussians, background)
+        return file.read_bytes()
+
+
+def _compressed_ply(gaussians: Gaussians, background: Tensor) -> bytes:
+    import gsply
+
+    return _written(
+        ".compressed.ply",
+        lambda file: gsply.plywrite(file, _for_gsply(gaussians), compressed=True),
+    )
+
+
+def _spz(gaussians: Gaussians, background: Tensor) -> bytes:
+    import gsply
+
+    from framework.exports.upright import moved_gaussians
+
+    turned = moved_gaussians(gaussians, TURNED)
+    farthest = float(turned.means.abs().max())
+    least, most = SPZ_FRACTION
+    fraction = min(most, SPZ_BITS - 1 - math.ceil(math.log2(max(farthest, 1.0) * 1.0001)))
+    require(
+        fraction >= least,
+        f"spz: expected Gaussians within {2 ** (SPZ_BITS - 1 - least):,} of the middle, got one at"
+        f" {farthest:.4g}; use another format",
+    )
+    data = _for_gsply(turned)
+    return _written(
+        ".spz",
+        lambda file: gsply.write_spz(file, data, version=SPZ_VERSION, fractional_bits=fraction),
+    )
+
+
+def _splat(gaussians: Gaussians, background: Tensor) -> bytes:
+    scales, opacities = gaussians.scales.numpy(), gaussians.opacities.numpy()
+    order = np.argsort(-scales.prod(axis=1) * opacities, kind="stable")
+    quats = gaussians.quats.numpy()
+    quats = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    colours = 0.5 + Y0 * gaussians.sh0[:, 0].numpy()
+    rows = np.zeros(
+        len(gaussians),
+        [("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)],
+    )
+    rows["mean"], rows["scale"] = gaussians.means.numpy(), scales
+    rows["rgba"][:, :3], rows["rgba"][:, 3] = _byte(255 * colours), _byte(255 * opacities)
+    rows["quat"] = _byte(128 + 128 * quats)
+    return rows[order].tobytes()
+
+
+def _byte(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+    return np.rint(values.clip(0, 255)).astype(np.uint8)
+
+
+def _sog(gaussians: Gaussians, background: Tensor) -> bytes:
+    if importlib.util.find_spec("gaussforge") is None:
+        raise UserError(
+            "sog: expected the package gaussforge, which writes it, found none; pip install"
+            " 'fishersplat[sog]', or choose another format"
+        )
+    import gaussforge
+
+    told = gaussforge.GaussForge().convert(_ply(gaussians, background), "ply", "sog")
+    if "error" in told:
+        raise UserError(f"sog: expected gaussforge to write it, got '{told['error']}'")
+    return bytes(told["data"])
+
+
+def _for_gsply(gaussians: Gaussians) -> Any:
+    """The same values as gsply holds them."""
+    import gsply
+
+    n, rest = len(gaussians), gaussians.shN.shape[1]
+    return gsply.GSData(
+        means=gaussians.means.numpy(),
+        scales=gaussians.log_scales.numpy(),
+        quats=(gaussians.quats / gaussians.quats.norm(dim=1, keepdim=True)).numpy(),
+        opacities=gaussians.opacity_logits.numpy(),
+        sh0=gaussians.sh0.reshape(n, 3).numpy(),
+        shN=gaussians.shN.numpy() if rest else None,
+        _format=gsply.create_ply_format({0: 0, 3: 1, 8: 2, 15: 3}[rest]),
+    )
+
+
+def _written(suffix: str, write: Callable[[str], object]) -> bytes:
+    """What `write` puts into a file."""
+    with tempfile.TemporaryDirectory() as folder, _silent():
+        file = Path(folder) / f"a{suffix}"
+        write(str(file))
+        return file.read_bytes()
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """gsply tells what it writes at level INFO."""
+    logger = logging.getLogger("gsply")
+    before = logger.level
+    logger.setLevel(logging.WARNING)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+_WRITERS: dict[str, Callable[[Gaussians, Tensor], bytes]] = {
+    "ply": _ply,
+    "compressed-ply": _compressed_ply,
+    "spz": _spz,
+    "splat": _splat,
+    "sog": _sog,
+}

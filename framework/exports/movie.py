@@ -1,0 +1,134 @@
+"""Pictures to a moving one: WebM by OpenCV, MP4 by PyAV, animated WebP and GIF by Pillow.
+
+WebM is VP9, which browsers and players show and OpenCV's wheels write (their FFmpeg is LGPL, libvpx
+BSD). H.264 is not among what they write. PyAV's wheels write it, but hold libx264, which is under
+the GPL: so PyAV is used where somebody installed it, and is no dependency and no extra.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import io
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from framework.errors import UserError, require
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Pictures = Sequence[NDArray[np.uint8]]  # [H, W, 3] each, H and W even
+
+SUFFIXES = (".mp4", ".webm", ".webp", ".gif")
+VP9 = {"crf": "30", "b": "0", "row-mt": "1", "cpu-used": "4"}  # constant quality, medium effort
+H264 = {"crf": "20", "preset": "medium"}
+OPTIONS = "OPENCV_FFMPEG_WRITER_OPTIONS"
+
+
+def has_h264() -> bool:
+    """Whether PyAV is there."""
+    return importlib.util.find_spec("av") is not None
+
+
+def check_kind(path: Path) -> None:
+    """Raise UserError unless a movie of this name can be written."""
+    kind = path.suffix.lower()
+    require(
+        kind in SUFFIXES,
+        f"--out: expected a name that ends in {', '.join(SUFFIXES)}, got '{path.name}'; rename it",
+    )
+    require(
+        kind != ".mp4" or has_h264(),
+        f"{path}: expected PyAV, which writes MP4 (H.264), found none; pip install av, or name the"
+        " video .webm",
+    )
+
+
+def encoded(pictures: Pictures, kind: str, fps: int) -> bytes:
+    """The file's content. kind: one of `SUFFIXES`."""
+    if kind == ".mp4":
+        return _mp4(pictures, fps)
+    return _webm(pictures, fps) if kind == ".webm" else _animated(pictures, kind, fps)
+
+
+def _mp4(pictures: Pictures, fps: int) -> bytes:
+    import av
+
+    height, width = pictures[0].shape[:2]
+    out = io.BytesIO()
+    # the index first: a page then shows it while it loads
+    with av.open(out, "w", format="mp4", options={"movflags": "+faststart"}) as container:
+        stream = container.add_stream("h264", rate=Fraction(fps), options=H264)
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        for picture in pictures:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
+    return out.getvalue()
+
+
+def _webm(pictures: Pictures, fps: int) -> bytes:
+    import cv2
+
+    height, width = pictures[0].shape[:2]
+    with tempfile.TemporaryDirectory() as folder, _options():
+        file = Path(folder) / "video.webm"
+        code = cv2.VideoWriter.fourcc(*"VP90")
+        with _quiet():  # of the tag, which this container has no place for
+            writer = cv2.VideoWriter(str(file), cv2.CAP_FFMPEG, code, float(fps), (width, height))
+        if not writer.isOpened():
+            raise UserError(
+                "video: expected an OpenCV that writes VP9, got one that does not; name the video"
+                " .webp"
+            )
+        for picture in pictures:
+            writer.write(picture[..., ::-1].copy())
+        writer.release()
+        return file.read_bytes()
+
+
+@contextlib.contextmanager
+def _options() -> Iterator[None]:
+    """Tell OpenCV how to encode."""
+    before = os.environ.get(OPTIONS)
+    os.environ[OPTIONS] = "|".join(f"{key};{value}" for key, value in VP9.items())
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[OPTIONS]
+        else:
+            os.environ[OPTIONS] = before
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """What C libraries write to standard error goes nowhere."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _animated(pictures: Pictures, kind: str, fps: int) -> bytes:
+    from PIL import Image
+
+    first, *rest = [Image.fromarray(picture) for picture in pictures]
+    out = io.BytesIO()
+    duration = round(1000 / fps)  # ms; GIF counts hundredths of a second
+    if kind == ".webp":
+        first.save(
+            out, "WEBP", save_all=True, append_images=rest, duration=duration, loop=0, quality=75
+        )
+    else:
+        first.save(out, "GIF", save_all=True, append_images=rest, duration=duration, loop=0)
+    return out.getvalue()

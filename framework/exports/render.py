@@ -1,0 +1,105 @@
+"""`fishersplat render RUN --cameras FILE`: the pictures of a finished run from given cameras, as
+PNG files in a folder."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from framework.errors import require
+from framework.exports.video import check_side
+from framework.files.whole import make_folder, write_whole
+
+if TYPE_CHECKING:
+    from framework.types import Camera
+
+MOST_PIXELS = 20_000_000  # of a picture; the kernels take about 100 bytes for each
+
+
+def main(arguments: list[str], prog: str) -> int:
+    """Exit status 0. Raises UserError for bad input."""
+    options = _parser(prog).parse_args(arguments)
+    check_side(options.size)
+    from framework.exports.given import read_given
+    from framework.exports.opened import open_run
+    from framework.exports.pictures import painter
+    from framework.exports.ticks import Ticks
+    from framework.records.run_files import file_stems
+
+    given = read_given(options.cameras)
+    cameras = [_resized(one.camera, options.size) for one in given]
+    run = open_run(options.run)
+    folder = options.out or options.run / "pictures"
+    make_folder(folder)
+    bent = sum(one.bent for one in given)
+    if bent:
+        print(f"note: {bent} of {len(given)} cameras have a distorting lens; drawn without it")
+    brush, tick = painter(run, options.show, cameras), Ticks("pictures")
+    stems = file_stems([_bare(one.name) for one in given])
+    for number, (stem, camera) in enumerate(zip(stems, cameras, strict=True)):
+        write_whole(folder / f"{stem}.png", _png(brush.picture(camera)))
+        tick(number + 1, len(cameras))
+    print(f"render: {len(cameras)} pictures in {folder}")
+    return 0
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=prog, description=__doc__)
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a finished run")
+    parser.add_argument(
+        "--cameras",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="a cameras.json as 3DGS writes it, or a transforms.json",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of the pictures (default: RUN/pictures)"
+    )
+    parser.add_argument(
+        "--show",
+        choices=("rgb", "depth", "both"),
+        default="rgb",
+        help="colour, depth (near is red), or side by side (default: rgb)",
+    )
+    parser.add_argument(
+        "--size", type=int, metavar="PIXELS", help="longer side (default: as the file says)"
+    )
+    return parser
+
+
+def _resized(camera: Camera, side: int | None) -> Camera:
+    """With `side` pixels as the longer side."""
+    if side is not None:
+        longer = max(camera.width, camera.height)
+        width, height = (max(1, round(s * side / longer)) for s in (camera.width, camera.height))
+        K = camera.K.clone()
+        K[0] *= width / camera.width
+        K[1] *= height / camera.height
+        camera = replace(camera, K=K, width=width, height=height)
+    pixels = camera.width * camera.height
+    require(
+        pixels <= MOST_PIXELS,
+        f"--cameras: expected pictures of at most {MOST_PIXELS:,} pixels, got {camera.width}x"
+        f"{camera.height}; give --size",
+    )
+    return camera
+
+
+def _bare(name: str) -> str:
+    """The name without its folder and the suffix of a picture."""
+    file = Path(name).name
+    known = file.lower().endswith((".png", ".jpg", ".jpeg"))
+    return file.rsplit(".", 1)[0] if known else file
+
+
+def _png(picture: object) -> bytes:
+    import io
+
+    from PIL import Image
+
+    out = io.BytesIO()
+    Image.fromarray(picture).save(out, "PNG")  # type: ignore[arg-type]
+    return out.getvalue()

@@ -1,0 +1,92 @@
+"""How the training cameras stand: where they look, which way is up, and whether they stand all
+around, side by side, or along a way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from framework.types import Camera
+
+Array = NDArray[np.float64]
+
+PARALLEL = 0.9  # length of the mean viewing direction; cameras within about 25 degrees of it
+GAP = 2.4  # radians; the largest stretch without a camera in a circle of them (138 degrees)
+TILTED = 0.3  # length of the mean up direction; below, there is no common one
+
+
+@dataclass(frozen=True)
+class Rig:
+    """centers, right, down, forward: [n, 3], of the cameras, in the world."""
+
+    centers: Array
+    right: Array
+    down: Array
+    forward: Array
+
+    @property
+    def up(self) -> Array:
+        """[3], the mean of the cameras' up directions."""
+        return unit(-self.down.mean(axis=0))
+
+    @property
+    def focus(self) -> Array:
+        """[3], the point nearest to all optical axes (least squares, with a weak pull to the mean
+        camera, as parallel axes have no such point)."""
+        across = np.eye(3) - self.forward[:, :, None] * self.forward[:, None, :]
+        weak = 1e-3 * len(across) * np.eye(3)
+        middle = self.centers.mean(axis=0)
+        right_side = np.einsum("nij,nj->i", across, self.centers) + weak @ middle
+        found: Array = np.linalg.solve(across.sum(axis=0) + weak, right_side)
+        return found
+
+    @property
+    def kind(self) -> str:
+        """The path that suits: `orbit`, `spiral` or `spline`."""
+        if len(self.centers) < 2 or np.linalg.norm(self.forward.mean(axis=0)) > PARALLEL:
+            return "spiral"
+        tilted = np.linalg.norm(self.down.mean(axis=0)) < TILTED
+        offset = self.centers - self.focus
+        ahead = (self.forward * -offset).sum(axis=1) > 0
+        if len(self.centers) < 3 or tilted or not ahead.all():
+            return "spline"
+        return "orbit" if self.largest_gap <= GAP else "spline"
+
+    @property
+    def largest_gap(self) -> float:
+        """Radians between neighbours around the focus, at most."""
+        angles = np.sort(around(self.centers - self.focus, self.up)[0])
+        return float(np.diff(np.append(angles, angles[0] + 2 * np.pi)).max())
+
+
+def rig(cameras: Sequence[Camera]) -> Rig:
+    """That of the cameras."""
+    views = np.stack([camera.viewmat.numpy() for camera in cameras])
+    rotation = views[:, :3, :3]
+    centers = -np.einsum("nji,nj->ni", rotation, views[:, :3, 3])
+    return Rig(centers, rotation[:, 0], rotation[:, 1], rotation[:, 2])
+
+
+def unit(vector: Array) -> Array:
+    """Of length 1, along the last axis."""
+    length = np.linalg.norm(vector, axis=-1, keepdims=True)
+    result: Array = vector / np.maximum(length, 1e-12)
+    return result
+
+
+def plane(up: Array) -> tuple[Array, Array]:
+    """Two unit vectors [3] that complete `up` to a right-handed system."""
+    first = unit(np.cross(up, np.eye(3)[np.abs(up).argmin()]))
+    return first, np.cross(up, first)
+
+
+def around(offsets: Array, up: Array) -> tuple[Array, Array, Array]:
+    """Angle, distance from the axis and height of each of the offsets [n, 3]."""
+    first, second = plane(up)
+    a, b = offsets @ first, offsets @ second
+    return np.arctan2(b, a), np.hypot(a, b), offsets @ up

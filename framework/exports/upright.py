@@ -1,0 +1,92 @@
+"""A model as viewers expect it: upright, its middle at the origin.
+
+What was trained keeps the world of its photos, where up is anywhere. Viewers take for granted that
+the y axis of a splat PLY points down, as in COLMAP's first camera, and orbit around the origin. So
+a model is turned (its mean camera is upright and looks along +z) and moved (the point that the
+cameras look at is the origin). It is not scaled: lengths stay those of the scene.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from framework.exports.flight import looking
+from framework.exports.rig import Array, Rig, unit
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.types import Camera, Gaussians
+
+SAMPLES = 64  # directions at which turned harmonics are compared; 16 would do
+
+
+def upright(stood: Rig, distance: float) -> Array:
+    """[4, 4], from the world of the rig to the upright one. distance: how far in front of the mean
+    camera the middle is where all cameras look the same way; others cross in it."""
+    forward = stood.forward.mean(axis=0)
+    if np.linalg.norm(forward) < 0.1:  # all around, level: any direction is as good
+        forward = stood.forward[0]
+    turn = looking(np.zeros(3), forward, -stood.up)[:3, :3]
+    if stood.kind == "orbit":  # tilted cameras must not tilt the ground
+        level = unit(forward - stood.up * (forward @ stood.up))
+        turn = looking(np.zeros(3), level, -stood.up)[:3, :3]
+        middle = stood.focus
+    else:
+        middle = stood.centers.mean(axis=0) + distance * unit(forward)
+    moved = np.eye(4)
+    moved[:3, :3], moved[:3, 3] = turn, -turn @ middle
+    return moved
+
+
+def moved_camera(camera: Camera, motion: Array) -> Camera:
+    """The camera that sees of the moved scene what `camera` saw before."""
+    from dataclasses import replace
+
+    import torch
+
+    return replace(camera, viewmat=camera.viewmat @ torch.from_numpy(np.linalg.inv(motion)))
+
+
+def moved_gaussians(gaussians: Gaussians, motion: Array) -> Gaussians:
+    """The Gaussians after a rigid motion [4, 4]; colours turn with them."""
+    import torch
+
+    from framework.geometry import quaternions, rotation_matrices
+
+    turn = torch.from_numpy(motion[:3, :3])
+    means = gaussians.means.double() @ turn.T + torch.from_numpy(motion[:3, 3])
+    quats = quaternions(turn @ rotation_matrices(gaussians.quats.double()))
+    return gaussians.replace(
+        means=means.float(), quats=quats.float(), shN=turned_bands(gaussians.shN, turn)
+    )
+
+
+def turned_bands(shN: Tensor, turn: Tensor) -> Tensor:
+    """SH coefficients [M, K-1, 3] above degree 0 of colours that were turned by `turn` [3, 3].
+
+    Harmonics of one degree turn among themselves: Y(R^T d) = D Y(d) for all directions d, with one
+    matrix D per degree, here found from some directions by least squares. Coefficients c then
+    become D^T c (Ivanic and Ruedenberg 1996 have D in closed form).
+    """
+    import torch
+
+    from framework.rasterize.reference import sh_basis
+
+    degree = {0: 0, 3: 1, 8: 2, 15: 3}[shN.shape[1]] if len(shN) else 0
+    if degree == 0:
+        return shN
+    random = torch.Generator().manual_seed(0)
+    directions = torch.randn(SAMPLES, 3, generator=random, dtype=torch.float64)
+    directions = torch.nn.functional.normalize(directions, dim=1)
+    after = sh_basis(directions, degree)
+    before = sh_basis(directions @ turn.double(), degree)
+    parts = []
+    for band in range(1, degree + 1):
+        own = slice(band**2, (band + 1) ** 2)
+        D = torch.linalg.lstsq(after[:, own], before[:, own]).solution  # before = after D
+        kept = shN[:, band**2 - 1 : (band + 1) ** 2 - 1].double()
+        parts.append(torch.einsum("ab,nbc->nac", D, kept))
+    return torch.cat(parts, dim=1).to(shN.dtype)

@@ -1,0 +1,120 @@
+"""`fishersplat video RUN`: a flight through the scene of a finished run, as a video."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from framework.errors import require
+from framework.files.whole import write_whole
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from framework.exports.pictures import Painter
+    from framework.types import Camera
+
+MOST_FRAMES, MOST_BYTES = 3000, 2**31  # all pictures are in memory until they are encoded
+SIDES = (16, 4096)
+FPS = (1, 60)
+
+
+def main(arguments: list[str], prog: str) -> int:
+    """Exit status 0. Raises UserError for bad input."""
+    options = _parser(prog).parse_args(arguments)
+    low, high = FPS
+    require(low <= options.fps <= high, f"--fps: expected {low} to {high}, got {options.fps}")
+    check_side(options.size)
+    seconds = options.seconds
+    require(
+        seconds is None or (math.isfinite(seconds) and 0 < seconds <= 600),
+        f"--seconds: expected a time of up to 600, got {seconds}",
+    )
+    from framework.exports.movie import check_kind, encoded, has_h264
+    from framework.exports.opened import open_run
+
+    out = options.out or options.run / ("video.mp4" if has_h264() else "video.webm")
+    check_kind(out)
+    run = open_run(options.run)
+    from framework.exports.flight import flight, lens_of, usual_seconds
+    from framework.exports.pictures import painter
+    from framework.exports.rig import rig
+
+    cameras = [given.camera for given in run.cameras]
+    stood = rig(cameras)
+    path = stood.kind if options.path == "auto" else options.path
+    n = round((seconds or usual_seconds(path, len(cameras))) * options.fps)
+    lens = lens_of(cameras, options.size)
+    _check_room(n, lens, options.show)
+    way = flight(run, path, n, lens)
+    pictures = _pictures(painter(run, options.show, way), way)
+    print(f"encoding {len(pictures)} frames", flush=True)
+    content = encoded(pictures, out.suffix.lower(), options.fps)
+    write_whole(out, content)
+    height, width = pictures[0].shape[:2]
+    print(
+        f"video: {out} ({path} past {len(cameras)} cameras, {n / options.fps:.1f} s of"
+        f" {width}x{height}, {len(content) / 1e6:.1f} MB)"
+    )
+    return 0
+
+
+def check_side(side: int | None) -> None:
+    """Raise UserError for a picture that is too small or too large."""
+    least, most = SIDES
+    require(
+        side is None or least <= side <= most,
+        f"--size: expected {least} to {most} pixels, got {side}",
+    )
+
+
+def _parser(prog: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=prog, description=__doc__)
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a finished run")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="video.mp4, .webm, .webp or .gif (default: in RUN, MP4 with PyAV, else WebM)",
+    )
+    parser.add_argument(
+        "--path",
+        choices=("auto", "spline", "spiral", "orbit"),
+        default="auto",
+        help="way of the camera: through the training cameras and back, a spiral before them, or"
+        " once around; auto looks at how the cameras stand (default)",
+    )
+    parser.add_argument(
+        "--show",
+        choices=("rgb", "depth", "both"),
+        default="rgb",
+        help="colour, depth (near is red), or side by side (default: rgb)",
+    )
+    parser.add_argument("--seconds", type=float, help="length (default: by the path, 4 to 20)")
+    parser.add_argument("--fps", type=int, default=24, help="pictures a second (default: 24)")
+    parser.add_argument(
+        "--size", type=int, metavar="PIXELS", help="longer side (default: as in training)"
+    )
+    return parser
+
+
+def _check_room(n: int, lens: Camera, shown: str) -> None:
+    n_bytes = n * lens.width * lens.height * (6 if shown == "both" else 3)
+    require(
+        2 <= n <= MOST_FRAMES and n_bytes <= MOST_BYTES,
+        f"video: expected 2 to {MOST_FRAMES} frames of together at most {MOST_BYTES >> 20:,} MiB,"
+        f" got {n} of {n_bytes >> 20:,} MiB; change --seconds, --fps or --size",
+    )
+
+
+def _pictures(painter: Painter, way: list[Camera]) -> list[NDArray[np.uint8]]:
+    from framework.exports.ticks import Ticks
+
+    tick, pictures = Ticks("frames"), []
+    for camera in way:
+        pictures.append(painter.picture(camera))
+        tick(len(pictures), len(way))
+    return pictures

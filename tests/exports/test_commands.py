@@ -1,0 +1,175 @@
+"""`fishersplat video` and `render`: what they write, and what they say to bad input."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from framework.command.cli import main as command
+from framework.errors import UserError
+from framework.exports import render, video
+from framework.exports.given import read_given
+from framework.exports.opened import open_run
+from framework.metrics.evaluate import quantise
+from tests.exports.folders import HEIGHT, WIDTH, all_around, run_folder, side_by_side
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return run_folder(tmp_path / "run", side_by_side())
+
+
+@pytest.mark.parametrize("suffix", [".webp", ".gif"])
+def test_an_animated_picture_has_the_frames(run: Path, suffix: str) -> None:
+    out = run / f"v{suffix}"
+    line = [str(run), "--seconds", "0.5", "--fps", "10", "--out", str(out), "--show", "both"]
+    assert video.main(line, "video") == 0
+    with Image.open(out) as moving:
+        assert moving.n_frames == 5 and moving.size == (2 * WIDTH, HEIGHT)
+
+
+def test_webm_is_the_default_without_pyav(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("framework.exports.movie.has_h264", lambda: False)
+    assert command(["video", str(run), "--seconds", "0.5"]) == 0
+    told = capfd.readouterr()
+    assert "spiral past 3 cameras" in told.out and "OpenCV" not in told.err
+    capture = cv2.VideoCapture(str(run / "video.webm"))
+    good, frame = capture.read()
+    assert good and frame.shape == (HEIGHT, WIDTH, 3)
+
+
+def test_mp4_is_h264(run: Path) -> None:
+    av = pytest.importorskip("av", reason="no dependency: its wheels hold GPL libraries")
+    assert video.main([str(run), "--seconds", "0.5", "--out", str(run / "a.mp4")], "video") == 0
+    with av.open(str(run / "a.mp4")) as container:
+        assert container.streams.video[0].codec_context.name == "h264"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--fps", "0"], "--fps: expected 1 to 60"),
+        (["--seconds", "nan"], "--seconds: expected"),
+        (["--seconds", "599", "--size", "4096"], "change --seconds, --fps or --size"),
+        (["--size", "4"], "--size: expected 16 to 4096"),
+        (["--out", "a.avi"], "rename it"),
+    ],
+)
+def test_bad_options_end_in_one_line(run: Path, words: list[str], told: str) -> None:
+    with pytest.raises(UserError, match=told):
+        video.main([str(run), *words], "video")
+
+
+def test_mp4_without_pyav_says_what_to_do(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(name: str) -> None:
+        return None
+
+    monkeypatch.setattr(importlib.util, "find_spec", absent)
+    with pytest.raises(UserError, match="pip install av"):
+        video.main([str(run), "--out", "a.mp4"], "video")
+
+
+def test_pictures_are_the_renders_of_the_run(run: Path) -> None:
+    for name in ("cameras.json", "transforms.json"):
+        out = run / name.replace(".json", "")
+        assert render.main([str(run), "--cameras", str(run / name), "--out", str(out)], "r") == 0
+        opened = open_run(run)
+        for given in read_given(run / name):
+            picture = np.asarray(Image.open(out / f"{Path(given.name).stem}.png"))
+            assert np.array_equal(picture, quantise(opened.render(given.camera).rgb))
+
+
+def test_pictures_can_be_of_another_size_and_of_depth(run: Path) -> None:
+    line = [str(run), "--cameras", str(run / "cameras.json"), "--size", "24", "--show", "depth"]
+    assert render.main(line, "render") == 0
+    with Image.open(run / "pictures" / "0.png") as picture:
+        assert picture.size == (24, 18)
+
+
+def test_both_files_tell_the_same_cameras(run: Path) -> None:
+    one = {g.name: g.camera for g in read_given(run / "cameras.json")}
+    other = {g.name: g.camera for g in read_given(run / "transforms.json")}
+    assert one.keys() == other.keys()
+    for name, camera in one.items():
+        assert np.allclose(camera.viewmat, other[name].viewmat, atol=1e-9)
+        assert np.allclose(camera.K, other[name].K)
+
+
+GOOD = {
+    "id": 0,
+    "img_name": "a",
+    "width": 8,
+    "height": 6,
+    "position": [0, 0, 0],
+    "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "fx": 8.0,
+    "fy": 8.0,
+}
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ([], "expected cameras"),
+        ({"a": 1}, "expected cameras"),
+        ([{**GOOD, "position": [0, 0]}], "camera 0: expected position, 3 numbers"),
+        ([{**GOOD, "rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 1]]}], "orthonormal camera axes"),
+        ([{**GOOD, "fx": -1}], "positive focal lengths"),
+        ([{**GOOD, "width": 10**9}], "expected sides"),
+        ([{**GOOD, "width": None}], "expected width, one number"),
+        ([{k: v for k, v in GOOD.items() if k != "fy"}], "expected fy, one number, got none"),
+        ({"frames": [{"file_path": "a", "transform_matrix": np.eye(4).tolist()}]}, "w and h"),
+    ],
+)
+def test_cameras_that_are_none_end_in_one_line(tmp_path: Path, content: object, told: str) -> None:
+    file = tmp_path / "cameras.json"
+    file.write_text(json.dumps(content))
+    with pytest.raises(UserError, match=told):
+        read_given(file)
+
+
+@pytest.mark.parametrize("name", ["video", "render", "export"])
+def test_a_folder_that_is_no_run_ends_in_one_line(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cameras = tmp_path / "cameras.json"
+    cameras.write_text(json.dumps([GOOD]))
+    more = ["--cameras", str(cameras)] if name == "render" else []
+    assert command([name, str(tmp_path), *more]) == 2
+    assert "expected the folder of a finished run" in capsys.readouterr().err
+
+
+def test_a_pipe_in_place_of_a_file_does_not_wait(run: Path) -> None:
+    (run / "pipe").unlink(missing_ok=True)
+    os.mkfifo(run / "pipe")
+    with pytest.raises(UserError, match="a pipe"):
+        render.main([str(run), "--cameras", str(run / "pipe")], "render")
+    (run / "transforms.json").unlink()
+    os.mkfifo(run / "transforms.json")
+    with pytest.raises(UserError, match="expected the folder of a finished run"):
+        video.main([str(run)], "video")
+
+
+@pytest.mark.parametrize("near", [0, -1, True, "a", None])
+def test_a_forged_near_plane_is_refused(run: Path, near: object) -> None:
+    told = json.loads((run / "transforms.json").read_text())
+    (run / "transforms.json").write_text(json.dumps({**told, "near_plane": near}))
+    with pytest.raises(UserError, match="near_plane"):
+        open_run(run)
+
+
+def test_an_orbit_is_chosen_for_cameras_all_around(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = run_folder(tmp_path / "run", all_around())
+    assert video.main([str(run), "--seconds", "0.2", "--out", str(run / "a.webp")], "video") == 0
+    assert "orbit past 7 cameras" in capsys.readouterr().out
