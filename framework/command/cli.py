@@ -39,6 +39,8 @@ from framework.command.config.schema import (
 from framework.command.config.trust import check_command, parsed
 from framework.command.hydra_inside import argument_parser
 from framework.command.job import Job
+from framework.command.launchers.detached import detached
+from framework.command.launchers.known import register_launchers
 from framework.command.program import program
 from framework.command.studies.failures import again, conclude, tell
 from framework.command.studies.study import Outcome, Refused, add_outcome, job_count, ledger
@@ -72,6 +74,7 @@ def main(argv: Sequence[str]) -> int:
         arguments = normalise(own_plugins.take_flag(argv))
         with _hydra_process(arguments):
             register_config()
+            register_launchers()
             flags = _parse(arguments)
             if not flags.shell_completion:  # whose words are no overrides
                 check_command(flags)
@@ -86,7 +89,7 @@ def main(argv: Sequence[str]) -> int:
                 return 0
             with ledger():
                 application()
-                return conclude()
+                return 0 if detached() else conclude()
     except KeyboardInterrupt:
         line = f"{program()} {shlex.join(argv)}"
         print(f"error: interrupted; what is done is kept, go on with: {line}", file=sys.stderr)
@@ -113,10 +116,11 @@ def main(argv: Sequence[str]) -> int:
         return end.code if isinstance(end.code, int) else int(end.code is not None)
 
 
-def task(cfg: DictConfig) -> None:
+def task(cfg: DictConfig) -> Outcome | None:
     """One run; Hydra calls it, perhaps in a launcher's fresh process.
 
-    An error ends this run and not its siblings: it goes into the record and the ledger.
+    An error ends this run and not its siblings: it goes into the record and the ledger. Returns
+    what the ledger has of the run, where this process knows it.
     """
     end_with_parent()
     job = _job(HydraConfig.get(), plain(cfg))
@@ -125,10 +129,12 @@ def task(cfg: DictConfig) -> None:
         job.config["study"] = study_name(job.config)
         well = runner.run(job)
     except Exception as error:
-        tell(job, error)
-    else:
-        if well:
-            add_outcome(Outcome(job.number, job.run_dir))
+        return tell(job, error)
+    if not well:  # told by the process that did it
+        return None
+    outcome = Outcome(job.number, job.run_dir)
+    add_outcome(outcome)
+    return outcome
 
 
 def normalise(argv: Sequence[str]) -> list[str]:

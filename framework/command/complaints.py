@@ -21,6 +21,7 @@ from omegaconf.errors import (
     ValidationError,
 )
 
+from framework.command.launchers.known import missing_extra
 from framework.errors import UserError, mendable, nearest_hint, os_line, printable_line
 
 USER_ERRORS = (UserError, HydraException, OmegaConfBaseException)
@@ -114,6 +115,12 @@ def _missing_choice(error: MissingConfigException) -> str | None:
     if not error.missing_cfg_file or error.options is None:
         return None
     group, _, name = error.missing_cfg_file.rpartition("/")
+    extra = missing_extra(name) if group == "hydra/launcher" else None
+    if extra is not None:
+        return (
+            f"{group}={name}: expected what it needs to be installed, found it missing; pip install"
+            f" 'fishersplat[{extra}]'"
+        )
     return f"{group}={name}: unknown {group}; {nearest_hint(name, error.options)}"
 
 

@@ -31,6 +31,22 @@ def watch(parent: int | None) -> None:
     threading.Thread(target=_watch, args=(parent,), daemon=True).start()
 
 
+def end_with(process: int) -> None:
+    """End this process soon after another one of this machine, which is no relative of it."""
+    threading.Thread(target=_watch_other, args=(process,), daemon=True).start()
+
+
+def _watch_other(process: int) -> None:
+    while True:
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            os._exit(1)
+        except PermissionError:
+            pass
+        time.sleep(POLL_S)
+
+
 def _watch(parent: int | None) -> None:
     """A process whose parent has ended gets another one, perhaps before it came to this line."""
     while os.getppid() == parent:

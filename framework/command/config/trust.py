@@ -26,17 +26,16 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import ChoiceSweep, IntervalSweep, Override, RangeSweep
-from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from framework.command.complaints import composing
 from framework.command.config.schema import CONF_DIR, SWEEPS_DIR
+from framework.command.launchers.check import check_launcher
 from framework.errors import UserError, printable_line, require
 from framework.files import limits
 from framework.files.documents import check_yaml
 
-LAUNCHERS = ("basic", "joblib")
 FREE = ("mode", "overrides", "runtime", "verbose", "help", "hydra_help", "defaults", "env")
 FOLDERS = ("run.dir", "sweep.dir", "sweep.subdir")
 REFUSED_FLAGS = {
@@ -114,7 +113,7 @@ def check_composed(config: DictConfig) -> None:
         _expect(logging, asked[logging], QUIET)
     _check_folders(config, own)
     _check_search_path(asked["searchpath"])
-    _check_launcher(asked["launcher"])
+    check_launcher(asked["launcher"], asked["overrides"]["hydra"])
     _check_sweeper(asked["sweeper"])
     known = {*FREE, "job", "callbacks", "output_subdir", "hydra_logging", "job_logging"}
     known |= {"run", "sweep", "searchpath", "launcher", "sweeper"}
@@ -229,35 +228,8 @@ def _check_folders(config: DictConfig, own: Mapping[str, Any]) -> None:
         )
 
 
-def _check_launcher(got: Mapping[str, Any]) -> None:
-    """One of ours, with no option changed but the number of processes."""
-    known = {name: _stored(name) for name in LAUNCHERS}
-    title = " or ".join(f"hydra/launcher={name}" for name in LAUNCHERS)
-    target = got.get("_target_")
-    for stored in known.values():
-        if stored and stored["_target_"] == target:
-            changed = [k for k in got if k != "n_jobs" and got[k] != stored.get(k)]
-            require(
-                not changed,
-                f"hydra.launcher.{changed[0] if changed else ''}: expected no option but n_jobs,"
-                " got one; remove it",
-            )
-            _check_jobs(got.get("n_jobs", 1))
-            return
-    raise UserError(f"hydra.launcher: expected {title}, got {str(target)[:100]!r}; choose one")
-
-
-def _check_jobs(n_jobs: Any) -> None:
-    fits = isinstance(n_jobs, int) and -limits.PARALLEL_RUNS <= n_jobs <= limits.PARALLEL_RUNS
-    require(
-        fits and n_jobs != 0,
-        f"hydra.launcher.n_jobs: expected 1 to {limits.PARALLEL_RUNS} processes, or -1 for one per"
-        f" core, got {n_jobs!r}; choose a number",
-    )
-
-
 def _check_sweeper(got: Mapping[str, Any]) -> None:
-    expected = {"_target_": _stored("basic", "sweeper")["_target_"], "max_batch_size": None}
+    expected = {"_target_": _basic_sweeper(), "max_batch_size": None}
     _expect("sweeper", {k: v for k, v in got.items() if k != "params"}, expected)
     for key in got["params"] or {}:
         require(
@@ -267,14 +239,9 @@ def _check_sweeper(got: Mapping[str, Any]) -> None:
         )
 
 
-def _stored(name: str, kind: str = "launcher") -> dict[str, Any]:
-    """A launcher or sweeper as its plugin declares it; empty when it is not installed."""
-    try:
-        node = ConfigStore.instance().load(f"hydra/{kind}/{name}.yaml").node
-    except (HydraException, OSError):
-        return {}
-    stored: Any = OmegaConf.to_container(node, resolve=False)
-    return dict(stored)
+def _basic_sweeper() -> str:
+    node: Any = ConfigStore.instance().load("hydra/sweeper/basic.yaml").node
+    return str(node._target_)
 
 
 def _length(override: Override) -> int:

@@ -51,8 +51,9 @@ def kind_of(error: BaseException) -> str:
     return "machine" if isinstance(error, OSError) or out_of_memory(error) else "bug"
 
 
-def tell(job: Job, raised: Exception) -> None:
-    """A run failed: into its record, unless it never began, and into the command's ledger."""
+def tell(job: Job, raised: Exception) -> Outcome:
+    """A run failed: into its record, unless it never began, and into the command's ledger, whose
+    entry it returns."""
     error, run_dir = _as_bad_input(raised), Path(job.run_dir)
     message, kind = _shown(error, job.config["traceback"]), kind_of(error)
     bad_input, busy = isinstance(error, USER_ERRORS), isinstance(error, Busy)
@@ -62,13 +63,15 @@ def tell(job: Job, raised: Exception) -> None:
         message = _recorded(job, message, kind)
     else:  # a lone mistyped run is not worth a record, nor a folder
         _discard(run_dir)
-    add_outcome(Outcome(job.number, job.run_dir, message, kind, job.again, bad_input, busy))
+    outcome = Outcome(job.number, job.run_dir, message, kind, job.again, bad_input, busy)
+    add_outcome(outcome)
+    return outcome
 
 
 def again(job: Any) -> str:
     """The command that does this run alone, in the same folder. job: Hydra's part of its
     configuration."""
-    own = [str(o) for o in job.overrides.hydra if not str(o).startswith(LAUNCHING)]
+    own = [str(o) for o in job.overrides.hydra if not str(o).lstrip("+").startswith(LAUNCHING)]
     words = [*own, *(str(override) for override in job.overrides.task)]
     multirun = ["-m"] if job.mode.name == "MULTIRUN" else []
     return f"{program()} {shlex.join([*words, *own_plugins.flags(), *multirun])}"

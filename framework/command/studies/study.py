@@ -28,6 +28,7 @@ from framework.command.config.naming import plain, study_dir
 from framework.command.config.schema import check
 from framework.command.config.trust import check_composed
 from framework.command.hydra_inside import jobs_of
+from framework.command.launchers.detached import detached
 from framework.command.program import program
 from framework.command.studies.closing import closing, short_path
 from framework.command.studies.disk import check_room
@@ -77,7 +78,10 @@ def ledger() -> Iterator[Path]:
 
 
 def add_outcome(outcome: Outcome) -> None:
-    """Write `outcome` into the ledger of the command this run belongs to."""
+    """Write `outcome` into the ledger of the command this run belongs to; not where the run is
+    sent elsewhere and hands its outcome back (`framework.command.launchers.sent`)."""
+    if LEDGER_VARIABLE not in os.environ:
+        return
     path = Path(os.environ[LEDGER_VARIABLE]) / f"{outcome.number:06d}.json"
     write_whole(path, json.dumps(dataclasses.asdict(outcome)))
 
@@ -123,6 +127,8 @@ class StudyCallback(Callback):
         build_reports()
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        if detached():
+            return
         told = "" if self._expected_s is None else f" (estimated {duration(self._expected_s)})"
         say(f"{len(outcomes())} runs took {duration(self._watch.wall_s)}{told}")
         build_reports()
@@ -188,7 +194,9 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
 
 def _at_once(config: DictConfig) -> int:
     """How many runs the launcher does at a time."""
-    asked = int(config.hydra.launcher.get("n_jobs") or 1)
+    launcher = config.hydra.launcher
+    in_ray = OmegaConf.select(launcher, "ray.init.num_cpus")
+    asked = int(launcher.get("n_jobs") or launcher.get("array_parallelism") or in_ray or 1)
     return asked if asked > 0 else os.cpu_count() or 1
 
 

@@ -1,0 +1,112 @@
+"""Which of Hydra's launchers may be chosen, and what of each the command line may set.
+
+`basic` and `joblib` are Hydra's own. Those of submitit and of Ray wait for their results in a way
+that one lost run ends the whole study, and tell their processes nothing of the command's folder and
+environment; so each is replaced by a class of ours that derives from it, under the same name
+(`hydra_plugins/fishersplat_launchers`, the only place where Hydra takes launchers from).
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+from hydra.core.plugins import Plugins
+from omegaconf import OmegaConf
+
+OURS = "hydra_plugins.fishersplat_launchers"
+BOTH = ("timeout_min", "cpus_per_task", "gpus_per_node", "mem_gb", "name")
+SLURM = (
+    *("partition", "qos", "comment", "constraint", "exclude", "gres", "account"),
+    *("cpus_per_gpu", "gpus_per_task", "mem_per_gpu", "mem_per_cpu"),
+    *("signal_delay_s", "max_num_timeout", "array_parallelism"),
+)
+WEEK_MIN = 7 * 24 * 60
+
+
+@dataclass(frozen=True)
+class Known:
+    """A launcher. options: what may be set, dots between levels. extra: what it is installed with,
+    of this project; needs: the module that comes with it. ours: module and class below `OURS`.
+    defaults: what differs from Hydra's."""
+
+    options: tuple[str, ...] = ()
+    extra: str = ""
+    needs: str = ""
+    ours: tuple[str, str] = ("", "")
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def remote(self) -> bool:
+        """Whether its runs may be on another machine."""
+        return self.extra != ""
+
+
+LAUNCHERS = {
+    "basic": Known(),
+    "joblib": Known(("n_jobs",)),
+    "submitit_local": Known(
+        ("n_jobs", *BOTH),
+        "submitit",
+        "hydra_plugins.hydra_submitit_launcher",
+        ("_submitit", "Local"),
+        {"n_jobs": -1, "timeout_min": WEEK_MIN},
+    ),
+    "submitit_slurm": Known(
+        (*BOTH, *SLURM),
+        "slurm",
+        "hydra_plugins.hydra_submitit_launcher",
+        ("_submitit", "Slurm"),
+        {"max_num_timeout": 10},  # a run that had no time left goes on from its checkpoint
+    ),
+    "ray": Known(
+        (
+            *("ray.init.address", "ray.init.num_cpus", "ray.init.num_gpus"),
+            *(f"ray.remote.{key}" for key in ("num_cpus", "num_gpus", "memory", "max_retries")),
+        ),
+        "ray",
+        "hydra_plugins.hydra_ray_launcher",
+        ("_ray", "Ray"),
+    ),
+}
+
+
+def register_launchers() -> None:
+    """Put ours in the place of Hydra's, of those that are installed. Safe to call again."""
+    plugins, store = Plugins.instance(), ConfigStore.instance()  # finds Hydra's first
+    for name, launcher in LAUNCHERS.items():
+        if not launcher.remote or not _installed(launcher.needs):
+            continue
+        file, class_name = launcher.ours
+        module = importlib.import_module(f"{OURS}.{file}")
+        plugins.register(getattr(module, class_name))
+        target = f"{module.__name__}.{class_name}"
+        node = OmegaConf.create({**stored(name), **launcher.defaults, "_target_": target})
+        store.store(group="hydra/launcher", name=name, node=node, provider="fishersplat")
+
+
+def stored(name: str) -> dict[str, Any]:
+    """The options of a launcher, as its plugin declares them."""
+    content: Any = OmegaConf.to_container(
+        ConfigStore.instance().load(f"hydra/launcher/{name}.yaml").node, resolve=False
+    )
+    return dict(content)
+
+
+def missing_extra(name: str) -> str | None:
+    """Which of the project's extras a known launcher lacks here; None if none."""
+    launcher = LAUNCHERS.get(name)
+    return (
+        launcher.extra if launcher and launcher.extra and not _installed(launcher.needs) else None
+    )
+
+
+def _installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:  # of its parent
+        return False

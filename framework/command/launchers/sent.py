@@ -1,0 +1,82 @@
+"""What a run takes along to another process, perhaps on another machine, and what comes back.
+
+The folder of the command and its variables `FISHERSPLAT_*` go with the run: relative paths mean the
+same there, a cache that was named is used, and plugins of the user's own are found. The folder must
+be one that all machines share. Back comes the run's outcome, by the engine's own way, so that
+nothing hangs on when a shared file system shows new files.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from hydra.core.utils import JobReturn, JobStatus
+
+from framework.command.studies.study import LEDGER_VARIABLE, Outcome, add_outcome, short_path
+from framework.compute.orphans import end_with
+from framework.errors import printable_line
+from framework.records.progress import say
+
+VARIABLES = "FISHERSPLAT_"
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a run was asked for. command: host and process that it must not outlive, if any."""
+
+    folder: str
+    variables: dict[str, str]
+    command: tuple[str, int] | None
+
+    def take(self) -> None:
+        """Make this process one of the command's."""
+        os.chdir(self.folder)
+        for name in [name for name in os.environ if name.startswith(VARIABLES)]:
+            del os.environ[name]
+        os.environ.update(self.variables)
+        if self.command is not None and self.command[0] == platform.node():
+            end_with(self.command[1])
+
+
+def origin(outlives: bool) -> Origin:
+    """That of runs which this process sends out. outlives: they go on when it is gone."""
+    known = {
+        name: text
+        for name, text in os.environ.items()
+        if name.startswith(VARIABLES) and name != LEDGER_VARIABLE
+    }
+    return Origin(os.getcwd(), known, None if outlives else (platform.node(), os.getpid()))
+
+
+class Arrivals:
+    """The runs of one launch as they end: told on the screen, their outcomes in the ledger."""
+
+    def __init__(self, n_runs: int) -> None:
+        self._n_runs, self._ended, self.lost = n_runs, 0, 0
+        self.returns: list[JobReturn] = []
+
+    def arrived(self, outcome: Outcome) -> None:
+        """A run ended and says how."""
+        add_outcome(outcome)
+        self.returns.append(JobReturn(_return_value=outcome, status=JobStatus.COMPLETED))
+        how = "" if outcome.error is None else f" · {outcome.error}"
+        self._tell(f"{short_path(Path(outcome.run_dir))}{how}")
+
+    def vanished(self, overrides: Sequence[str], why: str) -> None:
+        """The process of a run ended without telling how."""
+        self.lost += 1
+        self._tell(f"lost: {' '.join(overrides)} · {why}")
+
+    def _tell(self, text: str) -> None:
+        self._ended += 1
+        say(printable_line(f"[{self._ended} of {self._n_runs} ended] {text}"))
+
+
+def chunks(items: Sequence[tuple[int, list[str]]], most: int) -> Iterator[list]:
+    """`items` in their order, at most so many at a time."""
+    for start in range(0, len(items), most):
+        yield list(items[start : start + most])
