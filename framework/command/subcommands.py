@@ -18,6 +18,7 @@ SUBCOMMANDS = {
     "leaderboard": ("framework.report.leaderboard", "all studies"),
     "render": ("framework.exports.render", "pictures"),
     "report": ("framework.report.__main__", "report again"),
+    "search": ("framework.command.search.command", "find options"),
     "study": ("framework.command.launchers.manage", "on a cluster"),
     "video": ("framework.exports.video", "a fly-through"),
     "view": ("framework.view.main", "look at it"),

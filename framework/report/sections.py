@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from framework.records.search import Searched
 from framework.report import details, opening
 from framework.report.figures import curves, stress
 from framework.report.figures.closeup import draw_closeup
@@ -15,7 +16,7 @@ from framework.report.parts.document import Block, Document, Heading, Picture, T
 from framework.report.statistics.outcomes import Outcomes, outcomes
 from framework.report.study.collect import Study
 from framework.report.study.labels import outside, slug
-from framework.report.text import capacities, gaps, tables
+from framework.report.text import capacities, gaps, searched, tables
 from framework.report.text.dose import dose
 from framework.report.text.provenance import provenance_blocks
 from framework.report.text.published import published
@@ -28,6 +29,8 @@ HIDDEN = "No pictures of {scenes}: this report was built without photos, to be p
 def document(study: Study, title: str, visible: Sequence[str]) -> Document:
     """Everything the report says; draws its figures into `study.out_dir`, with pictures of the
     `visible` scenes."""
+    if study.searched is not None:
+        return _of_search(study, study.searched, title)
     found, panels = outcomes(study), stress.panels(study)
     between = [] if panels else capacities.contests(study)
     shown = stress.shown_scenes(study, panels)
@@ -53,6 +56,15 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
     if study.runs:
         blocks += [Heading(2, "Every run"), table(tables.seed_rows(study), details.WORDS)]
     blocks += [*gaps.missing_metrics(study), *provenance_blocks(study)]
+    scenes, families, methods = map(tuple, (study.scenes, study.families, study.methods))
+    return Document(outside(title), tuple(blocks), scenes, families, methods)
+
+
+def _of_search(study: Study, trials: Searched, title: str) -> Document:
+    """That of a search, whose runs were made to choose and not to compare."""
+    blocks: list[Block] = [Heading(1, outside(title)), *searched.opening(trials)]
+    blocks += [*gaps.gap_notes(study, pooled=False), *searched.trials(trials)]
+    blocks += [*gaps.failures(study), *provenance_blocks(study)]
     scenes, families, methods = map(tuple, (study.scenes, study.families, study.methods))
     return Document(outside(title), tuple(blocks), scenes, families, methods)
 

@@ -16,13 +16,17 @@ evaluation leaves out as badly exposed, whatever n_views is.
 `none`: every image may train, none tests; n_views are taken of all of them as by `llff`. For the
 best model of a scene, of which then nothing is measured.
 
+`llff_held_out`, `mip360_held_out`, `dtu_held_out`: the same training views, judged on others that
+may train but do not, six at most and evenly spaced, in place of the test views, which are not even
+read. For choosing among settings (`fishersplat search`): test views may not choose.
+
 n_views is a number or `all`: as many as the protocol leaves for training.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from framework.errors import UserError, nearest_hint, require
 
@@ -31,6 +35,8 @@ DTU_EXCLUDED = (3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 36, 37, 38, 39)
 DTU_POSITIONS = 49
 ALL = "all"  # as the number of views: every one that the protocol leaves for training
 UNTESTED = "none"  # the protocol without test views
+HELD_OUT = "_held_out"  # ends the names of those that judge by training views
+MOST_HELD_OUT = 6
 
 
 @dataclass(frozen=True)
@@ -44,13 +50,15 @@ class Split:
 @dataclass(frozen=True)
 class Protocol:
     """A named rule. divide(n) -> (pool for training, test) of n sorted names;
-    pick(pool, n_views) -> training. images: how many there must be, where that is fixed."""
+    pick(pool, n_views) -> training. images: how many there must be, where that is fixed. held_out:
+    judge by views of the pool that do not train."""
 
     name: str
     source: str
     divide: Callable[[int], tuple[list[int], list[int]]]
     pick: Callable[[list[int], int], list[int]]
     images: int | None = None
+    held_out: bool = False
 
     def split(self, names: Sequence[str], n_views: int | str, where: str) -> Split:
         """The split of `names` (sorted) with n_views training views, a number or `ALL`; `where`
@@ -68,7 +76,16 @@ class Protocol:
                 f"{where}: expected n_views of at most {len(pool)} ({len(names)} images, of which"
                 f" split={self.name} keeps {len(test)} for testing), got {n_views}; lower n_views"
             )
-        return Split(tuple(sorted(self.pick(pool, count))), tuple(test))
+        train = sorted(self.pick(pool, count))
+        if self.held_out:
+            others = [i for i in pool if i not in train]
+            require(
+                len(others) > 0,
+                f"{where}: expected a view that is neither trained on nor tested on for"
+                f" split={self.name}, got none of {len(names)}; lower n_views",
+            )
+            test = others[:: max(1, len(others) // MOST_HELD_OUT)][:MOST_HELD_OUT]
+        return Split(tuple(train), tuple(test))
 
 
 def _spaced(pool: list[int], count: int) -> list[int]:
@@ -121,6 +138,16 @@ PROTOCOLS: dict[str, Protocol] = {
             UNTESTED, "all views train, rounded linspace; nothing is tested", _everything, _spaced
         ),
     )
+}
+PROTOCOLS |= {
+    f"{p.name}{HELD_OUT}": replace(
+        p,
+        name=f"{p.name}{HELD_OUT}",
+        source=f"{p.source}; judged on views of the training pool that do not train",
+        held_out=True,
+    )
+    for p in [*PROTOCOLS.values()]
+    if p.name != UNTESTED
 }
 
 

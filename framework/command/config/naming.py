@@ -18,7 +18,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from framework.command.config.schema import check, rows
 from framework.command.config.trust import refuse_environment
-from framework.scenes import UNTESTED
+from framework.scenes import HELD_OUT, UNTESTED
 
 # A run's name must not depend on these: the seed is written out, the others do not change a run.
 NOT_HASHED = ("seed", "threads", "force", "study", "traceback", "estimate")
@@ -39,7 +39,8 @@ def _plain_value(config: DictConfig, key: str) -> Any:
 def study_name(config: Mapping[str, Any]) -> str:
     """The study asked for, else the scene's name: `embedded`, `llff_fern_3v`, `colmap_door_allv`.
 
-    One without test views is `llff_fern_allv_untested`: its figures stand beside no others.
+    One without test views is `llff_fern_allv_untested`: its figures stand beside no others, as do
+    those of `llff_fern_3v_held_out`.
     """
     if config["study"] is not None:
         return str(config["study"])
@@ -47,10 +48,11 @@ def study_name(config: Mapping[str, Any]) -> str:
     loader = str(options["name"])
     if "path" in options:
         stem = _file_name(Path(str(options["path"])).resolve().name)
-        untested = "_untested" if options.get("split") == UNTESTED else ""
+        split = str(options.get("split"))
+        odd = "_untested" if split == UNTESTED else HELD_OUT if split.endswith(HELD_OUT) else ""
         scene = stem if stem.startswith(loader) else f"{loader}_{stem}"
         number = f"_{options['n_views']}v" if "n_views" in options else ""
-        return f"{scene}{number}{untested}"
+        return f"{scene}{number}{odd}"
     default = {name: option.default for name, _, option in rows("scene", loader)}
     views = options.get("n_views")
     return loader if views == default.get("n_views") else f"{loader}_{views}v"

@@ -17,6 +17,7 @@ from framework.files.limits import RUNS
 from framework.metrics.values import Missing
 from framework.records.failure import FAILED, read_failure
 from framework.records.record import RECORD, Run, RunRecord, read_run
+from framework.records.search import Searched, read_search
 from framework.report.study.axes import Axis
 from framework.report.study.folders import run_dirs
 from framework.report.study.labels import (
@@ -111,7 +112,7 @@ class Study:
     """out_dir: where the report goes. runs: complete, sorted by scene, method, seed. notes: what a
     reader must be told. missing: (scene, method, seed) that a full cross would have. linked:
     whether the folders of the runs can be reached from the report. tabled: folders of which only
-    the table of runs is there."""
+    the table of runs is there. searched: the trials, where the runs are those of a search."""
 
     out_dir: Path
     runs: tuple[ReportRun, ...]
@@ -120,6 +121,7 @@ class Study:
     missing: tuple[tuple[str, str, int], ...] = ()
     linked: bool = True
     tabled: tuple[Path, ...] = ()
+    searched: Searched | None = None
 
     @cached_property
     def scenes(self) -> list[str]:
@@ -224,6 +226,9 @@ def collect(
     missing = _missing(labelled, named, origins)
     unique, repeated = _without_repeats([*labelled, *told])
     unique.sort(key=lambda r: (natural(r.scene), method_order(r.method), r.seed))
+    searched = read_search(folders[0]) if len(folders) == 1 else None
+    if searched is not None:
+        missing = []  # no full cross: each trial is a method of its own
     notes = chain(
         _table_notes(told),
         repeated,
@@ -240,6 +245,7 @@ def collect(
         tuple(missing),
         linked=not tabled,
         tabled=tuple(tabled),
+        searched=searched,
     )
 
 

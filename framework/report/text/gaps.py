@@ -11,6 +11,8 @@ from framework.report.parts.document import Block, Bullets, Heading, Text, table
 from framework.report.study.collect import DAMAGED, FailedRun, Study
 from framework.report.study.labels import code, outside
 from framework.report.study.names import NAMES, own_metrics
+from framework.report.text import searched
+from framework.scenes import HELD_OUT
 
 WORDS = ("Run", "Kind", "Reason", "Again")
 
@@ -37,7 +39,9 @@ def gap_notes(study: Study, pooled: bool = True) -> list[Block]:
         texts.append(
             f"Not on every scene, hence left out of the mean over scenes: {', '.join(partial)}."
         )
-    if len(study.methods) > 1 and not study.has_plain:
+    if any(run.record.scene.protocol.endswith(HELD_OUT) for run in study.runs if run.record.scene):
+        texts.append(searched.HELD_OUT)
+    if study.searched is None and len(study.methods) > 1 and not study.has_plain:
         texts.append(f"No run of `none + none`: the others are compared with {study.baseline}.")
     return [Text(text, "note") for text in (*texts, *study.notes)]
 

@@ -1,0 +1,1 @@
+"""`fishersplat search`: options chosen on training views that were held out."""

@@ -1,0 +1,111 @@
+"""`search [--trials 30] [--jobs 1] [--metric psnr] [--name NAME] KEY=VALUE ...`
+
+Looks for the best values of the options that vary, judged on training views that are held out: the
+scene's test views are neither trained on nor looked at, whatever the words say. The same command
+goes on with a search that was interrupted.
+
+    fishersplat search --trials 30 --jobs 2 scene=llff scene.path=DIR threads=1 \\
+        'trainer.lr_scale=tag(log,interval(1.0,20.0))' init=stereo,fused
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib.util
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from framework.command.config.naming import study_dir
+from framework.command.config.schema import register_config
+from framework.command.config.trust import check_command
+from framework.command.hydra_inside import argument_parser
+from framework.command.program import program
+from framework.command.search.driver import HIGHER, Search, check_search, fixed_of, run_search
+from framework.command.search.space import space_of
+from framework.command.search.trial import job_of
+from framework.command.studies.study import short_path
+from framework.errors import UserError, require
+from framework.files.locks import locked
+from framework.records.progress import say
+from framework.scenes import HELD_OUT, UNTESTED
+
+ALONE = ".search"  # holds the lock of who searches
+
+
+def main(arguments: Sequence[str], prog: str) -> int:
+    """Exit code 0, or 1 where no trial ended well."""
+    parser = argparse.ArgumentParser(
+        prog=prog, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("words", nargs="*", metavar="KEY=VALUE")
+    parser.add_argument("--trials", type=int, default=30, help="default 30")
+    parser.add_argument("--jobs", type=int, default=1, help="trials at a time (default 1)")
+    parser.add_argument("--metric", default="psnr", help=f"{', '.join(HIGHER)} (default psnr)")
+    parser.add_argument("--name", help="of the study (default: search_ and the scene's)")
+    parser.add_argument("--sampler-seed", type=int, default=0, help="of the suggestions")
+    options = parser.parse_intermixed_args(list(arguments))
+    require(
+        importlib.util.find_spec("optuna") is not None,
+        f"{prog}: expected optuna to be installed, found it missing; pip install"
+        " 'fishersplat[search]'",
+    )
+    register_config()
+    hydra = [word for word in options.words if word.lstrip("+~").startswith("hydra")]
+    require(not hydra, f"{prog}: expected options of a run, got {' '.join(hydra)}; leave it out")
+    search = _search(options)
+    check_search(search)
+    try:
+        with locked(search.folder / ALONE):
+            best = run_search(search)
+    finally:
+        with contextlib.suppress(OSError):  # another process searches there
+            (search.folder / ALONE).rmdir()
+    return _conclude(search, best, prog)
+
+
+def _search(options: Any) -> Search:
+    fixed, space = space_of(options.words)
+    first = [dimension.first for dimension in space]
+    check_command(argument_parser().parse_args([*fixed, *first]))
+    scene = job_of([*fixed, *first]).config["scene"]
+    split = str(scene.get("split", UNTESTED))
+    if split == UNTESTED:
+        raise UserError(
+            f"search: expected a scene some of whose photos can be held out, got"
+            f" scene={scene['name']}{'' if 'split' not in scene else ' scene.split=none'}; choose"
+            " another, test views may not choose"
+        )
+    held_out = split if split.endswith(HELD_OUT) else f"{split}{HELD_OUT}"
+    fixed = fixed_of(fixed, scene, held_out)
+    if options.name is not None or not any(word.startswith("study=") for word in fixed):
+        name = options.name or f"search_{_study(fixed, first)}"
+        fixed = [*(word for word in fixed if not word.startswith("study=")), f"study={name}"]
+    folder = study_dir(Path(job_of([*fixed, *first]).run_dir))
+    return Search(
+        *(folder, tuple(fixed), tuple(space), options.metric, options.trials, options.jobs),
+        options.sampler_seed,
+    )
+
+
+def _study(fixed: Sequence[str], first: Sequence[str]) -> str:
+    return study_dir(Path(job_of([*fixed, *first]).run_dir)).name
+
+
+def _conclude(search: Search, best: list[str] | None, prog: str) -> int:
+    from framework.report import build_report
+
+    with locked(search.folder, wait=True):
+        report = build_report(search.folder)
+    say(f"report: {short_path(report)}")
+    if best is None:
+        say(f"{prog}: no trial ended well, see the report")
+        return 1
+    say(f"best: {shlex.join(best)}")
+    say(
+        "judge it once, on scenes that chose nothing, for instance:"
+        f" {program()} {shlex.join([*best, 'scene=...', 'seed=0,1,2'])} -m"
+    )
+    return 0

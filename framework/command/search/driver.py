@@ -1,0 +1,204 @@
+"""The search itself: optuna suggests, processes train, a journal on disk remembers.
+
+Every trial is written down before it begins and when it has ended, in optuna's own journal. After a
+kill the same command goes on: trials that ended count, those that were under way are done first,
+with the options they had, from their runs' checkpoints. A trial's figures have the bits of the same
+run by hand; which trial comes next, with several at a time, depends on which ended first.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from framework.command.search.space import Dimension
+from framework.command.search.trial import Result, Slot
+from framework.errors import UserError, require
+from framework.files.whole import write_whole
+from framework.records.progress import say
+from framework.records.search import SEARCH
+
+JOURNAL = "search.journal"
+HIGHER = {"psnr": True, "ssim": True, "flip": False, "lpips": False}
+MOST_KILLS = 3  # of one trial's process
+WORDS, RUN, TRAIN_S, ERROR = "words", "run", "train_s", "error"  # of a trial's attributes
+
+
+@dataclass(frozen=True)
+class Search:
+    """folder: of the study. fixed: the words that stay. trials: that are to end well or badly."""
+
+    folder: Path
+    fixed: tuple[str, ...]
+    space: tuple[Dimension, ...]
+    metric: str
+    trials: int
+    at_once: int
+    seed: int
+
+    def told(self) -> dict[str, Any]:
+        """What must be the same when a search goes on."""
+        space = [dimension.plain() for dimension in self.space]
+        return {"fixed": list(self.fixed), "space": space, "metric": self.metric}
+
+
+class Trials:
+    """optuna's study on disk, and what of it is still to do."""
+
+    def __init__(self, search: Search) -> None:
+        import optuna
+        from optuna.storages.journal import JournalFileBackend
+
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        self.search, self._optuna = search, optuna
+        storage = optuna.storages.JournalStorage(JournalFileBackend(str(search.folder / JOURNAL)))
+        self.study = optuna.create_study(
+            storage=storage,
+            study_name="search",
+            direction="maximize" if HIGHER[search.metric] else "minimize",
+            load_if_exists=True,
+        )
+        before = self.study.user_attrs.get("search")
+        require(
+            before in (None, search.told()),
+            f"{search.folder}: expected the search that was begun there, got another; give it a"
+            " name of its own by --name",
+        )
+        self.study.set_user_attr("search", search.told())
+        # a sampler that began anew with its seed would repeat its first draws
+        begun = len(self.study.trials)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what optuna calls experimental
+            self.study.sampler = optuna.samplers.TPESampler(
+                seed=search.seed + begun, constant_liar=True
+            )
+        self.left = search.trials - sum(trial.state.is_finished() for trial in self.study.trials)
+
+    def next(self) -> Iterator[tuple[int, list[str]]]:
+        """(number, words) of the trials to do: first those that were under way."""
+        for trial in self.study.trials:
+            if not trial.state.is_finished():
+                if WORDS not in trial.user_attrs:  # killed while it was suggested
+                    self.study.tell(trial.number, state=self._optuna.trial.TrialState.FAIL)
+                    self.left += 1
+                    continue
+                say(f"trial {trial.number}: goes on")
+                yield trial.number, list(trial.user_attrs[WORDS])
+        while True:
+            trial = self.study.ask()
+            words = [dimension.word(trial) for dimension in self.search.space]
+            trial.set_user_attr(WORDS, words)
+            yield trial.number, words
+
+    def ended(self, number: int, result: Result) -> None:
+        """Write down how a trial ended."""
+        trial = self._trial(number)
+        trial.set_user_attr(RUN, Path(result.run_dir).name)
+        trial.set_user_attr(TRAIN_S, result.train_s)
+        if result.value is None:
+            trial.set_user_attr(ERROR, result.error)
+            self.study.tell(number, state=self._optuna.trial.TrialState.FAIL)
+            say(f"trial {number}: failed · {result.error}")
+        else:
+            self.study.tell(number, result.value)
+            best = self.study.best_trial
+            say(
+                f"trial {number}: {self.search.metric} {result.value:.4g} ·"
+                f" best {best.value:.4g} (trial {best.number})"
+            )
+        write_whole(self.search.folder / SEARCH, json.dumps(self.table(), indent=1))
+
+    def _trial(self, number: int) -> Any:
+        (found,) = [trial for trial in self.study.trials if trial.number == number]
+        return self._optuna.trial.Trial(self.study, found._trial_id)
+
+    def table(self) -> dict[str, Any]:
+        """What the report shows."""
+        rows = [
+            {
+                "number": trial.number,
+                "value": trial.value,
+                **{key: trial.user_attrs.get(key) for key in (WORDS, RUN, TRAIN_S, ERROR)},
+            }
+            for trial in self.study.trials
+            if trial.state.is_finished() and WORDS in trial.user_attrs
+        ]
+        return {**self.search.told(), "trials": rows}
+
+    @property
+    def best(self) -> list[str] | None:
+        """The words of the best trial; None where none ended well."""
+        good = [t for t in self.study.trials if t.value is not None]
+        return list(self.study.best_trial.user_attrs[WORDS]) if good else None
+
+
+def run_search(search: Search) -> list[str] | None:
+    """Do the trials that are left; returns the words of the best."""
+    trials = Trials(search)
+    slots = [Slot() for _ in range(search.at_once)]
+    try:
+        if trials.left > 0:
+            _run(search, trials, slots)
+    finally:
+        for slot in slots:
+            slot.close()
+    return trials.best
+
+
+def _run(search: Search, trials: Trials, slots: list[Slot]) -> None:
+    todo = trials.next()
+    running: dict[Future[Result], tuple[int, list[str], Slot, int]] = {}
+
+    def begin(number: int, words: list[str], slot: Slot, kills: int = 0) -> None:
+        label = f"[trial {number}] {' '.join(words)}"
+        running[slot.submit([*search.fixed, *words], label, search.metric)] = (
+            *(number, words),
+            *(slot, kills),
+        )
+
+    free = list(slots)
+    while trials.left > 0:
+        while free and len(running) < trials.left:
+            begin(*next(todo), free.pop())
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            number, words, slot, kills = running.pop(future)
+            try:
+                result = future.result()
+            except BrokenProcessPool:
+                slot.close()
+                say(f"trial {number}: its process was killed")
+                if kills < MOST_KILLS:
+                    begin(number, words, slot, kills + 1)
+                    continue
+                result = Result("", None, error=f"its process was killed {kills + 1} times")
+            trials.ended(number, result)
+            trials.left -= 1
+            free.append(slot)
+
+
+def check_search(search: Search) -> None:
+    """Raise UserError for numbers that no search can have."""
+    require(
+        search.metric in HIGHER,
+        f"--metric: expected one of {', '.join(HIGHER)}, got {search.metric!r}; choose one",
+    )
+    for flag, value in (("--trials", search.trials), ("--jobs", search.at_once)):
+        if not 1 <= value <= 10_000:
+            raise UserError(
+                f"{flag}: expected a number from 1 to 10,000, got {value}; choose another"
+            )
+
+
+def fixed_of(words: Sequence[str], scene: Mapping[str, Any], split: str) -> list[str]:
+    """The words with another split of the scene."""
+    assert "split" in scene
+    return [
+        *(word for word in words if not word.startswith("scene.split=")),
+        f"scene.split={split}",
+    ]

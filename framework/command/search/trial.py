@@ -1,0 +1,95 @@
+"""One run of a search, in a process that does one after another and keeps scene and depth."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+
+from framework.command.complaints import composing
+from framework.command.config.naming import plain, register_resolvers
+from framework.command.config.schema import CONF_DIR, check, register_config
+from framework.command.config.trust import check_composed
+from framework.command.job import Job
+from framework.command.program import program
+from framework.command.studies.failures import tell
+from framework.compute.orphans import end_with_parent
+from framework.errors import printable_line
+from framework.metrics.values import Missing
+from framework.records.progress import Silent, say
+from framework.records.record import RECORD, read_record
+
+
+@dataclass(frozen=True)
+class Result:
+    """Of one run. value: of the metric; None with the reason in error. train_s: CPU seconds."""
+
+    run_dir: str
+    value: float | None
+    train_s: float = 0.0
+    error: str = ""
+
+
+class Slot:
+    """A process that does runs; when it is killed, the next run gets another one."""
+
+    def __init__(self) -> None:
+        self._pool: ProcessPoolExecutor | None = None
+
+    def submit(self, words: Sequence[str], label: str, metric: str) -> Future[Result]:
+        """Begin a run. Its future fails with BrokenProcessPool when the process was killed."""
+        if self._pool is None:
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(1, mp_context=context)
+        return self._pool.submit(run, list(words), label, metric)
+
+    def close(self) -> None:
+        """Let the process end."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool = None
+
+
+def job_of(words: Sequence[str]) -> Job:
+    """The run that the words of a command line describe, checked."""
+    register_resolvers()
+    register_config()
+    with initialize_config_dir(version_base="1.3", config_dir=str(CONF_DIR)), composing():
+        composed = compose("config", overrides=list(words), return_hydra_config=True)
+        check_composed(composed)
+        config = plain(composed)
+        check(config)
+        run_dir = str(composed.hydra.run.dir)
+    again = f"{program()} {' '.join(words)}"
+    config["study"] = config["study"] or Path(run_dir).parent.parent.name
+    return Job(0, run_dir, config, list(words), "", "", False, True, again)
+
+
+def run(words: list[str], label: str, metric: str) -> Result:
+    """Do a run; what goes wrong is in its record, as a study's."""
+    end_with_parent()
+    from framework.run.experiment import run_experiment
+
+    job = job_of(words)
+    say(printable_line(label))
+    try:
+        run_experiment(job.config, Path(job.run_dir), Silent(), job.overrides)
+    except Exception as error:
+        return Result(job.run_dir, None, error=str(tell(job, error).error))
+    return result(Path(job.run_dir), metric)
+
+
+def result(run_dir: Path, metric: str) -> Result:
+    """Of a complete run."""
+    record = read_record(run_dir / RECORD)
+    value: Any = record.summary.get(metric, Missing("not measured"))
+    train = record.timings.get("train")
+    cpu_s = 0.0 if train is None else train.cpu_s
+    if isinstance(value, Missing):
+        return Result(str(run_dir), None, cpu_s, f"no {metric}: {value.reason}")
+    return Result(str(run_dir), float(value), cpu_s)
