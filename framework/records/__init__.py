@@ -11,4 +11,5 @@ __all__ = [
     "provenance",
     "record",
     "run_files",
+    "search",
 ]

@@ -15,12 +15,12 @@ missing.
 
 from __future__ import annotations
 
-import _thread
 import contextlib
 import json
 import os
 import platform
 import re
+import signal
 import threading
 import time
 import typing
@@ -195,14 +195,17 @@ def _claimed(plan: Plan, number: int) -> Iterator[None]:
 def _until_cancelled(plan: Plan) -> Iterator[None]:
     """Interrupts what goes on within when the study is cancelled; its runs keep their
     checkpoints."""
-    over = threading.Event()
+    over, main = threading.Event(), threading.get_ident()
 
     def watch() -> None:
         while not over.wait(CANCEL_POLL_S):
             if plan.cancelled:
-                _thread.interrupt_main()
+                # a signal, as it also wakes who sleeps
+                signal.pthread_kill(main, signal.SIGINT)
                 return
 
+    # a shell lets what it starts in the background ignore this signal
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Thread(target=watch, daemon=True).start()
     try:
         yield

@@ -91,10 +91,10 @@ class Trials:
                 say(f"trial {trial.number}: goes on")
                 yield trial.number, list(trial.user_attrs[WORDS])
         while True:
-            trial = self.study.ask()
-            words = [dimension.word(trial) for dimension in self.search.space]
-            trial.set_user_attr(WORDS, words)
-            yield trial.number, words
+            asked = self.study.ask()
+            words = [dimension.word(asked) for dimension in self.search.space]
+            asked.set_user_attr(WORDS, words)
+            yield asked.number, words
 
     def ended(self, number: int, result: Result) -> None:
         """Write down how a trial ended."""
