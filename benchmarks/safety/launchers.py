@@ -148,7 +148,8 @@ def report_s(study: Path) -> float:
 def table(ways: list[Way], runs: int, reports: float, line: str) -> str:
     first = ways[0]
     rows = [
-        f"| {w.name} | {w.wall_s:.0f} | {3600 * runs / w.wall_s:.0f} | {first.wall_s / w.wall_s:.2f}"
+        f"| {w.name} | {w.wall_s:.0f} | {3600 * runs / w.wall_s:.0f}"
+        f" | {first.wall_s / w.wall_s:.2f}"
         f" | {w.cpu_s:.0f} | {w.driver_mb:.0f} |"
         for w in ways
     ]
