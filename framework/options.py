@@ -38,6 +38,9 @@ class TrainerOptions:
     lr_quats: float = 6e-3  # of the rotations
     lr_final: float = 0.1  # share of the other rates that is left at the end
     opacity_decay: float = 0.99  # opacities are multiplied by it after every step; 1 = off
+    opacity_spare: float = (
+        0.0  # what the photos hold on to fades less, StereoGS: 0.5; 0 = all alike
+    )
     pace_steps: int = 300  # a longer training takes smaller steps, see `schedule.paced`; 0 = not
     pace_views: int = 3  # more views: smaller steps that fade less; 0 = whatever their number
     coarse_factor: int = 2  # images are box-downsampled by it at the beginning
@@ -62,6 +65,7 @@ class TrainerOptions:
             check(rate, 0 <= getattr(self, rate) < 1e3, "a number in [0, 1000)")
         for share in ("lr_means_final", "lr_final", "lr_shN_ratio", "opacity_decay"):
             check(share, 0 < getattr(self, share) <= 1, "a number in (0, 1]")
+        check("opacity_spare", 0 <= self.opacity_spare <= 1e3, "a number in [0, 1000]")
         check("pace_steps", self.pace_steps >= 0, "an integer >= 0")
         check("pace_views", self.pace_views >= 0, "an integer >= 0")
         check("coarse_factor", self.coarse_factor in (1, 2, 4, 8), "1, 2, 4 or 8")

@@ -21,8 +21,8 @@ inside the methods that need them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from framework.depth import DepthProvider
@@ -34,19 +34,21 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from framework.fisher.information import FisherInformation
-    from framework.types import Camera, DepthMap, Gaussians, Render, Scene, TrainingSet, View
+    from framework.types import DepthMap, Gaussians, Render, Scene, TrainingSet, View
 
 __all__ = [
     "Augmenter",
     "Capacity",
     "DepthProvider",
     "Edits",
+    "GradientAt",
     "Initializer",
     "Metric",
     "Regularizer",
     "SceneLoader",
     "StepContext",
     "StepStats",
+    "SubStep",
     "register",
 ]
 
@@ -60,11 +62,16 @@ class StepContext:
     gaussians: the current ones, detached but in `Regularizer.loss`; clone what is to be kept, the
     next step changes them in place. version: changes whenever Gaussians were added, removed or
     reordered. sh_degree: the active degree. background: [3]. extent: see `TrainingSet.extent`;
-    near, far: depth bounds of the scene. render(camera): the current Gaussians without any dropout.
+    near, far: depth bounds of the scene. render(camera): the current Gaussians without any dropout,
+    and without a gradient; render(camera, gaussians, opacity_factors=[N], background=[3]): any
+    others, from any camera, differentiable in both: in `Regularizer.loss` those of `ctx.gaussians`
+    or some with parts detached, `ctx.gaussians.replace(means=ctx.gaussians.means.detach())`.
     fisher(camera): their information; fisher(camera, gaussians, sh_degree): that of others, for
     instance a snapshot.
     rng(purpose): this plugin's own stream for this update. log(name, value): into the history, and
-    its mean over the training into the run's dose.
+    its mean over the training into the run's dose. behind: [3], the background of this step's
+    renders, another in every step with `trainer.background=random`. other: the second field of a
+    training that has one (`Plugin.second_field`), as it was before this step, detached.
     """
 
     step: int
@@ -79,10 +86,12 @@ class StepContext:
     extent: float
     near: float
     far: float
-    render: Callable[[Camera], Render]
+    render: Callable[..., Render]
     fisher: Callable[..., FisherInformation]
     rng: Callable[[str], np.random.Generator]
     log: Callable[[str, float], None]
+    behind: Tensor | None = None
+    other: Gaussians | None = None
 
     @property
     def progress(self) -> float:
@@ -92,12 +101,15 @@ class StepContext:
 
 class Plugin:
     """Base of all plugins. `defaults` changes the framework keys' defaults for a method. `idle`:
-    it does nothing by design; of others a run without any effect is told."""
+    it does nothing by design; of others a run without any effect is told. `second_field`: beside
+    the Gaussians a second set is trained, from the same start on the same photos with draws, an
+    optimizer, regularizers and capacities of its own, which `StepContext.other` shows."""
 
     name: ClassVar[str]
     group: ClassVar[str]
     defaults: ClassVar[dict[str, float]] = {}
     idle: ClassVar[bool] = False
+    second_field: ClassVar[bool] = False
 
     @classmethod
     def weighted(cls) -> bool:
@@ -137,15 +149,21 @@ class Augmenter(Plugin):
         raise NotImplementedError
 
 
+# the gradient of the step's loss in every parameter, by name, at other values of the parameters
+GradientAt = Callable[["Gaussians"], "Mapping[str, Tensor]"]
+# a loss, and the names of the parameters that one step of the optimizer may move to lower it
+SubStep = tuple["Tensor", Sequence[str]]
+
+
 class Regularizer(Plugin):
-    """Acts on a training step; evaluation never sees it."""
+    """Acts on a training step; evaluation sees it by `evaluated` alone."""
 
     group: ClassVar[str] = "reg"
 
     @classmethod
     def weighted(cls) -> bool:
-        """`weight` multiplies the loss term."""
-        return cls.loss is not Regularizer.loss
+        """`weight` multiplies the loss term and the losses of steps of its own."""
+        return not (cls.loss is Regularizer.loss and cls.substeps is Regularizer.substeps)
 
     def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
         """[N] float32 factors on the activated opacities for this update's renders, or None. A
@@ -158,17 +176,41 @@ class Regularizer(Plugin):
         as through `render`."""
         return None
 
+    def substeps(self, ctx: StepContext, state: Any, view: View) -> Iterator[SubStep]:
+        """Losses that have a step of the optimizer of their own, before that on the photo: each is
+        asked for when the one before it was taken. `ctx.gaussians` are the parameters. view: the
+        step's real one, as large as it is trained on."""
+        return iter(())
+
+    def gradient(
+        self, ctx: StepContext, state: Any, found: Mapping[str, Tensor], at: GradientAt
+    ) -> Mapping[str, Tensor] | None:
+        """What the optimizer gets in place of `found`, the gradient of the step's loss by parameter
+        name, or None for `found` itself. at(gaussians): the same loss' gradient at other values of
+        the parameters, for one more pass over the step's views."""
+        return None
+
+    def evaluated(self, gaussians: Gaussians, state: Any) -> Gaussians:
+        """What is evaluated and kept in the place of the trained `gaussians`."""
+        return gaussians
+
 
 @dataclass(frozen=True)
 class StepStats:
     """What the last step measured on its real view; pseudo views have no say in the number of
     Gaussians. means2d_grad: [N, 2], gradient of the loss with respect to the projected means, in
-    pixels. radii: [N] pixels, 0 = culled. width, height: of that render."""
+    pixels. radii: [N] pixels, 0 = culled. width, height: of that render. factors: [N], what the
+    regularizers multiplied opacities by (0 = dropped), None for nothing. gradients: of the
+    parameters that the capacity's `gradients` names, as stored and by name. view: the real one.
+    """
 
     means2d_grad: Tensor
     radii: Tensor
     width: int
     height: int
+    factors: Tensor | None = None
+    gradients: Mapping[str, Tensor] = field(default_factory=dict)
+    view: View | None = None
 
 
 @dataclass(frozen=True)
@@ -176,13 +218,15 @@ class Edits:
     """A change of the set of Gaussians: first `keep` ([N] bool), then `append`; afterwards clamp
     opacities to at most `opacity_ceiling` (and forget their optimizer moments). bands: [N] bool,
     which of those there were keep their SH bands above 0; None: all. sh0: [N, 1, 3], new values for
-    those there were. The order may change."""
+    those there were. values: the same of any parameters by name, `opacity_logits` or others; what
+    the optimizer knows of them stays. The order may change."""
 
     keep: Tensor | None = None
     append: Gaussians | None = None
     opacity_ceiling: float | None = None
     bands: Tensor | None = None
     sh0: Tensor | None = None
+    values: Mapping[str, Tensor] = field(default_factory=dict)
 
     @property
     def changes_the_rows(self) -> bool:
@@ -191,9 +235,12 @@ class Edits:
 
 
 class Capacity(Plugin):
-    """Decides how many Gaussians there are; the only code that changes N."""
+    """Decides how many Gaussians there are; the only code that changes N. `gradients`: parameters
+    whose gradient it wants in `StepStats.gradients`; a step that keeps one takes a little longer.
+    """
 
     group: ClassVar[str] = "capacity"
+    gradients: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def weighted(cls) -> bool:
@@ -201,8 +248,14 @@ class Capacity(Plugin):
         return False
 
     def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
-        """Called after each step; the trainer applies the edits to parameters and optimizer."""
+        """Called after each step; the trainer applies the edits to parameters and optimizer. Of
+        several capacities each is asked about what those before it left."""
         raise NotImplementedError
+
+    def followed(self, state: Any, rows: Tensor) -> Any:
+        """The state after another capacity of the run changed the set. rows: [N'] int64, of every
+        Gaussian there is now the row it had, -1 for one that was added."""
+        return state
 
 
 class Part:

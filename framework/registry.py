@@ -45,6 +45,8 @@ MEANINGS = {
     "start": "share of the training before which it rests",
     "stop": "share of the training after which it rests",
 }
+JOINABLE = ("reg", "capacity")  # several of these may work in one run, as `reg=[uar,depth_rank]`
+JOINED_BY = "+"  # their names are one choice: `uar+depth_rank`
 OPTION_TYPES = (bool, int, float, str, type(None))
 UNIONS = (typing.Union, UnionType)
 
@@ -256,21 +258,52 @@ def plain_fields(cls: type) -> list[tuple[str, Any, Any]]:
 
 @dataclass(frozen=True)
 class Plugged:
-    """A plugin with its framework keys: active while start <= progress < stop."""
+    """A plugin with its framework keys: active while start <= progress < stop.
+
+    parts: where a run has several of a group, each by its name; `plugin` is None then.
+    """
 
     plugin: Any
     weight: float
     start: float
     stop: float
+    parts: tuple[tuple[str, Plugged], ...] = ()
+
+    def each(self, group: str) -> dict[str, Plugged]:
+        """Every single plugin in the order of asking, by the key of its state: its group's name,
+        or of several `group.name`."""
+        if not self.parts:
+            return {group: self}
+        return {f"{group}.{name}": part for name, part in self.parts}
 
     def active(self, progress: float) -> bool:
         return self.start <= progress < self.stop
+
+
+def parts_of(group: str, name: str) -> list[str]:
+    """The names in a choice of several plugins, `name` if it is one. Raises UserError."""
+    names = name.split(JOINED_BY)
+    if len(names) > 1:
+        told = f"{group}=[{','.join(names)}]"
+        require(
+            group in JOINABLE,
+            f"{told}: expected one {group}, got {len(names)}; a run may have several of"
+            f" {' and '.join(JOINABLE)} alone",
+        )
+        require(
+            all(names) and len(set(names)) == len(names),
+            f"{told}: expected different names, got {', '.join(map(repr, names))}; name each once",
+        )
+    return names
 
 
 def build(group: str, config: Mapping[str, Any]) -> Plugged:
     """The plugin that `config` (key `name` + options) describes. Raises UserError on a bad one."""
     options = dict(config)
     name = str(options.pop("name", ""))
+    if JOINED_BY in name:
+        parts = [(part, build(group, options[part])) for part in parts_of(group, name)]
+        return Plugged(None, 1.0, 0.0, 1.0, tuple(parts))
     cls: Any = lookup(group, name)
     known = {row[0]: row for row in option_fields(cls)}
     for key in options:
@@ -293,4 +326,4 @@ def build(group: str, config: Mapping[str, Any]) -> Plugged:
     )
     plugin = cls(**options)
     plugin.check_span(keys["start"], keys["stop"])
-    return Plugged(plugin, **keys)
+    return Plugged(plugin, keys["weight"], keys["start"], keys["stop"])

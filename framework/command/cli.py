@@ -55,10 +55,12 @@ from framework.errors import (
     printable_line,
 )
 from framework.records.progress import unread
+from framework.registry import JOINED_BY, parts_of
 
 register_resolvers()
 
 MULTIRUN_FLAGS = ("-m", "--multirun")
+LISTED = r"\[([^\[\]]*)\]"  # `[uar,depth_rank]`
 
 
 def main(argv: Sequence[str]) -> int:
@@ -144,6 +146,7 @@ def normalise(argv: Sequence[str]) -> list[str]:
     """
     _check_utf8("command line", *argv)
     arguments = [re.sub(rf"^\+(?=({'|'.join(GROUPS)})=)", "", argument) for argument in argv]
+    arguments = [_joined_choices(argument) for argument in arguments]
     _check_multirun_flag(arguments)
     _check_empty_choices(arguments)
     flags = _parse(arguments)
@@ -152,6 +155,19 @@ def normalise(argv: Sequence[str]) -> list[str]:
     if flags.resolve and not flags.cfg:
         raise UserError("command line: expected --cfg beside --resolve, got none; add --cfg job")
     return _options_of_swept_groups(arguments, flags.overrides) if flags.multirun else arguments
+
+
+def _joined_choices(argument: str) -> str:
+    """`reg=none,[uar,depth_rank]` as `reg=none,uar+depth_rank`: several plugins are one choice."""
+    group, _, names = argument.partition("=")
+    if group not in OBJECT_GROUPS:
+        return argument
+
+    def join(listed: re.Match[str]) -> str:
+        joined = JOINED_BY.join(name.strip() for name in listed[1].split(","))
+        return JOINED_BY.join(parts_of(group, joined))
+
+    return f"{group}={re.sub(LISTED, join, names)}"
 
 
 def _check_here() -> None:

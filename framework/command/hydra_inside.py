@@ -3,18 +3,24 @@
 Hydra has no public name for its argument parser: its flags are needed before Hydra composes
 anything, to refuse what a stranger's line may not ask for, and an error is told in our words. Nor
 has it one for how its sweeper splits overrides into runs: the runs are checked before the first
-begins, so both must split alike. `tests/cli/test_hydra_inside.py` says what breaks with a newer
-Hydra.
+begins, so both must split alike. And its store of choices is a plain dictionary, where a choice of
+several plugins, `reg=uar+depth_rank`, is to be made when it is asked for.
+`tests/cli/test_hydra_inside.py` says what breaks with a newer Hydra.
 """
 
 from __future__ import annotations
 
 from argparse import ArgumentParser
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra._internal.utils import get_args_parser
+from hydra.core.config_store import ConfigNode
 from hydra.core.override_parser.types import Override
+from omegaconf import OmegaConf
+
+from framework.registry import JOINED_BY, parts_of
 
 
 def argument_parser() -> ArgumentParser:
@@ -27,3 +33,28 @@ def jobs_of(overrides: Sequence[Override]) -> list[list[str]]:
     """The overrides of every run of a sweep, in the order of Hydra's basic sweeper."""
     batches = BasicSweeper.split_arguments(list(overrides), None)
     return [list(job) for batch in batches for job in batch]
+
+
+class JoinedChoices(dict[str, Any]):
+    """The nodes of a group in Hydra's ConfigStore, and one for every `a+b.yaml` asked for.
+
+    Such a node composes its parts, each in a package of its own: `reg.a`, `reg.b`, with all that
+    presets set of them. So a part may be a variant from a YAML file, as `uar_hard`.
+    """
+
+    def __init__(self, group: str, nodes: Mapping[str, Any]) -> None:
+        super().__init__(nodes)
+        self.group = group
+
+    def __contains__(self, file: object) -> bool:
+        return super().__contains__(file) or (isinstance(file, str) and JOINED_BY in file)
+
+    def __missing__(self, file: str) -> ConfigNode:
+        name, group = file.removesuffix(".yaml"), self.group
+        defaults: list[Any] = []
+        for part in parts_of(group, name):
+            defaults.append({f"/{group}@{part}": part})
+            preset = f"optional /for_preset/{group}@{part}"
+            defaults.append({preset: f"${{preset}}_{part}"})
+        node = OmegaConf.create({"defaults": [*defaults, "_self_"], "name": name})
+        return ConfigNode(file, node, group, None, "fishersplat")

@@ -54,6 +54,10 @@ class PullCapacity(Capacity):
 
         return Pull(torch.zeros(n), torch.zeros(n))
 
+    def followed(self, state: Pull, rows: Tensor) -> Pull:
+        old = rows.clamp(min=0)
+        return Pull(state.total[old] * (rows >= 0), state.seen[old] * (rows >= 0))
+
     def measured(self, state: Pull, stats: StepStats) -> Pull:
         """`state` with the step of `stats` added. Raises ValueError when they are of two sets."""
         n = len(state.total)

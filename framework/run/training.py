@@ -204,12 +204,9 @@ def _untuned(run: Run, joined: Trained, options: TrainerOptions) -> Trained:
 def _open(run: Run, part: _Part) -> _Opened:
     """The part with what an earlier process kept of it."""
     plugins = Plugins(*(registry.build(group, part.choices[group]) for group in registry.GROUPS))
-    chosen: list[Plugin] = [p.plugin for p in (plugins.augment, plugins.reg, plugins.capacity)]
-    checkpoints = Checkpoints(run.folder, run.identity, chosen, part.name)
-    by_group = dict(zip(registry.GROUPS, chosen, strict=True))
-    check = partial(
-        check_state, training=run.scene.training, options=part.options, plugins=by_group
-    )
+    chosen: dict[str, Plugin] = {key: one.plugin for key, one in plugins.each().items()}
+    checkpoints = Checkpoints(run.folder, run.identity, chosen.values(), part.name)
+    check = partial(check_state, training=run.scene.training, options=part.options, plugins=chosen)
     return _Opened(part, plugins, checkpoints, checkpoints.newest(check))
 
 

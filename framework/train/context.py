@@ -23,7 +23,8 @@ NAMES = tuple(field.name for field in fields(Gaussians))
 @dataclass(frozen=True)
 class Conditions:
     """What stays the same over a training. background: [3]. near: nothing nearer is drawn, in scene
-    units. seed: of every draw. rasterizer: who draws."""
+    units. seed: of every draw. rasterizer: who draws. field: in whose name plugins draw: the
+    first's is empty."""
 
     training: TrainingSet
     depth: tuple[DepthMap, ...]
@@ -32,13 +33,15 @@ class Conditions:
     near: float
     seed: int
     rasterizer: Rasterizer = NUMBA
+    field: str = ""
 
 
 @dataclass(frozen=True)
 class Moment:
     """Where a training stands. gaussians: detached. version: changes with their number or order.
     sh_degree: the active one. turn: 0 for the update on the step's real view, from 1 for those of
-    pseudo views that have their own; each has draws of its own, and the first's never change."""
+    pseudo views that have their own; each has draws of its own, and the first's never change.
+    behind, other: see `StepContext`."""
 
     step: int
     epoch: int
@@ -46,6 +49,8 @@ class Moment:
     gaussians: Gaussians
     sh_degree: int
     turn: int = 0
+    behind: Tensor | None = None
+    other: Gaussians | None = None
 
 
 class Fetched(Gaussians):
@@ -70,14 +75,15 @@ class Fetched(Gaussians):
 
 
 def step_context(
-    of: Conditions, now: Moment, group: str, log: Callable[[str, float], None]
+    of: Conditions, now: Moment, owner: str, log: Callable[[str, float], None]
 ) -> StepContext:
-    """What the plugin of `group` sees now; its random draws are its own."""
+    """What the plugin `owner` sees now; its random draws are its own."""
     gaussians, active, rasterizer = now.gaussians, now.sh_degree, of.rasterizer
     fixed: dict[str, Any] = {"background": of.background, "near": of.near}
 
-    def render(camera: Camera) -> Render:
-        seen = rasterizer.render(gaussians, camera, sh_degree=active, **fixed)
+    def render(camera: Camera, others: Gaussians | None = None, **options: Any) -> Render:
+        chosen = gaussians if others is None else others
+        seen = rasterizer.render(chosen, camera, sh_degree=active, **{**fixed, **options})
         return seen if rasterizer.device == CPU else seen.to(CPU)
 
     def fisher(
@@ -89,7 +95,7 @@ def step_context(
 
     def rng(purpose: str) -> np.random.Generator:
         turn = f"/{now.turn}" if now.turn else ""
-        return stream(of.seed, f"{group}/{purpose}{turn}", now.step)
+        return stream(of.seed, f"{of.field}{owner}/{purpose}{turn}", now.step)
 
     return StepContext(
         step=now.step,
@@ -108,4 +114,6 @@ def step_context(
         fisher=fisher,
         rng=rng,
         log=log,
+        behind=of.background if now.behind is None else now.behind,
+        other=now.other,
     )

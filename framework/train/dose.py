@@ -65,13 +65,15 @@ def told(of: Tallies) -> Told:
     `pseudo_share_of_loss`, the pseudo views' weighted photometric losses over those of all views;
     `pseudo_share_of_views`, the same of the number of renders. Of a regularizer: `NAME_mean` of
     what it logged; of one that drops, `share_dropped_mean`, the share of Gaussians with a smaller
-    opacity, mean over all training steps. `augment_acted_share`, `reg_acted_share`: of the
+    opacity, mean over all training steps; of several regularizers each of these begins with the
+    plugin's name. `augment_acted_share`, `reg_acted_share`: of the
     occasions on which it was asked (epochs, steps), those on which it acted; `acted_share`: the
     smaller one.
     """
-    found = (_of_augmenter(of) if "augment.asked" in of else {}) | (
-        _of_regularizer(of) if "reg.asked" in of else {}
-    )
+    found = _of_augmenter(of) if "augment.asked" in of else {}
+    for owner in sorted(name.removesuffix(".asked") for name in of if name.endswith(".asked")):
+        if owner.partition(".")[0] == "reg":
+            found |= _of_regularizer(of, owner)
     shares = [value for name, value in found.items() if name.endswith("_acted_share")]
     if shares:
         numbers = [value for value in shares if isinstance(value, float)]
@@ -93,12 +95,16 @@ def _of_augmenter(of: Tallies) -> Told:
     return found | {"augment_acted_share": _ratio(acted, asked)}
 
 
-def _of_regularizer(of: Tallies) -> Told:
-    found = _means(_logged(of, "reg"))
-    if "reg.dropped" in of:
-        found["share_dropped_mean"] = _ratio(of["reg.dropped"][1], of.get("steps", NONE)[0])
-    acted = of.get("reg.acted", NONE)[0]
-    return found | {"reg_acted_share": _ratio(acted, of["reg.asked"][0])}
+def _of_regularizer(of: Tallies, owner: str) -> Told:
+    found = _means(_logged(of, owner))
+    if f"{owner}.dropped" in of:
+        found["share_dropped_mean"] = _ratio(of[f"{owner}.dropped"][1], of.get("steps", NONE)[0])
+    acted = of.get(f"{owner}.acted", NONE)[0]
+    found["acted_share"] = _ratio(acted, of[f"{owner}.asked"][0])
+    several = owner.partition(".")[2]
+    if several:
+        return {f"{several}_{name}": value for name, value in found.items()}
+    return found | {"reg_acted_share": found.pop("acted_share")}
 
 
 def _logged(of: Tallies, group: str) -> dict[str, tuple[int, float]]:

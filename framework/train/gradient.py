@@ -62,13 +62,16 @@ def view_gradient(
         return _by_autograd(params, item, where, ssim_weight, penalty, rasterizer, **rendered)
     loss, found = screen_gradient(params, item, where, ssim_weight, rasterizer, **rendered)
     parameters, means2d = found.pull_back()
-    return loss, parameters, step_stats(item, means2d, found.radii)
+    return loss, parameters, step_stats(item, means2d, found.radii, **rendered)
 
 
-def step_stats(item: Item, means2d: Tensor, radii: Tensor) -> StepStats:
-    """What capacity plugins see of a view's render and its gradient."""
-    camera = item.view.camera
-    return StepStats(means2d, radii, camera.width, camera.height)
+def step_stats(
+    item: Item, means2d: Tensor, radii: Tensor, opacity_factors: Tensor | None = None, **_: Any
+) -> StepStats:
+    """What capacity plugins see of a view's render, which had these options, and its gradient."""
+    view = item.view
+    size = view.camera.width, view.camera.height
+    return StepStats(means2d, radii, *size, factors=opacity_factors, view=view)
 
 
 def _by_autograd(
@@ -89,5 +92,5 @@ def _by_autograd(
     *gradients, means2d = torch.autograd.grad(
         loss, [*tensors.values(), offset], materialize_grads=True
     )
-    stats = step_stats(item, means2d, render.radii)
+    stats = step_stats(item, means2d, render.radii, **rendered)
     return float(loss.detach()), dict(zip(tensors, gradients, strict=True)), stats

@@ -4,6 +4,8 @@ plugin ends in one line that names the plugin and the hook."""
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 import torch
@@ -12,7 +14,7 @@ from torch import Tensor
 from framework.errors import UserError
 from framework.plugin import Edits, Plugin
 from framework.shapes import check_tensor, check_view
-from framework.types import View
+from framework.types import Gaussians, View
 
 
 def pseudo_views(plugin: Plugin, result: object) -> tuple[list[View], Any]:
@@ -61,9 +63,40 @@ def loss_term(plugin: Plugin, term: Any) -> Tensor | None:
     return term
 
 
-def edits(plugin: Plugin, result: object, n: int) -> tuple[Edits | None, Any]:
-    """(edits or None, state) of `Capacity.update` for `n` Gaussians. Raises UserError."""
-    where = _hook("capacity", plugin, "update")
+def sub_step(plugin: Plugin, loss: Any, names: Any) -> Tensor:
+    """The loss of a step that `Regularizer.substeps` asks for. Raises UserError."""
+    where = _hook("reg", plugin, "substeps")
+    known = [part.name for part in fields(Gaussians)]
+    if not isinstance(names, list | tuple) or not names or not set(names) <= set(known):
+        raise UserError(f"{where}: expected some of {', '.join(known)}, got {names!r:.80}")
+    if not isinstance(loss, Tensor) or loss.numel() != 1 or not loss.requires_grad:
+        raise UserError(f"{where}: expected a scalar loss of ctx.gaussians, got {loss!r:.80}")
+    return loss
+
+
+def gradient(
+    plugin: Plugin, given: Mapping[str, Tensor], found: Mapping[str, Tensor]
+) -> Mapping[str, Tensor]:
+    """What `Regularizer.gradient` gives in the place of `found`. Raises UserError."""
+    where = _hook("reg", plugin, "gradient")
+    if set(given) != set(found):
+        raise UserError(f"{where}: expected {', '.join(found)}, got {list(given)!s:.80}")
+    for name, tensor in found.items():
+        _check(where, f"`{name}`", given[name], *tensor.shape)
+    return given
+
+
+def evaluated(plugin: Plugin, gaussians: Any) -> Gaussians:
+    """What `Regularizer.evaluated` gives. Raises UserError."""
+    if not isinstance(gaussians, Gaussians):
+        where, got = _hook("reg", plugin, "evaluated"), type(gaussians).__name__
+        raise UserError(f"{where}: expected Gaussians, got {got}")
+    return gaussians
+
+
+def edits(plugin: Plugin, result: object, of: Gaussians) -> tuple[Edits | None, Any]:
+    """(edits or None, state) of `Capacity.update` of Gaussians. Raises UserError."""
+    where, n = _hook("capacity", plugin, "update"), len(of)
     change, state = _pair(where, result, "(Edits or None, state)")
     if change is not None and not isinstance(change, Edits):
         raise UserError(f"{where}: expected Edits or None, got {type(change).__name__}")
@@ -74,13 +107,22 @@ def edits(plugin: Plugin, result: object, n: int) -> tuple[Edits | None, Any]:
             ("sh0", (n, 1, 3), torch.float32),
         ):
             value = getattr(change, part)
-            if value is None:
-                continue
-            try:
-                check_tensor(f"`{part}`", value, *shape, dtype=dtype)
-            except ValueError as error:
-                raise UserError(f"{where}: {error}") from error
+            if value is not None:
+                _check(where, f"`{part}`", value, *shape, dtype=dtype)
+        for name, value in change.values.items():
+            if name not in (part.name for part in fields(Gaussians)):
+                raise UserError(f"{where}: expected parameters in `values`, got {name!r:.40}")
+            _check(where, f"`{name}`", value, *getattr(of, name).shape)
     return change, state
+
+
+def _check(
+    where: str, name: str, value: Any, *shape: int, dtype: torch.dtype = torch.float32
+) -> None:
+    try:
+        check_tensor(name, value, *shape, dtype=dtype)
+    except ValueError as error:
+        raise UserError(f"{where}: {error}") from error
 
 
 def _hook(group: str, plugin: Plugin, hook: str) -> str:

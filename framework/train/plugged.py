@@ -1,4 +1,4 @@
-"""The three plugins of a training at work: when each is asked, with what, and what it remembers.
+"""The plugins of a training at work: when each is asked, with what, and what it remembers.
 
 A plugin is asked only while its framework keys `start` and `stop` say so; its state is made when it
 is first active. What a hook gives is checked (`hooks`) before the trainer uses it.
@@ -8,16 +8,24 @@ from __future__ import annotations
 
 import functools
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from torch import Tensor
 
-from framework.plugin import Edits, StepContext, StepStats
+from framework.plugin import (
+    Edits,
+    GradientAt,
+    Regularizer,
+    StepContext,
+    StepStats,
+    SubStep,
+)
 from framework.registry import Plugged
 from framework.train import hooks
 from framework.train.context import Conditions, Moment, step_context
+from framework.train.descent import Regularization
 from framework.train.dose import REFUSED, Dose
 from framework.train.gradient import Penalty
 from framework.train.resume.training_state import Plugins, PluginState
@@ -29,33 +37,47 @@ HALF = 0.5  # a method that acts on a smaller share of its occasions is told
 
 @dataclass
 class _Running:
-    """A plugin with what it remembers."""
+    """A plugin with what it remembers. owner: its group's name, or of several plugins of a group
+    `group.name`. draws: in whose name it draws; the first of several draws as it would alone."""
 
-    group: str
+    owner: str
+    draws: str
     plugged: Plugged
     state: Any = None
     started: bool = False
+    acted: bool = False  # in this update
 
     @property
     def idle(self) -> bool:
         """Whether it does nothing by design; a class of tests may have no word on it."""
         return bool(getattr(self.plugged.plugin, "idle", False))
 
+    def has(self, hook: str) -> bool:
+        """Whether its class has this hook of a `Regularizer`, and not just the base class' own."""
+        own = getattr(type(self.plugged.plugin), hook, None)
+        return own is not None and own is not getattr(Regularizer, hook)
+
 
 class PluginsAtWork:
-    """The plugins of one training. logged: what they logged since it was cleared. dose: all that
-    they did is counted there."""
+    """The plugins of one field of a training. logged: what they logged since it was cleared. dose:
+    all that they did is counted there."""
 
     def __init__(self, plugins: Plugins, conditions: Conditions, dose: Dose) -> None:
         self._conditions, self._dose = conditions, dose
-        self._augment = _Running("augment", plugins.augment)
-        self._reg = _Running("reg", plugins.reg)
-        self._capacity = _Running("capacity", plugins.capacity)
+        (self._augment,) = _running("augment", plugins.augment)
+        self._regs = _running("reg", plugins.reg)
+        self._capacities = _running("capacity", plugins.capacity)
         self.logged: dict[str, float] = {}
-        self._acted = False  # whether the regularizer did, in this update
-        for running in (self._augment, self._reg):
+        self.gradients = tuple(
+            {
+                name: None
+                for running in self._capacities
+                for name in getattr(running.plugged.plugin, "gradients", ())
+            }
+        )  # parameters whose gradient a capacity looks at
+        for running in (self._augment, *self._regs):
             if not running.idle:
-                dose.open(f"{running.group}.asked")
+                dose.open(f"{running.owner}.asked")
 
     def pseudo_views(self, now: Moment) -> list[View]:
         """The pseudo views of an epoch that starts now, weighted and tagged."""
@@ -74,25 +96,40 @@ class PluginsAtWork:
             for view in views
         ]
 
-    def regularization(
-        self, now: Moment, params: Gaussians
-    ) -> tuple[Tensor | None, Penalty | None]:
-        """What the regularizer makes of an update: factors [N] of the opacities, and its weighted
-        loss term of a render of `params`; None where it leaves them as they are."""
-        self._acted = False
-        context = self._context(self._reg, now)
-        if context is None:
-            return None, None
-        plugin: Any = self._reg.plugged.plugin
-        penalty = functools.partial(self._penalty, self._in_loss(context, params))
-        result = plugin.opacity_factors(context, self._reg.state)
-        factors, self._reg.state = hooks.opacity_factors(plugin, result, len(params))
-        if not self._reg.idle:
-            self._dose.add("reg.asked")
-        if factors is not None:
-            self._dose.add("reg.dropped", float((factors < 1).double().mean()))
-            self._note_act(bool((factors != 1).any()))
-        return factors, penalty if plugin.weighted() else None
+    def substeps(self, now: Moment, params: Gaussians, view: View) -> Iterator[SubStep]:
+        """The losses that regularizers take steps of their own down, weighted."""
+        for running in self._regs:
+            if not running.has("substeps"):
+                continue
+            context = self._context(running, now)
+            if context is None:
+                continue
+            plugged = running.plugged
+            inside = self._in_loss(context, params)
+            for loss, names in plugged.plugin.substeps(inside, running.state, view):
+                checked = hooks.sub_step(plugged.plugin, loss, names)
+                self._dose.add("substeps")
+                self._note_act(running, True)
+                yield plugged.weight * checked, names
+
+    def regularization(self, now: Moment, params: Gaussians) -> Regularization:
+        """What the regularizers make of an update of `params`."""
+        factors: Tensor | None = None
+        asked: list[tuple[_Running, StepContext]] = []
+        for running in self._regs:
+            context = self._context(running, now)
+            if context is None:
+                continue
+            asked.append((running, context))
+            own = self._factors(running, context, len(params))
+            if own is not None:
+                factors = own if factors is None else factors * own
+        weighted = [pair for pair in asked if pair[0].has("loss")]
+        mixing = [pair for pair in asked if pair[0].has("gradient")]
+        penalty = functools.partial(self._penalties, weighted) if weighted else None
+        return Regularization(
+            factors, penalty, functools.partial(self._mixed, mixing) if mixing else None
+        )
 
     def _in_loss(self, context: StepContext, params: Gaussians) -> StepContext:
         """What a loss term sees: the parameters themselves, where they are."""
@@ -100,39 +137,71 @@ class PluginsAtWork:
             context, gaussians=params, background=context.background.to(params.means.device)
         )
 
-    def edits(self, now: Moment, stats: StepStats) -> Edits | None:
-        """How the capacity plugin wants the set to change after a step."""
-        context = self._context(self._capacity, now)
-        if context is None:
-            return None
-        plugin: Any = self._capacity.plugged.plugin
-        result = plugin.update(context, self._capacity.state, _fetched(stats))
-        edits, self._capacity.state = hooks.edits(plugin, result, len(now.gaussians))
-        if edits is not None:
-            self._dose.add("capacity.edits")
-        return edits
+    def evaluated(self, gaussians: Gaussians) -> Gaussians:
+        """What is evaluated and kept in the place of the trained `gaussians`."""
+        for running in self._regs:
+            if running.has("evaluated") and running.started:
+                plugin = running.plugged.plugin
+                gaussians = hooks.evaluated(plugin, plugin.evaluated(gaussians, running.state))
+        return gaussians
+
+    def edits(
+        self,
+        now: Moment,
+        stats: StepStats,
+        apply: Callable[[Edits], tuple[Gaussians, Tensor | None]],
+    ) -> None:
+        """Let the capacities change the set after a step, each what those before it left.
+
+        apply(edits): the new Gaussians, and which row each was before, None where rows stay.
+        """
+        stats = _fetched(stats)
+        for running in self._capacities:
+            context = self._context(running, now)
+            if context is None:
+                continue
+            plugin: Any = running.plugged.plugin
+            result = plugin.update(context, running.state, stats)
+            edits, running.state = hooks.edits(plugin, result, now.gaussians)
+            if edits is None:
+                continue
+            self._dose.add(f"{running.owner}.edits")
+            gaussians, rows = apply(edits)
+            if len(self._capacities) == 1:
+                continue
+            now = replace(now, gaussians=gaussians)
+            if rows is not None:
+                now, stats = replace(now, version=now.version + 1), _followed(stats, rows)
+                self._follow(running, rows)
 
     def kept(self) -> dict[str, PluginState]:
-        """What a checkpoint holds of the plugins, by group."""
-        return {r.group: PluginState(r.started, r.state) for r in self._all()}
+        """What a checkpoint holds of the plugins, by their keys."""
+        return {r.owner: PluginState(r.started, r.state) for r in self._all()}
 
-    def take_up(self, kept: Mapping[str, PluginState], logged: Mapping[str, float]) -> None:
+    def take_up(
+        self, kept: Mapping[str, PluginState], logged: Mapping[str, float] | None = None
+    ) -> None:
         """Go on from what a checkpoint held."""
         for running in self._all():
-            own = kept[running.group]
+            own = kept[running.owner]
             running.started, running.state = own.started, own.value
-        self.logged.update(logged)
+        self.logged.update(logged or {})
 
     def tell_what_did_nothing(self) -> None:
         """Warn of a method with little or no effect, which is its baseline or near it."""
         self._tell_of_pseudo_views()
-        self._tell_of_regularizer()
-        capacity = self._capacity.plugged.plugin
-        if self._dose["capacity.edits"][0] == 0 and not capacity.idle:
+        for running in self._regs:
+            self._tell_of_regularizer(running)
+        for running in self._capacities:
+            self._tell_of_capacity(running)
+
+    def _tell_of_capacity(self, running: _Running) -> None:
+        capacity = running.plugged.plugin
+        if self._dose[f"{running.owner}.edits"][0] == 0 and not running.idle:
             LOG.warning(
-                f"capacity={capacity.name}: no Gaussian was added or removed in"
+                f"capacity={_name(capacity)}: no Gaussian was added or removed in"
                 f" {self._conditions.options.steps} steps, as with capacity=fixed; when it may is"
-                f" set by its options, which --help capacity={capacity.name} tells"
+                f" set by its options, which --help capacity={_name(capacity)} tells"
             )
 
     def _tell_of_pseudo_views(self) -> None:
@@ -153,57 +222,136 @@ class PluginsAtWork:
             f" one; {refused} covered less than augment.min_coverage"
         )
 
-    def _tell_of_regularizer(self) -> None:
-        asked, acted = self._dose["reg.asked"][0], self._dose["reg.acted"][0]
-        plugin = self._reg.plugged.plugin
+    def _tell_of_regularizer(self, running: _Running) -> None:
+        asked, acted = (self._dose[f"{running.owner}.{what}"][0] for what in ("asked", "acted"))
+        plugged = running.plugged
         if acted < HALF * asked:
             LOG.warning(
-                f"reg={_name(plugin)}: changed only {acted} of the {asked} training steps between"
-                f" reg.start={self._reg.plugged.start:g} and reg.stop={self._reg.plugged.stop:g}"
+                f"reg={_name(plugged.plugin)}: changed only {acted} of the {asked} training steps"
+                f" between {running.owner}.start={plugged.start:g} and"
+                f" {running.owner}.stop={plugged.stop:g}"
             )
 
-    def _note_act(self, acted: bool) -> None:
-        """Count that the regularizer acts in this update, once however many views it is of."""
-        if acted and not self._acted:
-            self._acted = True
-            self._dose.add("reg.acted")
+    def _note_act(self, running: _Running, acted: bool) -> None:
+        """Count that a plugin acts in this update, once however many views it is of."""
+        if acted and not running.acted:
+            running.acted = True
+            self._dose.add(f"{running.owner}.acted")
 
     def _all(self) -> tuple[_Running, ...]:
-        return self._augment, self._reg, self._capacity
+        return self._augment, *self._regs, *self._capacities
 
     def _context(self, running: _Running, now: Moment) -> StepContext | None:
         """What the plugin may see now; None while it is not active."""
         if not running.plugged.active(now.step / self._conditions.options.steps):
             return None
         log = functools.partial(self._log, running)
-        context = step_context(self._conditions, now, running.group, log)
+        context = step_context(self._conditions, now, running.draws, log)
         if not running.started:
             running.started = True
             running.state = running.plugged.plugin.init_state(context)
         return context
 
-    def _penalty(self, context: StepContext, view: View, render: Render) -> Tensor | float:
-        """The regularizer's weighted loss term; 0 without one."""
-        plugged = self._reg.plugged
+    def _factors(self, running: _Running, context: StepContext, n: int) -> Tensor | None:
+        """What one regularizer multiplies opacities by, [N] or None."""
+        plugin: Any = running.plugged.plugin
+        running.acted = False
+        result = plugin.opacity_factors(context, running.state)
+        factors, running.state = hooks.opacity_factors(plugin, result, n)
+        if not running.idle:
+            self._dose.add(f"{running.owner}.asked")
+        if factors is not None:
+            self._dose.add(f"{running.owner}.dropped", float((factors < 1).double().mean()))
+            self._note_act(running, bool((factors != 1).any()))
+        return factors
+
+    def _penalties(
+        self, asked: Sequence[tuple[_Running, StepContext]], params: Gaussians
+    ) -> Penalty:
+        """What the regularizers add to the loss on a render of `params`."""
+        inside = [(running, self._in_loss(context, params)) for running, context in asked]
+
+        def penalty(view: View, render: Render) -> Tensor | float:
+            total: Tensor | float = 0.0
+            for running, context in inside:
+                total = total + self._penalty(running, context, view, render)
+            return total
+
+        return penalty
+
+    def _penalty(
+        self, running: _Running, context: StepContext, view: View, render: Render
+    ) -> Tensor | float:
+        """A regularizer's weighted loss term; 0 without one."""
+        plugged = running.plugged
         term = hooks.loss_term(
-            plugged.plugin, plugged.plugin.loss(context, self._reg.state, view, render)
+            plugged.plugin, plugged.plugin.loss(context, running.state, view, render)
         )
-        self._note_act(term is not None)
+        self._note_act(running, term is not None)
         return 0.0 if term is None else plugged.weight * term
+
+    def _mixed(
+        self,
+        asked: Sequence[tuple[_Running, StepContext]],
+        found: Mapping[str, Tensor],
+        at: GradientAt,
+    ) -> Mapping[str, Tensor]:
+        """The gradient that the optimizer gets, as one regularizer after the other changes it."""
+        for running, context in asked:
+            plugin = running.plugged.plugin
+            own = plugin.gradient(context, running.state, found, at)
+            self._note_act(running, own is not None)
+            found = found if own is None else hooks.gradient(plugin, own, found)
+        return found
+
+    def _follow(self, editor: _Running, rows: Tensor) -> None:
+        """Tell the other capacities that one changed the set."""
+        for running in self._capacities:
+            if running is not editor and running.started:
+                running.state = running.plugged.plugin.followed(running.state, rows)
 
     def _log(self, running: _Running, name: str, value: float) -> None:
         """What a plugin logs: the last value is for the history, all of them for the dose, there
         without the plugin's own name."""
         self.logged[name] = value
         short = name.removeprefix(f"{_name(running.plugged.plugin)}_")
-        self._dose.add(f"log.{running.group}.{short}", value)
+        self._dose.add(f"log.{running.owner}.{short}", value)
+
+
+def _running(group: str, plugged: Plugged) -> tuple[_Running, ...]:
+    """The plugins of a group at their start."""
+    each = plugged.each(group).items()
+    return tuple(_Running(key, key if i else group, one) for i, (key, one) in enumerate(each))
+
+
+def _followed(stats: StepStats, rows: Tensor) -> StepStats:
+    """The measures of a step on the Gaussians that a capacity made of those measured; of new ones
+    nothing was. rows: which each was, -1 for a new one."""
+    old, there = rows.clamp(min=0), rows >= 0
+
+    def follow(values: Tensor) -> Tensor:
+        return values[old] * there.view(-1, *[1] * (values.dim() - 1))
+
+    return replace(
+        stats,
+        means2d_grad=follow(stats.means2d_grad),
+        radii=follow(stats.radii),
+        factors=None if stats.factors is None else follow(stats.factors),
+        gradients={name: follow(values) for name, values in stats.gradients.items()},
+    )
 
 
 def _fetched(stats: StepStats) -> StepStats:
     """On the CPU, where plugins work."""
     if stats.radii.device.type == "cpu":
         return stats
-    return replace(stats, means2d_grad=stats.means2d_grad.cpu(), radii=stats.radii.cpu())
+    return replace(
+        stats,
+        means2d_grad=stats.means2d_grad.cpu(),
+        radii=stats.radii.cpu(),
+        factors=None if stats.factors is None else stats.factors.cpu(),
+        gradients={name: gradient.cpu() for name, gradient in stats.gradients.items()},
+    )
 
 
 def _name(plugin: Any) -> str:

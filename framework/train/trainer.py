@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from torch import Tensor
@@ -23,19 +24,18 @@ from framework.compute.stopwatch import Stopwatch
 from framework.errors import require
 from framework.initialize import background_color, random_background
 from framework.options import TrainerOptions
-from framework.plugin import StepStats
+from framework.plugin import Edits, StepStats
 from framework.rasterizers import NUMBA, Rasterizer
 from framework.records.progress import Progress
 from framework.records.run_files import HistoryRow
 from framework.train import schedule
 from framework.train.context import Conditions, Moment
-from framework.train.descent import descend
+from framework.train.descent import Fading, descend, substep
 from framework.train.dose import Dose
-from framework.train.edits import apply_edits
 from framework.train.epoch import Item, Items, ordered
+from framework.train.field import Field
 from framework.train.plugged import PluginsAtWork
 from framework.train.resume.training_state import Keeper, Plugins, Trained, TrainerState
-from framework.train.torch_adam import optimizer_of
 from framework.types import PSEUDO, DepthMap, Gaussians, TrainingSet, View
 
 LOG = logging.getLogger(__name__)
@@ -89,13 +89,17 @@ class Trainer:
             training, depth, options, self.background, self.near, seed, rasterizer
         )
         self.dose = Dose()
-        self.plugins = PluginsAtWork(plugins, conditions, self.dose)
-        self.params = self._placed(gaussians.clone())
-        self.optimizer = optimizer_of(rasterizer, self.params)
+        self.field = Field.of(gaussians, PluginsAtWork(plugins, conditions, self.dose), rasterizer)
+        self.second: Field | None = None
+        if plugins.second_field:
+            conditions = replace(conditions, field="second/")
+            self.second = Field.of(
+                gaussians, PluginsAtWork(plugins, conditions, Dose()), rasterizer
+            )
         self.items = Items(options.pseudo_mean == "covered", rasterizer)
         self.pseudo: list[View] = []
         self.queue: list[tuple[View, ...]] = []
-        self.step, self.epoch, self.version = 0, -1, 0
+        self.step, self.epoch = 0, -1
         self.history: list[HistoryRow] = []
         self.psnr: float | None = None
         self.watch, self.resumed = Stopwatch(), 0
@@ -113,13 +117,13 @@ class Trainer:
             if self.step in evaluations or self.step % every == 0:
                 with self.watch.paused() as seconds:
                     self._record(loss, seconds, self.step in evaluations)
-            n = len(self.params)
+            n = len(self.field.params)
             self.progress.step(self.step, self.options.steps, loss, n, self.psnr)
             if self.keeper is not None and self.keeper.due():
                 self.keeper.keep(self.state())
         self._tell_what_did_nothing()
         return Trained(
-            self.params.detach().to("cpu"),
+            self.field.plugins.evaluated(self.field.params.detach().to("cpu")),
             self.background,
             self._sh_degree(),
             tuple(self.history),
@@ -147,24 +151,43 @@ class Trainer:
     def _update(self, items: list[Item], turn: int = 0) -> tuple[float, StepStats]:
         """One descent down the losses on `items`; the loss on the first, and what was seen of it.
 
-        Opacities fade in those on real views alone: so much per step, whatever joins it.
+        A second field takes the same, and each is shown what the other was before.
         """
-        factors, penalty = self.plugins.regularization(self._now(turn), self.params)
+        second = self.second
+        if second is None:
+            return self._descend(self.field, items, turn, None)
+        before = self.field.params.clone(), second.params.clone()
+        found = self._descend(self.field, items, turn, before[1])
+        self.seen_by_second = self._descend(second, items, turn, before[0])[1]
+        return found
+
+    def _descend(
+        self, field: Field, items: list[Item], turn: int, other: Gaussians | None
+    ) -> tuple[float, StepStats]:
+        """Opacities fade in updates on real views alone: so much per step, whatever joins it."""
+        rendered, options = self._rendered(), self.options
+        now = self._now(turn, field, other, rendered["background"])
+        rates = schedule.learning_rates(options, self.step, self.extent)
+        if turn == 0:
+            for loss, names in field.plugins.substeps(now, field.params, items[0].view):
+                substep(field.params, field.optimizer, loss, names, self.step, rates)
         losses, stats = descend(
-            self.params,
-            self.optimizer,
+            field.params,
+            field.optimizer,
             items,
             self.step,
-            schedule.learning_rates(self.options, self.step, self.extent),
-            self.options.opacity_decay if turn == 0 else 1.0,
-            self.options.ssim_weight,
-            penalty,
+            rates,
+            Fading(options.opacity_decay, options.opacity_spare) if turn == 0 else Fading(),
+            options.ssim_weight,
+            field.plugins.regularization(now, field.params),
+            field.plugins.gradients if turn == 0 else (),
             self.rasterizer,
-            **self._rendered(factors),
+            **rendered,
         )
-        self.dose.add("steps")
-        for item, loss in zip(items, losses, strict=True):
-            self.dose.add("loss.pseudo" if PSEUDO in item.view.tags else "loss.real", loss)
+        if field is self.field:
+            self.dose.add("steps")
+            for item, loss in zip(items, losses, strict=True):
+                self.dose.add("loss.pseudo" if PSEUDO in item.view.tags else "loss.real", loss)
         return losses[0], stats
 
     def _pick(self) -> tuple[Item, ...]:
@@ -172,7 +195,7 @@ class Trainer:
         starts an epoch when needed."""
         if not self.queue:
             self.epoch += 1
-            self.pseudo = self.plugins.pseudo_views(self._now())
+            self.pseudo = self.field.plugins.pseudo_views(self._now())
             self.queue = self._ordered()
         return tuple(
             self.items.get(view, schedule.downsampling(self.options, self.step, view))
@@ -183,85 +206,91 @@ class Trainer:
         """The epoch's steps in their order; the last one is taken first."""
         return ordered(self.training.views, self.pseudo, self.seed, self.epoch)
 
-    def _rendered(self, factors: Tensor | None) -> dict[str, Any]:
-        """How the step renders its views. factors: [N] of the opacities."""
+    def _rendered(self) -> dict[str, Any]:
+        """How the step renders its views."""
         background = (
             random_background(self.seed, self.step) if self.random_background else self.background
         )
-        return {
-            "background": background,
-            "sh_degree": self._sh_degree(),
-            "opacity_factors": factors,
-            "near": self.near,
-        }
+        return {"background": background, "sh_degree": self._sh_degree(), "near": self.near}
 
     def _edit(self, stats: StepStats) -> None:
-        """Let the capacity plugin change the set, parameters and moments together."""
-        edits = self.plugins.edits(self._now(), stats)
-        if edits is not None:
-            where = f"training step {self.step}"
-            edited = apply_edits(self.params.detach(), self.optimizer, edits, where)
-            self.params = self._placed(edited)
-            self.version += int(edits.changes_the_rows)
+        """Let the capacity plugins change the set, and that of a second field, parameters and
+        moments together. Edits make new tensors, so both are shown the other as it was."""
+        if self.second is None:
+            self._edit_field(self.field, stats, None)
+            return
+        before = self.field.params.detach(), self.second.params.detach()
+        self._edit_field(self.field, stats, before[1])
+        self._edit_field(self.second, self.seen_by_second, before[0])
 
-    def _placed(self, gaussians: Gaussians) -> Gaussians:
-        """`gaussians` as parameters on the rasterizer's device."""
-        return gaussians.to(self.rasterizer.device).map(_parameter)
+    def _edit_field(self, field: Field, stats: StepStats, other: Gaussians | None) -> None:
+        def apply(edits: Edits) -> tuple[Gaussians, Tensor | None]:
+            rows = field.edit(edits, f"training step {self.step}")
+            return field.params.detach(), rows
+
+        field.plugins.edits(self._now(0, field, other), stats, apply)
 
     def _sh_degree(self) -> int:
-        return schedule.sh_degree(self.options, self.step, self.params.sh_degree, self.sh_from)
+        stored = self.field.params.sh_degree
+        return schedule.sh_degree(self.options, self.step, stored, self.sh_from)
 
-    def _now(self, turn: int = 0) -> Moment:
+    def _now(
+        self,
+        turn: int = 0,
+        field: Field | None = None,
+        other: Gaussians | None = None,
+        behind: Tensor | None = None,
+    ) -> Moment:
         """Where the training stands, as plugins see it."""
-        gaussians, degree = self.params.detach(), self._sh_degree()
-        return Moment(self.step, self.epoch, self.version, gaussians, degree, turn)
+        of, degree = field or self.field, self._sh_degree()
+        gaussians = of.params.detach()
+        return Moment(self.step, self.epoch, of.version, gaussians, degree, turn, behind, other)
 
     def _record(self, loss: float, seconds: float, evaluating: bool) -> None:
         """A row of the history; on evaluation steps with the test PSNR."""
         psnr: float | None = None
         if evaluating and self.evaluate is not None:
-            psnr = self.evaluate(self.params.clone(), self.background, self._sh_degree())
+            gaussians = self.field.plugins.evaluated(self.field.params.clone())
+            psnr = self.evaluate(gaussians, self.background, self._sh_degree())
             self.psnr = psnr
         self.history.append(
             HistoryRow(
                 step=self.step,
                 seconds=seconds,
                 loss=loss,
-                gaussians=len(self.params),
+                gaussians=len(self.field.params),
                 sh_degree=self._sh_degree(),
                 test_psnr=psnr,
-                logged=dict(self.plugins.logged),
+                logged=dict(self.field.plugins.logged),
             )
         )
-        self.plugins.logged.clear()
+        self.field.plugins.logged.clear()
 
     def state(self) -> TrainerState:
         """All that is needed to go on from here, with tensors that the next step changes."""
         return TrainerState(
             step=self.step,
             epoch=self.epoch,
-            version=self.version,
             left=len(self.queue),
-            gaussians=self.params.detach().to("cpu"),
-            adam=self.optimizer.state(),
+            field=self.field.state(),
             pseudo=tuple(self.pseudo),
-            plugins=self.plugins.kept(),
             history=tuple(self.history),
-            logged=dict(self.plugins.logged),
+            logged=dict(self.field.plugins.logged),
             dose=self.dose.kept(),
             psnr=self.psnr,
             wall_s=self.watch.wall_s,
             cpu_s=self.watch.cpu_s,
             resumed=self.resumed,
+            second=None if self.second is None else self.second.state(),
         )
 
     def _take_up(self, state: TrainerState) -> None:
-        self.step, self.epoch, self.version = state.step, state.epoch, state.version
-        self.params = self._placed(state.gaussians)
-        self.optimizer.load(state.adam)
+        self.step, self.epoch = state.step, state.epoch
+        self.field.take_up(state.field, state.logged)
+        if self.second is not None and state.second is not None:
+            self.second.take_up(state.second)
         self.pseudo = list(state.pseudo)
         self.queue = self._ordered()[: state.left] if state.left else []
-        self.plugins.take_up(state.plugins, state.logged)
         self.dose.take_up(state.dose)
         self.history = list(state.history)
         self.psnr, self.resumed = state.psnr, state.resumed + 1
@@ -270,7 +299,7 @@ class Trainer:
     def _tell_what_did_nothing(self) -> None:
         if not self.tells:
             return
-        stored = self.params.sh_degree
+        stored = self.field.params.sh_degree
         active = schedule.sh_degree(self.options, self.options.steps - 1, stored, self.sh_from)
         if active < stored:
             LOG.warning(
@@ -279,12 +308,7 @@ class Trainer:
                 " the other bands are stored and 0; raise trainer.steps or set trainer.sh_every=0,"
                 " which is over half of them"
             )
-        self.plugins.tell_what_did_nothing()
-
-
-def _parameter(tensor: Tensor) -> Tensor:
-    """A leaf that the optimizer may change in place."""
-    return tensor.detach().contiguous().requires_grad_()
+        self.field.plugins.tell_what_did_nothing()
 
 
 def _mean_color(training: TrainingSet) -> Tensor:

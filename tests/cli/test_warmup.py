@@ -15,6 +15,7 @@ from framework.records.notices import QUIET
 from framework.records.progress import Silent
 from framework.run import warmup
 from framework.run.warmup import Warmup
+from framework.train.descent import Regularization
 from framework.train.optim import Adam
 from framework.train.plugged import PluginsAtWork
 from tests.cli.conftest import composed
@@ -109,7 +110,9 @@ def test_both_ways_of_a_gradient_are_warmed_up(monkeypatch: pytest.MonkeyPatch) 
         monkeypatch.setattr(
             Adam, name, lambda *given, way=way, name=name: (ways.append(name), way(*given))[1]
         )
-    monkeypatch.setattr(PluginsAtWork, "regularization", lambda *_: (None, penalty))
+    monkeypatch.setattr(
+        PluginsAtWork, "regularization", lambda *_: Regularization(penalty=lambda _: penalty)
+    )
     warm(composed("trainer.sh_degree=1"))
     assert set(ways) == {"step", "step_from"}
 

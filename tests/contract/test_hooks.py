@@ -17,6 +17,7 @@ from framework.train import hooks
 from framework.types import View
 
 VIEW = _plane(0)[0].views[0]
+THREE = _plane(0)[2].rows(0, 3)
 GRADIENT = torch.zeros((), requires_grad=True)
 
 
@@ -72,9 +73,9 @@ def test_loss_term(term: object, told: str) -> None:
 def test_edits() -> None:
     mine = plugin(Capacity, "capacity")
     with pytest.raises(UserError, match=r"^capacity=mine: update: expected to return \(Edits or"):
-        hooks.edits(mine, Edits(), 3)
+        hooks.edits(mine, Edits(), THREE)
     with pytest.raises(UserError, match="expected Edits or None, got Tensor"):
-        hooks.edits(mine, (torch.ones(3), None), 3)
+        hooks.edits(mine, (torch.ones(3), None), THREE)
     whole, true = torch.ones(3, dtype=torch.int64), torch.ones(3, dtype=torch.bool)
     for part, value in (
         ("keep", true[:2]),
@@ -83,7 +84,29 @@ def test_edits() -> None:
         ("sh0", torch.zeros(3, 3)),
     ):
         with pytest.raises(UserError, match=f"^capacity=mine: update: `{part}`: expected "):
-            hooks.edits(mine, (Edits(**{part: value}), None), 3)
+            hooks.edits(mine, (Edits(**{part: value}), None), THREE)
+    with pytest.raises(UserError, match=r"update: `means`: expected float32 \[3, 3\]"):
+        hooks.edits(mine, (Edits(values={"means": torch.zeros(2, 3)}), None), THREE)
+    with pytest.raises(UserError, match="update: expected parameters in `values`, got 'colour'"):
+        hooks.edits(mine, (Edits(values={"colour": torch.zeros(3)}), None), THREE)
+
+
+def test_a_step_of_its_own_and_another_gradient() -> None:
+    mine, loss = plugin(Regularizer, "reg"), GRADIENT
+    assert hooks.sub_step(mine, loss, ("means",)) is loss
+    with pytest.raises(UserError, match=r"^reg=mine: substeps: expected some of means, quats"):
+        hooks.sub_step(mine, loss, ("colour",))
+    with pytest.raises(UserError, match=r"substeps: expected a scalar loss of ctx.gaussians"):
+        hooks.sub_step(mine, torch.zeros(()), ("means",))
+    found = {"means": torch.zeros(3, 3)}
+    assert hooks.gradient(mine, found, found) is found
+    with pytest.raises(UserError, match="gradient: expected means, got"):
+        hooks.gradient(mine, {}, found)
+    with pytest.raises(UserError, match="gradient: `means`: expected float32"):
+        hooks.gradient(mine, {"means": torch.zeros(2, 3)}, found)
+    assert hooks.evaluated(mine, THREE) is THREE
+    with pytest.raises(UserError, match="evaluated: expected Gaussians, got int"):
+        hooks.evaluated(mine, 3)
 
 
 def test_what_is_right_passes() -> None:
@@ -93,7 +116,7 @@ def test_what_is_right_passes() -> None:
     assert hooks.opacity_factors(plugin(Regularizer, "reg"), (factors, 2), 3) == (factors, 2)
     assert hooks.loss_term(plugin(Regularizer, "reg"), GRADIENT) is GRADIENT
     assert hooks.loss_term(plugin(Regularizer, "reg"), None) is None
-    assert hooks.edits(plugin(Capacity, "capacity"), (None, 3), 3) == (None, 3)
+    assert hooks.edits(plugin(Capacity, "capacity"), (None, 3), THREE) == (None, 3)
 
 
 def test_a_class_that_is_no_plugin_is_told_at_its_definition() -> None:

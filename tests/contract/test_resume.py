@@ -47,7 +47,7 @@ class Files:
     def keep(self, state: TrainerState) -> None:
         if state.step in TAKEN_UP_AT:
             self.checkpoints(state.step).keep(state)
-            self.seen[state.step] = content_sha256(tuple(state.plugins.values()))
+            self.seen[state.step] = content_sha256(tuple(state.field.plugins.values()))
 
 
 def plugins(**names: str) -> Plugins:
@@ -94,7 +94,7 @@ def test_a_training_taken_up_again_ends_with_the_same_bits(
     for step in TAKEN_UP_AT:
         state = files.checkpoints(step).newest(files.check)
         assert state is not None and state.step == step
-        assert content_sha256(tuple(state.plugins.values())) == files.seen[step]
+        assert content_sha256(tuple(state.field.plugins.values())) == files.seen[step]
         again = train(chosen, start=state, sh_degree=sh_degree)
         assert outcome(again) == outcome(whole)
         assert again.resumed == 1 and again.wall_s > state.wall_s
@@ -118,7 +118,7 @@ def test_updates_of_pseudo_views_alone_are_taken_up_too(
     for step in TAKEN_UP_AT:
         caplog.clear()
         state = files.checkpoints(step).newest(files.check)
-        assert state is not None and max(state.adam.steps) == state.dose["steps"][0]
+        assert state is not None and max(state.field.adam.steps) == state.dose["steps"][0]
         assert outcome(train(chosen, start=state, **own)) == outcome(whole)
         assert [record.getMessage() for record in caplog.records] == messages
 

@@ -31,6 +31,7 @@ from framework.command.config.schema import (
 from framework.command.program import program
 from framework.command.subcommands import SUBCOMMANDS
 from framework.options import TrainerOptions
+from framework.registry import parts_of
 
 WIDTH = 80  # characters of a summary
 
@@ -67,7 +68,10 @@ def _explained(config: DictConfig) -> Iterator[str]:
     for line in yaml.safe_dump(plain, sort_keys=False, width=math.inf).splitlines():
         key = line.split(":")[0]
         if line == f"{key}:" and not line.startswith(" "):
-            means = option_meanings(key, plain[key]["name"]) if key in OBJECT_GROUPS else {}
+            means = {}
+            for name in parts_of(key, plain[key]["name"]) if key in OBJECT_GROUPS else ():
+                chosen = plain[key].get(name, plain[key])["name"]  # a variant's class is another
+                means |= option_meanings(key, chosen)
             means = {"trainer": meanings(TrainerOptions), "metrics": top}.get(key, means)
         meaning = means.get(key.strip())
         yield f"{line:<27} # {meaning}" if meaning else line

@@ -23,6 +23,7 @@ from omegaconf import MISSING, OmegaConf
 
 import framework
 from framework import registry
+from framework.command.hydra_inside import JoinedChoices
 from framework.errors import UserError, nearest_hint, require
 from framework.metrics.values import measures
 from framework.options import TrainerOptions
@@ -63,7 +64,10 @@ def choices(group: str) -> list[str]:
 
 
 def rows(group: str, name: str) -> list[Row]:
-    """The options of `group=name`. Raises UserError for an unknown name."""
+    """The options of `group=name`; of several plugins none, as each has its own. Raises UserError
+    for an unknown name."""
+    if len(registry.parts_of(group, name)) > 1:
+        return []
     if group in registry.GROUPS:
         return registry.option_fields(registry.lookup(group, name))
     table = tables()[group]
@@ -120,6 +124,8 @@ def register_config() -> None:
         for name in choices(group):
             title = f"{group}={name}"
             store.store(group=group, name=name, node=node(title, rows(group, name), name=name))
+    for group in registry.JOINABLE:
+        store.repo[group] = JoinedChoices(group, store.repo[group])
     # `sweeps/` stands beside `conf/`, where a config group cannot be: each file becomes a node.
     for path in sorted(SWEEPS_DIR.glob("*.yaml")):
         store.store(group="sweep", name=path.stem, package="_global_", node=OmegaConf.load(path))
@@ -177,10 +183,17 @@ def _check_choice(group: str, options: Any) -> None:
     if not isinstance(options, Mapping) or "name" not in options:
         raise UserError(
             f"{group}: expected a choice, got none; add {group}=NAME, available:"
-            f" {', '.join(choices(group))}"
+            f" {', '.join(choices(group.partition('.')[0]))}"
         )
     title = f"{group}={options['name']}"
-    known = [row[0] for row in rows(group, options["name"])]
+    parts = registry.parts_of(group, str(options["name"]))
+    if len(parts) > 1:
+        _known_keys(f"{group}.", [key for key in options if key != "name"], parts, title)
+        for part in parts:
+            _check_choice(f"{group}.{part}", options.get(part))
+        return
+    kind = group.partition(".")[0]
+    known = [row[0] for row in rows(kind, options["name"])]
     _known_keys(f"{group}.", {k: v for k, v in options.items() if k != "name"}, known, title)
     for key, value in options.items():
         require(
@@ -189,9 +202,7 @@ def _check_choice(group: str, options: Any) -> None:
         )
 
 
-def _known_keys(
-    prefix: str, given: Mapping[str, Any], known: Iterable[str], owner: str = ""
-) -> None:
+def _known_keys(prefix: str, given: Iterable[str], known: Iterable[str], owner: str = "") -> None:
     options = list(known)
     place = f" of {owner}" if owner else ""
     for key in given:

@@ -22,7 +22,7 @@ from framework.shapes import (
     check_view,
 )
 from framework.train.optim import AdamState
-from framework.train.resume.training_state import PluginState, TrainerState
+from framework.train.resume.training_state import FieldState, PluginState, TrainerState
 from framework.types import TrainingSet
 
 FOREIGN = (TypeError, AttributeError, KeyError, IndexError, RuntimeError)  # from a plugin's check
@@ -35,24 +35,31 @@ def check_state(
     plugins: Mapping[str, Plugin],
 ) -> None:
     """Raise ValueError, naming the part, unless `state` is one of a training on `training` with
-    these options and plugins (by group)."""
+    these options and plugins (by the keys of their states)."""
     check_count("step", state.step, options.steps)
-    for name in ("epoch", "version"):
-        check_count(name, getattr(state, name), state.step)
+    check_count("epoch", state.epoch, state.step)
     check_count("resumed", state.resumed)
-    terms = (options.sh_degree + 1) ** 2 - 1
-    check_gaussians("gaussians", state.gaussians, None, terms)
     _check_dose(state.dose)
-    _check_adam(state.adam, state, terms)
     check_kind("pseudo", state.pseudo, tuple)
     for i, view in enumerate(state.pseudo):
         check_view(f"pseudo {i}", view)
     check_count("left", state.left, len(training.views))
     _check_history(state)
-    _check_plugins(state, training, plugins)
+    terms = (options.sh_degree + 1) ** 2 - 1
+    wants = any(getattr(plugin, "second_field", False) for plugin in plugins.values())
+    check_kind("second field", state.second, FieldState if wants else type(None))
+    updates = sum(state.dose.get(name, (0, 0.0))[0] for name in ("steps", "substeps"))
+    changes = state.step * sum(key.partition(".")[0] == "capacity" for key in plugins)
+    for field in filter(None, (state.field, state.second)):
+        check_kind("field", field, FieldState)
+        check_count("version", field.version, changes)
+        check_gaussians("gaussians", field.gaussians, None, terms)
+        _check_adam(field, max(state.step, updates), terms)
+        _check_plugins(field, training, plugins)
 
 
-def _check_adam(adam: Any, state: TrainerState, terms: int) -> None:
+def _check_adam(state: FieldState, updates: int, terms: int) -> None:
+    adam: Any = state.adam
     check_kind("adam", adam, AdamState)
     n = len(state.gaussians)
     check_gaussians("adam.first", adam.first, n, terms)
@@ -66,7 +73,7 @@ def _check_adam(adam: Any, state: TrainerState, terms: int) -> None:
     if len(adam.steps) != len(adam.first.items()):
         raise ValueError(f"adam.steps: expected one per tensor, got {len(adam.steps)}")
     for steps in adam.steps:
-        check_count("adam.steps", steps, max(state.step, state.dose.get("steps", (0, 0.0))[0]))
+        check_count("adam.steps", steps, updates)
 
 
 def _check_dose(dose: Any) -> None:
@@ -110,9 +117,7 @@ def _check_logged(where: str, logged: Any) -> None:
             check_number(f"{where} {name:.40}", value)
 
 
-def _check_plugins(
-    state: TrainerState, training: TrainingSet, plugins: Mapping[str, Plugin]
-) -> None:
+def _check_plugins(state: FieldState, training: TrainingSet, plugins: Mapping[str, Plugin]) -> None:
     kept: Any = state.plugins
     check_kind("plugins", kept, dict)
     if set(kept) != set(plugins):

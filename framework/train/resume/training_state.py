@@ -21,11 +21,21 @@ from framework.types import Gaussians, View
 
 @dataclass(frozen=True)
 class Plugins:
-    """The three chosen plugins with their framework keys."""
+    """The chosen plugins with their framework keys, of `reg` and `capacity` perhaps several."""
 
     augment: Plugged
     reg: Plugged
     capacity: Plugged
+
+    def each(self) -> dict[str, Plugged]:
+        """Every single one, by the key of its state."""
+        groups = (("augment", self.augment), ("reg", self.reg), ("capacity", self.capacity))
+        return {key: one for name, plugged in groups for key, one in plugged.each(name).items()}
+
+    @property
+    def second_field(self) -> bool:
+        """Whether any of them compares the Gaussians with a second set."""
+        return any(getattr(one.plugin, "second_field", False) for one in self.each().values())
 
 
 @dataclass(frozen=True)
@@ -53,23 +63,31 @@ class PluginState:
 
 
 @dataclass(frozen=True)
+class FieldState:
+    """A set of Gaussians in training. version: as in `StepContext`. plugins: by key."""
+
+    version: int
+    gaussians: Gaussians
+    adam: AdamState
+    plugins: Mapping[str, PluginState]
+
+
+@dataclass(frozen=True)
 class TrainerState:
     """A training between two steps.
 
     step: finished steps. left: how many of the epoch's real views are still to be trained on.
-    pseudo: the epoch's pseudo views. plugins: by group. logged: since the last row of `history`.
+    pseudo: the epoch's pseudo views. logged: since the last row of `history`. field: what is
+    trained; second: the field beside it, where a plugin wants one.
     dose: of the methods so far. psnr: the last one measured. wall_s, cpu_s: of the training so far,
     without evaluations. resumed: how often it was taken up again.
     """
 
     step: int
     epoch: int
-    version: int
     left: int
-    gaussians: Gaussians
-    adam: AdamState
+    field: FieldState
     pseudo: tuple[View, ...]
-    plugins: Mapping[str, PluginState]
     history: tuple[HistoryRow, ...]
     logged: Mapping[str, float]
     dose: Tallies
@@ -77,6 +95,7 @@ class TrainerState:
     wall_s: float
     cpu_s: float
     resumed: int
+    second: FieldState | None = None
 
 
 class Keeper(Protocol):
