@@ -71,7 +71,8 @@ class StepContext:
     rng(purpose): this plugin's own stream for this update. log(name, value): into the history, and
     its mean over the training into the run's dose. behind: [3], the background of this step's
     renders, another in every step with `trainer.background=random`. other: the second field of a
-    training that has one (`Plugin.second_field`), as it was before this step, detached.
+    training that has one (`Plugin.second_field`), as it was before this step, detached; second:
+    whether the plugin's own Gaussians are that one, of which nothing is kept.
     """
 
     step: int
@@ -92,6 +93,7 @@ class StepContext:
     log: Callable[[str, float], None]
     behind: Tensor | None = None
     other: Gaussians | None = None
+    second: bool = False
 
     @property
     def progress(self) -> float:

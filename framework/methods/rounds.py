@@ -137,10 +137,10 @@ def _edits(gaussians: Gaussians, keep: Tensor, pull: Tensor, n_split: int) -> Ed
     strongest = pull.masked_fill(~keep, -1).argsort(descending=True, stable=True)[:n_split]
     whole = keep.clone()
     whole[strongest] = False
-    return Edits(whole, _halves(gaussians[keep & ~whole]))
+    return Edits(whole, halves(gaussians[keep & ~whole]))
 
 
-def _halves(parents: Gaussians) -> Gaussians:
+def halves(parents: Gaussians) -> Gaussians:
     """The 2 P Gaussians that P parents are split into."""
     import torch
 

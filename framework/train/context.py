@@ -116,4 +116,5 @@ def step_context(
         log=log,
         behind=of.background if now.behind is None else now.behind,
         other=now.other,
+        second=bool(of.field),
     )

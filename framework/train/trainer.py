@@ -169,8 +169,8 @@ class Trainer:
         now = self._now(turn, field, other, rendered["background"])
         rates = schedule.learning_rates(options, self.step, self.extent)
         if turn == 0:
-            for loss, names in field.plugins.substeps(now, field.params, items[0].view):
-                substep(field.params, field.optimizer, loss, names, self.step, rates)
+            for lowered, names in field.plugins.substeps(now, field.params, items[0].view):
+                substep(field.params, field.optimizer, lowered, names, self.step, rates)
         losses, stats = descend(
             field.params,
             field.optimizer,

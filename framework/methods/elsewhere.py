@@ -1,0 +1,124 @@
+"""What terms of a loss share that look at a scene from elsewhere, or at its depth: the depth that
+is known of a photo, cameras without a photo, an image seen through another camera's depth, and the
+loss between two renders. Light to import.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from framework.plugin import StepContext
+
+if TYPE_CHECKING:
+    import numpy as np
+    from torch import Tensor
+
+    from framework.types import Camera, View
+
+SEEN = 1e-6  # alpha from which a pixel shows something
+
+
+def known_depth(ctx: StepContext, view: View) -> tuple[Tensor, Tensor] | None:
+    """(depth [h, w], valid [h, w] bool) of a training view, as large as it is trained on: the mean
+    over a coarse pixel where all it covers is known. None for a pseudo view."""
+    for photo, found in zip(ctx.views, ctx.depth, strict=True):
+        if photo.name == view.name:
+            known = (found.depth > 0) & (found.confidence > 0)
+            size = view.camera.height, view.camera.width
+            factor = photo.camera.height // size[0]
+            depth, share = (_boxes(t.float(), factor, size) for t in (found.depth, known))
+            return depth, share > 0.999
+    return None
+
+
+def _boxes(values: Tensor, factor: int, size: tuple[int, int]) -> Tensor:
+    """Means over factor x factor boxes of [H, W], cut to `size`."""
+    if factor == 1:
+        return values
+    from torch.nn.functional import avg_pool2d
+
+    return avg_pool2d(values[None, None], factor)[0, 0, : size[0], : size[1]]
+
+
+def unseen_camera(ctx: StepContext, rng: np.random.Generator, size_of: Camera) -> Camera:
+    """A camera without a photo, on the way from a training camera to its nearest other one, looking
+    as that way turns, with the intrinsics of `size_of` (FSGS's text, section 3.3; its code draws
+    from a box around all). Of a single training camera: up to a tenth of the extent beside it.
+    """
+    import numpy as np
+    import torch
+
+    from framework import geometry
+    from framework.types import Camera
+
+    cameras = [view.camera for view in ctx.views]
+    first = cameras[int(rng.integers(len(cameras)))]
+    share, shift = float(rng.random()), rng.standard_normal(3)
+    if len(cameras) == 1:
+        step = torch.from_numpy(0.1 * ctx.extent * np.clip(shift, -1, 1))
+        camera = geometry.perturbed(first, torch.zeros(3, dtype=torch.float64), step)
+        return Camera(camera.viewmat, size_of.K, size_of.width, size_of.height)
+    others = [camera for camera in cameras if camera is not first]
+    other = min(others, key=lambda camera: float((camera.center - first.center).norm()))
+    a, b = (geometry.quaternions(camera.viewmat[:3, :3][None])[0] for camera in (first, other))
+    b = b if float(a @ b) >= 0 else -b
+    rotation = geometry.rotation_matrices(((1 - share) * a + share * b)[None])[0]
+    center = (1 - share) * first.center + share * other.center
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, :3], viewmat[:3, 3] = rotation, -rotation @ center
+    return Camera(viewmat, size_of.K, size_of.width, size_of.height)
+
+
+def seen_through(
+    image: Tensor, depth: Tensor, camera: Camera, source: Camera
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What `camera` sees if every pixel of it shows the point at its `depth` [H, W], in the colours
+    that `source` has of that point in its image [C, H', W'], bilinearly.
+
+    Returns ([C, H, W], valid [H, W] bool: in front of the source and within its image, depth there
+    [H, W], as the source measures it). Differentiable in image and depth.
+    """
+    import torch
+    from torch.nn.functional import grid_sample
+
+    height, width = depth.shape
+    y, x = torch.meshgrid(
+        torch.arange(height, dtype=torch.float64) + 0.5,
+        torch.arange(width, dtype=torch.float64) + 0.5,
+        indexing="ij",
+    )
+    rays = torch.stack([x, y, torch.ones_like(x)], -1) @ torch.linalg.inv(camera.K).T
+    relative = source.viewmat @ torch.linalg.inv(camera.viewmat)
+    turned = (rays @ relative[:3, :3].T).float()
+    there = turned * depth[..., None] + relative[:3, 3].float()
+    z = there[..., 2]
+    pixels = (there @ source.K.T.float())[..., :2] / z.clamp(min=SEEN)[..., None]
+    size = pixels.new_tensor([source.width, source.height])
+    valid = (z > SEEN) & ((pixels >= 0) & (pixels <= size)).all(-1) & (depth.detach() > 0)
+    grid = (2 * pixels / size - 1).clamp(-2, 2)
+    found = grid_sample(
+        image[None], grid[None], mode="bilinear", padding_mode="border", align_corners=False
+    )[0]
+    return found, valid, z
+
+
+def difference(first: Tensor, second: Tensor, ssim_weight: float) -> Tensor:
+    """Photometric loss between two renders [3, H, W], (1 - w) L1 + w (1 - SSIM), with a gradient in
+    those of them that have one: in each as if the other were a photo, which is the whole gradient,
+    as the loss takes both alike."""
+    from framework.rasterize.losses import Target, photometric_loss
+
+    total = first.new_zeros(())
+    for one, other in ((first, second), (second, first)):
+        if one.requires_grad:
+            loss = photometric_loss(one, Target.of(other.detach()), ssim_weight)
+            total = loss if not total.requires_grad else total + (loss - loss.detach())
+    return total
+
+
+def correlation(a: Tensor, b: Tensor) -> Tensor:
+    """Pearson's correlation of two vectors [P]; 0 where one of them is constant."""
+    a, b = a - a.mean(), b - b.mean()
+    size = a.square().mean() * b.square().mean()
+    mean: Tensor = (a * b).mean() / (size.clamp(min=1e-24)).sqrt()
+    return mean

@@ -1,0 +1,90 @@
+"""`capacity=edge_split`: a large Gaussian that covers edges of a photo is split in two.
+
+DropoutGS (Xu et al. 2025, edge-guided splitting): beside what adaptive density control does, those
+whose largest standard deviation is above a share of the scene's extent and whose edge score is
+above a threshold: the mean of the photo's edges (Sobel's) under the Gaussian, with its blend
+weights. These weights are the derivative of the image by its colour, so one render gives them all.
+The score is of the step's view alone, as the sum over pixels that the paper divides by is not
+clear. It stands beside another capacity, as `capacity=[adc,edge_split]`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from framework.methods.rounds import halves
+from framework.plugin import Capacity, Edits, StepContext, StepStats, register
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.types import View
+
+
+@register("capacity", "edge_split")
+@dataclass(frozen=True)
+class EdgeSplit(Capacity):
+    """score: least edge under a Gaussian that is split. large: least standard deviation of such a
+    one, in scene extents. every: share of the training between two rounds. at_most: share of the
+    Gaussians that a round splits."""
+
+    defaults: ClassVar[dict[str, float]] = {"start": 0.1, "stop": 0.7}
+
+    score: float = 0.1
+    large: float = 0.01
+    every: float = 0.05
+    at_most: float = 0.05
+
+    def __post_init__(self) -> None:
+        self.check("score", 0 <= self.score <= 1, "a number in [0, 1]")
+        self.check("large", 0 <= self.large < 1e6, "a number in [0, 1e6)")
+        self.check("every", 0 < self.every <= 1, "a share in (0, 1]")
+        self.check("at_most", 0 < self.at_most <= 1, "a share in (0, 1]")
+
+    def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
+        import torch
+
+        every = max(1, round(self.every * ctx.n_steps))
+        if (ctx.step + 1) % every != 0 or stats.view is None:
+            return None, state
+        score = edge_scores(ctx, stats.view)
+        large = ctx.gaussians.scales.max(1).values > self.large * ctx.extent
+        chosen = (large & (score >= self.score)).nonzero()[:, 0]
+        most = max(1, int(self.at_most * len(score)))
+        chosen = chosen[score[chosen].argsort(descending=True, stable=True)[:most]]
+        ctx.log(f"{self.name}_split", float(len(chosen)))
+        if len(chosen) == 0:
+            return None, state
+        keep = torch.ones(len(score), dtype=torch.bool)
+        keep[chosen] = False
+        return Edits(keep=keep, append=halves(ctx.gaussians[~keep])), state
+
+
+def edge_scores(ctx: StepContext, view: View) -> Tensor:
+    """[N] mean of the view's edges under each Gaussian, weighted with its blend weights; 0 where it
+    is not seen."""
+    import torch
+
+    edges = torch.stack([sobel(view.image), torch.ones(view.image.shape[1:])])
+    # grey, as a colour below 0 is cut off and has no derivative
+    grey = ctx.gaussians.replace(
+        sh0=torch.zeros_like(ctx.gaussians.sh0).requires_grad_(),
+        shN=torch.zeros_like(ctx.gaussians.shN),
+    )
+    rgb = ctx.render(view.camera, grey).rgb
+    (found,) = torch.autograd.grad((rgb[:2] * edges).sum(), [grey.sh0])
+    weighted, weight = found[:, 0, 0], found[:, 0, 1]
+    return torch.where(weight > 0, weighted / weight.clamp(min=1e-12), 0.0)
+
+
+def sobel(image: Tensor) -> Tensor:
+    """[H, W] length of Sobel's gradient of the grey image (mean of the channels), over 4, so that a
+    step from 0 to 1 is 1; borders are continued."""
+    import torch
+    from torch.nn.functional import conv2d, pad
+
+    kernel = torch.tensor([[-1.0, 0, 1], [-2, 0, 2], [-1, 0, 1]]) / 4
+    grey = pad(image.mean(0)[None, None], (1, 1, 1, 1), mode="replicate")
+    x, y = (conv2d(grey, k[None, None])[0, 0] for k in (kernel, kernel.T))
+    return (x.square() + y.square()).sqrt()

@@ -1,0 +1,82 @@
+"""`capacity=proximity_unpool`: where Gaussians stand far apart, new ones are put between them.
+
+FSGS (Zhu et al. 2024, section 3.2 and its code): a Gaussian whose nearest three others are at a
+mean squared distance above a threshold, and which is itself large, gets one new Gaussian in the
+middle to each: opacity and scale of the neighbour, not rotated, grey. Thresholds are of distance
+and scale in units of scene extents; those of the code are 5 (of a squared distance, so in mixed
+units) and 1 and rarely met. It stands beside another capacity, as
+`capacity=[adc,proximity_unpool]`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from framework.methods.neighbours import nearest_others
+from framework.plugin import Capacity, Edits, StepContext, StepStats, register
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.types import Gaussians
+
+NEIGHBOURS = 3
+
+
+@register("capacity", "proximity_unpool")
+@dataclass(frozen=True)
+class ProximityUnpool(Capacity):
+    """far: root mean squared distance to the nearest three, in scene extents, above which there is
+    room. large: standard deviation that such a Gaussian has at least, in scene extents. every:
+    share of the training between two rounds. at_most: share of the Gaussians that a round adds."""
+
+    defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.2}
+
+    far: float = 0.1
+    large: float = 0.02
+    every: float = 0.01
+    at_most: float = 0.1
+
+    def __post_init__(self) -> None:
+        self.check("far", 0 < self.far < 1e6, "a number in (0, 1e6)")
+        self.check("large", 0 <= self.large < 1e6, "a number in [0, 1e6)")
+        self.check("every", 0 < self.every <= 1, "a share in (0, 1]")
+        self.check("at_most", 0 < self.at_most <= 10, "a number in (0, 10]")
+
+    def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
+        every = max(1, round(self.every * ctx.n_steps))
+        if (ctx.step + 1) % every != 0 or len(ctx.gaussians) <= NEIGHBOURS:
+            return None, state
+        gaussians = ctx.gaussians
+        distances, rows = nearest_others(gaussians.means, NEIGHBOURS)
+        apart = distances.square().mean(1).sqrt()
+        room = apart > self.far * ctx.extent
+        room &= gaussians.scales.max(1).values > self.large * ctx.extent
+        chosen = room.nonzero()[:, 0]
+        most = max(1, int(self.at_most * len(gaussians)) // NEIGHBOURS)
+        chosen = chosen[apart[chosen].argsort(descending=True, stable=True)[:most]]
+        ctx.log(f"{self.name}_added", float(NEIGHBOURS * len(chosen)))
+        if len(chosen) == 0:
+            return None, state
+        return Edits(append=between(gaussians, chosen, rows[chosen])), state
+
+
+def between(gaussians: Gaussians, chosen: Tensor, neighbours: Tensor) -> Gaussians:
+    """New Gaussians in the middle between those of rows `chosen` [n] and each of their `neighbours`
+    [n, k]: n k of them, with the neighbour's scales and opacity, no rotation and no colour, which
+    is grey. They have SH bands."""
+    import torch
+
+    rows = neighbours.reshape(-1)
+    means = (gaussians.means[chosen][:, None] + gaussians.means[neighbours]) / 2
+    quats = torch.zeros(len(rows), 4)
+    quats[:, 0] = 1
+    return type(gaussians)(
+        means=means.reshape(-1, 3).contiguous(),
+        quats=quats,
+        log_scales=gaussians.log_scales[rows].clone(),
+        opacity_logits=gaussians.opacity_logits[rows].clone(),
+        sh0=torch.zeros(len(rows), 1, 3),
+        shN=torch.zeros(len(rows), gaussians.shN.shape[1], 3),
+    )

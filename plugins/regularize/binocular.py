@@ -1,0 +1,78 @@
+"""`reg=binocular`: a render from beside a photo, moved back by its depth, should be the photo.
+
+Binocular-Guided 3DGS (Han et al. 2024, arXiv 2410.18822, section 3.1): the camera is moved by t
+along its own x axis; the render there, warped into the photo by the disparity -f t / D of the
+photo's rendered depth D, is compared with the photo, mean over all pixels of |mask (warped -
+photo)|. Its code also smooths the disparity, sum of exp(-0.33 |dI|) |d(mask d)| per pixel, which
+the text does not say. Gradients go into both renders.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from framework.methods.elsewhere import seen_through
+from framework.plugin import Regularizer, StepContext, register
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.types import Camera, Render, View
+
+EDGE = 0.33  # how fast smoothing fades with a step of the image, whose values are in [0, 1]
+
+
+@register("reg", "binocular")
+@dataclass(frozen=True)
+class Binocular(Regularizer):
+    """shift: largest move of the camera, in mean distances to the next camera. smooth: weight of
+    the disparity's smoothness, in pixels."""
+
+    # the last third of 30,000 steps
+    defaults: ClassVar[dict[str, float]] = {"start": 0.667}
+
+    shift: float = 0.4
+    smooth: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.check("shift", 0 < self.shift <= 10, "a number in (0, 10]")
+        self.check("smooth", self.smooth >= 0, "a number >= 0")
+
+    def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
+        """Mean absolute difference of the warped render and the photo, over pixels and channels."""
+        from framework.methods.warping import mean_neighbour_distance
+
+        if all(view.name != photo.name for photo in ctx.views):
+            return None
+        spacing = mean_neighbour_distance([v.camera for v in ctx.views]) or ctx.extent
+        t = self.shift * spacing * float(ctx.rng("shift").uniform(-1, 1))
+        beside = moved(view.camera, t)
+        other = ctx.render(beside, ctx.gaussians, background=ctx.behind)
+        depth = render.expected_depth
+        warped, valid, _ = seen_through(other.rgb, depth, view.camera, beside)
+        if view.mask is not None:
+            valid = valid & (view.mask > 0.5)
+        loss = ((warped - view.image).abs() * valid).mean()
+        if self.smooth == 0:
+            return loss
+        disparity = float(view.camera.K[0, 0]) * abs(t) / depth.clamp(min=1e-5) * valid
+        return loss + self.smooth * roughness(disparity, view.image)
+
+
+def moved(camera: Camera, t: float) -> Camera:
+    """`camera` with its centre at t (scene units) along its own x axis."""
+    from framework.types import Camera
+
+    viewmat = camera.viewmat.clone()
+    viewmat[0, 3] -= t
+    return Camera(viewmat, camera.K, camera.width, camera.height)
+
+
+def roughness(disparity: Tensor, image: Tensor) -> Tensor:
+    """Mean of exp(-0.33 |step of the image|) |step of the disparity|, both axes."""
+    total = disparity.new_zeros(())
+    for axis in (0, 1):
+        edge = (-EDGE * image.diff(dim=axis + 1).abs().mean(0)).exp()
+        total = total + (edge * disparity.diff(dim=axis).abs()).mean()
+    return total

@@ -1,0 +1,46 @@
+"""`reg=co_register`: two trainings of one scene should agree on cameras without photos.
+
+CoR-GS (Zhang et al. 2024, arXiv 2405.12110, section 3.3): a second field is trained beside the
+first; at a camera between training cameras each is compared with the other's render, (1 - w) L1 +
+w (1 - SSIM) with no gradient into the other. Only the first is evaluated. Twice a training, so
+twice its time and more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from framework.methods.elsewhere import unseen_camera
+from framework.plugin import Regularizer, StepContext, register
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.types import Render, View
+
+
+@register("reg", "co_register")
+@dataclass(frozen=True)
+class CoRegister(Regularizer):
+    """ssim_weight: w."""
+
+    second_field: ClassVar[bool] = True
+    defaults: ClassVar[dict[str, float]] = {"start": 0.05}
+
+    ssim_weight: float = 0.2
+
+    def __post_init__(self) -> None:
+        self.check("ssim_weight", 0 <= self.ssim_weight <= 1, "a number in [0, 1]")
+
+    def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
+        from framework.rasterize.losses import Target, photometric_loss
+
+        if ctx.other is None or all(view.name != photo.name for photo in ctx.views):
+            return None
+        camera = unseen_camera(ctx, ctx.rng("camera"), view.camera)  # each field its own
+        own, other = (
+            ctx.render(camera, gaussians, background=ctx.behind)
+            for gaussians in (ctx.gaussians, ctx.other)
+        )
+        return photometric_loss(own.rgb, Target.of(other.rgb), self.ssim_weight)

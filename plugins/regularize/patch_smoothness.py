@@ -1,0 +1,65 @@
+"""`reg=patch_smoothness`: depth should be smooth in small patches of cameras without photos.
+
+RegNeRF (Niemeyer et al. 2022, section 3.2 and its code): sum over 8 x 8 patches of the squared
+differences of neighbouring depths, times what the patch covers (without a gradient), with a weight
+that falls from a large value over the first 512 of 70,000 steps. Depth is in scene extents here;
+the cameras lie between training cameras, as no pose of the evaluation may be known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from framework.methods.elsewhere import unseen_camera
+from framework.plugin import Regularizer, StepContext, register
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.types import Render, View
+
+
+@register("reg", "patch_smoothness")
+@dataclass(frozen=True)
+class PatchSmoothness(Regularizer):
+    """patch: edge of a patch in pixels. initial: weight in the first step, in units of the last.
+    falling: share of the training over which it falls to that, exponentially."""
+
+    defaults: ClassVar[dict[str, float]] = {"weight": 0.1}
+
+    patch: int = 8
+    initial: float = 1.0
+    falling: float = 0.01
+
+    def __post_init__(self) -> None:
+        self.check("patch", self.patch >= 2, "an integer >= 2")
+        self.check("initial", 1 <= self.initial <= 1e6, "a number in [1, 1e6]")
+        self.check("falling", 0 < self.falling <= 1, "a share in (0, 1]")
+
+    def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
+        """Mean over the patches of an unseen camera's image."""
+        if all(view.name != photo.name for photo in ctx.views):
+            return None
+        camera = unseen_camera(ctx, ctx.rng("camera"), view.camera)
+        seen = ctx.render(camera, ctx.gaussians, background=ctx.behind)
+        done = min(1.0, ctx.progress / self.falling)
+        factor = self.initial ** (1 - done)
+        return factor * roughness(seen.expected_depth / ctx.extent, seen.alpha, self.patch)
+
+
+def roughness(depth: Tensor, alpha: Tensor, patch: int) -> Tensor:
+    """Mean over whole patches of the image [H, W] of the mean over a patch's pixels, but the last
+    row and column, of (d_ij - d_i,j+1)^2 + (d_ij - d_i+1,j)^2, times its alpha."""
+    rows, columns = (n // patch * patch for n in depth.shape)
+    if rows == 0 or columns == 0:
+        return depth.sum() * 0
+
+    def cut(values: Tensor) -> Tensor:
+        return values[:rows, :columns].reshape(rows // patch, patch, columns // patch, patch)
+
+    tiles, weights = cut(depth), cut(alpha.detach())[:, :-1, :, :-1]
+    down = (tiles[:, 1:, :, :-1] - tiles[:, :-1, :, :-1]).square()
+    right = (tiles[:, :-1, :, 1:] - tiles[:, :-1, :, :-1]).square()
+    mean: Tensor = ((down + right) * weights).mean()
+    return mean

@@ -1,0 +1,49 @@
+"""`reg=render_consistency`: a render without some Gaussians should look like the one with all.
+
+DropoutGS (Xu et al. 2025, arXiv 2504.09491, random dropout regularization): beside the render of
+all, which is compared with the photo, one is made in which each Gaussian is left out with
+probability p, and the two are compared with each other: (1 - w) L1 + w (1 - SSIM), with gradients
+into both. The text reports that comparing the second with the photo works worse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from framework.methods.elsewhere import difference
+from framework.plugin import Regularizer, StepContext, register
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.types import Render, View
+
+
+@register("reg", "render_consistency")
+@dataclass(frozen=True)
+class RenderConsistency(Regularizer):
+    """p: share of the Gaussians that the second render leaves out. compensate: multiply what it
+    keeps by 1 / (1 - p). ssim_weight: w."""
+
+    defaults: ClassVar[dict[str, float]] = {"weight": 0.2}
+
+    p: float = 0.4
+    compensate: bool = False
+    ssim_weight: float = 0.2
+
+    def __post_init__(self) -> None:
+        self.check("p", 0 < self.p < 1, "a number in (0, 1)")
+        self.check("ssim_weight", 0 <= self.ssim_weight <= 1, "a number in [0, 1]")
+
+    def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
+        import torch
+
+        if all(view.name != photo.name for photo in ctx.views):
+            return None
+        kept = ctx.rng("dropped").random(len(ctx.gaussians)) >= self.p
+        factors = torch.from_numpy(kept).float() / ((1 - self.p) if self.compensate else 1.0)
+        other = ctx.render(
+            view.camera, ctx.gaussians, opacity_factors=factors, background=ctx.behind
+        )
+        return difference(render.rgb, other.rgb, self.ssim_weight)
