@@ -61,13 +61,13 @@ def descend(
     rasterizer: Rasterizer = NUMBA,
     **rendered: Any,
 ) -> tuple[list[float], StepStats]:
-    """Update `params` in place by the sum of the losses on the views of `items`; gives the weighted
-    loss on each of them and what was seen of the first one.
+    """Update `params` in place by the sum of the losses on the views of `items`; gives the
+    weighted loss on each of them and what was seen of the first one.
 
     step: for messages. rates: of every tensor. wanted: the parameters whose gradient the capacity
-    sees. rendered: how, see `Rasterizer.render`, but for the factors of `acting`. A lone view's gradient
-    goes from the screen into Adam while the cache has it, unless somebody looks at it; the others'
-    are summed as a whole. Raises Diverged.
+    sees. rendered: how, see `Rasterizer.render`, but for the factors of `acting`. A lone view's
+    gradient goes from the screen into Adam while the cache has it, unless somebody looks at it;
+    the others' are summed as a whole. Raises Diverged.
     """
     first, rendered = items[0], {**rendered, "opacity_factors": acting.factors}
     where = _on(f"training step {step} on view", first)

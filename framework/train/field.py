@@ -22,8 +22,8 @@ from framework.types import Gaussians
 
 @dataclass
 class Field:
-    """params: leaf tensors that the optimizer changes in place, on the rasterizer's device. version:
-    changes with their number or order."""
+    """params: leaf tensors that the optimizer changes in place, on the rasterizer's device.
+    version: changes with their number or order."""
 
     params: Gaussians
     optimizer: Optimizer

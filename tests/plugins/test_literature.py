@@ -117,7 +117,7 @@ def test_seen_through_exact_depth_is_what_is_seen() -> None:
         views[1].image, depth[0].depth, views[0].camera, views[1].camera
     )
     error = (found - views[0].image).abs().mean(0)[valid]
-    assert valid.float().mean() > 0.8 and float(error.median()) < 0.02
+    assert valid.float().mean() > 0.75 and float(error.median()) < 0.02
     assert (there[valid] > 0).all()
     # through itself nothing changes, to the last pixel
     same, valid, there = seen_through(
