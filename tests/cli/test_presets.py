@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from framework import registry
 from framework.command.cli import main
@@ -163,3 +164,31 @@ def test_a_short_run_under_the_paper_s_conditions(tmp_path: Path) -> None:
     assert record["status"] == "complete"
     assert record["config"]["capacity"]["name"] == "adc"
     assert record["dose"] == {}
+
+
+RECIPES = sorted(
+    path.stem for path in (CONF_DIR / "method").glob("*.yaml") if path.stem not in PAIRS
+)
+OF_PAPERS = [name for name in RECIPES if not name.endswith("_here")]
+
+
+def test_the_recipes_are_those_of_the_study() -> None:
+    named = composed_sweep("literature")
+    assert set(OF_PAPERS) <= set(named) and set(named) <= {*OF_PAPERS, *PAIRS}
+    assert len(OF_PAPERS) == 9
+
+
+def composed_sweep(name: str) -> list[str]:
+    content = yaml.safe_load((ROOT / "sweeps" / f"{name}.yaml").read_text(encoding="utf-8"))
+    return str(content["hydra"]["sweeper"]["params"]["method"]).split(",")
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_a_recipe_is_a_configuration_that_can_start(name: str) -> None:
+    config = composed(f"method={name}", *(["preset=paper"] if name in OF_PAPERS else []))
+    check(config)
+    if name in OF_PAPERS:
+        assert config["trainer"]["lr_scale"] == 1.0 and config["trainer"]["steps"] >= 6000
+    else:  # an idea alone
+        assert config["trainer"]["steps"] == composed()["trainer"]["steps"]
+        assert "evidence" in str(config["capacity"]["name"])
