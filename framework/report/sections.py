@@ -18,6 +18,7 @@ from framework.report.study.collect import Study
 from framework.report.study.labels import outside, slug
 from framework.report.text import capacities, gaps, searched, tables
 from framework.report.text.dose import dose
+from framework.report.text.literature import literature
 from framework.report.text.provenance import provenance_blocks
 from framework.report.text.published import published
 from framework.report.verdict.lead import best_method, has_budgets
@@ -52,7 +53,7 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
     blocks += [*gaps.failures(study), *gaps.missing_runs(study)]
     blocks += [*details.worst(study), *details.by_tag(study, shown), *_courses(study, shown, seen)]
     if study.tested:
-        blocks += published(study)
+        blocks += [*literature(study), *published(study)]
     if study.runs:
         blocks += [Heading(2, "Every run"), table(tables.seed_rows(study), details.WORDS)]
     blocks += [*gaps.missing_metrics(study), *provenance_blocks(study)]

@@ -28,15 +28,10 @@ BY_SCENE = (
 
 def published(study: Study) -> list[Block]:
     """The means of data sets, and where some are known the figures of this study's scenes."""
-    means = _read("published.csv")
+    means = read("published.csv")
     blocks: list[Block] = [Heading(2, "Published figures"), _means(means)]
     blocks.append(Text(MEANS.format(sources=_sources(means))))
-    names = {study.name_of(scene) for scene in study.scenes}
-    own = [
-        row
-        for row in _read("published_scenes.csv")
-        if row["scene"] in names or row["scene"].removeprefix("llff_") in names
-    ]
+    own = scene_rows({study.name_of(scene) for scene in study.scenes})
     if own:
         rows = [
             {
@@ -77,6 +72,16 @@ def _sources(rows: list[dict[str, str]]) -> str:
     return "; ".join(dict.fromkeys(row["source"] for row in rows))
 
 
-def _read(name: str) -> list[dict[str, str]]:
+def scene_rows(names: set[str]) -> list[dict[str, str]]:
+    """What third parties got on scenes of these names."""
+    return [
+        row
+        for row in read("published_scenes.csv")
+        if row["scene"] in names or row["scene"].removeprefix("llff_") in names
+    ]
+
+
+def read(name: str) -> list[dict[str, str]]:
+    """The rows of a table of published figures."""
     with (FOLDER / name).open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))

@@ -1,0 +1,86 @@
+"""Recipes of the literature beside what their papers and others' repeats got (`literature.csv`).
+
+A recipe is a run with `method=NAME` on its command line. What was published is the mean over
+LLFF's eight scenes at 3 views and an eighth of the size, on a GPU; a third party's runs of one
+scene are in `published_scenes.csv`. Neither is the same experiment as ours, so no difference is
+tested.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+from framework.report.parts.document import Block, Heading, Text, table
+from framework.report.statistics.numbers import ABSENT, average, mean_text
+from framework.report.study.collect import ReportRun, Study
+from framework.report.study.labels import outside
+from framework.report.text.published import read, scene_rows
+
+FEWEST = 2  # recipes, to stand side by side
+PUBLISHED = "Published, LLFF"
+REPEATED = "Repeated by others, LLFF"
+OF_SCENE = "A repeat of this scene"
+HERE = "Here"
+WORDS = ("Recipe", "Method")
+WHAT = (
+    "PSNR in dB of recipes (`method=NAME`) as published and as repeated by others (± σ over so many"
+    " runs), means over LLFF's scenes with 3 views at 1/8 of the size, beside the runs of this"
+    " study. Here parts are left out, which `conf/method/NAME.yaml` names, and steps, size and"
+    " scenes may differ, so the order may be compared and the numbers may not. {sources}"
+)
+
+
+def literature(study: Study) -> list[Block]:
+    """The recipes of a study; nothing where there are fewer than two."""
+    rows = read("literature.csv")
+    known = {row["recipe"]: row for row in rows if row["recipe"]}
+    blocks: list[Block] = []
+    for scene in study.tested:
+        found: dict[str, list[ReportRun]] = defaultdict(list)
+        for run in study.of(scene):
+            name = recipe(run)
+            if name in known:
+                found[name].append(run)
+        if len(set(found) - {"baseline"}) < FEWEST:
+            continue
+        repeats = {row["method"]: row["psnr"] for row in scene_rows({study.name_of(scene)})}
+        cells = [
+            _row(row, found.get(row["recipe"], []), repeats.get(row["method"], ABSENT))
+            for row in rows
+            if row["recipe"] in found or not row["recipe"]
+        ]
+        blocks += [Heading(3, outside(scene)), table(cells, WORDS)]
+    if not blocks:
+        return []
+    told = "; ".join(f"{row['method']}: {row['note']}" for row in rows)
+    return [Heading(2, "Beside the literature"), Text(WHAT.format(sources=told)), *blocks]
+
+
+def recipe(run: ReportRun) -> str:
+    """The name behind `method=` on the run's command line, "" without one."""
+    for override in run.record.overrides:
+        key, _, value = override.partition("=")
+        if key == "method":
+            return value
+    return ""
+
+
+def _row(row: dict[str, str], runs: list[ReportRun], of_scene: str) -> dict[str, str]:
+    repeated = row["repeated"] or ABSENT
+    if row["sd"]:
+        repeated += f" ± {float(row['sd']):.2f} ({row['runs']} runs)"
+    elif row["repeated"]:
+        repeated += f" ({row['runs']} run)"
+    seconds = average([run.record.train_cpu_s for run in runs])
+    gaussians = average([float(run.record.gaussians) for run in runs])
+    return {
+        "Recipe": row["recipe"] or "published only",
+        "Method": row["method"],
+        PUBLISHED: row["published"],
+        REPEATED: repeated,
+        OF_SCENE: of_scene,
+        HERE: mean_text([run.mean("psnr") for run in runs], 2) if runs else ABSENT,
+        "Runs": str(len(runs)) if runs else ABSENT,
+        "CPU s": f"{seconds:.0f}" if seconds is not None else ABSENT,
+        "Gaussians": f"{gaussians:,.0f}" if gaussians is not None else ABSENT,
+    }

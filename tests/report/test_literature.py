@@ -1,0 +1,50 @@
+"""Recipes stand beside what was published of them, told by the word `method=` of their run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from framework.command.config.schema import CONF_DIR
+from framework.report.parts.document import Table
+from framework.report.study.collect import collect
+from framework.report.text.literature import HERE, OF_SCENE, PUBLISHED, REPEATED, literature
+from framework.report.text.published import read
+from tests.record.fakes import fake_run
+
+
+def _recipe(folder: Path, name: str, seed: int, **options: object) -> None:
+    """A run whose command line chose a method."""
+    fake_run(folder, "none", "none", seed, run_name=f"{name}-{seed}", scene="llff_fern", **options)  # type: ignore[arg-type]
+    path = folder / "runs" / f"{name}-{seed}" / "record.json"
+    content = json.loads(path.read_text(encoding="utf-8"))
+    content["overrides"] = [f"method={name}", f"seed={seed}"]
+    content["config"]["reg"] = {"name": name}
+    path.write_text(json.dumps(content), encoding="utf-8")
+
+
+def test_recipes_stand_beside_published_and_repeated_figures(tmp_path: Path) -> None:
+    for seed in (0, 1):
+        _recipe(tmp_path, "corgs", seed)
+        _recipe(tmp_path, "fsgs", seed, gain=1.0)
+    (found,) = (b for b in literature(collect(tmp_path)) if isinstance(b, Table))
+    columns = dict(zip(found.columns, range(20), strict=False))
+    rows = {row[columns["Method"]]: row for row in found.rows}
+    assert set(rows) == {"CoR-GS", "FSGS", "ReconFusion", "MuRF"}
+    corgs = rows["CoR-GS"]
+    assert corgs[columns[PUBLISHED]] == "20.45" and corgs[columns["Runs"]] == "2"
+    assert corgs[columns[REPEATED]] == "20.19 ± 0.14 (10 runs)"
+    assert corgs[columns[OF_SCENE]] == "22.29"
+    assert rows["MuRF"][columns[HERE]] == "–" and rows["FSGS"][columns[HERE]] != "–"
+
+
+def test_a_study_without_recipes_has_no_such_table(tmp_path: Path) -> None:
+    fake_run(tmp_path)
+    assert literature(collect(tmp_path)) == []
+    _recipe(tmp_path / "one", "fsgs", 0)
+    assert literature(collect(tmp_path / "one")) == []
+
+
+def test_every_published_recipe_is_one() -> None:
+    names = {row["recipe"] for row in read("literature.csv")} - {""}
+    assert names <= {path.stem for path in (CONF_DIR / "method").glob("*.yaml")}
