@@ -1,0 +1,42 @@
+"""The co-adaptation score and AVGE by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from framework.metrics.coadaptation import RENDERS, average_error, coadaptation
+from framework.types import Camera, Render
+
+CAMERA = Camera(torch.eye(4), torch.eye(3), 2, 1)
+
+
+def test_the_variance_counts_where_all_renders_show_something() -> None:
+    """The left pixel is the share that is kept; the right one is seen in all but the last."""
+    given: list[Tensor] = []
+
+    def render(camera: Camera, factors: Tensor) -> Render:
+        given.append(factors)
+        rgb = torch.zeros(3, 1, 2)
+        rgb[:, 0, 0], rgb[:, 0, 1] = factors.mean(), len(given)
+        alpha = torch.tensor([[1.0, 0.9 if len(given) < RENDERS else 0.5]])
+        return Render(rgb, alpha, alpha, torch.ones(1))
+
+    found = coadaptation(render, 50, [CAMERA], np.random.default_rng(0))
+    shares = [float(factors.mean()) for factors in given]
+    assert len(shares) == 5 and 0.3 < np.mean(shares) < 0.7
+    assert found == pytest.approx(np.var(shares), rel=1e-5)
+    assert all(set(factors.tolist()) == {0.0, 1.0} for factors in given)
+
+
+def test_nothing_seen_has_no_score() -> None:
+    empty = Render(torch.zeros(3, 1, 2), torch.zeros(1, 2), torch.zeros(1, 2), torch.ones(1))
+    assert math.isnan(coadaptation(lambda *_: empty, 3, [CAMERA], np.random.default_rng(0)))
+
+
+def test_the_mean_of_errors() -> None:
+    assert average_error(20.0, 0.75, 0.4) == pytest.approx((0.01 * 0.5 * 0.4) ** (1 / 3))
