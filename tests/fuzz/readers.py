@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +30,7 @@ from framework.scenes import load_scene
 from framework.scenes.images import read_image
 from framework.train.resume.checkpoint import pack, unpack
 from framework.types import Gaussians, Scene
+from framework.view import find_run, read_viewed, view_page
 from tests.metrics.test_lpips import features, state_dict
 from tests.record.fakes import fake_run, make_config, make_gaussians
 from tests.resume.test_checkpoint import state
@@ -36,6 +38,7 @@ from tests.scenes.synthetic import write_llff, write_model, write_scene, write_t
 from tests.scenes.test_dtu import write_dtu
 from tests.scenes.test_transforms import BOUNDS
 from tests.scenes.test_transforms import write as write_transforms
+from tests.view.runs import seen_run
 
 N_DTU = 49
 Step = Callable[[Path], object]
@@ -134,6 +137,19 @@ def _reported(folder: Path) -> None:
     if rows:
         assert all(len(row) < 1500 for row in rows)
         raise UserError("a damaged run is told")
+
+
+def _table(folder: Path) -> None:
+    """The table of a study whose runs are gone."""
+    for seed in range(2):
+        fake_run(folder, seed=seed)
+        fake_run(folder, "safi", seed=seed)
+    build_report(folder)
+    shutil.rmtree(folder / "runs")
+
+
+def _viewed(folder: Path) -> None:
+    view_page([read_viewed(find_run(folder))], True)
 
 
 def _line(folder: Path) -> None:
@@ -250,6 +266,15 @@ READERS: dict[str, Reader] = {
             *("runs/y/failed.json", "runs/y/.hydra/config.yaml"),
         ),
         _reported,
+    ),
+    "table of runs": Reader(_table, ("runs.csv",), build_report),
+    "viewed run": Reader(
+        lambda f: seen_run(f, run_name="run"),
+        tuple(
+            f"runs/run/{name}"
+            for name in ("record.json", "transforms.json", "metrics.csv", "point_cloud.ply")
+        ),
+        _viewed,
     ),
     "photo names": Reader(_named, ("photo.line",), _renamed),
     "command line": Reader(_line, ("words.line",), _commanded),

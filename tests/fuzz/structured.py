@@ -3,6 +3,7 @@ value in a JSON tree, another array behind a right `.npy` header, a PNG chunk wi
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import struct
@@ -44,6 +45,8 @@ def structured(name: str, data: bytes, draw: np.random.Generator) -> bytes | Non
         return _json(data, draw)
     if name.endswith(".yaml"):
         return _yaml(data, draw)
+    if name.endswith(".csv"):
+        return _csv(data, draw)
     if name.endswith(".npy"):
         return _npy(data, draw)
     if name.endswith((".npz", ".pth")):
@@ -69,6 +72,25 @@ def _json(data: bytes, draw: np.random.Generator) -> bytes:
     else:
         parent[key] = VALUES[int(draw.integers(len(VALUES)))]
     return json.dumps(tree).encode("utf-8", "surrogatepass")
+
+
+def _csv(data: bytes, draw: np.random.Generator) -> bytes:
+    """Another value in a cell, of the heading, too, or a row or column more, less or twice."""
+    rows = list(csv.reader(io.StringIO(data.decode(), newline="")))
+    row = int(draw.integers(len(rows)))
+    column = int(draw.integers(len(rows[row])))
+    kind = draw.random()
+    if kind < 0.7:
+        rows[row][column] = str(VALUES[int(draw.integers(len(VALUES)))])
+    elif kind < 0.8:
+        rows = [[*cells[:column], *cells[column + 1 :]] for cells in rows]
+    elif kind < 0.9:
+        rows.insert(row, rows[row])
+    else:
+        rows[row] = rows[row][:column] if draw.random() < 0.5 else rows[row] * 2
+    out = io.StringIO(newline="")
+    csv.writer(out, lineterminator="\n").writerows(rows)
+    return out.getvalue().encode("utf-8", "surrogatepass")
 
 
 def _yaml(data: bytes, draw: np.random.Generator) -> bytes:
