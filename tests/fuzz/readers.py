@@ -21,6 +21,10 @@ from framework.command.config.trust import check_command, check_config_files
 from framework.depth.from_file import DepthFile
 from framework.depth.read import load_map
 from framework.errors import UserError, mendable
+from framework.exports.flight import KINDS, flight, lens_of
+from framework.exports.formats import packed
+from framework.exports.given import read_given
+from framework.exports.opened import open_run
 from framework.files.opened import read_bytes
 from framework.metrics.lpips import load as load_lpips
 from framework.records.ply import read_ply, write_ply
@@ -152,6 +156,15 @@ def _viewed(folder: Path) -> None:
     view_page([read_viewed(find_run(folder))], True)
 
 
+def _exported(folder: Path) -> None:
+    run = open_run(folder / "runs" / "run")
+    lens = lens_of([given.camera for given in run.cameras], 64)
+    for kind in KINDS:
+        flight(run, kind, 3, lens)
+    for kind in ("ply", "splat", "spz"):
+        packed(run.gaussians, run.background, kind)
+
+
 def _line(folder: Path) -> None:
     words = ["augment=safi", "seed=0,1", "reg.weight=0.5", "hydra.searchpath=[file:///srv/conf]"]
     (folder / "words.line").write_text("\n".join([*words, "+trainer.steps=range(1,9)", "-m"]))
@@ -275,6 +288,16 @@ READERS: dict[str, Reader] = {
             for name in ("record.json", "transforms.json", "metrics.csv", "point_cloud.ply")
         ),
         _viewed,
+    ),
+    "exported run": Reader(
+        lambda f: seen_run(f, run_name="run"),
+        ("runs/run/transforms.json", "runs/run/point_cloud.ply"),
+        _exported,
+    ),
+    "given cameras": Reader(
+        lambda f: seen_run(f, run_name="run"),
+        ("runs/run/cameras.json",),
+        lambda f: read_given(f / "runs" / "run" / "cameras.json"),
     ),
     "photo names": Reader(_named, ("photo.line",), _renamed),
     "command line": Reader(_line, ("words.line",), _commanded),
