@@ -42,8 +42,9 @@ MIN_SPAN_DB, MOST_ROWS = 0.5, 80
 RANKED = (
     "Every method against the baseline of its study, at an equal budget. A difference is real where"
     " the interval of its study, corrected for all comparisons there, excludes zero. Methods stand"
-    " by how much oftener they are really better than worse, then by their mean difference. Studies"
-    " share scenes and seeds, so these are no independent votes."
+    " by how much oftener they are really better than worse, then by their mean difference. A study"
+    " of a stress counts by the mean over its strengths, which finds smaller differences than its"
+    " report does at one. Studies share scenes and seeds, so these are no independent votes."
 )
 EVERY = "Budgets and capacities of one method against each other are here, too; they have no rank."
 DRAWN = (

@@ -134,7 +134,10 @@ function drawChart(place, chart, hidden) {
     element("rect", { class: "band", x: box.left, width: box.right - box.left, y: y(band[1]), height: y(band[0]) - y(band[1]) }, svg);
   }
   drawAxes(svg, chart, xs, ys, box, x, y);
-  for (const series of shown) drawSeries(svg, series, x, y, spots);
+  shown.forEach((series, k) => { // a little beside each other, where they share their x
+    const shift = chart.dodge ? (k - (shown.length - 1) / 2) * 0.009 * (box.right - box.left) : 0;
+    drawSeries(svg, series, (value) => x(value) + shift, y, spots);
+  });
   hover(place, svg, tip, chart, spots);
 }
 
