@@ -197,6 +197,8 @@ class PluginsAtWork:
 
     def _tell_of_capacity(self, running: _Running) -> None:
         capacity = running.plugged.plugin
+        if getattr(capacity, "second_field", False):
+            return  # what it does to the second field is not counted here
         if self._dose[f"{running.owner}.edits"][0] == 0 and not running.idle:
             LOG.warning(
                 f"capacity={_name(capacity)}: no Gaussian was added or removed in"
