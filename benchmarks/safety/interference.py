@@ -288,7 +288,8 @@ class Row:
 def disturbed(place: Place, way: Callable[[Place], Codes], whole: dict[str, str]) -> Row:
     """One disturbance and the attempts after it."""
     codes, faults = way(place), list[str]()
-    known = records(place.study)
+    complete = parameters(place.study)  # a failed one is to be written again
+    known = {run: file for run, file in records(place.study).items() if run in complete}
     for _ in range(MOST_ATTEMPTS):
         code = ended(place.begin(), wait=True)
         if code == 0:
@@ -307,8 +308,8 @@ def disturbed(place: Place, way: Callable[[Place], Codes], whole: dict[str, str]
     return Row("", 1, [str(c) for c in codes], faults)
 
 
-def measure(words: list[str], work: Path) -> list[Row]:
-    """All disturbances."""
+def measure(words: list[str], work: Path, only: str) -> list[Row]:
+    """All disturbances with `only` in their names."""
     (work / "whole").mkdir()
     code = ended(begin(work / "whole", words), wait=True)
     if code != 0:
@@ -317,6 +318,8 @@ def measure(words: list[str], work: Path) -> list[Row]:
     whole, rows = digests(study), list[Row]()
     assert parameters(study)
     for kind, (name, (times, way)) in enumerate(WAYS.items()):
+        if only not in name:
+            continue
         row = Row(name, 0, [], [])
         for time_ in range(times):
             folder = work / f"{kind}-{time_}"
@@ -338,6 +341,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=60)
     parser.add_argument("--output", type=Path)
+    parser.add_argument("--only", default="", help="kinds with this in their names")
     given = parser.parse_args()
     from framework.train.resume import checkpoint
 
@@ -345,8 +349,9 @@ def main() -> int:
         warm_up(Path(folder) / "warm", SMALL)
         checkpoint.COST_TIMES = SLOW_COST_TIMES
         words = [*SMALL, f"trainer.steps={given.steps}", "metrics.lpips_weights=none"]
-        rows = measure(words, Path(folder))
-    lines = [f"`python benchmarks/safety/interference.py --steps {given.steps}`", ""]
+        rows = measure(words, Path(folder), given.only)
+    shown = f" --only {given.only!r}" if given.only else ""
+    lines = [f"`python benchmarks/safety/interference.py --steps {given.steps}{shown}`", ""]
     lines += ["| what disturbs a study of two runs | times | exit codes meanwhile | wrong after |"]
     lines += ["|---|---|---|---|"]
     for row in rows:
