@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 ERROR_SCALE = 0.25
 STEM_LENGTH = 180  # characters of a view's name in those of its files, which take 200
 METRICS_CSV, HISTORY_CSV, RENDERS = "metrics.csv", "history.csv", "renders"
+VIDEOS = ("video.mp4", "video.webm", "video.webp", "video.gif")  # of `fishersplat video RUN`
 VIEW = "view.html"  # the run's page, if `fishersplat view RUN --static` made it
 METRIC_COLUMNS = ("view", "tags", *METRICS, "render_s", "file", "missing")
 # metrics that runs of before do not have, and why

@@ -13,7 +13,7 @@ from framework.report.study.collect import Study
 from framework.report.study.labels import outside
 from framework.report.text import budgets, capacities, comparisons, tables
 
-WORDS = ("Scene", "Method", "Compared with", "Parameters", "Folder", "Capacity")
+WORDS = ("Scene", "Method", "Compared with", "Parameters", "Folder", "Capacity", "View", "Video")
 DEFINITIONS = (
     "PSNR, SSIM and FLIP: mean over the test views, then over seeds, from the saved 8-bit renders;"
     " ± is half the width of the 95 % interval of the mean over seeds (t). σ_PSNR: standard"

@@ -14,6 +14,7 @@ from framework.report.figures.images import draw_images, draw_sigma_maps
 from framework.report.figures.kept import kept
 from framework.report.parts.document import Block, Document, Heading, Picture, Text, table
 from framework.report.statistics.outcomes import Outcomes, outcomes
+from framework.report.study.beside import OPEN
 from framework.report.study.collect import Study
 from framework.report.study.labels import outside, slug
 from framework.report.text import capacities, gaps, searched, tables
@@ -56,6 +57,7 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
         blocks += [*literature(study), *published(study)]
     if study.runs:
         blocks += [Heading(2, "Every run"), table(tables.seed_rows(study), details.WORDS)]
+        blocks += [Text(OPEN)] if study.linked and not study.tabled else []
     blocks += [*gaps.missing_metrics(study), *provenance_blocks(study)]
     scenes, families, methods = map(tuple, (study.scenes, study.families, study.methods))
     return Document(outside(title), tuple(blocks), scenes, families, methods)

@@ -24,6 +24,7 @@ def page_data(document: Document, pictures: Gallery) -> dict[str, Any]:
         "beside": document.beside,
         "images": pictures.images,
         "shots": pictures.shots,
+        "looks": pictures.looks,
     }
 
 

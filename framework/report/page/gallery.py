@@ -21,6 +21,7 @@ from PIL import Image
 from framework.files.limits import IMAGE_BYTES
 from framework.files.opened import read_bytes
 from framework.report.figures.views import choose_views, image_file, picture, psnr_of, reading
+from framework.report.study.beside import video_link, view_link
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
 from framework.scenes.images import read_image
@@ -34,11 +35,13 @@ QUALITY, EFFORT = 70, 4
 @dataclass
 class Gallery:
     """images: data URIs. shots: scene, method, seed, view, PSNR as text and the indices of truth,
-    render and error in `images`. size: bytes before base64. left_out: how many shots did not fit.
+    render and error in `images`. looks: scene, method, seed, text and target of a link to
+    what else shows that run. size: bytes before base64. left_out: how many shots did not fit.
     """
 
     images: list[str] = field(default_factory=list)
     shots: list[tuple[str, str, int, str, str, int, int, int]] = field(default_factory=list)
+    looks: list[tuple[str, str, int, str, str]] = field(default_factory=list)
     size: int = 0
     left_out: int = 0
 
@@ -48,6 +51,10 @@ def gallery(study: Study, scenes: Sequence[str]) -> Gallery:
     found = Gallery()
     truths: dict[Path, int] = {}
     known: dict[bytes, int] = {}
+    for run in study.runs:
+        for link in (view_link(study, run), video_link(study, run)):
+            if link is not None and run.scene in scenes:
+                found.looks.append((run.scene, run.method, run.seed, link.text, link.target))
     most = min(MOST_BYTES, max(FEWEST_BYTES, BYTES_PER_RUN * len(study.runs)))
     for layer in _layers(study, scenes):
         if found.size >= most or len(found.images) >= CAP_IMAGES:

@@ -3,9 +3,7 @@ reason is listed in the report. A mean carries ± half the width of its 95 % int
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from urllib.parse import quote
 
 import numpy as np
 
@@ -13,6 +11,7 @@ from framework.report.parts.document import Link
 from framework.report.statistics.numbers import ABSENT, mean_text, sigma_text
 from framework.report.statistics.outcomes import seed_means
 from framework.report.statistics.robustness import failure_rate, worst_case
+from framework.report.study.beside import folder_target, video_link, view_link
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
 from framework.report.study.names import LPIPS, heading_of, own_metrics
@@ -150,8 +149,9 @@ def _seed_row(study: Study, run: ReportRun, metrics: Sequence[str]) -> dict[str,
     row["PLY (kB)"] = f"{record.ply_bytes / 1000:.0f}" if record.ply_bytes else ABSENT
     row["Parameters"] = f"`{record.parameters_sha256[:12]}`"
     name = outside(run.run.run_dir.name)
-    target = quote(os.fsencode(study.folder_of(run.run.run_dir))) + "/"
-    row["Folder"] = Link(name, target) if study.linked else name
+    row["Folder"] = Link(name, folder_target(study, run)) if study.linked else name
+    for heading, link in (("View", view_link(study, run)), ("Video", video_link(study, run))):
+        row |= {} if link is None else {heading: link}
     return row
 
 

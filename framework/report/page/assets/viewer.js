@@ -21,7 +21,15 @@ function setUpPane(pane) {
       fill(seed, seeds, kept);
       const shot = shots.find((one) => one[1] === own && one[2] === kept);
       [truth.src, render.src, error.src] = [5, 6, 7].map((k) => data.images[shot[k]]);
-      pane.querySelector(".told").textContent = `${own}, seed ${kept}: ${shot[4]}`;
+      const told = pane.querySelector(".told");
+      told.textContent = `${own}, seed ${kept}: ${shot[4]}`;
+      for (const [scene, method, seed, text, target] of data.looks) { // what else shows this run
+        if (scene !== shot[0] || method !== own || seed !== kept) continue;
+        const link = document.createElement("a");
+        link.href = target;
+        link.textContent = text;
+        told.append(" · ", link);
+      }
       return own;
     },
     wipe(value) {
