@@ -28,6 +28,7 @@ __all__ = [
     "ScreenGradient",
     "Workspace",
     "borrow",
+    "constants",
     "give_back",
     "lending",
     "losses",

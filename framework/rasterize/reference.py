@@ -51,13 +51,17 @@ class Footprints:
     def radii(self, width: int, height: int) -> Tensor:
         """[M] pixels: the larger half-side of the box outside which alpha < 1/255; 0 where that
         box holds no pixel centre of the image."""
+        sides, first, last = self.boxes(width, height)
+        return torch.where((first <= last).all(dim=1), sides.amax(dim=1), 0.0).detach()
+
+    def boxes(self, width: int, height: int) -> tuple[Tensor, Tensor, Tensor]:
+        """[M, 2] pixels of the boxes: half-sides, and the first and last pixel whose centre each
+        holds; the last is before the first where it holds none."""
         variances = self.cov2d.diagonal(dim1=1, dim2=2)
         sides = (2 * (self.opacities / ALPHA_MIN).log()[:, None] * variances).sqrt()
-        last = torch.tensor([width - 1, height - 1], dtype=sides.dtype)
-        first_pixel = (self.means2d - sides - 0.5).ceil().clamp(min=0)
-        last_pixel = (self.means2d + sides - 0.5).floor().minimum(last)
-        on_screen = (first_pixel <= last_pixel).all(dim=1)
-        return torch.where(on_screen, sides.amax(dim=1), 0.0).detach()
+        end = sides.new_tensor([width - 1, height - 1])
+        first = (self.means2d - sides - 0.5).ceil().clamp(min=0)
+        return sides, first, (self.means2d + sides - 0.5).floor().minimum(end)
 
 
 def rasterize_reference(
@@ -77,19 +81,17 @@ def rasterize_reference(
     [N, 2], added to the projected means; a zero tensor here receives dLoss/dmeans2d in pixels.
     near: Gaussians whose mean has z < near are culled. Raises ValueError on a wrong shape.
     """
-    n, dtype = len(gaussians), gaussians.means.dtype
-    background = torch.zeros(3) if background is None else background
+    n = len(gaussians)
+    background = gaussians.means.new_zeros(3) if background is None else background
     _check_shape("background", background, (3,))
     seen = project(gaussians, camera, sh_degree, opacity_factors, means2d_offset, near)
     alphas = blend_alphas(seen, camera)
     transmittance = _transmittance(alphas)
     weights = alphas * transmittance[:-1]
     final = transmittance[-1]
-    ground = background.detach().to(dtype)[:, None] * final
+    ground = background.detach().to(final)[:, None] * final
     shape = (camera.height, camera.width)
-    radii = torch.zeros(n, dtype=dtype).index_put(
-        (seen.index,), seen.radii(camera.width, camera.height)
-    )
+    radii = final.new_zeros(n).index_put((seen.index,), seen.radii(camera.width, camera.height))
     return Render(
         rgb=(seen.colors.T @ weights + ground).reshape(3, *shape),
         alpha=(1 - final).reshape(shape),
@@ -107,16 +109,16 @@ def project(
     near: float = 0.01,
 ) -> Footprints:
     """Cull, project and shade; arguments as in `rasterize_reference`."""
-    n, dtype = len(gaussians), gaussians.means.dtype
+    n, means = len(gaussians), gaussians.means
     opacities = gaussians.opacities
     if opacity_factors is not None:
         _check_shape("opacity_factors", opacity_factors, (n,))
         opacities = opacities * opacity_factors
     if means2d_offset is not None:
         _check_shape("means2d_offset", means2d_offset, (n, 2))
-    rotation, translation = (camera.viewmat[:3, i].to(dtype) for i in (slice(3), 3))
-    points = gaussians.means @ rotation.T + translation
-    visible = _inside(points.detach(), camera, near) & (opacities.detach() >= ALPHA_MIN)
+    rotation, translation = (camera.viewmat[:3, i].to(means) for i in (slice(3), 3))
+    points = means @ rotation.T + translation
+    visible = inside(points.detach(), camera, near) & (opacities.detach() >= ALPHA_MIN)
     index = visible.nonzero()[:, 0]
     index = index[points.detach()[index, 2].argsort(stable=True)]
     points = points[index]
@@ -125,8 +127,8 @@ def project(
         means2d = means2d + means2d_offset[index]
     factors = _covariance_factor(gaussians)[index]
     half = _perspective_jacobian(points, camera) @ rotation @ factors
-    cov2d = half @ half.mT + DILATION * torch.eye(2, dtype=dtype)
-    colors = shade(gaussians, camera.center.to(dtype), sh_degree)[index]
+    cov2d = half @ half.mT + DILATION * torch.eye(2, dtype=means.dtype, device=means.device)
+    colors = shade(gaussians, camera.center.to(means), sh_degree)[index]
     return Footprints(index, means2d, cov2d, points[:, 2], opacities[index], colors)
 
 
@@ -206,14 +208,14 @@ def _check_shape(name: str, tensor: Tensor, shape: tuple[int, ...]) -> None:
 
 def _means2d(points: Tensor, camera: Camera) -> Tensor:
     """[N, 2] pixels: perspective projection of camera-space `points` [N, 3]."""
-    focal = camera.K.diagonal()[:2].to(points.dtype)
-    principal = camera.K[:2, 2].to(points.dtype)
+    focal = camera.K.diagonal()[:2].to(points)
+    principal = camera.K[:2, 2].to(points)
     return focal * points[:, :2] / points[:, 2:] + principal
 
 
-def _inside(points: Tensor, camera: Camera, near: float) -> Tensor:
+def inside(points: Tensor, camera: Camera, near: float) -> Tensor:
     """[N] bool: in front of the near plane, mean within 0.75 image sizes of the image centre."""
-    size = torch.tensor([camera.width, camera.height], dtype=points.dtype)
+    size = points.new_tensor([camera.width, camera.height])
     reach = (_means2d(points, camera) - size / 2).abs() <= (0.5 + FRUSTUM_MARGIN) * size
     return (points[:, 2] >= near) & reach.all(dim=1)
 
@@ -234,9 +236,8 @@ def _covariance_factor(gaussians: Gaussians) -> Tensor:
 
 def _raw_alphas(seen: Footprints, camera: Camera) -> Tensor:
     """[M, P] opacity times the Gaussian falloff at every pixel centre, unclamped."""
-    dtype = seen.means2d.dtype
-    ys = torch.arange(camera.height, dtype=dtype) + 0.5
-    xs = torch.arange(camera.width, dtype=dtype) + 0.5
+    ys = torch.arange(camera.height, device=seen.index.device).to(seen.means2d) + 0.5
+    xs = torch.arange(camera.width, device=seen.index.device).to(seen.means2d) + 0.5
     pixels = torch.cartesian_prod(ys, xs).flip(1)
     offsets = pixels - seen.means2d[:, None, :]
     squared = torch.einsum("mpi,mij,mpj->mp", offsets, torch.linalg.inv(seen.cov2d), offsets)
@@ -245,5 +246,5 @@ def _raw_alphas(seen: Footprints, camera: Camera) -> Tensor:
 
 def _transmittance(alphas: Tensor) -> Tensor:
     """[M + 1, P] light left before each Gaussian, and after the last."""
-    ones = torch.ones(1, alphas.shape[1], dtype=alphas.dtype)
+    ones = alphas.new_ones(1, alphas.shape[1])
     return torch.cat([ones, (1 - alphas).cumprod(dim=0)])

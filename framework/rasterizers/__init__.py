@@ -1,6 +1,7 @@
 """Who draws: the choices of `rasterizer=NAME`, behind one contract (`contract.Rasterizer`).
 
-`numba` is `framework.rasterize`, compiled for the CPU; `reference` its readable twin in torch.
+`numba` is `framework.rasterize`, compiled for the CPU; `reference` its readable twin in torch;
+`gsplat` draws on a GPU. See docs/rasterizers.md.
 Importing this package loads neither torch nor numba.
 """
 
@@ -12,10 +13,12 @@ from typing import Any
 from framework.errors import UserError, nearest_hint
 from framework.rasterizers.contract import Rasterizer, RenderGradient
 from framework.rasterizers.kernels import Numba
+from framework.rasterizers.on_gpu import Gsplat
+from framework.rasterizers.readable import Reference
 
 __all__ = ["NUMBA", "RASTERIZERS", "Rasterizer", "RenderGradient", "build_rasterizer"]
 
-RASTERIZERS: dict[str, type] = {cls.name: cls for cls in (Numba,)}
+RASTERIZERS: dict[str, type] = {cls.name: cls for cls in (Numba, Gsplat, Reference)}
 NUMBA = Numba()
 
 

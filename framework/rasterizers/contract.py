@@ -10,11 +10,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
+from framework.records.provenance import BITS
+
 if TYPE_CHECKING:
     from torch import Tensor
 
     from framework.fisher.information import FisherInformation
     from framework.types import Camera, Gaussians, Render
+
+NOT_KEPT = "not kept by this rasterizer"
 
 
 class RenderGradient(Protocol):
@@ -52,6 +56,10 @@ class Rasterizer(ABC):
 
     def ready(self) -> None:  # noqa: B027 - most are ready anywhere
         """Raise UserError, in one line, where this machine cannot draw so."""
+
+    def facts(self) -> dict[str, Any]:
+        """For the provenance of a run's record; nothing of a rasterizer that keeps bits."""
+        return {} if self.keeps_bits else {BITS: NOT_KEPT}
 
     @abstractmethod
     def render(

@@ -33,6 +33,7 @@ PACKAGES = (
     *("pycolmap", "opencv-contrib-python-headless", "hydra-core"),
 )
 SHOWING = ("framework/report/", "framework/view/")  # rooms that no result depends on
+BITS = "bits"  # of a run whose rasterizer does not keep them: why its repetition differs
 PLUGIN_ENTRY_POINTS = "fishersplat.plugins"
 
 

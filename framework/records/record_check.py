@@ -16,8 +16,18 @@ TAGS = re.compile(r"[A-Za-z0-9_-]{0,40}( [A-Za-z0-9_-]{1,40}){0,8}")
 DIGEST = re.compile(r"[0-9a-f]{0,64}")
 NAME_LENGTH = 255  # of a scene or a choice: as of a folder
 LARGEST = 1e15
-GROUPS = ("scene", "depth", "init", "augment", "reg", "capacity")
-FACTS = ("fishersplat", "python", "code", "cpu", "system")  # of the provenance: texts
+GROUPS = ("scene", "depth", "init", "augment", "reg", "capacity", "rasterizer")
+FACTS = (
+    "fishersplat",
+    "python",
+    "code",
+    "cpu",
+    "system",
+    "bits",
+    "gpu",
+    "cuda",
+    "gsplat",
+)  # of the provenance: texts
 COUNTS = ("cores", "threads")
 
 

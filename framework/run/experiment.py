@@ -124,6 +124,7 @@ def _experiment(
             timings=timings,
             provenance={
                 **provenance(),
+                **build_rasterizer(config).facts(),
                 "threads": parallel.threads(),
                 LPIPS: None if network is None else network.name,
             },

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from importlib.metadata import PackageNotFoundError, metadata
+from importlib.metadata import PackageNotFoundError, distribution, metadata
 
 import pytest
 
@@ -22,7 +22,14 @@ def licence(name: str) -> str:
     told = metadata(name)
     classifiers = [c for c in told.get_all("Classifier") or [] if c.startswith("License")]
     lines = (told.get("License") or "").strip().splitlines()[:1]  # some put the whole text there
-    return "; ".join([*filter(None, [told.get("License-Expression")]), *classifiers, *lines])
+    found = [*filter(None, [told.get("License-Expression")]), *classifiers, *lines]
+    return "; ".join(found or _first_line_of_file(name))
+
+
+def _first_line_of_file(name: str) -> list[str]:
+    """Some only bring the text."""
+    files = [f for f in distribution(name).files or [] if f.name.startswith("LICENSE")]
+    return [file.read_text().strip().splitlines()[0].strip() for file in files[:1]]
 
 
 @pytest.mark.parametrize("name", sorted(NAMES - {PROJECT["name"]}))

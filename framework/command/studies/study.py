@@ -38,6 +38,7 @@ from framework.errors import UserError, mendable, os_line, printable_line
 from framework.files.cache import cache_dir
 from framework.files.locks import locked
 from framework.files.whole import write_whole
+from framework.rasterizers import build_rasterizer
 from framework.records.progress import say
 
 LEDGER_VARIABLE = "FISHERSPLAT_LEDGER"
@@ -177,6 +178,8 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
                 composed = checked[method] = loader.load_sweep_config(config, job)
             check_composed(composed)
         check(plain(composed))
+        if "Slurm" not in str(config.hydra.launcher.get("_target_")):  # the run is on this machine
+            build_rasterizer(plain(composed)).ready()
         with open_dict(composed):
             composed.hydra.job.num = number  # as the launcher will, after this
         # the seed may be part of either folder

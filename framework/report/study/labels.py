@@ -30,7 +30,11 @@ WITH_STEPS = (  # what presets set beside the steps
     *("trainer.members", "trainer.tuning"),
 )
 RATES = ("trainer.lr_final", "trainer.lr_means_final", "trainer.lr_scales")  # and beside these
-USUAL = {"capacity.name": "fixed", "init.name": "stereo", "depth.name": "plane_sweep"}  # unnamed
+RASTERIZER, NUMBA = "rasterizer.name", "numba"  # the only one of records without the key
+USUAL = {  # unnamed
+    **{"capacity.name": "fixed", "init.name": "stereo", "depth.name": "plane_sweep"},
+    RASTERIZER: NUMBA,
+}
 NO_METHOD = ("seed", "scene", "metrics", *NEUTRAL_KEYS)
 WATCHING = ("trainer.evaluations",)  # changes what is told, not what comes out
 UNKNOWN_SCENE = "unknown scene"
@@ -90,7 +94,7 @@ def flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def method_labels(configs: Sequence[Mapping[str, Any]]) -> list[MethodLabel]:
     """The name of each run's method among `configs`; equal configs have equal names."""
-    flat = [_without_idle_tuning(flatten(config)) for config in configs]
+    flat = [{RASTERIZER: NUMBA, **_without_idle_tuning(flatten(config))} for config in configs]
     keys = [key for key in _keys(flat) if _may_name_a_method(key)]
     keys = _without_followers(keys, flat)
     where = {key: _varying(key, flat) for key in keys}

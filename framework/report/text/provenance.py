@@ -7,12 +7,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from framework.compute.stopwatch import duration
+from framework.records.provenance import BITS
 from framework.report.parts.document import Block, Bullets, Heading, Text
 from framework.report.study.collect import Study
 from framework.report.study.labels import code, outside
 from framework.report.study.tabled import TOLD
 
 SHOWN_VIEWS = 12
+WITHOUT_BITS = (
+    "Runs on a GPU add up in no fixed order: given again, the same command with the same seed ends"
+    ' with slightly other numbers, in the record told as "bits: not kept by this rasterizer".'
+    " A part of the spread over seeds is that of repetition (docs/rasterizers.md)."
+)
 
 
 def provenance_blocks(study: Study) -> list[Block]:
@@ -25,6 +31,8 @@ def provenance_blocks(study: Study) -> list[Block]:
     scenes = _scenes(study)
     if scenes:
         blocks += [Text("Scenes:"), Bullets(tuple(scenes))]
+    if any(BITS in told for told in sources):
+        blocks.append(Text(WITHOUT_BITS))
     return [*blocks, Text("Overrides on the command line:"), Bullets(tuple(_commands(study)))]
 
 
@@ -38,6 +46,8 @@ def _facts(sources: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
         "CPU": [outside(f"{p['cpu']}, {p.get('cores')} cores") for p in sources if "cpu" in p],
         "Threads": [outside(str(p.get("threads"))) for p in sources],
         "System": [outside(str(p.get("system"))) for p in sources],
+        "GPU": [_gpu(p) for p in sources if p.get("gpu")],
+        "Bits": [outside(str(p[BITS])) for p in sources if BITS in p],
     }
     return {name: sorted(set(values) - {"", "None"}) for name, values in facts.items()}
 
@@ -109,6 +119,10 @@ def _git(state: Mapping[str, object] | None) -> str:
     if state is None:
         return "no git checkout"
     return f"git {code(str(state['sha']))}{' with local changes' if state['dirty'] else ''}"
+
+
+def _gpu(told: Mapping[str, Any]) -> str:
+    return outside(f"{told['gpu']}, CUDA {told.get('cuda')}, gsplat {told.get('gsplat')}")
 
 
 def _packages(versions: Mapping[str, str | None]) -> str:
