@@ -143,13 +143,14 @@ def _for_gsply(gaussians: Gaussians) -> Any:
     import gsply
 
     n, rest = len(gaussians), gaussians.shN.shape[1]
+    bands: Any = gaussians.shN.numpy() if rest else None
     return gsply.GSData(
         means=gaussians.means.numpy(),
         scales=gaussians.log_scales.numpy(),
         quats=(gaussians.quats / gaussians.quats.norm(dim=1, keepdim=True)).numpy(),
         opacities=gaussians.opacity_logits.numpy(),
         sh0=gaussians.sh0.reshape(n, 3).numpy(),
-        shN=gaussians.shN.numpy() if rest else None,
+        shN=bands,
         _format=gsply.create_ply_format({0: 0, 3: 1, 8: 2, 15: 3}[rest]),
     )
 

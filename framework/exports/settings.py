@@ -30,7 +30,8 @@ def settings(cameras: Sequence[Camera], background: Sequence[float], distance: f
     away = np.linalg.norm(stood.centers - stood.centers.mean(axis=0), axis=1)
     first = int(away.argmin())
     camera, center = cameras[first], stood.centers[first]
-    fov = 2 * math.atan(camera.height / (2 * float(camera.K[1, 1])))
+    longer = max(camera.width, camera.height)  # the viewer takes it for the window's longer side
+    fov = 2 * math.atan(longer / (2 * float(camera.K[0, 0])))
     content: dict[str, Any] = {
         "camera": {
             "fov": math.degrees(fov),
