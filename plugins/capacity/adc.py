@@ -62,7 +62,7 @@ class AdaptiveDensityControl(PullCapacity):
         self.check("max_gaussians", self.max_gaussians >= 0, "an integer >= 0")
         self.check(
             "reset_opacity",
-            self.min_opacity < self.reset_opacity < 1,
+            self.reset_every == 0 or self.min_opacity < self.reset_opacity < 1,
             f"a number in (min_opacity, 1) = ({self.min_opacity}, 1), or all would be removed",
         )
 

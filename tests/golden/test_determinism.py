@@ -31,7 +31,7 @@ def _config(seed: int, threads: int, augment: str = "safi", reg: str = "uar") ->
         "threads": threads,
         "force": True,
         "traceback": False,
-        "metrics": {"lpips_weights": "none"},  # whatever the user has fetched
+        "metrics": {"lpips_weights": "none", "also": None},  # whatever the user has fetched
         "scene": _group("scene", "embedded", **SCENE),
         "depth": _group("depth", "plane_sweep", planes=48),
         "init": _group("init", "stereo", budget=3000),
