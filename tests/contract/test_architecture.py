@@ -59,7 +59,10 @@ def test_what_the_page_names_exists(path: str, name: str) -> None:
         assert holds(ROOT / path, name), f"docs/architecture.md: {path} has no {name}"
 
 
-@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "README.md"])
+OTHERS = [p.relative_to(ROOT).as_posix() for p in sorted((ROOT / "docs").rglob("*.md"))]
+
+
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "README.md", *OTHERS])
 def test_what_other_pages_name_exists(page: str) -> None:
     text = (ROOT / page).read_text(encoding="utf-8")
     gone = [path for path in re.findall(r"`([\w./]+/)`", text) if not (ROOT / path).is_dir()]

@@ -27,6 +27,7 @@ from framework.run.warmup import _plane
 from framework.types import Gaussians
 from tests.cli.conftest import composed
 from tests.documents.pages import blocks
+from tests.documents.registered import as_before
 
 EXAMPLES = {
     Path(block.title).stem: block.text
@@ -39,20 +40,17 @@ ALL = [*OWN, *PARTS.items()]
 
 
 @pytest.fixture(autouse=True)
-def examples(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def examples() -> Iterator[None]:
     """The tutorial's examples are registered; afterwards nothing of it is left."""
-    before = {group: dict(registry._parts(group)) for group in registry.PARTS}
-    for group, name in PARTS.items():
-        monkeypatch.setitem(registry._parts(group), name, loaded(name))
-    yield
-    for group, table in before.items():
-        registry._parts(group).clear()
-        registry._parts(group).update(table)
+    with as_before():
+        for group, name in PARTS.items():
+            registry.parts(group)[name] = loaded(name)
+        yield
 
 
 def loaded(name: str) -> type:
     """The class that the tutorial's file `name` registers."""
-    module = sys.modules.get(f"examples_{name}") or made(name)
+    module = made(name)
     return next(
         cls for cls in vars(module).values() if getattr(cls, "__module__", "") == module.__name__
     )

@@ -10,6 +10,7 @@ import pytest
 from framework.command.cli import main
 from framework.command.own_plugins import take_flag
 from tests.documents.pages import Block, blocks, quick, tutorials, words_of
+from tests.documents.registered import as_before
 
 SHOWN = {"text", "toml", "json"}  # not typed by the reader: output, and files of other projects
 
@@ -23,8 +24,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize("page", tutorials(), ids=lambda page: page.stem)
 def test_its_blocks_run(page: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     try:
-        for block in blocks(page):
-            obey(block, capsys)
+        with as_before():
+            for block in blocks(page):
+                obey(block, capsys)
     finally:
         take_flag([])  # later tests have no plugins of a reader's
 

@@ -1,0 +1,24 @@
+"""Plugins that a test registers are gone after it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from framework import registry
+
+
+@contextmanager
+def as_before() -> Iterator[None]:
+    """Every group has afterwards what it had before."""
+    tables = [*registry._classes.values(), *map(registry.parts, registry.PARTS)]
+    before = [dict(table) for table in tables]
+    try:
+        yield
+    finally:
+        for table, content in zip(tables, before, strict=True):
+            table.clear()
+            table.update(content)
+        for name in [name for name in sys.modules if name.startswith("own_plugins.")]:
+            del sys.modules[name]
