@@ -17,7 +17,7 @@ from tests.cli.conftest import FakeRuns, composed
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-TYPED = re.compile(r"(?:^|`| {4})(?:python run\.py|fishersplat) +([^\n`#]+)", re.MULTILINE)
+TYPED = re.compile(r"(?:^|`| {4})(?:python run\.py|fishersplat) +([^\s`#][^\n`#]*)", re.MULTILINE)
 COMMANDS = sorted(
     {
         match.group(1).strip()
