@@ -1,4 +1,4 @@
-# make demo · make test · make lint; needs Python >= 3.11 and make, nothing else.
+# make demo · make test · make lint · make docs; needs Python >= 3.11 and make, nothing else.
 
 VENV ?= .venv
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
@@ -6,7 +6,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 STAMP := $(VENV)/.installed
 RUN := PATH="$(abspath $(VENV))/bin:$$PATH"
 
-.PHONY: demo test lint setup lock audit
+.PHONY: demo test lint docs setup lock audit
 .DEFAULT_GOAL := demo
 
 demo: $(STAMP)
@@ -19,6 +19,12 @@ lint: $(STAMP)
 	$(RUN) ruff check .
 	$(RUN) ruff format --check .
 	$(RUN) mypy
+
+docs: $(STAMP)
+	$(RUN) python -c 'import mkdocs, material, mkdocstrings, latex2mathml' 2>/dev/null || \
+		$(RUN) python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	$(RUN) python -m mkdocs build --strict --quiet
+	@echo "documentation: site/index.html"
 
 setup: $(STAMP)
 

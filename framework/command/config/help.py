@@ -96,10 +96,10 @@ def _names(group: str) -> list[str]:
 def _group_lines(group: str, names: Sequence[str]) -> Iterator[str]:
     yield f"\n  {group}"
     for name in names:
-        yield f"    {name:<20}{_summary(group, name)}".rstrip()
+        yield f"    {name:<20}{summary(group, name)}".rstrip()
 
 
-def _summary(group: str, name: str) -> str:
+def summary(group: str, name: str) -> str:
     """What a choice is, in a line: from its source's docstring or its file's first comment."""
     if group not in OBJECT_GROUPS or name not in choices(group):
         return _first_comment(group, name)
