@@ -23,7 +23,7 @@ lint: $(STAMP)
 docs: $(STAMP)
 	$(RUN) python -c 'import mkdocs, material, mkdocstrings, latex2mathml' 2>/dev/null || \
 		$(RUN) python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
-	$(RUN) python -m mkdocs build --strict --quiet
+	$(RUN) python -m mkdocs build --strict
 	@echo "documentation: site/index.html"
 
 setup: $(STAMP)

@@ -1,7 +1,8 @@
-"""What MkDocs is told while it builds the site: pages from outside `docs/`, the reference, the order.
+"""What MkDocs is told while it builds the site: pages from outside `docs/`, the reference, the
+order.
 
-A link in a page is as in the repository, so that it works there, too; here it is turned to where the
-page or file stands in the site. The reference is made anew at every build, of the tables that
+A link in a page is as in the repository, so that it works there, too; here it is turned to where
+the page or file stands in the site. The reference is made anew at every build, of the tables that
 `--help` shows and of docstrings.
 """
 
@@ -43,6 +44,7 @@ OUTSIDE = {  # pages of the repository outside docs/
 }
 FOLDERS = ("benchmarks/results", "reports")  # whose pages and pictures are in the site as well
 LINK = re.compile(r"(?<=\]\()([^)\s#]+)(#[^)\s]*)?(?=\))")
+TEXT_LINK = re.compile(r"(?<!!)\[([^\[\]]+)\]\(([^)\s#]+)\)")
 MATHS = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 API = ("framework.plugin", "framework.types", "framework.errors", "framework.registry")
 
@@ -103,7 +105,13 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         place = known.get(inside, inside.removeprefix("docs/"))
         return posixpath.relpath(place, posixpath.dirname(page.file.src_uri) or ".") + anchor
 
-    return LINK.sub(turned, markdown)
+    def shown(match: re.Match[str]) -> str:
+        """The text alone where a link leads to source code or to a run, which the site lacks."""
+        inside = posixpath.normpath(posixpath.join(posixpath.dirname(source), match[2]))
+        code = inside.endswith((".py", ".yaml")) and (ROOT / inside).is_file()
+        return match[1] if code or re.match(r"reports/[^/]+/runs/", inside) else match[0]
+
+    return LINK.sub(turned, TEXT_LINK.sub(shown, markdown))
 
 
 def on_page_content(html: str, **_: Any) -> str:
