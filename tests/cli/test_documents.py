@@ -16,7 +16,12 @@ from framework.command.subcommands import SUBCOMMANDS
 from tests.cli.conftest import FakeRuns, composed
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+TUTORIALS = [p for p in sorted((ROOT / "docs/tutorials").glob("*.md")) if p.stem != "plugins"]
+PAGES = [
+    *(ROOT / "README.md", ROOT / "CONTRIBUTING.md"),
+    *sorted((ROOT / "docs").glob("*.md")),
+    *TUTORIALS,
+]
 TYPED = re.compile(r"(?:^|`| {4})(?:python run\.py|fishersplat) +([^\s`#][^\n`#]*)", re.MULTILINE)
 COMMANDS = sorted(
     {
