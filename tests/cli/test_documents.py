@@ -19,7 +19,8 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 TUTORIALS = [p for p in sorted((ROOT / "docs/tutorials").glob("*.md")) if p.stem != "plugins"]
 PAGES = [
     *(ROOT / "README.md", ROOT / "CONTRIBUTING.md"),
-    *sorted((ROOT / "docs").glob("*.md")),
+    # pages on launchers and the like have commands that need an extra
+    *(ROOT / "docs" / f"{n}.md" for n in ("benchmarks", "choices", "layouts", "runs", "studies")),
     *TUTORIALS,
 ]
 TYPED = re.compile(r"(?:^|`| {4})(?:python run\.py|fishersplat) +([^\s`#][^\n`#]*)", re.MULTILINE)
