@@ -23,7 +23,7 @@ ORDER = ROOT / "tests" / "contract" / "test_imports.py"
 PLUGINS, BESIDE = "plugins", "methods"  # no room, but drawn above the one it stands beside
 
 WIDTH, ROW, HEAD = 1200, 42, 44  # pixels
-BOX, FIRST_WIRE, WIRE_STEP = 630, 652, 24  # where boxes end, the lowest room's wire, to the next
+BOX, FIRST_WIRE, WIRE_STEP = 630, 652, 21  # where boxes end, the lowest room's wire, to the next
 INTO, OUT = -7, 8  # where arrows end and wires begin, from the middle of a box
 COLOURS = ("#0b5fa5", "#b3501c", "#1f7a4d", "#7a3b9b", "#8a6d00", "#a12a5e")
 LEGEND = "Wires go down only. A dot on a wire: its room imports the room to the left of the dot."
