@@ -39,9 +39,7 @@ class TrainerOptions:
     lr_quats: float = 6e-3  # of the rotations
     lr_final: float = 0.1  # share of the other rates that is left at the end
     opacity_decay: float = 0.99  # opacities are multiplied by it after every step; 1 = off
-    opacity_spare: float = (
-        0.0  # what the photos hold on to fades less, StereoGS: 0.5; 0 = all alike
-    )
+    opacity_spare: float = 0.0  # what photos hold on to fades less, StereoGS: 0.5; 0 = all alike
     pace_steps: int = 300  # a longer training takes smaller steps, see `schedule.paced`; 0 = not
     pace_views: int = 3  # more views: smaller steps that fade less; 0 = whatever their number
     coarse_factor: int = 2  # images are box-downsampled by it at the beginning

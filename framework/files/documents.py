@@ -68,6 +68,11 @@ def _check_events(path: Path, text: str) -> None:
             if isinstance(event, yaml.ScalarEvent):
                 _check_text(path, event.value)
     except (yaml.YAMLError, UnicodeError) as error:
+        # newer parsers have a limit of their own, which they meet before they tell of a level
+        require(
+            "maximum nesting depth" not in str(error),
+            f"{path}: expected at most {DEPTH} nested levels, got many more; write it flat",
+        )
         raise _damaged(path, "YAML", error) from None
 
 

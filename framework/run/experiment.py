@@ -183,7 +183,7 @@ def _trained(
         near = options.near_plane * scene.training.near
         seen = trained.gaussians, trained.background, trained.sh_degree
         render = renderer(*seen, near, rasterizer)
-        also = {name: MEASURES[name]() for name in measures(config["metrics"]["also"])}
+        also = {name: MEASURES[name]() for name in measures(config["metrics"].get("also"))}
         metrics, renders = evaluate(render, scene.test, network, also)
     record = dataclasses.replace(
         record,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,7 +78,7 @@ def read_viewed(folder: Path) -> ViewedRun:
     splats = read_splats(inside(folder, PLY))
     cameras: tuple[RunCamera, ...] = ()
     near = NEAR
-    if is_file(folder / TRANSFORMS):  # runs of before have none
+    if os.path.lexists(folder / TRANSFORMS):  # runs of before have none
         cameras, near = read_cameras(folder)
     texts, values = run.metrics.texts, run.metrics.numbers["psnr"]
     files = {

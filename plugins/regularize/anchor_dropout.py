@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class AnchorDropout(Regularizer):
     """p: share of anchors at the end. neighbours: of each that go with it. refresh: share of the
-    training after which neighbours are looked up anew; a changed set of Gaussians is at once."""
+    training between two searches for neighbours. A changed set of Gaussians is searched at once."""
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 

@@ -43,7 +43,7 @@ class Noting(Trainer):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
         self.names: list[str] = []
-        self.seen.append((parameters_sha256(self.params), self.names))
+        self.seen.append((parameters_sha256(self.field.params), self.names))
 
     def _pick(self) -> tuple[Item, ...]:
         items = super()._pick()
@@ -67,6 +67,7 @@ def start(folder: Path, augment: str, reg: str, seed: int) -> None:
     line = [f"augment={augment}", f"reg={reg}", f"seed={seed}", *always]
     line += ["depth=ground_truth", "init.budget=500", "scene.width=96", "scene.height=72"]
     line += [f"trainer.steps={STEPS}", "trainer.evaluations=1"]
+    line += ["augment.min_coverage=0.1"] if augment == "mvs_warp" else []  # one photo covers less
     with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
         config = plain(compose("config", line))
     parallel.set_threads(1)

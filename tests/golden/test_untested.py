@@ -49,10 +49,11 @@ def test_every_photo_trains_and_nothing_is_tested(
     line = f"scene=transforms scene.path=photos scene.n_views={n_views} scene.split=none {TINY}"
     for reused in (False, True):
         assert main([*line.split(), *bounds]) == 0
-        *_, last, report = capsys.readouterr().out.splitlines()
-        assert " · not tested (scene.split=none) · " in last
+        *told, page, report = capsys.readouterr().out.splitlines()
+        (last,) = (line for line in told if " · not tested (scene.split=none) · " in line)
         assert ("reused" in last) == reused
     study = Path("reports") / f"transforms_photos_{n_views}v_untested"
+    assert page == f"page: {study}/report.html"
     assert report == f"report: {study}/report.md"
     assert UNTESTED in Path(study, "report.md").read_text(encoding="utf-8")
     (folder,) = (study / "runs").iterdir()

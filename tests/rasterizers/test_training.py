@@ -127,15 +127,16 @@ def test_a_kept_training_goes_on(rasterizer: Rasterizer) -> None:
             return self.steps == 5
 
         def keep(self, state: TrainerState) -> None:
-            params = state.gaussians.clone()
+            params, adam = state.field.gaussians.clone(), state.field.adam
             moments = dataclasses.replace(
-                state.adam, first=state.adam.first.clone(), second=state.adam.second.clone()
+                adam, first=adam.first.clone(), second=adam.second.clone()
             )
-            self.state = dataclasses.replace(state, gaussians=params, adam=moments)
+            field = dataclasses.replace(state.field, gaussians=params, adam=moments)
+            self.state = dataclasses.replace(state, field=field)
 
     keeper, begun = Keeper(), partial(trainer, rasterizer, 9, reg="uar", capacity="evidence")
     whole = begun(keeper=keeper).run()
-    assert keeper.state is not None and keeper.state.gaussians.means.device.type == "cpu"
+    assert keeper.state is not None and keeper.state.field.gaussians.means.device.type == "cpu"
     again = begun(start=keeper.state).run()
     close = 0.0 if rasterizer.keeps_bits else 1e-3
     for (_, a), (_, b) in zip(whole.gaussians.items(), again.gaussians.items(), strict=True):

@@ -14,7 +14,7 @@ from framework.records.record import parameters_sha256
 from framework.train.optim import Adam
 from framework.train.resume import checkpoint
 from framework.train.resume.checkpoint import Checkpoints, remove_checkpoints
-from framework.train.resume.training_state import PluginState, TrainerState
+from framework.train.resume.training_state import FieldState, PluginState, TrainerState
 from tests.record.fakes import make_gaussians
 
 
@@ -23,12 +23,11 @@ def state(step: int) -> TrainerState:
     return TrainerState(
         step=step,
         epoch=2,
-        version=0,
         left=1,
-        gaussians=gaussians,
-        adam=Adam(gaussians).state(),
+        field=FieldState(
+            0, gaussians, Adam(gaussians).state(), {"reg": PluginState(True, (1, 2.5))}
+        ),
         pseudo=(),
-        plugins={"reg": PluginState(True, (1, 2.5))},
         history=(),
         logged={"a": 0.1},
         dose={"steps": (2, 0.0)},
@@ -56,9 +55,10 @@ def test_the_last_one_is_read_and_two_are_kept(kept: Checkpoints) -> None:
     read = kept.newest(anything)
     assert read is not None and read.step == 100
     expected = state(100)
-    assert parameters_sha256(read.gaussians) == parameters_sha256(expected.gaussians)
-    assert replace(read, gaussians=None, adam=None) == replace(expected, gaussians=None, adam=None)
-    assert read.adam.steps == expected.adam.steps
+    assert parameters_sha256(read.field.gaussians) == parameters_sha256(expected.field.gaussians)
+    assert replace(read, field=None) == replace(expected, field=None)
+    assert read.field.adam.steps == expected.field.adam.steps
+    assert read.field.plugins == expected.field.plugins
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "foreign"])
@@ -152,7 +152,8 @@ def test_a_state_of_another_run_is_not_taken_apart(tmp_path: Path) -> None:
 
 
 def test_a_state_that_cannot_be_held_is_told(tmp_path: Path) -> None:
-    odd = replace(state(1), plugins={"reg": PluginState(True, object())})
+    whole = state(1)
+    odd = replace(whole, field=replace(whole.field, plugins={"reg": PluginState(True, object())}))
     with pytest.raises(UserError, match="plugin state: expected a state of numbers"):
         Checkpoints(tmp_path, "mine", []).keep(odd)
     assert list(tmp_path.iterdir()) == []

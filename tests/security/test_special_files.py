@@ -30,6 +30,9 @@ OWN = {  # our own sources and settings, caches and what was written a moment ag
         "framework/scenes/embedded/generate.py",
     ),
     *("framework/report/page/html.py", "framework/command/studies/study.py"),
+    # the report just written; the page's own scripts; exports just made, a film's writer; a browser
+    *("framework/command/studies/closing.py", "framework/view/page.py"),
+    *("framework/exports/formats.py", "framework/exports/movie.py", "framework/view/server.py"),
     *("framework/command/config/help.py", "framework/command/config/meanings.py"),
     # tables of the package itself
     *("framework/report/parts/palette.py", "framework/report/study/roles.py"),

@@ -149,7 +149,7 @@ def check(config: Mapping[str, Any]) -> None:
         options = dict(config[group])
         table[options.pop("name")](**options)
     registry.parts("metric")
-    measures(config["metrics"]["also"])
+    measures(config["metrics"].get("also"))
     TrainerOptions(**config["trainer"])
     _check_scalars(config["seed"], config["threads"], config["study"])
 
