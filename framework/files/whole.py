@@ -2,6 +2,9 @@
 
 The content is on the disk before the rename, so that a power failure leaves the old file or the
 new one. A process killed in between leaves a temporary file, which `remove_temporaries` clears.
+
+Somebody may remove or change files of a folder that is still being written. `following` keeps what
+was written, so that the writer can check that it is there before it says so.
 """
 
 from __future__ import annotations
@@ -10,16 +13,67 @@ import contextlib
 import hashlib
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from framework.errors import FULL, UserError, mendable
-from framework.files.opened import open_regular
+from framework.files.opened import is_file, open_regular
 
 
 class Unwritable(UserError):
     """A full or read-only disk, or no right to write."""
 
     kind = "disk"
+
+
+class Disturbed(UserError):
+    """What was written is gone, or changed by somebody else."""
+
+    kind = "disk"
+
+
+class Written:
+    """The files below `folder` that this process writes meanwhile: the size and SHA-256 of each."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._files = dict[Path, tuple[int, str]]()
+
+    def add(self, path: Path, data: bytes) -> None:
+        """`path` holds `data` from now on, if it is below the folder."""
+        if path.is_relative_to(self.folder):
+            self._files[path] = len(data), hashlib.sha256(data).hexdigest()
+
+    def check(self, content: bool = True) -> None:
+        """Raises Disturbed for the first file that is not there as written. content: whether each
+        is read again, or only its size asked for."""
+        for path, (size, digest) in sorted(self._files.items()):
+            if not is_file(path):
+                found = "nothing"
+            elif (now := path.stat().st_size) != size:
+                found = f"{now:,} bytes"
+            elif content and file_sha256(path) != digest:
+                found = "other ones"
+            else:
+                continue
+            raise Disturbed(
+                f"{path}: expected the {size:,} bytes just written, got {found}; leave the folder"
+                " alone while it is written, and run the same again"
+            )
+
+
+_followers: list[Written] = []
+
+
+@contextlib.contextmanager
+def following(folder: Path) -> Iterator[Written]:
+    """What any thread writes below `folder` while it lasts."""
+    written = Written(folder)
+    _followers.append(written)
+    try:
+        yield written
+    finally:
+        _followers.remove(written)
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
@@ -37,6 +91,8 @@ def write_whole(path: Path, content: bytes | str) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
+        for written in tuple(_followers):
+            written.add(path, data)
     except BaseException as error:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)

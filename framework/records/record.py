@@ -35,7 +35,7 @@ from framework.errors import UserError, printable_line
 from framework.files.documents import read_json
 from framework.files.limits import RUN_BYTES
 from framework.files.opened import is_file
-from framework.files.whole import write_whole
+from framework.files.whole import Disturbed, Written, following, write_whole
 from framework.metrics.evaluate import mean_of
 from framework.metrics.values import METRICS, Measurement, Missing, ViewMetrics
 from framework.records.failure import FAILED
@@ -188,11 +188,14 @@ def write_run(
     gaussians: Gaussians,
     background: Tensor,
     renders: Sequence[tuple[View, Tensor]],
+    before: Written | None = None,
 ) -> RunRecord:
     """Write all files of a finished run; returns the record as written.
 
     background: [3]. renders: the test views with their [3, H, W] images, in the order of `metrics`.
-    An old record is removed first, so that a half-repeated run never looks complete.
+    before: what of the run was written already. An old record is removed first, so that a
+    half-repeated run never looks complete, and the new one stands only over files that are there
+    as written. Raises Disturbed where somebody removed or changed one meanwhile.
     """
     from framework.records.ply import write_ply
 
@@ -200,10 +203,11 @@ def write_run(
         raise ValueError("write_run: expected metrics and renders of the same views in one order")
     (run_dir / RECORD).unlink(missing_ok=True)
     stems = file_stems([m.view for m in metrics])
-    write_renders(run_dir / RENDERS, stems, renders)
-    ply_bytes = write_ply(run_dir / PLY, gaussians, background)
-    write_whole(run_dir / METRICS_CSV, metrics_csv(metrics, stems))
-    write_whole(run_dir / HISTORY_CSV, history_csv(history))
+    with following(run_dir) as written:
+        write_renders(run_dir / RENDERS, stems, renders)
+        ply_bytes = write_ply(run_dir / PLY, gaussians, background)
+        write_whole(run_dir / METRICS_CSV, metrics_csv(metrics, stems))
+        write_whole(run_dir / HISTORY_CSV, history_csv(history))
     finished = dataclasses.replace(
         record,
         gaussians=len(gaussians),
@@ -218,7 +222,16 @@ def write_run(
         status="complete",
         error=None,
     )
+    followed = [written] if before is None else [before, written]
+    for files in followed:
+        files.check()
     write_record(run_dir, finished)
+    try:
+        for files in followed:
+            files.check(content=False)
+    except Disturbed:
+        (run_dir / RECORD).unlink(missing_ok=True)
+        raise
     for name in (FAILED, DIVERGED):  # of an earlier attempt
         (run_dir / name).unlink(missing_ok=True)
     return finished

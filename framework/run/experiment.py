@@ -24,7 +24,7 @@ from framework.compute import parallel
 from framework.compute.stopwatch import Stopwatch
 from framework.depth import build_provider
 from framework.files.locks import locked, remove_stale
-from framework.files.whole import remove_temporaries
+from framework.files.whole import following, remove_temporaries
 from framework.metrics.evaluate import evaluate
 from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
@@ -191,10 +191,18 @@ def _trained(
         resumed=trained.resumed,
         dose=told(trained.dose),
     )
-    write_cameras(run_dir, scene.training.views, scene.test, near)
-    write_photos(run_dir, scene.training.views)
+    with following(run_dir) as before:
+        write_cameras(run_dir, scene.training.views, scene.test, near)
+        write_photos(run_dir, scene.training.views)
     record = write_run(
-        run_dir, record, metrics, trained.history, trained.gaussians, trained.background, renders
+        run_dir,
+        record,
+        metrics,
+        trained.history,
+        trained.gaussians,
+        trained.background,
+        renders,
+        before,
     )
     remove_checkpoints(run_dir)
     (run_dir / budget.FILE).unlink(missing_ok=True)

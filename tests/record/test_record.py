@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,6 +16,7 @@ from PIL import Image
 
 from framework.errors import UserError
 from framework.files import whole as files
+from framework.files.whole import Disturbed, following, write_whole
 from framework.metrics.evaluate import evaluate_view, psnr
 from framework.metrics.values import Missing
 from framework.records import provenance, record
@@ -264,3 +266,60 @@ def test_reading_needs_no_torch(run_dir: Path) -> None:
         f"read_run(Path({str(run_dir)!r})); assert 'torch' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=provenance.ROOT)
+
+
+@pytest.mark.parametrize(
+    ("disturbed", "got"),
+    [
+        ("renders/test_00.png", "nothing"),
+        ("renders", "nothing"),
+        ("photos/train.jpg", "nothing"),
+        ("point_cloud.ply", "0 bytes"),
+        ("metrics.csv", "other ones"),
+    ],
+)
+def test_a_run_whose_files_go_while_it_is_written_is_not_complete(
+    run_dir: Path, monkeypatch: pytest.MonkeyPatch, disturbed: str, got: str
+) -> None:
+    """Before, the record told of renders that were gone, and the study ended well."""
+    old = read_record(run_dir / "record.json")
+    view = make_view(0)
+
+    def meanwhile(rows: object) -> str:
+        path = run_dir / disturbed
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif got == "nothing":
+            path.unlink()
+        else:
+            path.write_bytes(b"" if got == "0 bytes" else b"x" * path.stat().st_size)
+        return "step\n"
+
+    with following(run_dir) as before:
+        write_whole(run_dir / "photos" / "train.jpg", b"a photo")
+    monkeypatch.setattr(record, "history_csv", meanwhile)
+    shown, measured = [(view, view.image)], [evaluate_view(view, view.image)]
+    rest = make_gaussians(2, 0), torch.zeros(3), shown, before
+    with pytest.raises(Disturbed, match=f"just written, got {got}"):
+        write_run(run_dir, old, measured, [], *rest)
+    assert find_complete(run_dir, old.identity) is None
+    monkeypatch.undo()
+    write_run(run_dir, old, measured, [], *rest[:3])
+    assert find_complete(run_dir, old.identity) is not None
+
+
+def test_a_run_whose_folder_goes_under_its_record_is_not_complete(
+    run_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old = read_record(run_dir / "record.json")
+    view, write_record = make_view(0), record.write_record
+
+    def removed(folder: Path, new: record.RunRecord) -> None:
+        shutil.rmtree(folder)
+        write_record(folder, new)
+
+    monkeypatch.setattr(record, "write_record", removed)
+    shown, measured = [(view, view.image)], [evaluate_view(view, view.image)]
+    with pytest.raises(Disturbed, match="got nothing"):
+        write_run(run_dir, old, measured, [], make_gaussians(2, 0), torch.zeros(3), shown)
+    assert not (run_dir / "record.json").exists()

@@ -162,8 +162,8 @@ def _recorded(job: Job, message: str, kind: str) -> str:
 
 def _discard(run_dir: Path) -> None:
     """Remove what Hydra left of a run that never began, and a study of ours that is now empty."""
-    if [path.name for path in run_dir.iterdir()] != [".hydra"]:
-        return
+    if not run_dir.is_dir() or [path.name for path in run_dir.iterdir()] != [".hydra"]:
+        return  # or somebody removed it
     shutil.rmtree(run_dir / ".hydra")
     ours = run_dir.parents[:2] if run_dir.parent.name == "runs" else ()
     with contextlib.suppress(OSError):  # not empty: other runs are there
