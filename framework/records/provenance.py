@@ -27,7 +27,7 @@ from framework.compute.parallel import threads
 from framework.files.paths import own_plugins
 
 ROOT = Path(framework.__file__).resolve().parent.parent
-NEUTRAL_KEYS = ("threads", "force", "study", "traceback", "estimate", "hydra")
+NEUTRAL_KEYS = ("threads", "force", "study", "traceback", "estimate", "tracker", "hydra")
 PACKAGES = (
     *("torch", "numpy", "numba", "llvmlite", "scipy", "scikit-image"),
     *("pycolmap", "opencv-contrib-python-headless", "hydra-core"),

@@ -33,7 +33,8 @@ def runs_csv(study: Study) -> str:
 
     measured = pd.DataFrame([_measured(run) for run in study.runs])
     options = pd.json_normalize([dict(run.record.config) for run in study.runs]).drop(
-        columns=["seed", "study", "force", "estimate", "traceback", "threads"], errors="ignore"
+        columns=["seed", "study", "force", "estimate", "traceback", "threads", "tracker"],
+        errors="ignore",
     )
     # an option that only some methods have differs too
     differs = [name for name in options if options[name].map(repr).nunique() > 1]

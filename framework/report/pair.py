@@ -40,7 +40,7 @@ from framework.report.study.names import heading_of
 from framework.report.text.provenance import code_of
 
 REPORT, PAGE = "compare.md", "compare.html"
-UNTOLD = ("study", "force", "estimate", "traceback", "threads", "metrics")
+UNTOLD = ("study", "force", "estimate", "traceback", "threads", "tracker", "metrics")
 WORDS = ("Option", "View", "What")
 SINGLE = "Single runs say nothing of chance: a study with several seeds does."
 SAME_OPTIONS = "No option differs: the runs differ in their code, their machine or nothing."

@@ -51,7 +51,7 @@ from framework.records.record import (
     find_complete,
     write_run,
 )
-from framework.run import answers, budget
+from framework.run import answers, budget, trackers
 from framework.run.lpips_later import lacks_lpips, with_lpips
 from framework.run.training import Run, initial, renderer, train, try_out
 from framework.run.warmup import Warmup
@@ -82,7 +82,9 @@ def run_experiment(
     weights = chosen(config["metrics"]["lpips_weights"])
     network = None if weights is None else load(weights)  # a bad path must not cost a training
     with noted(progress), Warmup(config, progress) as warmup:
-        return _experiment(config, run_dir, progress, overrides, network, warmup)
+        record = _experiment(config, run_dir, progress, overrides, network, warmup)
+    trackers.send(config.get("tracker"), run_dir, progress)
+    return record
 
 
 def _experiment(

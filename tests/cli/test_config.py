@@ -31,7 +31,7 @@ def test_a_missing_name_is_an_error() -> None:
         check({**composed(), "reg": {"mode": "hard"}})
 
 
-@pytest.mark.parametrize("key", ["seed", "threads", "force", "study", "traceback"])
+@pytest.mark.parametrize("key", ["seed", "threads", "force", "study", "traceback", "tracker"])
 def test_the_hash_ignores_what_changes_no_run(key: str) -> None:
     config = composed()
     changed = {**config, key: 7}

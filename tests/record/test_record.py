@@ -201,6 +201,7 @@ def test_identity_ignores_what_cannot_change_the_result() -> None:
     base, files = make_config(), {"depth": "", "lpips_weights": ""}
     identity = provenance.identity_of(base, "scene", "code", files)
     neutral = {**base, "threads": 3, "force": True, "study": "x", "traceback": True}
+    neutral["tracker"] = "tensorboard"
     assert provenance.identity_of(neutral, "scene", "code", files) == identity
     others = [
         provenance.identity_of(make_config(seed=1), "scene", "code", files),

@@ -21,7 +21,7 @@ from framework.command.config.trust import refuse_environment
 from framework.scenes import HELD_OUT, UNTESTED
 
 # A run's name must not depend on these: the seed is written out, the others do not change a run.
-NOT_HASHED = ("seed", "threads", "force", "study", "traceback", "estimate")
+NOT_HASHED = ("seed", "threads", "force", "study", "traceback", "estimate", "tracker")
 
 
 def plain(config: DictConfig) -> dict[str, Any]:

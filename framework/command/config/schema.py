@@ -27,6 +27,7 @@ from framework.command.hydra_inside import JoinedChoices
 from framework.errors import UserError, nearest_hint, require
 from framework.metrics.values import measures
 from framework.options import TrainerOptions
+from framework.run import trackers
 
 PACKAGE = Path(framework.__file__).resolve().parent
 ROOT = PACKAGE.parent  # of the repository, or where packages are installed
@@ -45,6 +46,7 @@ Row = tuple[str, Any, Any]  # (option name, type, dataclasses.field)
 SCALARS = {
     **{"seed": int, "study": str | None, "threads": int},
     **{"force": bool, "traceback": bool, "estimate": bool},
+    "tracker": str | None,
 }
 MOST_THREADS = 1024
 METRICS = {"lpips_weights": str | None, "also": str | None}
@@ -152,6 +154,7 @@ def check(config: Mapping[str, Any]) -> None:
     measures(config["metrics"].get("also"))
     TrainerOptions(**config["trainer"])
     _check_scalars(config["seed"], config["threads"], config["study"])
+    trackers.ready(config.get("tracker"))
 
 
 def _check_integers(prefix: str, options: Mapping[str, Any]) -> None:

@@ -21,7 +21,10 @@ from framework.records.progress import Silent, say, unwarned
 TRIAL_STEPS = 24
 MOST_TRIALS = 8
 KEPT_SCENES = 2  # so many does `framework.run.experiment` keep from run to run
-NOT_TIMED = ("seed", "study", "threads", "force", "traceback", "estimate", "scene", "depth")
+NOT_TIMED = (
+    *("seed", "study", "threads", "force", "traceback", "estimate", "tracker"),
+    *("scene", "depth"),
+)
 
 Config = Mapping[str, Any]
 
@@ -85,7 +88,7 @@ def measure(config: Config) -> Cost:
     from framework.run.experiment import run_experiment
 
     trainer = {**config["trainer"], "steps": TRIAL_STEPS, "seconds": 0.0}
-    short = {**config, "trainer": trainer, "force": True}
+    short = {**config, "trainer": trainer, "force": True, "tracker": None}
     with unwarned(), tempfile.TemporaryDirectory(prefix="trial-") as folder:
         first = run_experiment(short, Path(folder) / "run", Silent())
         watch = Stopwatch()

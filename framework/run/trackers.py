@@ -1,0 +1,195 @@
+"""What a finished run logged goes to an experiment tracker of the user's choice: `tracker=NAME`.
+
+A tracker is one function in `TRACKERS` that takes `Tracked`: the options, the rows of the history
+by step, the measures at the end. All of it is read from the finished record, so that training never
+waits for a tracker and a run that was already complete is sent without being repeated. What was
+sent is told by a file in the run's folder `tracker/`: the same record is sent once.
+
+A tracker never harms a run: `ready` refuses a missing package before anything is trained, and what
+fails later is one warning line. This module is light: each package is imported where it is used.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from framework.errors import UserError, nearest_hint, printable_line, require
+
+if TYPE_CHECKING:
+    from framework.records.progress import Progress
+    from framework.records.record import Run
+
+FOLDER = "tracker"  # in a run's: what trackers write there, and what was sent
+PROJECT = "fishersplat"
+NONE = "none"
+MOST_PARAMS = 100  # that MLflow takes at once (its REST API, runs/log-batch)
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What a tracker gets of a run.
+
+    study, name: of its folder. folder: for files of the tracker, there already. options: by full
+    name (`trainer.steps`), None as "null". rows: (finished steps, name -> finite value), in order;
+    names are the columns of `history.csv`, as `loss`, `test_psnr`, `log/...`. summary: mean over
+    the test views of each metric that could be measured, `gaussians` and `train_s`.
+    """
+
+    study: str
+    name: str
+    folder: Path
+    options: Mapping[str, str | int | float | bool]
+    rows: tuple[tuple[int, Mapping[str, float]], ...]
+    summary: Mapping[str, float]
+
+
+def _tensorboard(run: Tracked) -> None:
+    """Event files in `run.folder`, instead of those of an earlier sending."""
+    from torch.utils.tensorboard import SummaryWriter
+
+    for old in run.folder.glob("events.out.tfevents.*"):
+        old.unlink()
+    with SummaryWriter(str(run.folder)) as writer:
+        for step, values in run.rows:
+            for name, value in values.items():
+                writer.add_scalar(name, value, step)
+        final = {f"summary/{name}": value for name, value in run.summary.items()}
+        writer.add_hparams(dict(run.options), final, run_name=".")
+
+
+def _mlflow(run: Tracked) -> None:
+    """To `MLFLOW_TRACKING_URI`, or where MLflow writes without it; the study is the experiment."""
+    import mlflow
+
+    mlflow.set_experiment(run.study)
+    with mlflow.start_run(run_name=run.name):
+        options = list(run.options.items())
+        for start in range(0, len(options), MOST_PARAMS):
+            mlflow.log_params(dict(options[start : start + MOST_PARAMS]))
+        for step, values in run.rows:
+            mlflow.log_metrics(dict(values), step=step)
+        mlflow.log_metrics({f"summary/{name}": value for name, value in run.summary.items()})
+
+
+def _wandb(run: Tracked) -> None:
+    """To the account of `wandb login`, or into `run.folder` with `WANDB_MODE=offline`."""
+    import wandb
+
+    place = {"project": PROJECT, "group": run.study, "name": run.name, "dir": str(run.folder)}
+    # "create_new": one process may do many runs
+    with wandb.init(**place, config=dict(run.options), reinit="create_new") as session:
+        for step, values in run.rows:
+            session.log(dict(values), step=step)
+        session.summary.update({f"summary/{name}": value for name, value in run.summary.items()})
+
+
+def _trackio(run: Tracked) -> None:
+    """Into trackio's own folder; it has no summary, so the last step tells it."""
+    import trackio
+
+    trackio.init(project=PROJECT, group=run.study, name=run.name, config=dict(run.options))
+    try:
+        for step, values in run.rows:
+            trackio.log(dict(values), step=step)
+        last = run.rows[-1][0] if run.rows else 0
+        trackio.log({f"summary/{name}": value for name, value in run.summary.items()}, step=last)
+    finally:
+        trackio.finish()
+
+
+# name, which is that of the package and of the extra, too -> who sends a run there
+TRACKERS: dict[str, Callable[[Tracked], None]] = {
+    "tensorboard": _tensorboard,
+    "mlflow": _mlflow,
+    "wandb": _wandb,
+    "trackio": _trackio,
+}
+
+
+def ready(tracker: str | None) -> None:
+    """Raise UserError unless the option `tracker` names one whose package is installed, or none."""
+    if tracker is None or tracker == NONE:
+        return
+    known = [NONE, *TRACKERS]
+    require(tracker in known, f"tracker={tracker}: unknown tracker; {nearest_hint(tracker, known)}")
+    spec = importlib.util.find_spec(tracker)
+    require(
+        spec is not None and spec.origin is not None,  # no origin: only a folder of that name
+        f"tracker={tracker}: expected the package {tracker} to be installed, found it missing; pip"
+        f" install 'fishersplat[{tracker}]', or leave the option out",
+    )
+
+
+def send(tracker: str | None, run_dir: Path, progress: Progress) -> None:
+    """Send the complete run in `run_dir`, unless this very record was sent before.
+
+    Never raises: what fails becomes one note of `progress`, and is tried again the next time that
+    the run is asked for.
+    """
+    if tracker is None or tracker == NONE:
+        return
+    try:
+        ready(tracker)
+        _send_once(tracker, run_dir)
+    except Exception as error:
+        said = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
+        line = printable_line(" ".join(said.split()))[:300]
+        progress.note(f"warning: tracker={tracker}: not sent ({line}); the run itself is complete")
+
+
+def _send_once(tracker: str, run_dir: Path) -> None:
+    from framework.files.whole import write_whole
+    from framework.records.record import RECORD, read_run
+
+    digest = hashlib.sha256((run_dir / RECORD).read_bytes()).hexdigest() + "\n"
+    sent = run_dir / FOLDER / f"{tracker}.sent"
+    if sent.is_file() and sent.read_text(encoding="utf-8", errors="replace") == digest:
+        return
+    sent.parent.mkdir(exist_ok=True)
+    TRACKERS[tracker](tracked(read_run(run_dir)))
+    write_whole(sent, digest)
+
+
+def tracked(run: Run) -> Tracked:
+    """What a tracker gets of a complete run that was read back."""
+    record, columns = run.record, run.history.numbers
+    values = {name: column for name, column in columns.items() if name != "step"}
+    rows = tuple(
+        (int(step), _finite({name: column[index] for name, column in values.items()}))
+        for index, step in enumerate(columns["step"])
+    )
+    ended = {**record.summary, "gaussians": record.gaussians, "train_s": record.train_s}
+    folder = run.run_dir.resolve()
+    inside = folder.parent.name == "runs"
+    return Tracked(
+        study=folder.parent.parent.name if inside else folder.parent.name,
+        name=folder.name,
+        folder=folder / FOLDER,
+        options=dict(_flat("", record.config)),
+        rows=rows,
+        summary=_finite(ended),
+    )
+
+
+def _finite(values: Mapping[str, Any]) -> dict[str, float]:
+    """Those that are numbers: what could not be measured has no place on a curve."""
+    numbers = {k: float(v) for k, v in values.items() if isinstance(v, int | float)}
+    return {name: value for name, value in numbers.items() if math.isfinite(value)}
+
+
+def _flat(
+    prefix: str, options: Mapping[str, Any]
+) -> Iterator[tuple[str, str | int | float | bool]]:
+    for key, value in options.items():
+        if isinstance(value, Mapping):
+            yield from _flat(f"{prefix}{key}.", value)
+        elif isinstance(value, str | int | float | bool):
+            yield f"{prefix}{key}", value
+        else:
+            yield f"{prefix}{key}", "null" if value is None else str(value)
