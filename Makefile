@@ -35,7 +35,7 @@ OWN := torch triton cuda-bindings cuda-pathfinder cuda-toolkit $(addprefix nvidi
 lock:
 	head -3 requirements-ci.txt > requirements-ci.new
 	uv pip compile pyproject.toml --extra dev --generate-hashes --python-version 3.11 --no-annotate --no-header \
-		$(addprefix --no-emit-package ,$(OWN)) --quiet -o - >> requirements-ci.new
+		$(addprefix --no-emit-package ,$(OWN)) >> requirements-ci.new
 	mv requirements-ci.new requirements-ci.txt
 
 audit:

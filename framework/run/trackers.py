@@ -11,8 +11,11 @@ fails later is one warning line. This module is light: each package is imported 
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.util
+import io
+import logging
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -67,6 +70,7 @@ def _mlflow(run: Tracked) -> None:
     """To `MLFLOW_TRACKING_URI`, or where MLflow writes without it; the study is the experiment."""
     import mlflow
 
+    logging.getLogger("mlflow").setLevel(logging.WARNING)  # it tells of every table that it makes
     mlflow.set_experiment(run.study)
     with mlflow.start_run(run_name=run.name):
         options = list(run.options.items())
@@ -82,8 +86,11 @@ def _wandb(run: Tracked) -> None:
     import wandb
 
     place = {"project": PROJECT, "group": run.study, "name": run.name, "dir": str(run.folder)}
+    # it would copy the terminal of what runs next in this process, and its summary onto it
+    quiet = wandb.Settings(silent=True, console="off")
     # "create_new": one process may do many runs
-    with wandb.init(**place, config=dict(run.options), reinit="create_new") as session:
+    how = {"reinit": "create_new", "settings": quiet}
+    with wandb.init(**place, **how, config=dict(run.options)) as session:
         for step, values in run.rows:
             session.log(dict(values), step=step)
         session.summary.update({f"summary/{name}": value for name, value in run.summary.items()})
@@ -93,14 +100,17 @@ def _trackio(run: Tracked) -> None:
     """Into trackio's own folder; it has no summary, so the last step tells it."""
     import trackio
 
-    trackio.init(project=PROJECT, group=run.study, name=run.name, config=dict(run.options))
-    try:
-        for step, values in run.rows:
-            trackio.log(dict(values), step=step)
-        last = run.rows[-1][0] if run.rows else 0
-        trackio.log({f"summary/{name}": value for name, value in run.summary.items()}, step=last)
-    finally:
-        trackio.finish()
+    place = {"project": PROJECT, "group": run.study, "name": run.name}
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints seven lines for each run
+        trackio.init(**place, config=dict(run.options))
+        try:
+            for step, values in run.rows:
+                trackio.log(dict(values), step=step)
+            last = run.rows[-1][0] if run.rows else 0
+            summary = {f"summary/{name}": value for name, value in run.summary.items()}
+            trackio.log(summary, step=last)
+        finally:
+            trackio.finish()
 
 
 # name, which is that of the package and of the extra, too -> who sends a run there

@@ -1,5 +1,6 @@
 """A finished run goes to a tracker, once, and no tracker harms it. MLflow, Weights & Biases and
-trackio are stand-in modules here, which record the calls; TensorBoard is the real one."""
+trackio are stand-in modules here, which record the calls (`test_trackers_for_real.py` has the real
+ones); TensorBoard is the real one."""
 
 from __future__ import annotations
 
@@ -70,6 +71,7 @@ def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.syspath_prepend(str(folder))
         monkeypatch.delitem(sys.modules, name, raising=False)
         module = __import__(name)
+        del sys.modules[name]  # or it would be put back after the test
         monkeypatch.setitem(sys.modules, name, module)
         return module
 
@@ -139,6 +141,7 @@ def test_a_folder_of_that_name_is_no_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "trackio").mkdir()
+    monkeypatch.delitem(sys.modules, "trackio", raising=False)
     monkeypatch.setattr("sys.path", [str(tmp_path)])
     with pytest.raises(UserError, match=r"fishersplat\[trackio\]"):
         trackers.ready("trackio")
