@@ -11,9 +11,12 @@ Every attempt is a process forked from one that has imported everything and comp
     python benchmarks/safety/kill.py [--kills 52] [--steps 80] [--output benchmarks/results/kill.md]
         [--capacities fixed,budget] [--launchers basic,joblib]
 
-With several capacities and launchers each pair gets its share of the kills.
+With several capacities and launchers each pair gets its share of the kills. Where a kind of file is
+not seen in a whole study (a worker that is started anew writes no checkpoint in so short a run),
+the kill comes at any moment instead.
 
-`--small` kills once at each kind of moment, in a study of two shorter runs.
+`--small` is a study of two shorter runs, killed once at each kind of moment where no --kills are
+given.
 """
 
 from __future__ import annotations
@@ -54,6 +57,7 @@ LAUNCHERS = {
     "ray": ["hydra/launcher=ray"],
 }
 CLOCK = "any moment"
+BUSY, PATIENCE = 3, 30  # exit code where another process is at a run; times to ask again
 WRITES = {  # what is being written -> its temporary file, relative to the study
     "a checkpoint": "runs/*/checkpoints/.step-*.tmp",
     "a render": "runs/*/renders/.*.tmp",
@@ -77,6 +81,12 @@ class Tally:
     doubled: int = 0
     lost: int = 0
     resumed: int = 0
+
+    def add(self, other: Tally) -> None:
+        self.killed += other.killed
+        self.caught += other.caught
+        for name in ("studies", "unequal", "doubled", "lost", "resumed"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
 
 
 def begin(folder: Path, words: list[str], inside: Callable[[], object] = lambda: None) -> int:
@@ -159,7 +169,7 @@ def one_study(
         draw = stream(0, f"kill/{name}", number).random()
         number += 1
         wait_s = draw * whole_s * (0.6 if target == CLOCK else late) if targets else 1e9
-        code = attempt(folder, words, target, wait_s)
+        code = patiently(folder, words, target, wait_s)
         now = records(study)
         tally.doubled += sum(now[run] != record for run, record in known.items() if run in now)
         tally.lost += len(known.keys() - now.keys())
@@ -175,6 +185,16 @@ def one_study(
         tally.caught[target] += any(study.glob(pattern))
 
 
+def patiently(folder: Path, words: list[str], target: str, delay_s: float) -> int:
+    """As `attempt`, but waits for the workers of a killed command that are still at a run."""
+    for _ in range(PATIENCE):
+        code = attempt(folder, words, target, delay_s)
+        if code != BUSY:
+            break
+        time.sleep(2)
+    return code
+
+
 def measure(words: list[str], targets: list[str], late: float, work: Path, tally: Tally) -> None:
     """All kills, the last of `targets` first, added to `tally`; a line per completed study."""
     (work / "whole").mkdir()
@@ -187,17 +207,17 @@ def measure(words: list[str], targets: list[str], late: float, work: Path, tally
     expected, hashes = digests(study), parameters(study)
     kills, before, studies = len(targets), sum(tally.killed.values()), 0
     while targets:
-        name = f"{studies}"
+        name, left = f"{studies}", len(targets)
         study = one_study(work / name, words, targets, whole_s, late, tally, name)
         found = digests(study)
         differ = sorted(k for k in {*found, *expected} if found.get(k) != expected.get(k))
         equal = not differ and parameters(study) == hashes
         studies += 1
         tally.studies += 1
+        if targets and len(targets) == left:
+            targets[-1] = CLOCK
         tally.unequal += not equal or bool(leftovers(study))
         tally.resumed += (work / name / "log.txt").read_text().count("going on at step")
-        if studies > 2 * kills + 4:
-            raise SystemExit(f"{targets[-1]} never happened; give more --steps")
         killed = sum(tally.killed.values()) - before
         print(f"study {name}: {killed} of {kills} kills, equal: {equal}", *differ, flush=True)
 
@@ -239,17 +259,17 @@ def warm_up(work: Path, study: list[str]) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kills", type=int, default=52)
+    parser.add_argument("--kills", type=int, help="52, or one at each kind of moment if --small")
     parser.add_argument("--steps", type=int, default=80)
     parser.add_argument("--output", type=Path)
     parser.add_argument("--small", action="store_true")
     parser.add_argument("--capacities", default="evidence")
     parser.add_argument("--launchers", default="basic")
     given = parser.parse_args()
-    if given.small:
-        study, targets, late = SMALL, [CLOCK, *WRITES][::-1], 0.0
-    else:
-        study, targets, late = STUDY, moments(given.kills), 0.2
+    study, late = (SMALL, 0.0) if given.small else (STUDY, 0.2)
+    targets = moments(given.kills or 52)
+    if given.small and given.kills is None:
+        targets = [CLOCK, *WRITES][::-1]
     with tempfile.TemporaryDirectory() as folder:
         warm_up(Path(folder) / "warm", study)
         if given.small:
@@ -258,19 +278,25 @@ def main() -> int:
             checkpoint.COST_TIMES = SMALL_COST_TIMES
         words = [*study, f"trainer.steps={given.steps}"]
         pairs = list(product(given.launchers.split(","), given.capacities.split(",")))
-        tally = Tally()
+        tally, total, rows = Tally(), len(targets), list[str]()
         for k, (launcher, capacity) in enumerate(pairs):
-            share = targets[k :: len(pairs)]
+            share = targets[k * total // len(pairs) : (k + 1) * total // len(pairs)]
             more = [*LAUNCHERS[launcher], f"capacity={capacity}"]
             work = Path(folder) / f"{launcher}-{capacity}"
             work.mkdir()
             print(f"{launcher}, {capacity}:", flush=True)
-            measure([*words, *more], share, late, work, tally)
-    shown = "--small" if given.small else f"--kills {given.kills}"
+            one, count = Tally(), len(share)
+            measure([*words, *more], share, late, work, one)
+            rows.append(f"| {launcher} | {capacity} | {count} | {one.studies} | {one.resumed} |")
+            tally.add(one)
+    shown = "--small " * given.small + f"--kills {total}"
     command = f"python benchmarks/safety/kill.py {shown} --steps {given.steps}"
     if len(pairs) > 1:
         command += f" --launchers {given.launchers} --capacities {given.capacities}"
     text = table(tally, command, 2 if given.small else 4)
+    if len(pairs) > 1:
+        head = ["", "| launcher | capacity | kills | studies | resumed |", "|---|---|---|---|---|"]
+        text += "\n".join([*head, *rows]) + "\n"
     print(text)
     if given.output is not None:
         given.output.parent.mkdir(parents=True, exist_ok=True)
