@@ -11,6 +11,7 @@ __all__ = [
     "opened",
     "pages",
     "paths",
+    "tidy",
     "tree",
     "whole",
 ]

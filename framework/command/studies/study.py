@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from typing import Any
 
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.utils import JobReturn
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf, open_dict
 
@@ -35,8 +35,8 @@ from framework.command.studies.disk import check_room
 from framework.command.studies.estimate import announce
 from framework.compute.stopwatch import Stopwatch, duration
 from framework.errors import UserError, mendable, os_line, printable_line
-from framework.files.cache import cache_dir
 from framework.files.locks import locked
+from framework.files.tidy import own_folder
 from framework.files.whole import write_whole
 from framework.rasterizers import build_rasterizer
 from framework.records.progress import say
@@ -69,10 +69,10 @@ class Outcome:
 @contextmanager
 def ledger() -> Iterator[Path]:
     """An empty ledger folder, known to this process and its children, removed at the end."""
-    with tempfile.TemporaryDirectory(prefix="ledger-", dir=cache_dir()) as folder:
-        os.environ[LEDGER_VARIABLE] = folder
+    with own_folder("ledger-") as folder:
+        os.environ[LEDGER_VARIABLE] = str(folder)
         try:
-            yield Path(folder)
+            yield folder
         finally:
             os.environ.pop(LEDGER_VARIABLE, None)
             os.environ.pop(JOBS_VARIABLE, None)
@@ -126,6 +126,11 @@ class StudyCallback(Callback):
 
     def on_run_end(self, config: DictConfig, **kwargs: Any) -> None:
         build_reports()
+
+    def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
+        """Forget the run's two configurations, which Hydra keeps of every run until the end, and
+        nobody reads: 0.1 MB a run."""
+        job_return.cfg = job_return.hydra_cfg = None
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         if detached():
