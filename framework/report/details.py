@@ -155,9 +155,9 @@ def costs(study: Study, scenes: Sequence[str]) -> list[Block]:
     text = (
         "Train: seconds of the training without its evaluations, by the wall clock and by the CPU"
         " time of all threads of the process, which other programs disturb less. Render: test views"
-        f" per second. Machine: {'; '.join(map(outside, cpus))}. Worth it: the quickest on the"
-        " Pareto front, and those on it that are really better than every quicker one so marked"
-        " (paired t test, corrected); nobody, where single runs cannot tell."
+        f" per second. Machine: {'; '.join(map(outside, cpus))}. More time pays: `yes` where a"
+        " method is really better than every quicker one so marked, beginning with the cheapest"
+        " (paired t test, corrected); `not shown`, where that may be chance or nothing is gained."
     )
     return [Heading(2, "Speed against accuracy"), *blocks, Text(text)]
 

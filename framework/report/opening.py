@@ -22,9 +22,9 @@ from framework.report.verdict.steady import steady_sentence
 
 TRADEOFF_CAPTION = (
     "A line per method through its budgets that no other budget of the same method beats; faint:"
-    " the beaten ones. Ringed: worth its cost, as really better than every cheaper ringed one"
-    " (paired t test, corrected). Bars: 95 % interval of the mean over seeds, of each alone. The"
-    " axis shows at least 1 dB."
+    " the beaten ones. Ringed: the cheapest, and what is shown to pay, as really better than"
+    " every cheaper ringed one (paired t test, corrected). Bars: 95 % interval of the"
+    " mean over seeds, of each alone. The axis shows at least 1 dB."
 )
 STRESS_CAPTION = (
     "Above: test PSNR against the strength, bars: 95 % interval of the mean over seeds. Below: its"
@@ -57,7 +57,8 @@ def over_budgets(
     if first:
         where = study.tested[0] if len(study.tested) == 1 else f"{len(study.tested)} scenes"
         rivals = f"{first[0].method} against {first[0].against}"
-        blocks += [Text(f"How many Gaussians, on {where}, {rivals}:", "finding")]
+        how = capacities.evidence(first)
+        blocks += [Text(f"How many Gaussians, on {where}, {rivals}{how}:", "finding")]
         blocks += [Bullets(tuple(capacities.sentences(first)))]
     for scene in study.scenes:
         advice = budgets.advice(study, scene)
@@ -77,19 +78,21 @@ def along_stress(study: Study, panels: Sequence[stress.Panel], outcomes: Outcome
     """The verdict, the answer on every panel, then the charts and tables."""
     found = stress.limits(study, panels)
     if len(study.methods) == 1:
-        said = limits.alone(panels, study.baseline)
+        said, behind = limits.alone(panels, study.baseline), []
     else:
         steady = steady_sentence(outcomes)  # of a seed's mean over the strengths
-        said = limits.verdict(found, lead.plainly(study.baseline), steady)
+        said = limits.verdict(found, lead.plainly(study.baseline))
+        behind = limits.behind(found, steady)
     blocks: list[Block] = [Text(said, "verdict")]
     ends = [limits.weakest(panel, study.baseline, points.cost_of) for panel in panels]
-    blocks += [Bullets(tuple(filter(None, ends)))] if any(ends) else []
+    told = [text for text in (*behind, *ends) if text]
+    blocks += [Bullets(tuple(told))] if told else []
     details: list[Block] = []
     for panel in panels:
-        told = tuple(limits.sentence(limit) for limit in found if limit.panel is panel)
-        if told:
+        courses = tuple(limits.sentence(limit) for limit in found if limit.panel is panel)
+        if courses:
             title = f"{panel.title}, along {panel.axis.label}, against {study.baseline}:"
-            blocks += [Text(title, "finding"), Bullets(told)]
+            blocks += [Text(title, "finding"), Bullets(courses)]
         sizes = modelsize.told(panel)
         if sizes:
             title = f"Size of the model on {panel.title}, along {panel.axis.label}:"
@@ -101,9 +104,9 @@ def along_stress(study: Study, panels: Sequence[stress.Panel], outcomes: Outcome
 
 
 def _verdict(study: Study, found: Outcomes, budget: str = "", beside: str = "") -> list[Block]:
-    said = [*points.points(study, found), idle_sentence(study), _roles(study)]
+    said = [*points.points(study, found, beside), idle_sentence(study), _roles(study)]
     told = tuple(text for text in said if text)
-    blocks: list[Block] = [Text(lead.lead(study, found, budget, beside), "verdict")]
+    blocks: list[Block] = [Text(lead.lead(study, found, budget), "verdict")]
     blocks += [Bullets(told)] if told else []
     how = points.evidence(found)
     return [*blocks, *([Text(how)] if how else [])]

@@ -15,7 +15,7 @@ from framework.report.figures import tradeoff
 from framework.report.study.collect import collect
 from framework.report.study.labels import USUAL, method_labels, scene_labels
 from framework.report.text import budgets
-from framework.report.text.capacities import contests, sentences
+from framework.report.text.capacities import contests, evidence, sentences
 from tests.cli.conftest import composed
 from tests.record.fakes import fake_run, make_config
 
@@ -273,7 +273,7 @@ def test_trainings_beside_other_programs_are_told_and_compared_by_cpu(tmp_path: 
     train["cpu_s"] = 5.0
     busy.write_text(json.dumps(content), encoding="utf-8")
     study = collect(tmp_path)
-    assert study.notes[0].startswith("Other programs ran beside 1 of 3 trainings")
+    assert study.notes[0].startswith("While 1 of 3 trainings ran, other programs")
     ((chart,), *_) = tradeoff.charts(study, "embedded")
     assert chart.x_label == "training time (s, CPU)"
     assert budgets.advice(study, "embedded")[0].split(":")[0].endswith("s of CPU time")
@@ -352,8 +352,9 @@ def test_capacities_are_compared_all_else_equal(tmp_path: Path) -> None:
     assert [round(c.comparison.difference) for c in found] == [2, -3, 2, -3]
     assert all(c.comparison.n == 3 and c.parameters == 1.0 for c in found)
     first, second = sentences(found[:2])
-    assert first.startswith("capacity=adc: 1.0 times the parameters, ")
-    assert " -2.7" in second and "n = 3 seeds, corrected for 4" in second
+    assert first.startswith("adc: 1.0 times the parameters, ")
+    assert " -2.7" in second
+    assert evidence(found) == " (3 seeds, ranges hold for all 4 comparisons at once)"
 
 
 def test_one_capacity_makes_no_contest(tmp_path: Path) -> None:

@@ -171,7 +171,7 @@ def test_studies_are_merged_on_the_command_line(tmp_path: Path) -> None:
     folders = [str(tmp_path / name) for name in "ab"]
     assert main([*folders, "--out", str(tmp_path / "both"), "--title", "Both"]) == 0
     text = (tmp_path / "both" / "report.md").read_text(encoding="utf-8")
-    assert text.startswith("# Both\n") and "Not told apart: safi" in text
+    assert text.startswith("# Both\n") and "Not told apart from none + none: safi" in text
     assert "](../b/runs/embedded-safi-none-s1/)" in text
     assert main(folders) == 2
 
@@ -203,7 +203,7 @@ def test_several_scenes(tmp_path: Path) -> None:
             for augment, gain in (("none", 0.0), ("safi", 2.0)):
                 fake_run(tmp_path, augment, seed=seed, gain=gain, scene=scene)
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert "on these 2 scenes" in text and "Expected on other scenes like these 2" in text
+    assert "on these 2 scenes" in text and "other scenes, judged by how these 2 differ" in text
     assert text.count("| mean of all") == 2 and "| door" in text and "| fern °" in text
     assert "mean of the scenes' σ (dB)" in text
     assert (tmp_path / "images_fern.jpg").is_file() and (tmp_path / "curves_door.svg").is_file()

@@ -12,7 +12,7 @@ from framework.compute.rng import stream
 from framework.report.figures.stress import Limit
 from framework.report.statistics.breakdown import break_down, gains_of_levels
 from framework.report.study.axes import STRESSES
-from framework.report.verdict.limits import sentence, verdict
+from framework.report.verdict.limits import behind, sentence, verdict
 
 VIEWS = next(axis for axis in STRESSES if axis.short == "n_views")
 STRENGTH = next(axis for axis in STRESSES if axis.short == "strength")
@@ -57,11 +57,15 @@ def test_the_sentence(axis: Any, levels: list[float], gains: list[float], expect
 def test_the_verdict_of_a_stress() -> None:
     better, worse = (limit(VIEWS, [9, 4, 2], [g] * 3) for g in (0.5, -0.5))
     unclear = limit(VIEWS, [9, 4, 2], [0.01, -0.01, 0.0])
-    assert verdict([better, worse], "none").startswith(
-        "Use uar where it helps (below), none elsewhere. Really different: "
-    )
-    assert verdict([worse, unclear], "none").startswith("Use none. Really different: ")
+    helps = "Use uar where it helps (below), none elsewhere."
+    assert verdict([better, worse], "none") == helps
+    assert verdict([worse], "none").startswith("Use none: nothing else was shown")
     assert verdict([], "none").startswith("No advice")
+    different, steady = behind([worse], "Steadier: uar.")
+    assert different.startswith("Really different: uar costs up to 0.50 dB (")
+    assert steady == "Steadier: uar."
+    _, alike = behind([unclear])
+    assert alike.startswith("Not told apart at any strength: uar. A difference of up to 0.")
 
 
 def test_bars_and_sentences_agree() -> None:

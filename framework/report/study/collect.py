@@ -30,6 +30,7 @@ from framework.report.study.labels import (
     scene_labels,
 )
 from framework.report.study.order import BASELINE, method_order, natural
+from framework.report.study.shorten import shortened
 from framework.report.study.tabled import TABLE, TOLD, is_tabled, read_tabled
 
 DAMAGED = "damaged"  # the kind of failure of a folder that no run left
@@ -224,6 +225,12 @@ def collect(
         origins += [folder] * len(complete)
     labelled, named = _label(runs, failed)
     missing = _missing(labelled, named, origins)
+    short, shortened_notes = shortened([run.method_label for run in (*labelled, *told)])
+    labelled, told = (
+        [replace(run, method_label=short[run.method]) for run in some] for some in (labelled, told)
+    )
+    named = [replace(run, method=_short(short, run.method)) for run in named]
+    missing = [(scene, _short(short, method), seed) for scene, method, seed in missing]
     unique, repeated = _without_repeats([*labelled, *told])
     unique.sort(key=lambda r: (natural(r.scene), method_order(r.method), r.seed))
     searched = read_search(folders[0]) if len(folders) == 1 else None
@@ -231,6 +238,7 @@ def collect(
         missing = []  # no full cross: each trial is a method of its own
     notes = chain(
         _table_notes(told),
+        shortened_notes,
         repeated,
         _repeat_notes(unique),
         _equal_notes(unique),
@@ -304,6 +312,11 @@ def _label(
         for run, method, scene in zip(known, methods[cut:], scenes[cut:], strict=True)
     }
     return labelled, [_named(run, *named.get(run.run_dir, ("", ""))) for run in failed]
+
+
+def _short(short: Mapping[str, MethodLabel], method: str) -> str:
+    """The short name of a method, its own where none of its runs is complete."""
+    return short[method].full if method in short else method
 
 
 def _named(run: FailedRun, method: str, scene: str) -> FailedRun:
@@ -388,11 +401,19 @@ def _table_notes(runs: Sequence[ReportRun]) -> list[str]:
     """What a report from a table does not know, and of which code its runs are."""
     if not runs:
         return []
-    codes = sorted({str(run.record.provenance[TOLD]) for run in runs} - {""})
-    of = f" of {listed(codes, 'and')}, which may differ from today's" if codes else ""
+    told = [str(run.record.provenance[TOLD]).split(" or ") for run in runs]
+    codes = sorted({*chain(*told)} - {""})
+    made = "one version" if len(codes) == 1 else f"{len(codes)} versions"
+    of = (
+        f" The runs were made by {made} of the code ({', '.join(codes)}); today's defaults may"
+        " differ from theirs."
+        if codes
+        else ""
+    )
     return [
-        f"From `{TABLE}` alone, runs{of}: their folders are not here, so views, courses over time"
-        " and failed runs are not told; pictures are those drawn when the runs were made."
+        f"Built from the table `{TABLE}` alone, as the folders of the runs were not kept: nothing"
+        " is said about single views, the course of a training or failed runs, and the pictures"
+        f" are those that were drawn when the runs were made.{of}"
     ]
 
 
@@ -412,9 +433,9 @@ def _busy_notes(runs: Sequence[ReportRun]) -> list[str]:
     if slowed == 0:
         return []
     return [
-        f"Other programs ran beside {slowed} of {len(runs)} trainings, which took over"
-        f" {BUSY:g} times their CPU time: the charts of cost, the Pareto front and the advice count"
-        " CPU seconds here; tables give both, curves over time are by the wall clock."
+        f"While {slowed} of {len(runs)} trainings ran, other programs used the processor too (the"
+        f" clock showed over {BUSY:g} times the CPU time). Charts of cost and the advice by time"
+        " therefore count CPU seconds; tables give both; curves over time go by the clock."
     ]
 
 

@@ -13,9 +13,9 @@ from framework.report.statistics.compare import Comparison, compare, corrected
 from framework.report.statistics.numbers import ABSENT, interval_text, signed, significant
 from framework.report.statistics.outcomes import by_pair
 from framework.report.study.collect import ReportRun, Study
-from framework.report.study.labels import MethodLabel
+from framework.report.study.labels import MethodLabel, listed
 from framework.report.text.comparisons import tested_cells
-from framework.report.verdict.lead import amount
+from framework.report.verdict.lead import amount, could_hide
 
 FIXED = "capacity=fixed"  # has no name among methods
 
@@ -51,7 +51,7 @@ def contests(study: Study) -> list[Contest]:
 
 def sentences(found: Sequence[Contest]) -> list[str]:
     """Of contests of one method, for every capacity what it takes and what it gives."""
-    return [f"{c.capacity}: {_told(c)}." for c in found]
+    return [f"{_bare(c.capacity)}: {_told(c)}." for c in found]
 
 
 def in_verdict(found: Sequence[Contest]) -> str:
@@ -60,16 +60,31 @@ def in_verdict(found: Sequence[Contest]) -> str:
     if not known:
         return ""
     clear = sorted((c for c in known if c.comparison.significant), key=_difference)
-    told = "; ".join(f"{c.capacity} {amount(c.comparison)}" for c in clear) or "nobody"
+    told = "; ".join(f"{_bare(c.capacity)} {amount(c.comparison)}" for c in clear) or "nobody"
+    rest = [c for c in known if not c.comparison.significant]
     alike = [
-        f"{c.capacity} ({significant(c.parameters)} times the parameters)"
-        for c in sorted(known, key=_difference, reverse=True)
-        if not c.comparison.significant
+        f"{_bare(c.capacity)} ({significant(c.parameters)} times the parameters)"
+        for c in sorted(rest, key=_difference, reverse=True)
     ]
-    return (
-        f"Of capacities, really different from {known[0].against}: {told}; not told apart:"
-        f" {', '.join(alike) or 'nobody'}."
-    )
+    hidden = could_hide([c.comparison for c in rest])
+    others = f" Not told apart from it: {'; '.join(alike)}.{hidden}" if alike else ""
+    base = _bare(known[0].against)
+    return f"How many Gaussians, compared with capacity {base}: really different: {told}.{others}"
+
+
+def evidence(found: Sequence[Contest]) -> str:
+    """` (5 seeds, ranges hold for all 10 comparisons at once)`; "" of single runs."""
+    tested = [c.comparison for c in found if c.comparison.joint is not None]
+    if not tested:
+        return ""
+    seeds = listed(sorted({c.n for c in tested}), "or")
+    return f" ({seeds} seeds, ranges hold for all {tested[0].tests} comparisons at once)"
+
+
+def _bare(capacity: str) -> str:
+    """`evidence (criterion=laplace)` of `capacity=evidence, criterion=laplace`."""
+    name, *options = capacity.removeprefix("capacity=").split(", ")
+    return f"{name} ({', '.join(options)})" if options else name
 
 
 def _difference(c: Contest) -> float:
@@ -128,5 +143,4 @@ def _told(c: Contest) -> str:
     if found.joint is None:
         return f"{size}{time}, {change} in a single run, which says nothing of chance"
     claim = "" if found.significant else ", not told apart"
-    seeds = f"n = {found.n} seeds, corrected for {found.tests} comparisons"
-    return f"{size}{time}, {change} ({interval_text(found.joint)}{claim}; {seeds})"
+    return f"{size}{time}, {change} ({interval_text(found.joint)}{claim})"

@@ -1,5 +1,4 @@
-"""The first line of a report: what to use, who is really different, who is not told apart, who is
-steadier.
+"""The first lines of a report: what to use, who is really different, and who is not told apart.
 
 A difference is claimed where its interval excludes zero, and the interval is the one the charts
 draw: corrected for all comparisons of the report.
@@ -17,9 +16,11 @@ from framework.report.statistics.numbers import decimals, interval_text, signifi
 from framework.report.statistics.outcomes import Outcomes, by_pair
 from framework.report.study.collect import Study
 from framework.report.study.order import BASELINE
-from framework.report.verdict.steady import steady_sentence
 
 MOST_NAMED = 8  # of methods that could not be told apart
+AS_GOOD_DB = 0.1  # a mean so much below the best counts as good
+LEAST_DB = 0.005  # a smaller difference reads as 0.00
+NOT_BETTER_EQUAL = ": no other method was shown to be better at an equal budget"
 
 UNTESTED = (
     "Nothing was tested: no photo was held out (scene.split=none), so nothing is known of the"
@@ -27,9 +28,9 @@ UNTESTED = (
 )
 
 
-def lead(study: Study, found: Outcomes, budget: str = "", beside: str = "") -> str:
-    """The verdict in a line. budget: which one of the advised method to take, for studies of
-    several. beside: a sentence on how the number of Gaussians is decided."""
+def lead(study: Study, found: Outcomes, budget: str = "") -> str:
+    """What to use, in a line. budget: which one of the advised method to take, for studies of
+    several."""
     if not study.runs:
         return "No run of this study finished."
     if not study.tested:
@@ -38,17 +39,14 @@ def lead(study: Study, found: Outcomes, budget: str = "", beside: str = "") -> s
         return "No method of this study finished on every scene with a finite PSNR."
     if len(study.methods) == 1:
         return f"Nothing to compare: {_level(study, found)}."
-    tested = [c for c in found.comparisons.values() if c.joint is not None]
-    if not tested:
+    if not compared(found):
         return f"No advice: {_untested(study, found)}"
-    told = [
-        _use(study, found, budget),
-        beside,
-        _different(study, found, tested),
-        _alike(study, found, tested),
-        steady_sentence(found),
-    ]
-    return " ".join(filter(None, told))
+    return _use(study, found, budget)
+
+
+def compared(found: Outcomes) -> list[Comparison]:
+    """The comparisons that more than single runs were made for."""
+    return [c for c in found.comparisons.values() if c.joint is not None]
 
 
 def _use(study: Study, found: Outcomes, budget: str) -> str:
@@ -57,12 +55,18 @@ def _use(study: Study, found: Outcomes, budget: str) -> str:
         c = found.comparisons[best]
         return f"Use {best}: it {amount(c)} against {plainly(c.baseline)} {where(study)}{budget}."
     if has_budgets(study):
-        return f"Use {plainly(study.families[0])} {where(study)}{budget}."
-    return f"Use {plainly(best)} {where(study)}."
+        base = plainly(study.families[0])
+        # of one family there are only budgets, which the next lines compare
+        other = NOT_BETTER_EQUAL if len(study.families) > 1 else ""
+        return f"Use {base} {where(study)}{budget}{other}."
+    return f"Use {plainly(best)} {where(study)}: nothing else was shown to be better."
 
 
-def _different(study: Study, found: Outcomes, tested: Sequence[Comparison]) -> str:
+def different(study: Study, found: Outcomes) -> str:
     """Every method that is shown to be better or worse than its baseline, but the advised one."""
+    tested = compared(found)
+    if not tested:
+        return ""
     best = best_method(study, found)
     clear = sorted((c for c in tested if c.significant and c.method != best), key=_difference)
     than = "" if best == study.baseline_of(best) else f" from {found.comparisons[best].baseline}"
@@ -72,22 +76,40 @@ def _different(study: Study, found: Outcomes, tested: Sequence[Comparison]) -> s
     return f"Really different{than}: {told or nobody}."
 
 
-def _alike(study: Study, found: Outcomes, tested: Sequence[Comparison]) -> str:
-    """Who is not told apart from the advised one, by name."""
-    rest = not_told_apart(study, found, tested)
-    than = " at an equal budget" if has_budgets(study) else ""
-    named = _by_family(study, rest, tested) if has_budgets(study) else [c.method for c in rest]
-    more = len(named) - MOST_NAMED
-    named = [*named[:MOST_NAMED], *([f"{more} more"] if more > 0 else [])]
-    return f"Not told apart{than}: {', '.join(named) or 'nobody'}."
+def alike(study: Study, found: Outcomes) -> str:
+    """Who is not told apart from the advised one, by name, and how large a difference the study
+    may have missed."""
+    tested = compared(found)
+    rest = not_told_apart(study, found, tested) if tested else []
+    if not rest:
+        return ""
+    if has_budgets(study):
+        families = _by_family(study, rest, tested)
+        return f"Not told apart at an equal budget: {'; '.join(families)}.{could_hide(rest)}"
+    named = [f"{c.method} {c.difference:+.2f} dB ({inside(c.joint)})" for c in rest[:MOST_NAMED]]
+    more = len(rest) - MOST_NAMED
+    named += [f"{more} more under Comparisons"] if more > 0 else []
+    return f"Not told apart from {rest[0].baseline}: {'; '.join(named)}.{could_hide(rest)}"
+
+
+def could_hide(rest: Sequence[Comparison]) -> str:
+    """The largest difference that the intervals of what is not told apart leave open."""
+    most = max((max(-c.joint.low, c.joint.high) for c in rest if c.joint), default=0.0)
+    return f" A difference of up to {significant(most)} dB could hide." if most >= LEAST_DB else ""
 
 
 def _by_family(study: Study, rest: Sequence[Comparison], tested: Sequence[Comparison]) -> list[str]:
-    """Of methods with several budgets, at how many of them."""
+    """Of methods with several budgets, at how many of them, and their differences."""
     families = {run.method: run.method_label.family for run in study.runs}
     every = Counter(families[c.method] for c in tested)
-    alike = Counter(families[c.method] for c in rest)
-    return [f if n == every[f] else f"{f} at {n} of {every[f]}" for f, n in alike.items()]
+    told = []
+    for family in dict.fromkeys(families[c.method] for c in rest):
+        own = [c.difference for c in rest if families[c.method] == family]
+        share = f"{len(own)} of its" if len(own) < every[family] else "all its"
+        at = "" if every[family] == 1 else f" at {share} {every[family]} budgets"
+        low, high = f"{min(own):+.2f}", f"{max(own):+.2f}"
+        told.append(f"{family}{at} ({low if low == high else f'{low} to {high}'} dB)")
+    return told
 
 
 def not_told_apart(study: Study, found: Outcomes, tested: Sequence[Comparison]) -> list[Comparison]:

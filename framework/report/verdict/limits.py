@@ -12,30 +12,35 @@ from framework.report.study.collect import ReportRun
 from framework.report.study.labels import listed
 
 
-def verdict(found: Sequence[Limit], baseline: str, steady: str = "") -> str:
-    """The first line: which method to use, of everything that was tried along the stresses; who is
-    really different, and by how much at most. steady: who is steadier, as a sentence."""
+def verdict(found: Sequence[Limit], baseline: str) -> str:
+    """The first line: which method to use, of everything that was tried along the stresses."""
     if not found:
         return "No advice: no method shares its seeds with the baseline at two strengths."
     if all(limit.found.n < 2 for limit in found):
         return "No advice: single runs cannot tell a method from chance."
     gaining = list(dict.fromkeys(limit.method for limit in found if limit.found.gains))
+    if not gaining:
+        return f"Use {baseline}: nothing else was shown to be better at any strength."
     where = "where it helps" if len(gaining) == 1 else "where they help"
-    use = f"{listed(gaining, 'or')} {where} (below), {baseline} elsewhere" if gaining else baseline
+    return f"Use {listed(gaining, 'or')} {where} (below), {baseline} elsewhere."
+
+
+def behind(found: Sequence[Limit], steady: str = "") -> list[str]:
+    """What stands behind it: who is really different, and by how much at most; who is not told
+    apart, and what could hide. steady: who is steadier, as a sentence."""
+    if all(limit.found.n < 2 for limit in found):
+        return []
     told = [f"{limit.method} {_most(limit, found)}" for limit in found if limit.found.significant]
     clear = {limit.method for limit in found if limit.found.significant}
-    alike = list(dict.fromkeys(limit.method for limit in found if limit.method not in clear))
-    return " ".join(
-        filter(
-            None,
-            [
-                f"Use {use}.",
-                f"Really different: {'; '.join(told) or 'nobody'}.",
-                f"Not told apart at any strength: {', '.join(alike) or 'nobody'}.",
-                steady,
-            ],
-        )
-    )
+    rest = [limit for limit in found if limit.method not in clear]
+    alike = list(dict.fromkeys(limit.method for limit in rest))
+    inside = [own for limit in rest for _, own in limit.gains if own is not None]
+    most = max((max(-own.low, own.high) for own in inside), default=0.0)
+    hidden = f" A difference of up to {significant(most)} dB could hide." if most > 0 else ""
+    said = [f"Really different: {'; '.join(told) or 'nobody'}."]
+    if alike:
+        said.append(f"Not told apart at any strength: {', '.join(alike)}.{hidden}")
+    return [*said, *([steady] if steady else [])]
 
 
 def _most(limit: Limit, found: Sequence[Limit]) -> str:

@@ -3,7 +3,8 @@ apart, what to expect on other scenes, at what cost, how big, and where it fails
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 
 from framework.report.statistics.compare import Comparison
 from framework.report.statistics.numbers import average, mean_text
@@ -13,24 +14,31 @@ from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import listed, outside
 from framework.report.study.roles import CHOSE, role
 from framework.report.verdict.lead import (
-    MOST_NAMED,
+    AS_GOOD_DB,
+    alike,
     amount,
     best_method,
+    compared,
+    different,
     has_budgets,
     inside,
-    not_told_apart,
 )
+from framework.report.verdict.steady import steady_sentence
 
 
-def points(study: Study, found: Outcomes) -> list[str]:
-    """What stands behind it, a sentence each."""
-    tested = [c for c in found.comparisons.values() if c.joint is not None]
+def points(study: Study, found: Outcomes, beside: str = "") -> list[str]:
+    """What stands behind the verdict, a sentence or two each. beside: one on how the number of
+    Gaussians is decided."""
+    tested = compared(found)
     told = [
-        _alike(study, found, tested),
-        *_elsewhere(tested),
-        _untuned(study, found),
+        different(study, found),
+        alike(study, found),
+        beside,
+        steady_sentence(found) if tested else "",
         _cost(study, found),
         weakest(study, found),
+        *_elsewhere(tested),
+        _untuned(study, found),
     ]
     return [text for text in told if text]
 
@@ -42,24 +50,13 @@ def evidence(found: Outcomes) -> str:
         return ""
     fewest, most = (pick(c.n for c in tested) for pick in (min, max))
     seeds = f"{most}" if fewest == most else f"{fewest} to {most}"
-    once = f" and hold for all {len(tested)} comparisons at once" if len(tested) > 1 else ""
+    once = f", widened to hold for all {len(tested)} comparisons at once" if len(tested) > 1 else ""
     return (
-        "A method is named augmenter + regularizer. Differences of test PSNR, paired by seed; in"
-        f" brackets intervals of 95 %, which are over {seeds} seeds{once}: the thick bars below."
-    )
-
-
-def _alike(study: Study, found: Outcomes, tested: Sequence[Comparison]) -> str:
-    """Within what those that are not told apart may differ."""
-    rest = not_told_apart(study, found, tested) if tested else []
-    if not rest:
-        return ""
-    named = [f"{c.method} {c.difference:+.2f} dB ({inside(c.joint)})" for c in rest[:MOST_NAMED]]
-    more = len(rest) - MOST_NAMED
-    others = f"; {more} more under Comparisons" if more > 0 else ""
-    return (
-        f"Not told apart from {_bases(rest)}, with what they may gain or cost:"
-        f" {', '.join(named)}{others}."
+        "How to read this: a method is named augmenter + regularizer. Differences are of PSNR in"
+        " views that were not trained on, between runs of the same seed. In brackets: where the"
+        f" true difference lies with 95 % confidence, from {seeds} seeds{once}; the thick bars"
+        " below are the same. Really different: that range excludes zero. Not told apart: it"
+        " includes zero, which does not prove that two are equal."
     )
 
 
@@ -73,11 +70,11 @@ def _elsewhere(tested: Sequence[Comparison]) -> list[str]:
         shown = [c for c in over if c.general]
         said = "; ".join(f"{c.method} {c.difference:+.2f} dB ({inside(c.like_joint)})"
                          for c in (shown or clear))  # fmt: skip
-        start = f"Expected on other scenes like these {scenes} (intervals over scenes)"
+        start = f"To be expected on other scenes, judged by how these {scenes} differ"
         if shown:
-            told.append(f"{start}: {said}; of no other method.")
+            told.append(f"{start}: {said}; nothing is shown about the other methods.")
         else:
-            told.append(f"{start}: nothing is shown{': ' + said if said else ''}.")
+            told.append(f"{start}: no difference is shown{'; ' + said if said else ''}.")
     return told
 
 
@@ -94,8 +91,10 @@ def _untuned(study: Study, found: Outcomes) -> str:
 
 def _cost(study: Study, found: Outcomes) -> str:
     """Training time and size of what to use beside those of its baseline."""
-    if not found.psnr or has_budgets(study):
+    if not found.psnr:
         return ""
+    if has_budgets(study):
+        return _cost_of_budgets(study, found)
     best = best_method(study, found)
     methods = list(dict.fromkeys([best, study.baseline_of(best)]))
     if len(methods) == 1 and found.comparisons:
@@ -103,6 +102,23 @@ def _cost(study: Study, found: Outcomes) -> str:
         methods.append(runner)
     told = [f"{method} {cost_of(study.of(method=method))}" for method in methods]
     return f"Cost of a training: {'; '.join(told)}."
+
+
+def _cost_of_budgets(study: Study, found: Outcomes) -> str:
+    """Of the advised family, what its cheapest and its dearest budget take."""
+    families = {run.method: run.method_label.family for run in study.runs}
+    family = families[best_method(study, found)]
+    own = [method for method in found.psnr if families[method] == family]
+    seconds = {
+        method: value
+        for method in own
+        if (value := average([run.record.train_cpu_s for run in study.of(method=method)]))
+    }
+    if not seconds:
+        return ""
+    ends = [pick(seconds, key=lambda method: seconds[method]) for pick in (min, max)]
+    told = [f"{method} {cost_of(study.of(method=method))}" for method in dict.fromkeys(ends)]
+    return f"Cost of a training of {family}, cheapest and dearest: {'; '.join(told)}."
 
 
 def cost_of(runs: Sequence[ReportRun]) -> str:
@@ -114,6 +130,18 @@ def cost_of(runs: Sequence[ReportRun]) -> str:
     return f"{seconds} s ({cpu} s of CPU) and {gaussians} Gaussians ({parameters} k parameters)"
 
 
+def _quick_and_good(study: Study, found: Outcomes, methods: Iterable[str]) -> str | None:
+    """The cheapest of those that are nearly as good as the best of them."""
+    means = {method: found.psnr[method].mean for method in methods}
+    good = [method for method, mean in means.items() if mean >= max(means.values()) - AS_GOOD_DB]
+
+    def cost(method: str) -> tuple[float, str]:
+        cpu = average([run.record.train_cpu_s for run in study.of(method=method)])
+        return (math.inf if cpu is None else cpu, method)
+
+    return min(good, key=cost, default=None)
+
+
 def weakest(study: Study, found: Outcomes) -> str:
     """Where what the verdict advises is worst: scene, seed, view, and how often it failed."""
     if not found.psnr:
@@ -121,7 +149,7 @@ def weakest(study: Study, found: Outcomes) -> str:
     best = best_method(study, found)
     if best == study.baseline_of(best) and has_budgets(study):  # its best budget
         own = {run.method for run in study.runs if run.method_label.family == study.families[0]}
-        best = max(own & found.psnr.keys(), key=lambda m: (found.psnr[m].mean, m), default=best)
+        best = _quick_and_good(study, found, own & found.psnr.keys()) or best
     means = {
         scene: value
         for scene in study.tested
@@ -143,8 +171,3 @@ def weakest(study: Study, found: Outcomes) -> str:
     told += [f"{rate.failed} of {rate.n} runs failed"] if rate else []
     place = "" if len(means) > 1 else f" on {scene}"
     return f"Where {best} is weakest{place}: {'; '.join(told)}." if told else ""
-
-
-def _bases(tested: Sequence[Comparison]) -> str:
-    bases = list(dict.fromkeys(c.baseline for c in tested))
-    return bases[0] if len(bases) == 1 else "the baseline of its budget"
