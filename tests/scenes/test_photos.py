@@ -23,7 +23,7 @@ from framework.scenes.colmap_model import read_model
 from framework.scenes.images import read_image
 from framework.scenes.photos import Photos, cached, child
 from framework.scenes.photos.advice import advice, failure
-from framework.scenes.photos.found import FILE, Found, Link, read_found, write_found
+from framework.scenes.photos.found import FILE, Found, Link, Overruled, read_found, write_found
 from framework.scenes.photos.model import upright
 from framework.scenes.photos.prepare import prepare
 from framework.scenes.photos.source import Source, find_source
@@ -300,11 +300,15 @@ def test_heic_needs_a_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_heic_is_read_where_there_is_one(tmp_path: Path) -> None:
-    heif = pytest.importorskip("pillow_heif", reason="writes HEIC; no dependency, see docs")
-    heif.register_heif_opener()
-    Image.new("RGB", (160, 120), (200, 40, 90)).save(tmp_path / "a.heic", quality=95)
-    photo = prepare(tmp_path / "a.heic", tmp_path, 0, SIDE)
-    assert (photo.name, photo.width, photo.height) == ("a.heic.jpg", 160, 120)
+    """One of 48x32 pixels, red at its top left, that says to turn it right and that the focal
+    length is that of 28 mm on film."""
+    pytest.importorskip("pi_heif", reason="reads HEIC; no dependency, see docs/photos.md")
+    photo = prepare(Path(__file__).with_name("turned.heic"), tmp_path, 0, SIDE)
+    assert (photo.name, photo.width, photo.height) == ("turned.heic.jpg", 32, 48)
+    assert photo.focal_px == pytest.approx(28 / 43.27 * np.hypot(32, 48), rel=1e-3)
+    pixels = read_image(tmp_path / photo.stored).astype(int)
+    assert np.abs(pixels[8, 24] - (230, 40, 30)).max() < 12
+    assert np.abs(pixels[40, 8] - (40, 60, 80)).max() < 12
 
 
 def test_folders_without_enough_photos(tmp_path: Path) -> None:
@@ -410,6 +414,13 @@ def test_advice_about_groups_weak_poses_copies_and_focal_length() -> None:
     assert line.startswith("the photos do not tell the focal length")
 
 
+def test_advice_about_a_focal_length_in_exif_that_is_wrong() -> None:
+    (line,) = advice(replace(FOUND, overruled=Overruled(377.0, 609.0, 0.68, 0.18)))
+    assert "609 pixels, is what the photos tell, not EXIF's 377, which fits worse (by 0.68" in line
+    (line,) = advice(replace(FOUND, overruled=Overruled(377.0, 609.0, None, 0.18)))
+    assert "with which fewer photos find a place; were they cropped or edited?" in line
+
+
 def test_frames_of_a_video_are_recognised() -> None:
     near = replace(FOUND, links=[replace(link, shift=link.shift / 9) for link in FOUND.links])
     (line,) = advice(near)
@@ -443,9 +454,8 @@ def test_which_photos_are_compared() -> None:
 
 
 def test_plausible_cameras() -> None:
-    assert plausible(600, 0.1, 640, None) and plausible(200, 0.1, 640, 210)
-    assert not plausible(50, 0.0, 640, None) and not plausible(600, 0.9, 640, None)
-    assert not plausible(600, 0.0, 640, 1200)
+    assert plausible(600, 0.1, 640) and plausible(300, -0.1, 640)
+    assert not plausible(50, 0.0, 640) and not plausible(600, 0.9, 640)
 
 
 def test_upright_of_odd_cameras() -> None:

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import itertools
 import statistics
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from framework.scenes.photos.found import Found
+from framework.scenes.photos.found import Found, Link, Overruled
 
 FLAT = 100  # features; a photo with fewer has too little texture
 STRONG = 20  # matches; fewer may be chance
@@ -17,6 +17,23 @@ STILL = 0.005  # shift in shares of the longer side; the camera has not moved
 CLOSE = 0.02  # of neighbours: frames of a video
 WEAK = 20  # 3D points; a pose from fewer is not to be trusted
 SHOWN = 5  # names at most
+NEARLY_ALL = 0.9
+
+
+def stands_still(links: Sequence[Link]) -> bool:
+    """Whether nearly all matches say that the camera has not moved: not worth placing."""
+    strong = [link for link in links if link.matches >= STRONG]
+    still = [link for link in strong if link.flat and link.shift < STILL]
+    return len(still) > NEARLY_ALL * len(strong)
+
+
+def tells_no_depth(links: Sequence[Link], placed: Mapping[str, int]) -> bool:
+    """Whether nearly all matches say that the camera has only turned, and what was placed all the
+    same (name -> 3D points) hangs on a few points."""
+    strong = [link for link in links if link.matches >= STRONG]
+    flat = [link for link in strong if link.flat]
+    weak = not placed or statistics.median(placed.values()) < WEAK
+    return weak and len(flat) > NEARLY_ALL * len(strong)
 
 
 def advice(found: Found) -> Iterator[str]:
@@ -43,6 +60,8 @@ def advice(found: Found) -> Iterator[str]:
             "the photos do not tell the focal length, so it was taken from EXIF, else as 1.2 times"
             " the longer side; photos from farther apart, or with EXIF as the camera wrote it, help"
         )
+    if found.overruled:
+        yield _focal(found.overruled)
     if not found.video and _is_video(found):
         yield (
             "neighbouring photos are nearly the same, as frames of a video are; every third or so"
@@ -73,10 +92,27 @@ def failure(place: Path, found: Found) -> str:
             f"{opening} photos from one place (matches move by {100 * shift:.1f} % of the width);"
             " take some from other places, a step to the side each"
         )
+    if tells_no_depth(found.links, found.placed):
+        return (
+            f"{opening} a camera that only turned, or something flat (a homography explains all"
+            f" matches of {len(strong)} pairs); take a step to the side between one and the next"
+        )
     return (
         f"{opening} too little overlap, or a camera that only turned ({len(strong)} pairs of photos"
         f" have {STRONG} matches or more, {best} at most, but no three of them fit together); take"
         " more, a step to the side between one and the next"
+    )
+
+
+def _focal(told: Overruled) -> str:
+    against = (
+        "with which fewer photos find a place"
+        if told.exif_error_px is None
+        else f"which fits worse (by {told.exif_error_px:.2f} pixels, not {told.found_error_px:.2f})"
+    )
+    return (
+        f"the focal length, {told.found_px:.0f} pixels, is what the photos tell, not EXIF's"
+        f" {told.exif_px:.0f}, {against}; were they cropped or edited?"
     )
 
 

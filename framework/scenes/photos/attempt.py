@@ -14,16 +14,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from framework.scenes.photos.found import Link, Try
+from framework.scenes.photos.advice import stands_still
+from framework.scenes.photos.found import Link, Overruled, Try
+from framework.scenes.photos.placing import Placing, place
 from framework.scenes.photos.prepare import Photo
 from framework.scenes.photos.steps import (
     SEED,
     Step,
     extraction,
-    mapping,
     matching,
     pairs,
-    plausible,
     verification,
 )
 from framework.scenes.photos.telling import Telling
@@ -33,11 +33,12 @@ PORTION = 50  # pairs of photos
 
 @dataclass(frozen=True)
 class Attempt:
-    """model: pycolmap's, None where it found none. held: its focal length was given, not found. The
-    rest as in `Found`."""
+    """model: pycolmap's, None where it found none. held, overruled: see `Placing`. The rest as in
+    `Found`."""
 
     model: Any
     held: bool
+    overruled: Overruled | None
     placed: dict[str, int]
     groups: list[list[str]]
     features: dict[str, int]
@@ -61,16 +62,19 @@ def attempt(
     _matches(step, photos, database, threads, telling)
     marks.append(time.process_time())
     features, links = _read(database, photos)
-    models, held = _models(step, photos, images, work, telling)
+    # from one place no model comes, or one that is wrong
+    still = stands_still(links)
+    found = Placing([]) if still else place(step, photos, images, work, telling)
     marks.append(time.process_time())
     shown = {photo.stored: photo.name for photo in photos}
-    seen = [_seen(model, shown) for model in models]
+    seen = [_seen(model, shown) for model in found.models]
     placed = seen[0] if seen else {}
     spent = [after - before for before, after in itertools.pairwise(marks)]
     groups = [sorted(set(other) - set(placed)) for other in seen[1:]]
     return Attempt(
-        model=models[0] if models else None,
-        held=held,
+        model=found.models[0] if found.models else None,
+        held=found.held,
+        overruled=found.overruled,
         placed=placed,
         groups=[group for group in groups if len(group) > 1],
         features=features,
@@ -134,6 +138,8 @@ def _read(database: Path, photos: Sequence[Photo]) -> tuple[dict[str, int], list
     import pycolmap
 
     by_name = {photo.stored: photo for photo in photos}
+    kinds = pycolmap.TwoViewGeometryConfiguration
+    homographies = {int(kinds.PANORAMIC), int(kinds.PLANAR_OR_PANORAMIC)}
     links = []
     with pycolmap.Database.open(str(database)) as opened:
         entered = {image.image_id: by_name[image.name] for image in opened.read_all_images()}
@@ -147,73 +153,9 @@ def _read(database: Path, photos: Sequence[Photo]) -> tuple[dict[str, int], list
         chosen = geometry.inlier_matches
         moved = np.linalg.norm(places[i][chosen[:, 0]] - places[j][chosen[:, 1]], axis=1)
         shift = float(np.median(moved)) / max(a.width, a.height)
-        links.append(Link(a.name, b.name, len(chosen), shift))
+        flat = geometry.config in homographies
+        links.append(Link(a.name, b.name, len(chosen), shift, flat))
     return {photo.name: len(places[i]) for i, photo in entered.items()}, links
-
-
-def _models(
-    step: Step, photos: Sequence[Photo], images: Path, work: Path, tell: Telling
-) -> tuple[list[Any], bool]:
-    """pycolmap's models, the one of most photos first, and whether the focal length was held: with
-    the usual thresholds, or with lower ones if these place more."""
-    best: tuple[list[Any], bool] = [], False
-    for low in (False, True):
-        held = False
-        found = _mapped(mapping(step, low, held), photos, images, work, tell)
-        if found and not _is_plausible(found[0], photos):
-            held = True
-            found = _mapped(mapping(step, low, held), photos, images, work, tell)
-        if found and (not best[0] or _size(found[0]) > _size(best[0][0])):
-            best = found, held
-        if best[0] and _size(best[0][0]) == len(photos):
-            break
-    return best
-
-
-def _is_plausible(model: Any, photos: Sequence[Photo]) -> bool:
-    """Whether all its cameras are."""
-    exif = {photo.stored: photo.focal_px for photo in photos}
-    images = [model.image(i) for i in model.reg_image_ids()]
-    return all(
-        plausible(
-            float(image.camera.params[0]),
-            float(image.camera.params[3]),
-            max(image.camera.width, image.camera.height),
-            exif[image.name],
-        )
-        for image in images
-    )
-
-
-def _mapped(
-    options: Any, photos: Sequence[Photo], images: Path, work: Path, tell: Telling
-) -> list[Any]:
-    import pycolmap
-
-    tick, placed = tell.ticks("photos placed"), [0]
-
-    def count(more: int) -> None:
-        placed[0] = min(placed[0] + more, len(photos))
-        tick(placed[0], len(photos))
-
-    def begin() -> None:
-        placed[0] = 0  # a model may be given up, and another one begun
-        count(2)
-
-    models = pycolmap.incremental_mapping(
-        work / "database.db",
-        images,
-        work,
-        options,
-        initial_image_pair_callback=begin,
-        next_image_callback=lambda: count(1),
-    )
-    return sorted(models.values(), key=lambda model: (-_size(model), -model.num_points3D()))
-
-
-def _size(model: Any) -> int:
-    """Photos placed in it."""
-    return int(model.num_reg_images())
 
 
 def _seen(model: Any, shown: dict[str, str]) -> dict[str, int]:

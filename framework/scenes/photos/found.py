@@ -18,12 +18,26 @@ FILE = "poses.json"
 @dataclass(frozen=True)
 class Link:
     """Two photos with features in common that agree with one motion of the camera. shift: median
-    distance between the two places of a feature, in shares of the photos' longer side."""
+    distance between the two places of a feature, in shares of the photos' longer side. flat: a
+    homography explains all of them, so they tell no depth: the camera has only turned, or what it
+    sees is flat."""
 
     first: str
     second: str
     matches: int
     shift: float
+    flat: bool = False
+
+
+@dataclass(frozen=True)
+class Overruled:
+    """EXIF's focal length that was not taken and the one that was, in pixels of the prepared photo,
+    with the mean reprojection errors of both in pixels; None: EXIF's placed fewer photos."""
+
+    exif_px: float
+    found_px: float
+    exif_error_px: float | None
+    found_error_px: float
 
 
 @dataclass(frozen=True)
@@ -42,7 +56,8 @@ class Try:
 class Found:
     """photos: all, in order. placed: name -> 3D points seen, of those with a pose. groups: photos
     that found places among themselves, apart from the scene. features: name -> their number.
-    held: the focal length was given, as the photos do not tell it. reduced: whether photos were
+    held: the focal length was given, as the photos do not tell it. overruled: EXIF's, which the
+    photos contradict. reduced: whether photos were
     larger than wanted. copies: see `Source`."""
 
     photos: list[str]
@@ -56,6 +71,7 @@ class Found:
     video: bool = False
     reduced: bool = False
     copies: dict[str, str] = field(default_factory=dict)
+    overruled: Overruled | None = None
 
     @property
     def left_out(self) -> list[str]:
@@ -75,6 +91,8 @@ def read_found(folder: Path) -> Found:
         values = read_json(path, TEXT_BYTES)
         values["links"] = [Link(**link) for link in values["links"]]
         values["tries"] = [Try(**attempt) for attempt in values["tries"]]
+        if values.get("overruled") is not None:
+            values["overruled"] = Overruled(**values["overruled"])
         return Found(**values)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(

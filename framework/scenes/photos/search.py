@@ -18,7 +18,7 @@ from typing import Any, TextIO
 
 from framework.compute.orphans import watch
 from framework.errors import UserError, mendable, os_line, require
-from framework.scenes.photos.advice import failure
+from framework.scenes.photos.advice import failure, tells_no_depth
 from framework.scenes.photos.attempt import Attempt, attempt
 from framework.scenes.photos.found import Found, Try, write_found
 from framework.scenes.photos.model import store
@@ -67,11 +67,12 @@ def search(request: dict[str, Any], telling: Telling) -> None:
         tries=tries,
         seconds=time.monotonic() - started,
         held=best.held,
+        overruled=best.overruled,
         video=request["video"],
         reduced=any(photo.reduced for photo in photos),
         copies=request["copies"],
     )
-    if len(found.placed) < FEWEST:
+    if len(found.placed) < FEWEST or tells_no_depth(found.links, found.placed):
         raise UserError(failure(Path(request["files"][0]), found))
     store(best, photos, folder)
     write_found(folder, found)
@@ -124,7 +125,8 @@ def _best(
         tries.append(made.told)
         if best is None or len(made.placed) > len(best.placed):
             best = made
-        if len(best.placed) == len(photos):
+        # nor would other features tell any depth
+        if len(best.placed) == len(photos) or tells_no_depth(made.links, made.placed):
             break
         in_groups = len(best.placed) + len(set().union(*best.groups))
         if k > 0 and in_groups == len(photos):  # nobody is lost: they are different scenes

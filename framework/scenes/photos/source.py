@@ -17,7 +17,7 @@ from framework.files.opened import open_regular
 from framework.files.paths import inside
 from framework.scenes.images import SUFFIXES
 
-VERSION = 1  # of the settings and of what is kept; another one finds the poses anew
+VERSION = 2  # of the settings and of what is kept; another one finds the poses anew
 HEIC = {".heic", ".heif"}
 VIDEO = {".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm"}
 OTHERS = {".tif", ".tiff", ".webp", ".bmp", ".gif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw"}

@@ -6,9 +6,11 @@ describe features independently of the view's slant (affine shape, domain-size p
 try places the photos with COLMAP's usual thresholds, and with lower ones if that leaves photos
 over: few photos of few features cannot have the hundreds of matches that the usual ones ask for.
 
-Few photos from one side often do not tell the focal length, and it runs off to anything. A model
-with an implausible one is refused, and the photos are placed again with the focal length held at
-what EXIF says, else at 1.2 times the longer side (42 mm on film), without lens distortion.
+Few photos from one side often do not tell the focal length, and it runs off to anything. EXIF may
+be wrong too: of photos that were cropped, or edited. So where the found one is implausible, or far
+from EXIF's, the photos are placed again with the focal length held at what EXIF says, else at 1.2
+times the longer side (42 mm on film), without lens distortion. A plausible one that was found wins
+over EXIF's if it fits clearly better: then the photos do tell it.
 """
 
 from __future__ import annotations
@@ -19,8 +21,9 @@ from typing import Any
 SEED = 0
 MOST_EXHAUSTIVE = 60  # photos; 1,770 pairs
 NEXT, MILESTONE = 10, 10
-FOCAL = (0.4, 3.0)  # of the longer side, without EXIF: 14 to 108 mm on film
-FOCAL_EXIF = (0.7, 1.4)  # of what EXIF says
+FOCAL = (0.4, 3.0)  # of the longer side: 14 to 108 mm on film
+FOCAL_EXIF = 1.1  # as a ratio, found and EXIF's are about the same
+WORSE = 1.25  # reprojection error; seen: 1.0 where EXIF is right, 1.4 to 4.6 where it is wrong
 DISTORTION = 0.5  # of the coefficient k1
 
 
@@ -60,11 +63,21 @@ def pairs(n: int) -> list[tuple[int, int]]:
     return every if n <= MOST_EXHAUSTIVE else [pair for pair in every if compared(*pair)]
 
 
-def plausible(focal_px: float, k1: float, side_px: int, exif_px: float | None) -> bool:
+def plausible(focal_px: float, k1: float, side_px: int) -> bool:
     """Whether a camera may be so: focal length and longer side in pixels, distortion."""
-    low, high = FOCAL if exif_px is None else FOCAL_EXIF
-    ratio = focal_px / (side_px if exif_px is None else exif_px)
-    return low <= ratio <= high and abs(k1) <= DISTORTION
+    low, high = FOCAL
+    return low <= focal_px / side_px <= high and abs(k1) <= DISTORTION
+
+
+def agree(exif_px: float, found_px: float) -> bool:
+    """Whether two focal lengths are about the same."""
+    return max(exif_px, found_px) <= FOCAL_EXIF * min(exif_px, found_px)
+
+
+def decisive(held_px: float, free_px: float) -> bool:
+    """Whether the reprojection error with the given focal length says that it is wrong, against the
+    one with the found focal length."""
+    return held_px > WORSE * free_px
 
 
 def extraction(step: Step, threads: int) -> Any:
