@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import require
-from framework.exports.formats import SUFFIXES, packed
+from framework.exports.formats import SUFFIXES, can_write, packed
 from framework.files.whole import make_folder, write_whole
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ NAME = "scene"
 def main(arguments: list[str], prog: str) -> int:
     """Exit status 0. Raises UserError for bad input."""
     options = _parser(prog).parse_args(arguments)
-    kinds = list(SUFFIXES) if "all" in options.format else list(dict.fromkeys(options.format))
+    kinds = _kinds(options.format)
     folder = options.out or options.run / "export"
     require(
         folder.resolve() != options.run.resolve(),
@@ -31,8 +31,8 @@ def main(arguments: list[str], prog: str) -> int:
     from framework.exports.flight import distance, lens_of
     from framework.exports.opened import open_run
     from framework.exports.rig import rig
-    from framework.exports.settings import SETTINGS, settings
     from framework.exports.upright import moved_camera, moved_gaussians, upright
+    from framework.records.first_view import SETTINGS, settings
 
     run = open_run(options.run)
     cameras = [given.camera for given in run.cameras]
@@ -42,16 +42,26 @@ def main(arguments: list[str], prog: str) -> int:
         cameras = [moved_camera(camera, motion) for camera in cameras]
         run = replace(run, gaussians=moved_gaussians(run.gaussians, motion))
     make_folder(folder)
+    _write_cameras(folder, [given.name for given in run.cameras], cameras, run.near)
+    write_whole(folder / SETTINGS, settings(cameras, run.background.tolist(), away))
     for kind in kinds:
         content = packed(run.gaussians, run.background, kind)
         write_whole(folder / f"{NAME}{SUFFIXES[kind]}", content)
         print(f"export: {NAME}{SUFFIXES[kind]} {len(content) / 1e6:.2f} MB", flush=True)
-    _write_cameras(folder, [given.name for given in run.cameras], cameras, run.near)
-    write_whole(folder / SETTINGS, settings(cameras, run.background.tolist(), away))
     print(
         f"export: {len(run.gaussians):,} Gaussians in {folder}, with their cameras and {SETTINGS}"
     )
     return 0
+
+
+def _kinds(asked: list[str]) -> list[str]:
+    """The formats; all are those whose writer is there, which a line says."""
+    if "all" not in asked:
+        return list(dict.fromkeys(asked))
+    for kind in SUFFIXES:
+        if not can_write(kind):
+            print(f"export: without {kind}; pip install 'fishersplat[{kind}]' writes it too")
+    return [kind for kind in SUFFIXES if can_write(kind)]
 
 
 def _write_cameras(folder: Path, names: list[str], cameras: list[Camera], near: float) -> None:

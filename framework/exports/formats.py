@@ -53,6 +53,11 @@ def packed(gaussians: Gaussians, background: Tensor, kind: str) -> bytes:
     return _WRITERS[kind](_full(gaussians), background)
 
 
+def can_write(kind: str) -> bool:
+    """Whether its writer is there."""
+    return kind != "sog" or importlib.util.find_spec("gaussforge") is not None
+
+
 def _full(gaussians: Gaussians) -> Gaussians:
     """With SH bands for all Gaussians, zeros where there were none."""
     import torch
@@ -125,7 +130,7 @@ def _byte(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
 
 
 def _sog(gaussians: Gaussians, background: Tensor) -> bytes:
-    if importlib.util.find_spec("gaussforge") is None:
+    if not can_write("sog"):
         raise UserError(
             "sog: expected the package gaussforge, which writes it, found none; pip install"
             " 'fishersplat[sog]', or choose another format"

@@ -61,15 +61,16 @@ def _mp4(pictures: Pictures, fps: int) -> bytes:
     import av
 
     height, width = pictures[0].shape[:2]
-    out = io.BytesIO()
-    # the index first: a page then shows it while it loads
-    with av.open(out, "w", format="mp4", options={"movflags": "+faststart"}) as container:
-        stream = container.add_stream("h264", rate=Fraction(fps), options=H264)
-        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-        for picture in pictures:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-        container.mux(stream.encode())
-    return out.getvalue()
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "video.mp4"
+        # the index first, for which FFmpeg opens the file once more: a page shows it while it loads
+        with av.open(str(file), "w", options={"movflags": "+faststart"}) as container:
+            stream = container.add_stream("h264", rate=Fraction(fps), options=H264)
+            stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+            for picture in pictures:
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+            container.mux(stream.encode())
+        return file.read_bytes()
 
 
 def _webm(pictures: Pictures, fps: int) -> bytes:

@@ -1,4 +1,5 @@
-"""`fishersplat video RUN`: a flight through the scene of a finished run, as a video."""
+"""`fishersplat video RUN`: a flight through the scene of a finished run, as a video; of a study, a
+small one for each method, which its report shows."""
 
 from __future__ import annotations
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 MOST_FRAMES, MOST_BYTES = 3000, 2**31  # all pictures are in memory until they are encoded
 SIDES = (16, 4096)
+SMALL_SIDE, SMALL_SECONDS = 320, 4.0  # of a study's: a report takes them in
 FPS = (1, 60)
 
 
@@ -33,12 +35,42 @@ def main(arguments: list[str], prog: str) -> int:
         seconds is None or (math.isfinite(seconds) and 0 < seconds <= 600),
         f"--seconds: expected a time of up to 600, got {seconds}",
     )
+    from framework.exports.study import is_study
+
+    if is_study(options.run):
+        _of_study(options)
+    else:
+        _film(options, options.run)
+    return 0
+
+
+def _of_study(options: argparse.Namespace) -> None:
+    """A small video for each method, in its first run's folder, where there is none."""
+    from framework.exports.study import runs_of_methods
+    from framework.records.run_files import VIDEOS
+
+    require(
+        options.out is None,
+        f"--out: expected none with a study, whose runs keep their videos, got {options.out}",
+    )
+    small = {"size": options.size or SMALL_SIDE, "seconds": options.seconds or SMALL_SECONDS}
+    for run in runs_of_methods(options.run):
+        there = [name for name in VIDEOS if (run / name).is_file()]
+        if there:
+            print(f"video: {run / there[0]} is there")
+        else:
+            _film(argparse.Namespace(**{**vars(options), **small}), run)
+    print(f"video: fishersplat report {options.run} shows them")
+
+
+def _film(options: argparse.Namespace, folder: Path) -> None:
+    """The video of one run."""
     from framework.exports.movie import check_kind, encoded, has_h264
     from framework.exports.opened import open_run
 
-    out = options.out or options.run / ("video.mp4" if has_h264() else "video.webm")
+    out = options.out or folder / ("video.mp4" if has_h264() else "video.webm")
     check_kind(out)
-    run = open_run(options.run)
+    run = open_run(folder)
     from framework.exports.flight import flight, lens_of, usual_seconds
     from framework.exports.pictures import painter
     from framework.exports.rig import rig
@@ -46,7 +78,7 @@ def main(arguments: list[str], prog: str) -> int:
     cameras = [given.camera for given in run.cameras]
     stood = rig(cameras)
     path = stood.kind if options.path == "auto" else options.path
-    n = round((seconds or usual_seconds(path, len(cameras))) * options.fps)
+    n = round((options.seconds or usual_seconds(path, len(cameras))) * options.fps)
     lens = lens_of(cameras, options.size)
     _check_room(n, lens, options.show)
     way = flight(run, path, n, lens)
@@ -59,7 +91,6 @@ def main(arguments: list[str], prog: str) -> int:
         f"video: {out} ({path} past {len(cameras)} cameras, {n / options.fps:.1f} s of"
         f" {width}x{height}, {len(content) / 1e6:.1f} MB)"
     )
-    return 0
 
 
 def check_side(side: int | None) -> None:
@@ -73,7 +104,9 @@ def check_side(side: int | None) -> None:
 
 def _parser(prog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=prog, description=__doc__)
-    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a finished run")
+    parser.add_argument(
+        "run", type=Path, metavar="RUN", help="folder of a finished run, or of a study"
+    )
     parser.add_argument(
         "--out",
         type=Path,

@@ -4,6 +4,7 @@
 __all__ = [
     "cameras",
     "failure",
+    "first_view",
     "notices",
     "photos",
     "ply",

@@ -8,6 +8,7 @@ a folder with a complete record is complete.
     history.csv        one row per logged step: loss, PSNR, Gaussians, seconds of training
     point_cloud.ply    the trained Gaussians, see `framework.records.ply`
     cameras.json       its cameras, for viewers; so is transforms.json (`framework.records.cameras`)
+    settings.json      a first view and the background (`framework.records.first_view`)
     photos/            <view>.jpg of the training views (`framework.records.photos`)
     renders/           <view>.png, <view>_truth.png, <view>_error.png (and <view>_mask.png)
 

@@ -32,6 +32,7 @@ from framework.metrics.values import MEASURES, Missing, measures
 from framework.options import TrainerOptions
 from framework.rasterizers import build_rasterizer
 from framework.records.cameras import write_cameras
+from framework.records.first_view import write_settings
 from framework.records.notices import noted
 from framework.records.photos import write_photos
 from framework.records.progress import Progress
@@ -195,6 +196,8 @@ def _trained(
     )
     with following(run_dir) as before:
         write_cameras(run_dir, scene.training.views, scene.test, near)
+        means, background = trained.gaussians.means, trained.background
+        write_settings(run_dir, scene.training.views, means, background, near)
         write_photos(run_dir, scene.training.views)
     record = write_run(
         run_dir,

@@ -6,11 +6,12 @@ import importlib.util
 import json
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from framework.command.cli import main as command
 from framework.errors import UserError
@@ -32,7 +33,8 @@ def test_an_animated_picture_has_the_frames(run: Path, suffix: str) -> None:
     line = [str(run), "--seconds", "0.5", "--fps", "10", "--out", str(out), "--show", "both"]
     assert video.main(line, "video") == 0
     with Image.open(out) as moving:
-        assert moving.n_frames == 5 and moving.size == (2 * WIDTH, HEIGHT)
+        assert len(list(ImageSequence.Iterator(moving))) == 5
+        assert moving.size == (2 * WIDTH, HEIGHT)
 
 
 def test_webm_is_the_default_without_pyav(
@@ -45,6 +47,31 @@ def test_webm_is_the_default_without_pyav(
     capture = cv2.VideoCapture(str(run / "video.webm"))
     good, frame = capture.read()
     assert good and frame.shape == (HEIGHT, WIDTH, 3)
+
+
+def test_a_study_has_a_small_video_of_each_method(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "runs").mkdir()
+    records: dict[Path, SimpleNamespace] = {}
+    for name, method, seed in (("a1", "a", 1), ("a0", "a", 0), ("b0", "b", 0), ("bad", "c", 0)):
+        folder = run_folder(tmp_path / "runs" / name, side_by_side(2))
+        (folder / "record.json").write_text("{}")
+        records[folder / "record.json"] = SimpleNamespace(
+            status="failed" if name == "bad" else "complete",
+            scene=None,
+            seed=seed,
+            config={"reg": method, "seed": seed},
+        )
+    monkeypatch.setattr("framework.exports.study.read_record", records.__getitem__)
+    monkeypatch.setattr("framework.exports.movie.has_h264", lambda: False)
+    (tmp_path / "runs" / "b0" / "video.gif").write_bytes(b"")
+    line = [str(tmp_path), "--seconds", "0.2", "--size", "32"]
+    assert video.main(line, "video") == 0
+    made = sorted(file.relative_to(tmp_path).as_posix() for file in tmp_path.rglob("video.webm"))
+    assert made == ["runs/a0/video.webm"] and "b0/video.gif is there" in capsys.readouterr().out
+    with pytest.raises(UserError, match="--out: expected none with a study"):
+        video.main([*line, "--out", "a.webm"], "video")
 
 
 def test_mp4_is_h264(run: Path) -> None:

@@ -105,6 +105,17 @@ def test_sog_needs_its_writer(monkeypatch: pytest.MonkeyPatch) -> None:
         packed(some_gaussians(), BLACK, "sog")
 
 
+def test_all_are_those_that_can_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("framework.exports.export.can_write", lambda kind: kind != "sog")
+    run = run_folder(tmp_path / "run", side_by_side())
+    assert main([str(run), "--format", "all"], "export") == 0
+    assert "export: without sog; pip install 'fishersplat[sog]'" in capsys.readouterr().out
+    written = {file.name for file in (run / "export").iterdir()}
+    assert "scene.splat" in written and "settings.json" in written and "scene.sog" not in written
+
+
 def test_sog_is_a_zip_of_pictures() -> None:
     pytest.importorskip("gaussforge", reason="an extra")
     content = packed(some_gaussians(300), BLACK, "sog")

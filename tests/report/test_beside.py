@@ -21,10 +21,10 @@ def study(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def _looks(folder: Path) -> list[list[object]]:
+def _looks(folder: Path, key: str = "looks") -> list[list[object]]:
     text = (folder / "report.html").read_text(encoding="utf-8")
     (data,) = re.findall(r'<script type="application/json"[^>]*>(.*?)</script>', text, re.DOTALL)
-    return list(json.loads(data)["looks"])
+    return list(json.loads(data)[key])
 
 
 def test_the_page_and_the_video_are_linked(study: Path) -> None:
@@ -47,3 +47,15 @@ def test_a_report_to_pass_on_links_none(study: Path) -> None:
     report = build_report(study, photos=False).read_text(encoding="utf-8")
     assert "view.html" not in report and "fishersplat view" not in report
     assert _looks(study) == []
+
+
+def test_the_page_holds_a_small_video_of_each_method(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build_report(study)
+    (video,) = _looks(study, "videos")
+    assert video[2:] == [0, "data:image/webp;base64,dmlkZW8="]
+    assert "media-src data:;" in (study / "report.html").read_text(encoding="utf-8")
+    monkeypatch.setattr("framework.report.page.gallery.VIDEO_BYTES", 4)
+    build_report(study)
+    assert _looks(study, "videos") == [] and len(_looks(study)) == 2

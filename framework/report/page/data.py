@@ -25,6 +25,7 @@ def page_data(document: Document, pictures: Gallery) -> dict[str, Any]:
         "images": pictures.images,
         "shots": pictures.shots,
         "looks": pictures.looks,
+        "videos": pictures.videos,
     }
 
 

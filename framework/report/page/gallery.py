@@ -21,13 +21,20 @@ from PIL import Image
 from framework.files.limits import IMAGE_BYTES
 from framework.files.opened import read_bytes
 from framework.report.figures.views import choose_views, image_file, picture, psnr_of, reading
-from framework.report.study.beside import video_link, view_link
+from framework.report.study.beside import video_file, video_link, view_link
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
 from framework.scenes.images import read_image
 
 BYTES_PER_RUN, FEWEST_BYTES, MOST_BYTES = 75_000, 600_000, 4_000_000
 CAP_IMAGES = 1500
+VIDEO_BYTES, VIDEOS_BYTES = 600_000, 6_000_000  # of one that a page holds, and of all
+VIDEO_TYPES = {
+    ".mp4": "video/mp4",
+    ".webm": "video/webm",
+    ".webp": "image/webp",
+    ".gif": "image/gif",
+}
 LONGEST, LONGEST_ERROR = 480, 240
 QUALITY, EFFORT = 70, 4
 
@@ -36,12 +43,15 @@ QUALITY, EFFORT = 70, 4
 class Gallery:
     """images: data URIs. shots: scene, method, seed, view, PSNR as text and the indices of truth,
     render and error in `images`. looks: scene, method, seed, text and target of a link to
-    what else shows that run. size: bytes before base64. left_out: how many shots did not fit.
+    what else shows that run. videos: scene, method, seed and data URI of the small video of a
+    method's first run that has one. size: bytes before base64, without videos. left_out: how many
+    shots did not fit.
     """
 
     images: list[str] = field(default_factory=list)
     shots: list[tuple[str, str, int, str, str, int, int, int]] = field(default_factory=list)
     looks: list[tuple[str, str, int, str, str]] = field(default_factory=list)
+    videos: list[tuple[str, str, int, str]] = field(default_factory=list)
     size: int = 0
     left_out: int = 0
 
@@ -55,6 +65,7 @@ def gallery(study: Study, scenes: Sequence[str]) -> Gallery:
         for link in (view_link(study, run), video_link(study, run)):
             if link is not None and run.scene in scenes:
                 found.looks.append((run.scene, run.method, run.seed, link.text, link.target))
+    found.videos = list(_videos(study, scenes))
     most = min(MOST_BYTES, max(FEWEST_BYTES, BYTES_PER_RUN * len(study.runs)))
     for layer in _layers(study, scenes):
         if found.size >= most or len(found.images) >= CAP_IMAGES:
@@ -71,6 +82,25 @@ def gallery(study: Study, scenes: Sequence[str]) -> Gallery:
             shot = (run.scene, run.method, run.seed, outside(view), text)
             found.shots.append((*shot, truths[truth], render, error))
     return found
+
+
+def _videos(study: Study, scenes: Sequence[str]) -> Iterator[tuple[str, str, int, str]]:
+    """Of each method on each scene, as far as they are small; the rest is linked."""
+    left = VIDEOS_BYTES
+    for scene in scenes:
+        for method in study.methods:
+            files = [(run, video_file(run)) for run in study.of(scene, method)]
+            run, file = next(((r, f) for r, f in files if f is not None), (None, None))
+            if run is None or file is None:
+                continue
+            size = file.stat().st_size
+            if size > min(VIDEO_BYTES, left):
+                continue
+            left -= size
+            with reading(run):
+                content = base64.b64encode(read_bytes(file, VIDEO_BYTES)).decode()
+            uri = f"data:{VIDEO_TYPES[file.suffix]};base64,{content}"
+            yield scene, method, run.seed, uri
 
 
 def _layers(study: Study, scenes: Sequence[str]) -> Iterator[list[tuple[ReportRun, str]]]:

@@ -41,7 +41,8 @@ def render(document: Document, pictures: Gallery, folder: Path) -> str:
         _asset("page.html"),
         {
             "title": html.escape(document.title),
-            "policy": f"default-src 'none'; img-src data:; script-src {policy_hash(script)};"
+            "policy": "default-src 'none'; img-src data:; media-src data:;"
+            f" script-src {policy_hash(script)};"
             f" style-src {policy_hash(style)}; base-uri 'none'; form-action 'none'",
             "style": style,
             "body": body,

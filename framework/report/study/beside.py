@@ -4,6 +4,7 @@ flight of `fishersplat video RUN`, if somebody made them."""
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from urllib.parse import quote
 
 from framework.files.opened import is_file
@@ -30,6 +31,12 @@ def view_link(study: Study, run: ReportRun) -> Link | None:
 def video_link(study: Study, run: ReportRun) -> Link | None:
     """To the run's video; None without one, or where the report links no runs."""
     return _link(study, run, "video", VIDEOS)
+
+
+def video_file(run: ReportRun) -> Path | None:
+    """The run's video; None without one."""
+    files = [run.run.run_dir / name for name in VIDEOS]
+    return next((file for file in files if is_file(file)), None)
 
 
 def _link(study: Study, run: ReportRun, text: str, names: tuple[str, ...]) -> Link | None:

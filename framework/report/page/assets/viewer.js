@@ -4,6 +4,19 @@ function fill(select, values, kept) {
   select.replaceChildren(...values.map((v) => new Option(String(v), String(v), false, v === kept)));
 }
 
+function fly(place, videos, seed) { // the method's small video; it stays while it is the same
+  const found = videos.find((one) => one[2] === seed) ?? videos[0], shown = place.querySelector(".flight");
+  if (shown?.src === found?.[3]) return;
+  place.replaceChildren();
+  if (!found) return;
+  const isVideo = found[3].startsWith("data:video"), flight = document.createElement(isVideo ? "video" : "img");
+  const text = `flight through the scene, ${found[1]}, seed ${found[2]}`;
+  if (isVideo) Object.assign(flight, { controls: true, loop: true, muted: true, playsInline: true });
+  else flight.alt = text;
+  Object.assign(flight, { className: "flight", src: found[3], title: text });
+  place.append(flight);
+}
+
 function setUpPane(pane) {
   const [method, seed] = pane.querySelectorAll("select");
   const [truth, render, error] = pane.querySelectorAll(".stage img");
@@ -30,6 +43,7 @@ function setUpPane(pane) {
         link.textContent = text;
         told.append(" · ", link);
       }
+      fly(pane.querySelector(".moving"), data.videos.filter((one) => one[0] === shot[0] && one[1] === own), kept);
       return own;
     },
     wipe(value) {
