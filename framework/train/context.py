@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from framework.compute.rng import stream
@@ -54,24 +55,43 @@ class Moment:
 
 
 class Fetched(Gaussians):
-    """Gaussians of another device, each tensor copied to the CPU when it is first asked for: most
-    plugins look at few of them in few steps."""
+    """Gaussians of another device, each tensor copied to the CPU when it is first asked for, and
+    again where it has changed since: most plugins look at few of them in few steps. A gradient in
+    a copy is one in its source."""
+
+    _source: Gaussians
+    _copies: dict[str, tuple[int, Tensor]]
+
+    def __new__(cls, source: Gaussians | None = None, **tensors: Tensor) -> Any:
+        """Of tensors, as `dataclasses.replace` makes another, ordinary Gaussians."""
+        return Gaussians(**tensors) if source is None else super().__new__(cls)
 
     def __init__(self, source: Gaussians) -> None:
         object.__setattr__(self, "_source", source)
+        object.__setattr__(self, "_copies", {})
 
-    def __getattr__(self, name: str) -> Tensor:  # asked where there is no attribute yet
+    def __getattr__(self, name: str) -> Tensor:  # asked where there is no attribute
         if name not in NAMES:
             raise AttributeError(name)
-        tensor: Tensor = getattr(self._source, name).to(CPU)
-        object.__setattr__(self, name, tensor)
-        return tensor
+        tensor: Tensor = getattr(self._source, name)
+        version, copy = self._copies.get(name, (None, None))
+        if copy is None or version != tensor._version:
+            copy = tensor.to(CPU)
+            self._copies[name] = tensor._version, copy
+        return copy
 
     def __len__(self) -> int:
         return len(self._source)
 
-    def replace(self, **changes: Tensor) -> Gaussians:
-        return Gaussians(**{**dict(self.items()), **changes})
+    def to(self, device: str | torch.device) -> Gaussians:
+        """The source itself where it is there already."""
+        there = torch.device(device).type == self._source.means.device.type
+        return self._source if there else super().to(device)
+
+
+def on_cpu(gaussians: Gaussians) -> Gaussians:
+    """As plugins see Gaussians, which may be on another device."""
+    return gaussians if gaussians.means.device.type == CPU else Fetched(gaussians)
 
 
 def step_context(
@@ -103,7 +123,7 @@ def step_context(
         epoch=now.epoch,
         views=of.training.views,
         depth=of.depth,
-        gaussians=gaussians if rasterizer.device == CPU else Fetched(gaussians),
+        gaussians=on_cpu(gaussians),
         version=now.version,
         sh_degree=active,
         background=of.background,
@@ -115,6 +135,6 @@ def step_context(
         rng=rng,
         log=log,
         behind=of.background if now.behind is None else now.behind,
-        other=now.other,
+        other=None if now.other is None else on_cpu(now.other),
         second=bool(of.field),
     )

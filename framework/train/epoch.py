@@ -35,8 +35,8 @@ def ordered(
 
 @dataclass(frozen=True)
 class Item:
-    """A view at the resolution that is trained now, with what the loss needs of it, both on the
-    rasterizer's device."""
+    """A view at the resolution that is trained now, on the CPU, with what the loss needs of it, on
+    the rasterizer's device."""
 
     view: View
     target: Any
@@ -65,12 +65,7 @@ class Items:
         return kept[1]
 
     def _item(self, view: View) -> Item:
-        """`view`, whose image is on the CPU, where it is drawn."""
-        target, device = self._rasterizer.target(view.image, view.mask), self._rasterizer.device
-        if device != "cpu":
-            mask = None if view.mask is None else view.mask.to(device)
-            view = replace(view, image=view.image.to(device), mask=mask)
-        return Item(view, target)
+        return Item(view, self._rasterizer.target(view.image, view.mask))
 
 
 def _smaller_view(view: View, factor: int) -> View:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from framework.plugin import (
@@ -24,7 +25,7 @@ from framework.plugin import (
 )
 from framework.registry import Plugged
 from framework.train import hooks
-from framework.train.context import Conditions, Moment, step_context
+from framework.train.context import CPU, Conditions, Moment, on_cpu, step_context
 from framework.train.descent import Regularization
 from framework.train.dose import REFUSED, Dose
 from framework.train.gradient import Penalty
@@ -105,7 +106,7 @@ class PluginsAtWork:
             if context is None:
                 continue
             plugged = running.plugged
-            inside = self._in_loss(context, params)
+            inside = replace(context, gaussians=on_cpu(params))
             for loss, names in plugged.plugin.substeps(inside, running.state, view):
                 checked = hooks.sub_step(plugged.plugin, loss, names)
                 self._dose.add("substeps")
@@ -129,12 +130,6 @@ class PluginsAtWork:
         penalty = functools.partial(self._penalties, weighted) if weighted else None
         return Regularization(
             factors, penalty, functools.partial(self._mixed, mixing) if mixing else None
-        )
-
-    def _in_loss(self, context: StepContext, params: Gaussians) -> StepContext:
-        """What a loss term sees: the parameters themselves, where they are."""
-        return replace(
-            context, gaussians=params, background=context.background.to(params.means.device)
         )
 
     def evaluated(self, gaussians: Gaussians) -> Gaussians:
@@ -270,14 +265,17 @@ class PluginsAtWork:
     def _penalties(
         self, asked: Sequence[tuple[_Running, StepContext]], params: Gaussians
     ) -> Penalty:
-        """What the regularizers add to the loss on a render of `params`."""
-        inside = [(running, self._in_loss(context, params)) for running, context in asked]
+        """What the regularizers add to the loss on a render of `params`; both may be on another
+        device, plugins see them on the CPU."""
+        seen = on_cpu(params)
+        inside = [(running, replace(context, gaussians=seen)) for running, context in asked]
 
         def penalty(view: View, render: Render) -> Tensor | float:
             total: Tensor | float = 0.0
+            fetched = render.to(CPU)
             for running, context in inside:
-                total = total + self._penalty(running, context, view, render)
-            return total
+                total = total + self._penalty(running, context, view, fetched)
+            return total.to(render.rgb.device) if isinstance(total, Tensor) else total
 
         return penalty
 
@@ -299,12 +297,18 @@ class PluginsAtWork:
         at: GradientAt,
     ) -> Mapping[str, Tensor]:
         """The gradient that the optimizer gets, as one regularizer after the other changes it."""
+        device = found["means"].device
+        found = _brought(found, CPU)
+
+        def there(gaussians: Gaussians) -> Mapping[str, Tensor]:
+            return _brought(at(gaussians.to(device)), CPU)
+
         for running, context in asked:
             plugin = running.plugged.plugin
-            own = plugin.gradient(context, running.state, found, at)
+            own = plugin.gradient(context, running.state, found, there)
             self._note_act(running, own is not None)
             found = found if own is None else hooks.gradient(plugin, own, found)
-        return found
+        return _brought(found, device)
 
     def _follow(self, editor: _Running, rows: Tensor) -> None:
         """Tell the other capacities that one changed the set."""
@@ -343,16 +347,21 @@ def _followed(stats: StepStats, rows: Tensor) -> StepStats:
     )
 
 
+def _brought(tensors: Mapping[str, Tensor], device: str | torch.device) -> Mapping[str, Tensor]:
+    """What is there already is not copied."""
+    return {name: tensor.to(device) for name, tensor in tensors.items()}
+
+
 def _fetched(stats: StepStats) -> StepStats:
     """On the CPU, where plugins work."""
-    if stats.radii.device.type == "cpu":
+    if stats.radii.device.type == CPU:
         return stats
     return replace(
         stats,
         means2d_grad=stats.means2d_grad.cpu(),
         radii=stats.radii.cpu(),
         factors=None if stats.factors is None else stats.factors.cpu(),
-        gradients={name: gradient.cpu() for name, gradient in stats.gradients.items()},
+        gradients=_brought(stats.gradients, CPU),
     )
 
 

@@ -250,7 +250,7 @@ class Trainer:
         """A row of the history; on evaluation steps with the test PSNR."""
         psnr: float | None = None
         if evaluating and self.evaluate is not None:
-            gaussians = self.field.plugins.evaluated(self.field.params.clone())
+            gaussians = self.field.plugins.evaluated(self.field.params.clone().to("cpu"))
             psnr = self.evaluate(gaussians, self.background, self._sh_degree())
             self.psnr = psnr
         self.history.append(

@@ -30,7 +30,7 @@ from hydra_plugins.hydra_submitit_launcher.submitit_launcher import (
 from framework.command.launchers.detached import detached, submitted
 from framework.command.launchers.page import write_page
 from framework.command.launchers.plan import Run, new_plan, read_plan, work, write_plan
-from framework.command.launchers.sent import Arrivals, Origin, chunks, origin
+from framework.command.launchers.sent import Arrivals, Origin, chunks, lead_to_this_code, origin
 from framework.command.studies.study import Outcome
 
 ARRAY = 1000  # jobs of one array; SLURM's own limit, unless it was changed, is 1001
@@ -84,6 +84,7 @@ class _Sent(BaseSubmititLauncher):
         own = {k: v for k, v in self.params.items() if k not in ("submitit_folder", "n_jobs")}
         # submitit's local executor takes a number of timeouts, too, but Hydra's has no option
         timeouts = {f"{self._EXECUTOR}_max_num_timeout": own.pop("max_num_timeout", 0)}
+        lead_to_this_code()
         executor = submitit.AutoExecutor(folder=folder, cluster=self._EXECUTOR, **timeouts)
         common = set(BaseQueueConf.__dataclass_fields__)
         executor.update_parameters(

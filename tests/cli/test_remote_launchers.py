@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import site
 import subprocess
 import sys
 import time
@@ -18,6 +19,7 @@ from framework.command import cli
 from framework.command.config.schema import ROOT
 from framework.command.launchers import known, page, plan
 from framework.command.launchers.plan import Plan, new_plan, read_plan, work
+from framework.command.launchers.sent import lead_to_this_code
 from framework.command.studies.study import LEDGER_VARIABLE, Outcome, add_outcome
 from framework.errors import UserError
 from tests.cli.conftest import FakeRuns
@@ -67,6 +69,27 @@ def test_ray_makes_the_same_bytes(tmp_path: Path, expected: dict[str, str]) -> N
     assert digests(tmp_path / "reports" / "far") == expected
     assert not leftovers(tmp_path / "reports" / "far")
     assert "2 of 2 ended" in done.stdout and done.stdout.count("report: ") == 1
+
+
+def test_processes_run_the_code_that_the_command_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not that which is installed; what was on the path before stays behind it."""
+    (tmp_path / "framework").mkdir()
+    (tmp_path / "framework" / "__init__.py").write_text("")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(["/elsewhere", str(tmp_path)]))
+    lead_to_this_code(tmp_path)
+    assert os.environ["PYTHONPATH"] == os.pathsep.join([str(tmp_path), "/elsewhere"])
+    told = [sys.executable, "-c", "import framework; print(framework.__file__)"]
+    found = subprocess.run(told, cwd="/", capture_output=True, text=True, check=True).stdout
+    assert found.strip() == str(tmp_path / "framework" / "__init__.py")
+
+
+def test_code_in_site_packages_needs_no_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In front of Python's own modules it would hide some."""
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    lead_to_this_code(Path(site.getsitepackages()[0]).resolve())
+    assert "PYTHONPATH" not in os.environ
 
 
 @pytest.mark.parametrize(("module", "words"), [(SUBMITIT, LOCAL), (RAY, RAY_HERE)])

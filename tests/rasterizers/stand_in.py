@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
-from unittest.mock import patch
 
 import torch
 from torch import Tensor
@@ -19,16 +18,18 @@ from torch import Tensor
 from framework.geometry import rotation_matrices
 from framework.rasterize.reference import sh_basis
 from framework.rasterizers.on_gpu import Gsplat
+from tests.rasterizers.elsewhere import DEVICE, Elsewhere
 
 ALPHA_MIN, ALPHA_MAX, LEAST_LIGHT, EXTEND = 1 / 255, 0.999, 1e-4, 3.33
 
 
 class StandIn(Gsplat):
-    """`rasterizer=gsplat` on the CPU, by the functions below (inside `installed`)."""
+    """`rasterizer=gsplat` on a device that only tests have, by the functions below (inside
+    `installed`)."""
 
     @property
     def device(self) -> str:
-        return "cpu"
+        return DEVICE
 
     def ready(self) -> None:
         pass
@@ -40,8 +41,15 @@ def installed() -> Iterator[None]:
     module = ModuleType("gsplat")
     for function in FUNCTIONS:
         setattr(module, function.__name__, function)
-    with patch.dict(sys.modules, {"gsplat": module}):
-        yield
+    before = sys.modules.get("gsplat")
+    sys.modules["gsplat"] = module
+    try:
+        with Elsewhere():
+            yield
+    finally:
+        del sys.modules["gsplat"]
+        if before is not None:
+            sys.modules["gsplat"] = before
 
 
 def fully_fused_projection(
@@ -76,13 +84,13 @@ def fully_fused_projection(
     rows = [fx / z, zero, -fx * tx / z**2, zero, fy / z, -fy * ty / z**2]
     J = torch.stack(rows, 1).reshape(-1, 2, 3)
     half = J @ rotation @ (rotation_matrices(quats) * scales[:, None, :])
-    cov2d = half @ half.mT + eps2d * torch.eye(2)
+    cov2d = half @ half.mT + eps2d * torch.eye(2).to(means)
     a, b, c = cov2d[:, 0, 0], cov2d[:, 0, 1], cov2d[:, 1, 1]
     conics = torch.stack([c, -b, a], 1) / (a * c - b * b)[:, None]
     means2d = torch.stack([fx * x / z + cx, fy * y / z + cy], 1)
     extend = (2 * (opacities / ALPHA_MIN).log()).clamp(min=0).sqrt().clamp(max=EXTEND)
     sides = (extend[:, None] * torch.stack([a, c], 1).sqrt()).ceil().detach()
-    size = torch.tensor([width, height])
+    size = torch.tensor([width, height]).to(means.device)
     off = (means2d + sides <= 0) | (means2d - sides >= size)
     seen = ahead & (opacities >= ALPHA_MIN) & ~off.any(1) & (sides > radius_clip).any(1)
     undefined = float("nan")
@@ -110,26 +118,32 @@ def isect_tiles(
     image_ids: Tensor | None = None,
     gaussian_ids: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    ids, owners = [], []
-    counts = torch.zeros(depths.shape, dtype=torch.int32)
-    bits = depths[0].float().view(torch.int32).long()
-    for i in (radii[0] > 0).all(1).nonzero()[:, 0].tolist():
-        low = ((means2d[0, i] - radii[0, i]) / tile_size).floor().long().tolist()
-        high = ((means2d[0, i] + radii[0, i]) / tile_size).ceil().long().tolist()
-        for row in range(max(0, low[1]), min(tile_height, high[1])):
-            for column in range(max(0, low[0]), min(tile_width, high[0])):
-                ids.append((row * tile_width + column) << 32 | int(bits[i]))
-                owners.append(i)
-                counts[0, i] += 1
-    order = torch.tensor(ids, dtype=torch.int64).sort(stable=True)
-    return counts, order.values, torch.tensor(owners, dtype=torch.int32)[order.indices]
+    bits = depths[0].float().cpu().view(torch.int32).tolist()
+    low = ((means2d[0] - radii[0]) / tile_size).nan_to_num().floor().long().tolist()
+    high = ((means2d[0] + radii[0]) / tile_size).nan_to_num().ceil().long().tolist()
+    ids, counts = [], [0] * len(bits)
+    for i, sides in enumerate(radii[0].tolist()):
+        if min(sides) <= 0:
+            continue
+        for row in range(max(0, low[i][1]), min(tile_height, high[i][1])):
+            for column in range(max(0, low[i][0]), min(tile_width, high[i][0])):
+                ids.append(((row * tile_width + column) << 32 | bits[i], i))
+                counts[i] += 1
+    ids.sort()  # of equal ones the first Gaussian first, as the stable sort there
+    keys, owners = torch.tensor(ids, dtype=torch.int64).reshape(-1, 2).unbind(1)
+    device = means2d.device
+    return (
+        torch.tensor([counts], dtype=torch.int32).to(device),
+        keys.to(device),
+        owners.int().to(device),
+    )
 
 
 @torch.no_grad()
 def isect_offset_encode(
     isect_ids: Tensor, n_images: int, tile_width: int, tile_height: int
 ) -> Tensor:
-    tiles = torch.arange(n_images * tile_height * tile_width)
+    tiles = torch.arange(n_images * tile_height * tile_width, device=isect_ids.device)
     starts = torch.searchsorted(isect_ids >> 32, tiles)
     return starts.int().reshape(n_images, tile_height, tile_width)
 
@@ -151,30 +165,33 @@ def rasterize_to_pixels(
 ) -> tuple[Tensor, Tensor]:
     assert backgrounds is not None and masks is None and not packed and len(means2d) == 1
     _, rows, columns = isect_offsets.shape
-    ends = [*isect_offsets.flatten().tolist(), len(flatten_ids)]
-    image = means2d.new_zeros(rows * tile_size, columns * tile_size, colors.shape[-1])
-    alphas = means2d.new_zeros(rows * tile_size, columns * tile_size, 1)
-    for tile in range(rows * columns):
-        ids = flatten_ids[ends[tile] : ends[tile + 1]].long()
-        top, left = tile // columns * tile_size, tile % columns * tile_size
-        ys, xs = torch.meshgrid(
-            torch.arange(tile_size) + top + 0.5, torch.arange(tile_size) + left + 0.5, indexing="ij"
-        )
-        dx = xs.flatten() - means2d[0, ids, 0][:, None]
-        dy = ys.flatten() - means2d[0, ids, 1][:, None]
-        a, b, c = conics[0, ids].T[..., None]
-        sigma = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
-        alpha = (opacities[0, ids][:, None] * (-sigma).exp()).clamp(max=ALPHA_MAX)
-        alpha = torch.where((sigma >= 0) & (alpha >= ALPHA_MIN), alpha, 0.0)
-        after = (1 - alpha.detach()).cumprod(0)
-        alpha = torch.where(after > LEAST_LIGHT, alpha, 0.0)
-        light = torch.cat([torch.ones(1, dx.shape[1]), (1 - alpha).cumprod(0)])
-        shown = (alpha * light[:-1]).T @ colors[0, ids] + light[-1][:, None] * backgrounds[0]
-        spot = slice(top, top + tile_size), slice(left, left + tile_size)
-        image[spot] = shown.reshape(tile_size, tile_size, -1)
-        alphas[spot] = (1 - light[-1]).reshape(tile_size, tile_size, 1)
-    size = slice(image_height), slice(image_width)
-    return image[size][None], alphas[size][None]
+    device, n = means2d.device, rows * columns
+    starts = isect_offsets.flatten().long()
+    ends = torch.cat([starts[1:], starts.new_tensor([len(flatten_ids)])])
+    places = starts[:, None] + torch.arange(int((ends - starts).max()), device=device)
+    real = (places < ends[:, None])[..., None]
+    ids = flatten_ids[places.clamp(max=len(flatten_ids) - 1)].long()  # shorter lists: of any other
+    tile, pixel = torch.arange(n, device=device), torch.arange(tile_size**2, device=device)
+    corner = torch.stack([tile % columns, tile // columns], 1) * tile_size
+    centres = torch.stack([pixel % tile_size, pixel // tile_size], 1) + 0.5
+    spots = corner[:, None, None] + centres  # [tiles, 1, pixels, 2]
+    dx, dy = (spots - means2d[0, ids][:, :, None]).unbind(-1)
+    a, b, c = (t[..., None] for t in conics[0, ids].unbind(-1))
+    sigma = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
+    alpha = (opacities[0, ids][..., None] * (-sigma).exp()).clamp(max=ALPHA_MAX)
+    alpha = torch.where(real & (sigma >= 0) & (alpha >= ALPHA_MIN), alpha, 0.0)
+    after = (1 - alpha.detach()).cumprod(1)
+    alpha = torch.where(after > LEAST_LIGHT, alpha, 0.0)
+    light = torch.cat([alpha.new_ones(n, 1, tile_size**2), (1 - alpha).cumprod(1)], 1)
+    shown = torch.einsum("tkp,tkc->tpc", alpha * light[:, :-1], colors[0, ids])
+    shown = shown + light[:, -1, :, None] * backgrounds[0]
+
+    def put_together(tiles: Tensor) -> Tensor:
+        whole = tiles.reshape(rows, columns, tile_size, tile_size, -1).transpose(1, 2)
+        whole = whole.reshape(rows * tile_size, columns * tile_size, -1)
+        return whole[:image_height, :image_width][None]
+
+    return put_together(shown), put_together(1 - light[:, -1])
 
 
 def spherical_harmonics(

@@ -28,16 +28,11 @@ SOON = {  # what makes a plugin act within a few steps
     "budget": {"budget": 150},
 }
 registry.discover()
-# the literature's methods are not all tried over other rasterizers yet, see docs/rasterizers.md
-TRIED = {
-    *("uniform", "dropgaussian", "uar", "dba", "euclidean", "full_set", "safi"),
-    *("adc", "budget", "evidence", "fisher_prune"),
-}
 METHODS = [
     {group: name}
     for group in registry.GROUPS
     for name in registry.names(group)
-    if name != IDLE[group] and name in TRIED
+    if name != IDLE[group]
 ]
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import platform
+import site
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from framework.errors import printable_line
 from framework.records.progress import say
 
 VARIABLES = "FISHERSPLAT_"
+PATH = "PYTHONPATH"
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,16 @@ def origin(outlives: bool) -> Origin:
         if name.startswith(VARIABLES) and name != LEDGER_VARIABLE
     }
     return Origin(os.getcwd(), known, None if outlives else (platform.node(), os.getpid()))
+
+
+def lead_to_this_code(root: Path | None = None) -> None:
+    """Let Pythons that are started from here import this code, as this one does: `python run.py`
+    of one folder may have another's installed beside, or none. root: where `framework` lies."""
+    place = str(root or Path(__file__).resolve().parents[3])
+    if place in map(os.path.realpath, site.getsitepackages()):
+        return  # found as it is; in front it would hide modules of Python's own
+    others = [part for part in os.environ.get(PATH, "").split(os.pathsep) if part != place]
+    os.environ[PATH] = os.pathsep.join(filter(None, [place, *others]))
 
 
 class Arrivals:
