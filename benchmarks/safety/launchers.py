@@ -177,8 +177,9 @@ def table(ways: list[Way], runs: int, reports: float, in_training: float, line: 
     first = ways[0]
     rows = [
         f"| {w.name} | {w.wall_s:.0f} | {3600 * runs / w.wall_s:.0f}"
-        f" | {first.wall_s / w.wall_s:.2f}"
-        f" | {w.cpu_s / runs:.2f} | {w.driver_mb:.0f} |"
+        f" | {first.wall_s / w.wall_s:.2f} | {w.cpu_s / runs:.2f} | {w.driver_mb:.0f} |"
+        if w.name in WAYS
+        else f"| {w.name} | {w.wall_s:.0f} | | | | {w.driver_mb:.0f} |"  # a part was done before
         for w in ways
     ]
     return "\n".join(
