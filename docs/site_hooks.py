@@ -29,6 +29,7 @@ NAV = {
     ],
     "How to": [
         *("studies.md", "choices.md", "layouts.md", "photos.md", "view.md", "video.md"),
+        "compare.md",
         *("exports.md", "launchers.md", "rasterizers.md", "trackers.md", "runs.md"),
     ],
     "Explanation": ["methods.md", "statistics.md", "bits.md", "paper.md", "literature.md"],

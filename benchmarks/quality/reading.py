@@ -24,8 +24,8 @@ BEFORE = {
 AFTER = {
     "ablation_main": ("(plain", "(-0.19 to -0.01)", "none 20.8 s", "is weakest:", "53259"),
     "stress_views": ("(plain", "(-0.50 to -0.30)", "8.2 s", "is weakest on", "10752"),
-    "capacity": ("(plain", "(-1.29 to -0.96)", "0.69 times", "is weakest:", "0.12 times the par"),
-    "pareto": ("steps=300 within", "± 0.08 dB", "in 6.5 s", "its worst seed", "16,128 Gaussians"),
+    "capacity": ("(plain", "(-0.24 to -0.03)", "budget 18.4 s", "is weakest:", "5000 Gaussians"),
+    "pareto": ("capacity=budget", "1.5 dB could", "(4.9 s", "its worst seed", "5,000 Gaussians"),
     "stability": ("(plain", "(-0.34 to -0.19)", "10.3 s", "its worst seed", "16128"),
 }
 

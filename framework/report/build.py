@@ -37,7 +37,8 @@ def build_report(
     """
     broken: dict[Path, str] = {}
     while True:  # each time without another run; with forged sizes aside, twice at most
-        study = replace(collect(study_dirs, out_dir, broken), linked=photos)
+        study = collect(study_dirs, out_dir, broken)
+        study = replace(study, linked=study.linked and photos)
         try:
             return _build(study, title, photos)
         except DamagedRun as error:

@@ -16,13 +16,11 @@ from framework.command.subcommands import SUBCOMMANDS
 from tests.cli.conftest import FakeRuns, composed
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-TUTORIALS = [p for p in sorted((ROOT / "docs/tutorials").glob("*.md")) if p.stem != "plugins"]
 PAGES = [
-    *(ROOT / "README.md", ROOT / "CONTRIBUTING.md"),
+    ROOT / "CONTRIBUTING.md",
     # pages on launchers and the like have commands that need an extra
     *(ROOT / "docs" / f"{n}.md" for n in ("benchmarks", "choices", "layouts", "runs", "studies")),
-    *TUTORIALS,
-]
+]  # those of the tutorials run, see tests/documents
 TYPED = re.compile(r"(?:^|`| {4})(?:python run\.py|fishersplat) +([^\s`#][^\n`#]*)", re.MULTILINE)
 COMMANDS = sorted(
     {

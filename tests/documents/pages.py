@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from framework.command.config.schema import ROOT
 FENCE = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 COMMANDS = ("fishersplat", "python run.py")
 QUICK = ("trainer.steps=10", "trainer.evaluations=1")
+MOST_RUNS = 6  # of one command
 SMALL = ("scene.width=96", "scene.height=72")  # the embedded scene's
 
 
@@ -53,9 +55,14 @@ def words_of(line: str) -> list[str] | None:
 
 
 def quick(words: list[str]) -> list[str]:
-    """The same training, small and with few steps; what trains nothing as it is."""
+    """The same training, small, with few steps and seeds; what trains nothing as it is."""
     if words[0].isalpha() or {"--help", "--cfg", "--version"} & {*words}:
         return words
+    swept = math.prod(word.count(",") + 1 for word in words)
+    if swept > MOST_RUNS:
+        words = [re.sub(r"^(seed=[^,]*),.*", r"\1", word) for word in words]
+    if any(word.startswith("sweep=") for word in words):
+        words = [*words, "seed=0,1"]
     embedded = not any(word.lstrip("+").startswith("scene=") for word in words)
     extra = [*QUICK, *(SMALL if embedded else ())]
     last = [word for word in words if word == "-m"]
@@ -63,6 +70,6 @@ def quick(words: list[str]) -> list[str]:
 
 
 def tutorials() -> list[Path]:
-    """The pages whose every block runs; the commands of the others are composed and checked, see
-    `tests/cli/test_documents.py`."""
-    return [ROOT / "docs" / "tutorials" / "plugins.md"]
+    """The pages whose every block runs, beside the README; the commands of other pages are composed
+    and checked, see `tests/cli/test_documents.py`."""
+    return sorted((ROOT / "docs" / "tutorials").glob("*.md"))

@@ -43,7 +43,7 @@ def in_verdict(study: Study) -> str:
     for limit in LIMITS_S:
         best = _choice(study, found, limit)
         if best is not None:
-            budget = f"{best.budget} ({best.train_s:.1f} s)"
+            budget = f"{best.budget} ({best.train_s:.1f} s, {best.gaussians:,.0f} Gaussians)"
             limits.setdefault(budget, []).append(f"{limit:g}")
     if len(limits) == 1:
         return f" with {next(iter(limits))}"

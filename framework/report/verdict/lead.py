@@ -53,7 +53,8 @@ def _use(study: Study, found: Outcomes, budget: str) -> str:
     best = best_method(study, found)
     if best != study.baseline_of(best):
         c = found.comparisons[best]
-        return f"Use {best}: it {amount(c)} against {plainly(c.baseline)} {where(study)}{budget}."
+        less = "; what to use for less time stands below" if has_budgets(study) else ""
+        return f"Use {best}: it {amount(c)} against {plainly(c.baseline)} {where(study)}{less}."
     if has_budgets(study):
         base = plainly(study.families[0])
         # of one family there are only budgets, which the next lines compare
@@ -80,12 +81,14 @@ def alike(study: Study, found: Outcomes) -> str:
     """Who is not told apart from the advised one, by name, and how large a difference the study
     may have missed."""
     tested = compared(found)
+    if has_budgets(study):
+        rest = [c for c in tested if not c.significant]
+        families = "; ".join(_by_family(study, rest, tested))
+        told = f"Not told apart at an equal budget: {families}.{could_hide(rest)}"
+        return told if rest else ""
     rest = not_told_apart(study, found, tested) if tested else []
     if not rest:
         return ""
-    if has_budgets(study):
-        families = _by_family(study, rest, tested)
-        return f"Not told apart at an equal budget: {'; '.join(families)}.{could_hide(rest)}"
     named = [f"{c.method} {c.difference:+.2f} dB ({inside(c.joint)})" for c in rest[:MOST_NAMED]]
     more = len(rest) - MOST_NAMED
     named += [f"{more} more under Comparisons"] if more > 0 else []
