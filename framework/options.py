@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from framework.errors import check_option
 
 MOST_MEMBERS, MOST_STEPS = 16, 1_000_000
-ENOUGH_STEPS, ENOUGH_VISITS = 300, 80  # of one training, and of every view by it
+ENOUGH_STEPS, ENOUGH_VISITS = 300, 40  # of one training, and of every view by it
 SHARED_BY = 8  # members at most, when their number is left to the views
 BACKGROUNDS = ("mean", "black", "white", "random")
 PSEUDO_STEPS, PSEUDO_MEANS = ("joined", "own"), ("frame", "covered")
