@@ -39,7 +39,7 @@ PUBLISHED = {"FSGS": (2724.0, 21.80), "Binocular3DGS": (1483.0, 22.84), "ReDI-GS
 
 @dataclass(frozen=True)
 class Place:
-    """A scene: what run.py is told, its usual number of training views, whether it chose settings."""
+    """A scene: what run.py is told, its usual number of training views, and its role."""
 
     words: str
     views: int
@@ -189,11 +189,8 @@ def presets_table(studies: Path) -> tuple[list[str], pd.DataFrame]:
         cells = []
         for preset in have:
             g = table[table["preset"] == preset]
-            cells.append(
-                f"{told(g['psnr'])} dB, {g['train_cpu_s'].mean():.0f} s, {g['gaussians'].mean():,.0f}"
-                if len(g)
-                else "-"
-            )
+            cost = f"{g['train_cpu_s'].mean():.0f} s, {g['gaussians'].mean():,.0f}"
+            cells.append(f"{told(g['psnr'])} dB, {cost}" if len(g) else "-")
         seeds = table["seed"].nunique()
         lines.append(f"| {named(scene)}, {SCENES[scene].views} | {' | '.join(cells)} | {seeds} |")
     columns = ["psnr", "ssim", "train_cpu_s", "gaussians", "parameters"]
