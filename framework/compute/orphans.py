@@ -14,6 +14,7 @@ from multiprocessing import parent_process
 POLL_S = 0.25
 
 _watching = False
+_others: set[int] = set()  # whom this process ends with
 
 
 def end_with_parent() -> None:
@@ -32,7 +33,11 @@ def watch(parent: int | None) -> None:
 
 
 def end_with(process: int) -> None:
-    """End this process soon after another one of this machine, which is no relative of it."""
+    """End this process soon after another one of this machine, which is no relative of it. A worker
+    asks for it with every run that it does; one thread watches, however many ask."""
+    if process in _others:
+        return
+    _others.add(process)
     threading.Thread(target=_watch_other, args=(process,), daemon=True).start()
 
 
