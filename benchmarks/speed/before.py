@@ -55,7 +55,9 @@ def child(root: Path, n: int, steps: int) -> None:
     names = {"augment": "none", "reg": "none", "capacity": "fixed"}
 
     def run(length: int) -> tuple[float, float, str]:
-        options = TrainerOptions(steps=length, evaluations=1, coarse_until=0.0)
+        options = TrainerOptions(
+            steps=length, evaluations=1, coarse_until=0.0, ssim_weight=0.2, lr_scale=5.0
+        )
         given = (registry.build(group, {"name": name}) for group, name in names.items())
         known = (training, depth, gaussians, options, Plugins(*given), 0, Silent())
         trainer = Trainer(*known, tells=False)
