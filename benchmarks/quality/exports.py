@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +134,15 @@ def mean(drawn: list[torch.Tensor], truth: list[tuple[torch.Tensor, torch.Tensor
     return f"{np.mean(numbers):.2f} dB" if len(numbers) == len(values) else "equal"
 
 
+def version(program: str) -> str:
+    """Its name and version, which it prints to one of its streams or the other."""
+    told = subprocess.run([program, "-v"], capture_output=True, text=True, check=True)
+    lines = (told.stdout + told.stderr).strip().splitlines()
+    if not lines:
+        sys.exit(f"{program} -v: expected its version, got nothing")
+    return lines[-1].strip()
+
+
 def main() -> None:
     """Print the table, or write it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
@@ -140,7 +150,7 @@ def main() -> None:
     parser.add_argument("--transform", default="splat-transform", metavar="PROGRAM")
     parser.add_argument("--output", type=Path)
     given = parser.parse_args()
-    version = subprocess.run([given.transform, "-v"], capture_output=True, text=True, check=True)
+    reader = version(given.transform)
     text = ""
     for run in given.runs:
         with tempfile.TemporaryDirectory() as folder:
@@ -148,7 +158,8 @@ def main() -> None:
                 print(row, end="", flush=True)
                 text += row
     line = shlex.join(["python", "benchmarks/quality/exports.py", *map(str, given.runs)])
-    said = f"`{line}`, read by {version.stdout.strip()} and gsply.\n\n"
+    said = f"`{line}`, read by {reader} and gsply"
+    said += f" {metadata.version('gsply')}.\n\n"
     if given.output is not None:
         given.output.write_text(f"# Files of other programs\n\n{said}{HEADER}{text}", "utf-8")
 
