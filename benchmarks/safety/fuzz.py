@@ -26,12 +26,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=int, default=200, help="of each reader")
     parser.add_argument("--seed", type=int, default=0, help="other mutations")
+    parser.add_argument("--only", help="names of readers, by commas")
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()
+    readers = options.only.split(",") if options.only else list(READERS)
     with tempfile.TemporaryDirectory() as folder:
-        tally = fuzz(Path(folder) / "results", list(READERS), options.cases, options.seed)
+        tally = fuzz(Path(folder) / "results", readers, options.cases, options.seed)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     command = f"python benchmarks/safety/fuzz.py --cases {options.cases} --seed {options.seed}"
+    command += f" --only '{options.only}'" if options.only else ""
     text = _report(tally, command, used.ru_utime + used.ru_stime)
     print(*tally.bugs, text, sep="\n")
     if options.output is not None:

@@ -21,6 +21,7 @@ from framework.command.config.trust import check_command, check_config_files
 from framework.depth.from_file import DepthFile
 from framework.depth.read import load_map
 from framework.errors import UserError, mendable
+from framework.exports import export, render, video
 from framework.exports.flight import KINDS, flight, lens_of
 from framework.exports.formats import packed
 from framework.exports.given import read_given
@@ -35,6 +36,7 @@ from framework.scenes.images import read_image
 from framework.train.resume.checkpoint import pack, unpack
 from framework.types import Gaussians, Scene
 from framework.view import find_run, read_viewed, view_page
+from tests.fuzz import commands
 from tests.metrics.test_lpips import features, state_dict
 from tests.record.fakes import fake_run, make_config, make_gaussians
 from tests.resume.test_checkpoint import state
@@ -217,6 +219,10 @@ def _lpips(folder: Path) -> None:
     torch.save(state_dict("AlexNet", features("AlexNet")), folder / "weights.pth")
 
 
+RUN = ("record.json", "metrics.csv", "history.csv")
+SHOWN = ("runs/run/record.json", "runs/run/transforms.json", "runs/run/point_cloud.ply")
+
+
 def _classes() -> list[type]:
     from framework.train.resume.checkpoint import state_classes
 
@@ -299,6 +305,51 @@ READERS: dict[str, Reader] = {
         ("runs/run/cameras.json",),
         lambda f: read_given(f / "runs" / "run" / "cameras.json"),
     ),
+    "compared runs": Reader(
+        commands.two_runs, tuple(f"runs/b/{name}" for name in RUN), commands.compared
+    ),
+    "leaderboard": Reader(
+        commands.two_studies,
+        (*(f"one/runs/b0/{name}" for name in RUN), "two/runs.csv"),
+        commands.all_studies,
+    ),
+    "video of a run": Reader(
+        commands.small_run,
+        SHOWN,
+        commands.commanded(
+            video.main, *("--seconds", "1", "--fps", "2", "--size", "32", "--out", "{out}/a.gif")
+        ),
+    ),
+    "pictures of a run": Reader(
+        commands.small_run,
+        (*SHOWN, "runs/run/cameras.json"),
+        commands.commanded(render.main, "--size", "32", "--out", "{out}"),
+    ),
+    "files of a run": Reader(
+        commands.small_run,
+        SHOWN,
+        commands.commanded(
+            export.main, "--format", "ply", "spz", "splat", "--frame", "upright", "--out", "{out}"
+        ),
+    ),
+    "prepared jpeg": Reader(
+        lambda f: commands.photo(f, "jpg"), ("a.jpg",), commands.prepared("a.jpg", 64)
+    ),
+    "prepared png": Reader(
+        lambda f: commands.photo(f, "png"), ("a.png",), commands.prepared("a.png", 128)
+    ),
+    **(
+        {
+            "prepared heic": Reader(
+                lambda f: commands.photo(f, "heic"), ("a.heic",), commands.prepared("a.heic", 64)
+            )
+        }
+        if commands.HAS_HEIC
+        else {}
+    ),
+    "frames of a video": Reader(commands.film, ("a.avi",), commands.frames),
+    "kept poses": Reader(commands.kept_poses, ("poses.json",), commands.poses_told),
+    "request to view": Reader(commands.request, ("asked.line",), commands.answered),
     "photo names": Reader(_named, ("photo.line",), _renamed),
     "command line": Reader(_line, ("words.line",), _commanded),
     # the command line tells what the system refuses

@@ -18,13 +18,15 @@ from tests.fuzz.drive import fuzz
 from tests.fuzz.readers import READERS
 
 CASES = 36  # of each reader
+DEAR = {"leaderboard"}  # a second a case; `benchmarks/safety/fuzz.py` does it
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the worker's limits are those of Linux")
 def test_mutated_inputs_end_in_the_documented_error_or_a_read(tmp_path: Path) -> None:
-    tally = fuzz(tmp_path / "results", list(READERS), CASES, seed=0)
+    readers = [name for name in READERS if name not in DEAR]
+    tally = fuzz(tmp_path / "results", readers, CASES, seed=0)
     assert tally.bugs == []
-    assert tally.cases == CASES * len(READERS) >= 500
+    assert tally.cases == CASES * len(readers) >= 500
     assert all(counts["refused"] and counts["read"] for counts in tally.counts.values())
 
 

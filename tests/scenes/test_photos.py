@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import shutil
 import subprocess
@@ -475,3 +476,27 @@ def test_real_photos(tmp_path: Path) -> None:
         shutil.copyfile(open_scene("llff_fern") / "images" / name, tmp_path / name)
     load(tmp_path)
     assert len(read_found(kept(tmp_path)).placed) == 5
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"groups": None},
+        {"placed": ["a.jpg", "b.jpg", "c.jpg"]},
+        {"placed": {"a.jpg": 3}},
+        {"placed": {"../a.jpg": 3, "b.jpg": 3, "c.jpg": 3}, "photos": ["../a.jpg", "b.jpg"]},
+        {"links": [{"first": "a.jpg", "second": "a.jpg", "matches": 3, "shift": 0.1}]},
+        {"features": {"a.jpg": "many"}},
+        {"seconds": 1e999},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_kept_poses_of_other_types_are_refused(tmp_path: Path, change: dict[str, object]) -> None:
+    names = ["a.jpg", "b.jpg", "c.jpg"]
+    found = Found(names, dict.fromkeys(names, 9), [], dict.fromkeys(names, 99), [], [], 1.0)
+    write_found(tmp_path, found)
+    assert read_found(tmp_path) == found
+    told = json.loads((tmp_path / "poses.json").read_text()) | change
+    (tmp_path / "poses.json").write_text(json.dumps(told))
+    with pytest.raises(UserError, match="expected the kept result of a search for poses, got"):
+        read_found(tmp_path)

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import builtins
 import dataclasses
 import json
+import math
+import types
+import typing
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from framework.errors import UserError
 from framework.files.documents import read_json
 from framework.files.limits import TEXT_BYTES
 from framework.files.whole import write_whole
+from framework.scenes.photos.source import FEWEST
 
 FILE = "poses.json"
 
@@ -93,9 +99,46 @@ def read_found(folder: Path) -> Found:
         values["tries"] = [Try(**attempt) for attempt in values["tries"]]
         if values.get("overruled") is not None:
             values["overruled"] = Overruled(**values["overruled"])
-        return Found(**values)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        found = Found(**values)
+        if not _sound(found):
+            raise ValueError("values that no search writes")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UserError(
             f"{path}: expected the kept result of a search for poses, got a damaged one"
             f" ({type(error).__name__}); remove the folder {folder.name}"
         ) from error
+    return found
+
+
+def _sound(found: Found) -> bool:
+    """Whether all values are of their types, and names those of files beside each other."""
+    parts = (found, *found.links, *found.tries, *filter(None, [found.overruled]))
+    return (
+        all(
+            _fits(getattr(part, name), hint)
+            for part in parts
+            for name, hint in typing.get_type_hints(type(part)).items()
+        )
+        and len(found.placed) >= FEWEST
+        and found.placed.keys() <= {*found.photos}
+        and not any("/" in name or name in ("", ".", "..") for name in found.photos)
+        and all(link.first != link.second for link in found.links)
+    )
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Whether a value from JSON is of a type: of texts, counts, measures, lists and mappings."""
+    kinds = typing.get_args(hint)
+    match typing.get_origin(hint) or hint:
+        case builtins.list:
+            return isinstance(value, list) and all(_fits(v, kind) for v in value for kind in kinds)
+        case builtins.dict:
+            return isinstance(value, dict) and all(_fits(v, kinds[1]) for v in value.values())
+        case types.UnionType | typing.Union:
+            return any(_fits(value, kind) for kind in kinds)
+        case builtins.float:
+            return type(value) in (int, float) and 0 <= value < math.inf
+        case builtins.int:
+            return type(value) is int and value >= 0
+        case kind:
+            return type(value) is kind
