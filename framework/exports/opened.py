@@ -57,6 +57,8 @@ def open_run(folder: Path) -> OpenedRun:
     )
     cameras = read_given(folder / TRANSFORMS)
     told = read_json(folder / TRANSFORMS, TEXT_BYTES)
+    fits = isinstance(told, dict)
+    require(fits, f"{folder / TRANSFORMS}: expected a run's cameras, got a list; train again")
     near = told.get("near_plane", NEAR)
     right = isinstance(near, int | float) and not isinstance(near, bool) and 0 < near < 1e9
     require(right, f"{folder / TRANSFORMS}: expected a positive near_plane, got {near!r:.80}")

@@ -67,6 +67,9 @@ def photo_folder(folder: Path, images: str) -> Path:
     return inside(folder, "images_8" if (folder / "images_8").is_dir() else "images")
 
 
+DAMAGED = (OSError, SyntaxError, ValueError, EOFError)  # what Pillow raises; the last for HEIC
+
+
 @contextmanager
 def opened(path: Path, formats: tuple[str, ...] = FORMATS) -> Iterator[Image.Image]:
     """The image, of which only the header was decoded: its size is within `limits`, also that of a
@@ -85,7 +88,7 @@ def opened(path: Path, formats: tuple[str, ...] = FORMATS) -> Iterator[Image.Ima
         with image:
             check_pixels(path, *image.size)
             yield image
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+    except (*DAMAGED, Image.DecompressionBombError) as error:
         if isinstance(error, UserError):
             raise
         reason = re.sub(r"<_io\.BytesIO.*?>|\s+", " ", str(error).replace(str(path), "")).strip(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -191,6 +192,13 @@ def test_a_forged_near_plane_is_refused(run: Path, near: object) -> None:
     told = json.loads((run / "transforms.json").read_text())
     (run / "transforms.json").write_text(json.dumps({**told, "near_plane": near}))
     with pytest.raises(UserError, match="near_plane"):
+        open_run(run)
+
+
+def test_cameras_that_are_a_list_are_refused(run: Path) -> None:
+    """As 3DGS writes them; given as `--cameras` they are read."""
+    shutil.copy(run / "cameras.json", run / "transforms.json")
+    with pytest.raises(UserError, match=r"transforms.json: expected a run's cameras, got a list"):
         open_run(run)
 
 

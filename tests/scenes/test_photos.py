@@ -483,7 +483,7 @@ def test_real_photos(tmp_path: Path) -> None:
     [
         {"groups": None},
         {"placed": ["a.jpg", "b.jpg", "c.jpg"]},
-        {"placed": {"a.jpg": 3}},
+        {"placed": {}},
         {"placed": {"../a.jpg": 3, "b.jpg": 3, "c.jpg": 3}, "photos": ["../a.jpg", "b.jpg"]},
         {"links": [{"first": "a.jpg", "second": "a.jpg", "matches": 3, "shift": 0.1}]},
         {"features": {"a.jpg": "many"}},
@@ -500,3 +500,17 @@ def test_kept_poses_of_other_types_are_refused(tmp_path: Path, change: dict[str,
     (tmp_path / "poses.json").write_text(json.dumps(told))
     with pytest.raises(UserError, match="expected the kept result of a search for poses, got"):
         read_found(tmp_path)
+
+
+def test_a_decoder_that_finds_the_end_too_early_is_told_in_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """pi-heif raises EOFError for a damaged HEIC."""
+    Image.new("RGB", (200, 150)).save(tmp_path / "a.jpg")
+
+    def ends(*_: object, **__: object) -> None:
+        raise EOFError("Decoder plugin generated an error: Unexpected end of file")
+
+    monkeypatch.setattr(Image.Image, "thumbnail", ends)
+    with pytest.raises(UserError, match=r"a.jpg: expected a readable image, got a damaged file"):
+        prepare(tmp_path / "a.jpg", tmp_path, 0, 64)

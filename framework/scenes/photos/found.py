@@ -16,7 +16,6 @@ from framework.errors import UserError
 from framework.files.documents import read_json
 from framework.files.limits import TEXT_BYTES
 from framework.files.whole import write_whole
-from framework.scenes.photos.source import FEWEST
 
 FILE = "poses.json"
 
@@ -119,7 +118,7 @@ def _sound(found: Found) -> bool:
             for part in parts
             for name, hint in typing.get_type_hints(type(part)).items()
         )
-        and len(found.placed) >= FEWEST
+        and len(found.placed) > 0
         and found.placed.keys() <= {*found.photos}
         and not any("/" in name or name in ("", ".", "..") for name in found.photos)
         and all(link.first != link.second for link in found.links)
