@@ -17,7 +17,7 @@ function fly(place, videos, seed) { // the method's small video; it stays while 
   place.append(flight);
 }
 
-function setUpPane(pane) {
+function setUpPane(pane, moving) {
   const [method, seed] = pane.querySelectorAll("select");
   const [truth, render, error] = pane.querySelectorAll(".stage img");
   const seam = pane.querySelector(".seam");
@@ -43,7 +43,7 @@ function setUpPane(pane) {
         link.textContent = text;
         told.append(" · ", link);
       }
-      fly(pane.querySelector(".moving"), data.videos.filter((one) => one[0] === shot[0] && one[1] === own), kept);
+      fly(moving, data.videos.filter((one) => one[0] === shot[0] && one[1] === own), kept);
       return own;
     },
     wipe(value) {
@@ -60,7 +60,8 @@ function setUpPane(pane) {
 function setUpViewer(viewer) {
   const [scenes, views] = viewer.querySelectorAll(":scope > .choices select");
   const slider = viewer.querySelector("input"), beside = viewer.querySelector(".beside");
-  const places = [...viewer.querySelectorAll(".pane")], panes = places.map(setUpPane);
+  const places = [...viewer.querySelectorAll(".pane")], flights = [...viewer.querySelectorAll(".moving")];
+  const panes = places.map((pane, k) => setUpPane(pane, flights[k]));
   const wanted = { scene: null, view: null };
   if (new Set(data.shots.map((shot) => shot[1] + shot[2])).size < 2) beside.hidden = true;
 
@@ -83,7 +84,7 @@ function setUpViewer(viewer) {
   }
 
   function pair(on) {
-    places[1].hidden = !on;
+    places[1].hidden = flights[1].hidden = !on;
     viewer.classList.toggle("two", on);
     beside.setAttribute("aria-pressed", String(on));
   }
