@@ -220,7 +220,7 @@ def _lpips(folder: Path) -> None:
 
 
 RUN = ("record.json", "metrics.csv", "history.csv")
-SHOWN = ("runs/run/record.json", "runs/run/transforms.json", "runs/run/point_cloud.ply")
+SHOWN = ("runs/run/transforms.json", "runs/run/point_cloud.ply")
 
 
 def _classes() -> list[type]:
