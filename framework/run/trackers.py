@@ -12,7 +12,6 @@ fails later is one warning line. This module is light: each package is imported 
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import importlib.util
 import io
 import logging
@@ -154,12 +153,13 @@ def send(tracker: str | None, run_dir: Path, progress: Progress) -> None:
 
 
 def _send_once(tracker: str, run_dir: Path) -> None:
-    from framework.files.whole import write_whole
+    from framework.files.opened import read_bytes
+    from framework.files.whole import file_sha256, write_whole
     from framework.records.record import RECORD, read_run
 
-    digest = hashlib.sha256((run_dir / RECORD).read_bytes()).hexdigest() + "\n"
+    digest = file_sha256(run_dir / RECORD) + "\n"
     sent = run_dir / FOLDER / f"{tracker}.sent"
-    if sent.is_file() and sent.read_text(encoding="utf-8", errors="replace") == digest:
+    if sent.is_file() and read_bytes(sent, 1000) == digest.encode():
         return
     sent.parent.mkdir(exist_ok=True)
     TRACKERS[tracker](tracked(read_run(run_dir)))

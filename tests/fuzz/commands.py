@@ -28,6 +28,7 @@ from framework.report.pair import compare_runs
 from framework.scenes.photos.advice import advice
 from framework.scenes.photos.found import Found, Link, Overruled, Try, read_found, write_found
 from framework.scenes.photos.prepare import prepare
+from framework.scenes.photos.source import find_source
 from framework.scenes.photos.video import sharpest_frames
 from framework.view.server import PageServer, _Handler
 from tests.record.fakes import fake_run
@@ -126,8 +127,9 @@ def film(folder: Path) -> None:
 
 
 def frames(folder: Path) -> None:
+    (file,) = find_source(str(folder / "a.avi"), 128, 4).files
     with _out() as out:
-        assert 3 <= len(sharpest_frames(folder / "a.avi", 4, out, lambda *_: None)) <= 4
+        assert 3 <= len(sharpest_frames(file, 4, out, lambda *_: None)) <= 4
 
 
 def kept_poses(folder: Path) -> None:
