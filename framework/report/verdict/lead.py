@@ -111,7 +111,8 @@ def _by_family(study: Study, rest: Sequence[Comparison], tested: Sequence[Compar
         share = f"{len(own)} of its" if len(own) < every[family] else "all its"
         at = "" if every[family] == 1 else f" at {share} {every[family]} budgets"
         low, high = f"{min(own):+.2f}", f"{max(own):+.2f}"
-        told.append(f"{family}{at} ({low if low == high else f'{low} to {high}'} dB)")
+        means = f"{low} dB on average" if low == high else f"averages from {low} to {high} dB"
+        told.append(f"{family}{at} ({means})")
     return told
 
 

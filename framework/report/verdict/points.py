@@ -25,6 +25,16 @@ from framework.report.verdict.lead import (
 )
 from framework.report.verdict.steady import steady_sentence
 
+MEANING = {  # docs/methods.md has their equations
+    "dba": "trains on views warped from the nearest photo as well",
+    "euclidean": "on views warped from the nearest photos",
+    "full_set": "on views warped from all photos",
+    "safi": "on views warped from the photos that Fisher information chooses",
+    "uniform": "dims Gaussians at random",
+    "uar_hard": "drops Gaussians that the photos determine well",
+    "uar": "dims Gaussians that the photos determine well",
+}
+
 
 def points(study: Study, found: Outcomes, beside: str = "") -> list[str]:
     """What stands behind the verdict, a sentence or two each. beside: one on how the number of
@@ -52,12 +62,20 @@ def evidence(found: Outcomes) -> str:
     seeds = f"{most}" if fewest == most else f"{fewest} to {most}"
     once = f", widened to hold for all {len(tested)} comparisons at once" if len(tested) > 1 else ""
     return (
-        "How to read this: a method is named augmenter + regularizer. Differences are of PSNR in"
+        f"How to read this: a method is named augmenter + regularizer{_meanings(tested)}."
+        " Differences are of PSNR in"
         " views that were not trained on, between runs of the same seed. In brackets: where the"
         f" true difference lies with 95 % confidence, from {seeds} seeds{once}; the thick bars"
         " below are the same. Really different: that range excludes zero. Not told apart: it"
         " includes zero, which does not prove that two are equal."
     )
+
+
+def _meanings(tested: Sequence[Comparison]) -> str:
+    """The report's best known parts of methods in a few words each, for who meets them here."""
+    parts = {part for c in tested for part in c.method.split(",")[0].split(" + ")}
+    known = [f"{part} {MEANING[part]}" for part in MEANING if part in parts]
+    return f": {'; '.join(known)}" if known else ""
 
 
 def _elsewhere(tested: Sequence[Comparison]) -> list[str]:
