@@ -62,9 +62,9 @@ def test_rates_per_step_without_a_pace() -> None:
         (600, 3, (2, 300)),
         (2400, 3, (4, 600)),
         (10_000, 3, (8, 1250)),
-        (2400, 12, (2, 1200)),
+        (2400, 12, (3, 800)),
         (2400, 43, (1, 2400)),
-        (12_000, 43, (2, 6000)),
+        (12_000, 43, (3, 4000)),
     ],
 )
 def test_steps_are_shared_by_as_many_trainings_as_the_views_leave_them_for(
