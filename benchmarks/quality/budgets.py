@@ -23,41 +23,45 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import matplotlib
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
+
+from framework.report.study.roles import CHOSE, role
 
 ROOT = Path(__file__).resolve().parents[2]
 PRESETS = ("fast", "balanced", "best", "long")
 STEPS = {"fast": 75, "balanced": 600, "best": 2400, "long": 12000}  # conf/preset
 TOLERANCE_DB = 0.1  # by which a longer training may be below a shorter one
 FORWARD = ("fern", "horns", "fortress", "room")
-MARKS = {"evaluation": "**", "choice": ""}  # scenes that chose no setting are bold
 OPENSPLAT = (1293.0, 20.07)  # CPU seconds, dB: fern, 3 photos, 2,000 steps, flags that densify
 # LLFF, 3 photos, the mean of fern, horns, fortress and room as reruns published them (ReDI-GS's
 # ablation notes; FSGS, Binocular3DGS and ReDI-GS with their seconds on an NVIDIA A4000)
-PUBLISHED = {"FSGS": (2724.0, 21.80), "Binocular3DGS": (1483.0, 22.84), "ReDI-GS": (676.0, 23.37)}
+PUBLISHED = {"FSGS": (2724.0, 21.79), "Binocular3DGS": (1483.0, 22.84), "ReDI-GS": (676.0, 23.36)}
 
 
 @dataclass(frozen=True)
 class Place:
-    """A scene: what run.py is told, its usual number of training views, and its role."""
+    """A scene: what run.py is told, and its usual number of training views."""
 
     words: str
     views: int
-    role: str = "choice"
+
+    def bold(self, name: str) -> str:
+        """`name` in bold if the scene chose no setting, by the folder that it is read from."""
+        folder = self.words.split("{}/")[1].split()[0]
+        return name if role(folder) == CHOSE else f"**{name}**"
 
 
 SCENES = {
     "fern": Place("scene=llff scene.path={}/llff_fern", 3),
-    "horns": Place("scene=llff scene.path={}/llff_horns", 3, "evaluation"),
-    "fortress": Place("scene=llff scene.path={}/llff_fortress", 3, "evaluation"),
-    "room": Place("scene=llff scene.path={}/llff_room", 3, "evaluation"),
-    "scan65": Place("scene=dtu scene.path={}/dtu_scan65", 3, "evaluation"),
+    "horns": Place("scene=llff scene.path={}/llff_horns", 3),
+    "fortress": Place("scene=llff scene.path={}/llff_fortress", 3),
+    "room": Place("scene=llff scene.path={}/llff_room", 3),
+    "scan65": Place("scene=dtu scene.path={}/dtu_scan65", 3),
     "scan24": Place("scene=dtu scene.path={}/dtu_scan24", 3),
     "door": Place("scene=colmap scene.path={}/lund_door", 3),
-    "kitchen": Place(
-        "scene=mip360 scene.path={}/mip360_kitchen scene.images=images_4", 12, "evaluation"
-    ),
+    "kitchen": Place("scene=mip360 scene.path={}/mip360_kitchen scene.images=images_4", 12),
     "fox12": Place("scene=transforms scene.path={}/nerf_fox", 12),
     "fox43": Place("scene=transforms scene.path={}/nerf_fox", 43),
 }
@@ -114,8 +118,7 @@ def told(values: pd.Series, digits: int = 2) -> str:
 
 
 def named(scene: str) -> str:
-    mark = MARKS[SCENES[scene].role]
-    return f"{mark}{scene}{mark}"
+    return SCENES[scene].bold(scene)
 
 
 def time_table(studies: Path) -> list[str]:
@@ -163,9 +166,10 @@ def views_table(studies: Path) -> list[str]:
                 cells.append(
                     f"{told(g['psnr'])}, {g['train_cpu_s'].mean():.0f} s" if len(g) else "-"
                 )
-            mark = MARKS[SCENES[scene].role]
             seeds = rows["seed"].nunique()
-            lines.append(f"| {mark}{name}{mark}, {number} | {' | '.join(cells)} | {seeds} |")
+            lines.append(
+                f"| {SCENES[scene].bold(name)}, {number} | {' | '.join(cells)} | {seeds} |"
+            )
     return lines
 
 
@@ -241,62 +245,62 @@ def chart(points: pd.DataFrame) -> Figure:
     return figure
 
 
-def _strong(axes: object, points: pd.DataFrame, column: str, name: str) -> None:
+def _strong(axes: Axes, points: pd.DataFrame, column: str, name: str) -> None:
     mean = points.groupby("preset")[[column, "psnr"]].mean().sort_values(column)
-    axes.plot(mean[column], mean["psnr"], "o-", color="#1f6fb4", lw=2, label=name)  # type: ignore[attr-defined]
+    axes.plot(mean[column], mean["psnr"], "o-", color="#1f6fb4", lw=2, label=name)
     for preset, row in mean.iterrows():
         axes.annotate(
             preset,
             (row[column], row["psnr"]),
             fontsize=8,
-            color="#1f6fb4",  # type: ignore[attr-defined]
+            color="#1f6fb4",
             xytext=(0, 6),
             textcoords="offset points",
             ha="center",
         )
 
 
-def _against_published(axes: object, points: pd.DataFrame) -> None:
+def _against_published(axes: Axes, points: pd.DataFrame) -> None:
     _strong(axes, points, "train_cpu_s", "here")
     for name, (seconds, psnr) in PUBLISHED.items():
-        axes.plot(seconds, psnr, "s", color="#b4531f", ms=5)  # type: ignore[attr-defined]
+        axes.plot(seconds, psnr, "s", color="#b4531f", ms=5)
         axes.annotate(
             f"{name}, GPU",
             (seconds, psnr),
             fontsize=8,
-            color="#b4531f",  # type: ignore[attr-defined]
+            color="#b4531f",
             xytext=(0, -11),
             textcoords="offset points",
             ha="center",
         )
     fern = points[points["place"] == "fern"].sort_values("train_cpu_s")
-    axes.plot(fern["train_cpu_s"], fern["psnr"], color="0.6", lw=1)  # type: ignore[attr-defined]
+    axes.plot(fern["train_cpu_s"], fern["psnr"], color="0.6", lw=1)
     last = fern.iloc[-1]
     axes.annotate(
         "fern alone",
         (last["train_cpu_s"], last["psnr"]),
         fontsize=7,
-        color="0.4",  # type: ignore[attr-defined]
+        color="0.4",
         xytext=(3, 2),
         textcoords="offset points",
     )
-    axes.plot(*OPENSPLAT, "^", color="0.3", ms=6)  # type: ignore[attr-defined]
+    axes.plot(*OPENSPLAT, "^", color="0.3", ms=6)
     axes.annotate(
         "OpenSplat, CPU, fern",
         OPENSPLAT,
         fontsize=8,
-        color="0.3",  # type: ignore[attr-defined]
+        color="0.3",
         xytext=(0, 7),
         textcoords="offset points",
         ha="center",
     )
     axes.set(
         xscale="log",
-        xlabel="seconds: CPU (blue, grey), GPU (squares)",  # type: ignore[attr-defined]
+        xlabel="seconds: CPU (blue, grey), GPU (squares)",
         ylabel="test PSNR, dB",
         title="fern, horns, fortress, room; 3 photos",
     )
-    axes.margins(x=0.18, y=0.12)  # type: ignore[attr-defined]
+    axes.margins(x=0.18, y=0.12)
 
 
 def main() -> None:
@@ -316,6 +320,8 @@ def main() -> None:
                 where = f"hydra.sweep.dir={given.studies}"
                 command = [sys.executable, str(ROOT / "run.py"), *words[:-1], where, "-m"]
                 subprocess.run(command, check=False)  # what failed is told there, and missing here
+    if not list(given.studies.glob("*/runs.csv")):
+        parser.error(f"--studies {given.studies}: expected studies made with --run, found none")
     lines: list[str] = []
     for ask in given.ask:
         lines += ["", f"## {ask.capitalize()}", ""]

@@ -192,7 +192,7 @@ class PluginsAtWork:
 
     def _tell_of_capacity(self, running: _Running) -> None:
         capacity = running.plugged.plugin
-        if getattr(capacity, "second_field", False):
+        if capacity.second_field:
             return  # what it does to the second field is not counted here
         if self._dose[f"{running.owner}.edits"][0] == 0 and not running.idle:
             LOG.warning(

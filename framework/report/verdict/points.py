@@ -26,13 +26,13 @@ from framework.report.verdict.lead import (
 from framework.report.verdict.steady import steady_sentence
 
 MEANING = {  # docs/methods.md has their equations
-    "dba": "trains on views warped from the nearest photo as well",
-    "euclidean": "on views warped from the nearest photos",
-    "full_set": "on views warped from all photos",
-    "safi": "on views warped from the photos that Fisher information chooses",
-    "uniform": "dims Gaussians at random",
-    "uar_hard": "drops Gaussians that the photos determine well",
-    "uar": "dims Gaussians that the photos determine well",
+    "dba": "pseudo views warped from the nearest photo",
+    "euclidean": "pseudo views warped from the nearest photos",
+    "full_set": "pseudo views warped from all photos",
+    "safi": "pseudo views warped from the photos that Fisher information chooses",
+    "uniform": "dropout of Gaussians at random",
+    "uar_hard": "dropout of Gaussians that the photos determine well",
+    "uar": "dimming of Gaussians that the photos determine well",
 }
 
 
@@ -74,8 +74,8 @@ def evidence(found: Outcomes) -> str:
 def _meanings(tested: Sequence[Comparison]) -> str:
     """The report's best known parts of methods in a few words each, for who meets them here."""
     parts = {part for c in tested for part in c.method.split(",")[0].split(" + ")}
-    known = [f"{part} {MEANING[part]}" for part in MEANING if part in parts]
-    return f": {'; '.join(known)}" if known else ""
+    known = [f"{part} is {MEANING[part]}" for part in MEANING if part in parts]
+    return f" ({'; '.join(known)})" if known else ""
 
 
 def _elsewhere(tested: Sequence[Comparison]) -> list[str]:
