@@ -1,19 +1,22 @@
 """Do more steps, more photos and dearer presets help, and what do they cost?
 
     python benchmarks/quality/budgets.py --data DIR --studies DIR [--ask time views presets]
-        [--seeds 0,1,2] [--steps 100,300,1000,3000,10000] [--presets fast,balanced,best] [--run]
-        [--output FILE.md]
+        [--seeds 0,1,2] [--steps 100,300,1000,3000,10000] [--presets fast,balanced,best] [--lpips]
+        [--run] [--output FILE.md]
 
 DIR of --data holds the scenes of `SCENES` by name. With --run every study is done by `run.py`, one
 process and thread, into the folder of --studies; what is complete there is kept, so a second call
 goes on, with more seeds if they are given. Without it, what is there is put in tables, and for the
 presets in a chart beside FILE.md. Time and views are asked at half the photos' size. Seconds are
-CPU seconds of the training, as other programs disturb them less than the clock.
+CPU seconds of the training, as other programs disturb them less than the clock; memory is the peak
+of the process. --lpips: of the presets' runs LPIPS (VGG) is measured too, by the weights that
+`fishersplat fetch lpips` fetched.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -22,6 +25,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import matplotlib
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -72,9 +76,13 @@ VIEWS = {
 }
 
 
-def commands(ask: str, data: Path, seeds: str, steps: str, presets: str) -> list[list[str]]:
+def commands(
+    ask: str, data: Path, seeds: str, steps: str, presets: str, lpips: bool
+) -> list[list[str]]:
     """The words for run.py of one question."""
-    usual = ["threads=1", "metrics.lpips_weights=none", "trainer.evaluations=1", f"seed={seeds}"]
+    usual = ["threads=1", "trainer.evaluations=1", f"seed={seeds}"]
+    if not (lpips and ask == "presets"):
+        usual.append("metrics.lpips_weights=none")
     made = []
     if ask == "views":
         for name, (scene, numbers) in VIEWS.items():
@@ -106,7 +114,14 @@ def runs(studies: Path, study: str) -> pd.DataFrame:
         table[option] = found
     table["preset"] = table["overrides"].str.extract(r"preset=(\w+)")[0]
     table["steps"] = table["overrides"].str.extract(r"trainer\.steps=(\d+)")[0].astype(float)
+    folder = studies / study / "runs"
+    table["memory_mb"] = [memory_mb(folder / str(run) / "record.json") for run in table["run"]]
     return table.dropna(subset=["psnr"])
+
+
+def memory_mb(record: Path) -> float:
+    """What the process of a run had at its most."""
+    return json.loads(record.read_text())["peak_memory_bytes"] / 1e6 if record.exists() else np.nan
 
 
 def told(values: pd.Series, digits: int = 2) -> str:
@@ -127,8 +142,8 @@ def time_table(studies: Path) -> list[str]:
     lines = [
         "| scene, views | "
         + " | ".join(f"{n:,}" for n in counts)
-        + " | seeds | worst step back, dB |",
-        "|---|" + "---:|" * (len(counts) + 2),
+        + " | seeds | Gaussians, MB, of the longest | worst step back, dB |",
+        "|---|" + "---:|" * (len(counts) + 3),
     ]
     for scene, table in tables.items():
         if not len(table):
@@ -143,9 +158,10 @@ def time_table(studies: Path) -> list[str]:
         shown = f"{back:.2f}" if back < -TOLERANCE_DB else "none"
         n = table.groupby("steps")["seed"].nunique()
         seeds = f"{n.min()}" if n.min() == n.max() else f"{n.min()} to {n.max()}"
-        lines.append(
-            f"| {named(scene)}, {SCENES[scene].views} | {' | '.join(cells)} | {seeds} | {shown} |"
-        )
+        longest = table[table["steps"] == table["steps"].max()]
+        size = f"{longest['gaussians'].mean():,.0f}, {longest['memory_mb'].max():,.0f}"
+        name = f"{named(scene)}, {SCENES[scene].views}"
+        lines.append(f"| {name} | {' | '.join(cells)} | {seeds} | {size} | {shown} |")
     return lines
 
 
@@ -187,31 +203,38 @@ def presets_table(studies: Path) -> tuple[list[str], pd.DataFrame]:
     lines = [
         "| scene, views | "
         + " | ".join(f"`{p}` ({STEPS[p]:,} steps)" for p in have)
-        + " | seeds |",
-        "|---|" + "---|" * len(have) + "---:|",
+        + " | seeds | MB |",
+        "|---|" + "---|" * len(have) + "---:|---:|",
     ]
     for scene, table in every.groupby("place", sort=False):
         cells = []
         for preset in have:
             g = table[table["preset"] == preset]
-            cost = f"{g['train_cpu_s'].mean():.0f} s, {g['gaussians'].mean():,.0f}"
+            cost = f"{sharpness(g)}{g['train_cpu_s'].mean():.0f} s, {g['gaussians'].mean():,.0f}"
             cells.append(f"{told(g['psnr'])} dB, {cost}" if len(g) else "-")
         seeds = table["seed"].nunique()
-        lines.append(f"| {named(scene)}, {SCENES[scene].views} | {' | '.join(cells)} | {seeds} |")
-    columns = ["psnr", "ssim", "train_cpu_s", "gaussians", "parameters"]
+        size = f"{seeds} | {table['memory_mb'].max():,.0f}"
+        lines.append(f"| {named(scene)}, {SCENES[scene].views} | {' | '.join(cells)} | {size} |")
+    columns = ["psnr", "ssim", "lpips_01", "train_cpu_s", "gaussians", "parameters"]
     means = every.groupby(["place", "preset"], sort=False)[columns].mean().reset_index()
     complete = means.groupby("place")["preset"].nunique() == len(have)
     both = means[means["place"].isin(complete[complete].index)]
     over = both.groupby("preset")[columns].mean().reindex(have)
     n = both["place"].nunique()
     cells = [
-        f"{r.psnr:.2f} dB, {r.train_cpu_s:.0f} s, {r.gaussians:,.0f}" for r in over.itertuples()
+        f"{r.psnr:.2f} dB, {r.lpips_01:.3f}, {r.train_cpu_s:.0f} s, {r.gaussians:,.0f}"
+        for r in over.itertuples()
     ]
-    lines.append(f"| mean of {n} scenes | {' | '.join(cells)} | |")
+    lines.append(f"| mean of {n} scenes | {' | '.join(cells)} | | |")
     llff = both[both["place"].isin(FORWARD)].groupby("preset")[columns].mean().reindex(have)
-    cells = [f"{r.psnr:.2f} dB, {r.train_cpu_s:.0f} s" for r in llff.itertuples()]
-    lines.append(f"| mean of {', '.join(FORWARD)} | {' | '.join(cells)} | |")
+    cells = [f"{r.psnr:.2f} dB, {r.lpips_01:.3f}, {r.train_cpu_s:.0f} s" for r in llff.itertuples()]
+    lines.append(f"| mean of {', '.join(FORWARD)} | {' | '.join(cells)} | | |")
     return lines, both
+
+
+def sharpness(group: pd.DataFrame) -> str:
+    """LPIPS as papers feed it, images in [0, 1], of the runs that have it."""
+    return f"{group['lpips_01'].mean():.3f}, " if group["lpips_01"].notna().any() else ""
 
 
 def chart(points: pd.DataFrame) -> Figure:
@@ -311,12 +334,15 @@ def main() -> None:
     parser.add_argument("--seeds", default="0,1,2")
     parser.add_argument("--steps", default="100,300,1000,3000,10000")
     parser.add_argument("--presets", default="fast,balanced,best")
+    parser.add_argument("--lpips", action="store_true", help="of the presets' runs")
     parser.add_argument("--run", action="store_true")
     parser.add_argument("--output", type=Path)
     given = parser.parse_args()
     if given.run:
         for ask in given.ask:
-            for words in commands(ask, given.data, given.seeds, given.steps, given.presets):
+            for words in commands(
+                ask, given.data, given.seeds, given.steps, given.presets, given.lpips
+            ):
                 where = f"hydra.sweep.dir={given.studies}"
                 command = [sys.executable, str(ROOT / "run.py"), *words[:-1], where, "-m"]
                 subprocess.run(command, check=False)  # what failed is told there, and missing here
