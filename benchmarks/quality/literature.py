@@ -30,6 +30,7 @@ def row(method: str, seed: int, overrides: Sequence[str]) -> tuple[float, float,
     from framework.compute import parallel
     from framework.compute.rng import stream
     from framework.metrics.coadaptation import coadaptation
+    from framework.metrics.evaluate import psnr
     from framework.rasterize import rasterize
 
     parallel.set_threads(1)
@@ -44,10 +45,11 @@ def row(method: str, seed: int, overrides: Sequence[str]) -> tuple[float, float,
         "sh_degree": trained.sh_degree,
         "near": ready.config["trainer"]["near_plane"] * near,
     }
-    errors = []
-    for view in ready.scene.test:
-        error = (rasterize(gaussians, view.camera, **fixed).rgb.clamp(0, 1) - view.image).double()
-        errors.append(-10 * float(error.square().mean().log10()))
+    found = [
+        psnr(rasterize(gaussians, view.camera, **fixed).rgb, view.image, view.mask)
+        for view in ready.scene.test
+    ]
+    errors = [value for value in found if isinstance(value, float)]
     score = coadaptation(
         lambda camera, factors: rasterize(gaussians, camera, opacity_factors=factors, **fixed),
         len(gaussians),

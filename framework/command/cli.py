@@ -25,7 +25,7 @@ from omegaconf import DictConfig, OmegaConf
 
 import framework
 from framework.command import own_plugins, runner
-from framework.command.complaints import USER_ERRORS, one_line
+from framework.command.complaints import USER_ERRORS, one_line, with_variant
 from framework.command.config.help import help_text
 from framework.command.config.naming import plain, register_resolvers, study_name
 from framework.command.config.schema import (
@@ -99,7 +99,7 @@ def main(argv: Sequence[str]) -> int:
     except (Refused, *USER_ERRORS) as error:
         if "traceback=true" in argv:
             traceback.print_exc()
-        print(f"error: {one_line(error)}", file=sys.stderr)
+        print(f"error: {with_variant(one_line(error), argv)}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader, for instance `head`, has seen enough
         unread(sys.stdout)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import typing
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -21,9 +21,11 @@ from omegaconf.errors import (
     ValidationError,
 )
 
+from framework.command.config.schema import CONF_DIR
 from framework.command.launchers.known import missing_extra
 from framework.errors import UserError, mendable, nearest_hint, os_line, printable_line
 
+SWEPT = "_sweep"  # the name of a recipe without a network ends so
 USER_ERRORS = (UserError, HydraException, OmegaConfBaseException)
 KINDS = {
     **{int: "an integer", float: "a number", bool: "true or false", str: "a text"},
@@ -64,6 +66,19 @@ def one_line(error: BaseException) -> str:
             return printable_line(told)
     texts = [printable_line(str(cause)) for cause in (*chain[::-1], *chain)]
     return next(filter(None, texts), f"refused without a reason ({type(chain[0]).__name__})")
+
+
+def with_variant(message: str, words: Iterable[str]) -> str:
+    """`message` of a missing depth, and the method that the `words` of the command line could name
+    instead: recipes whose depth is a network's have a variant NAME_sweep without one."""
+    if not message.startswith(("depth=", "depth.")):
+        return message
+    chosen = [word.lstrip("+").removeprefix("method=") for word in words if "method=" in word]
+    names = [f"{name}{SWEPT}" for word in chosen for name in word.split(",")]
+    there = [f"method={name}" for name in names if (CONF_DIR / "method" / f"{name}.yaml").exists()]
+    if not there:
+        return message
+    return f"{message}; or take the plane sweep instead of a network: {', '.join(there)}"
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

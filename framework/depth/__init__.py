@@ -19,7 +19,15 @@ from framework.depth.plane_sweep import PlaneSweep
 from framework.depth.provider import DepthProvider
 from framework.errors import UserError, nearest_hint
 
-__all__ = ["PROVIDERS", "DepthProvider", "build_provider"]
+__all__ = [
+    "PROVIDERS",
+    "DepthProvider",
+    "build_provider",
+    "consistency",
+    "matching",
+    "options",
+    "transfer",
+]
 
 PROVIDERS: dict[str, type] = {
     "ground_truth": GroundTruth,

@@ -16,4 +16,13 @@ from framework.initialize.stereo import Stereo
 
 INITIALIZERS: dict[str, type] = {"stereo": Stereo, "sparse": Sparse}
 
-__all__ = ["INITIALIZERS", "Sparse", "Stereo", "background_color", "random_background"]
+__all__ = [
+    "INITIALIZERS",
+    "Sparse",
+    "Stereo",
+    "background_color",
+    "fusion",
+    "isotropic",
+    "random_background",
+    "sparse",
+]

@@ -77,12 +77,25 @@ def sh_degree(options: TrainerOptions, step: int, stored: int, first: int = 0) -
 def downsampling(options: TrainerOptions, step: int, view: View) -> int:
     """By which integer factor a view is box-downsampled now. A pseudo view, warped from photos, has
     little to say about fine detail and is drawn in a fraction of the time when it is small."""
-    factor = options.coarse_factor if step < options.coarse_until * options.steps else 1
+    factor = coarse_factor(options, step)
     if PSEUDO in view.tags:
         factor = max(factor, options.pseudo_factor)
     while factor > 1 and min(view.camera.width, view.camera.height) // factor < SMALLEST_SIDE:
         factor //= 2
     return factor
+
+
+def coarse_factor(options: TrainerOptions, step: int) -> int:
+    """`options.coarse_factor` while images are coarse. With `coarse_octaves` it halves until then,
+    each power of two above 1 for as long: frequencies open octave by octave, as in FreeNeRF (Yang
+    et al. 2023, section 3.3)."""
+    until = options.coarse_until * options.steps
+    if step >= until:
+        return 1
+    if not options.coarse_octaves:
+        return options.coarse_factor
+    octaves = options.coarse_factor.bit_length() - 1
+    return options.coarse_factor >> int(step * octaves / until)
 
 
 def evaluation_steps(options: TrainerOptions) -> frozenset[int]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from framework.command.cli import main
-from framework.command.complaints import one_line
+from framework.command.complaints import one_line, with_variant
 from framework.command.config.schema import ROOT
 from framework.command.studies.failures import kind_of
 from framework.errors import mendable, os_line, out_of_memory
@@ -191,3 +191,13 @@ def test_a_report_without_memory(
     monkeypatch.setattr("framework.report.build.build_report", fail)
     assert report([str(tmp_path)]) == 1
     assert capsys.readouterr().err.startswith("error: memory: expected room")
+
+
+def test_a_missing_depth_names_the_recipe_without_a_network() -> None:
+    told = with_variant("depth=file: expected a folder", ["preset=paper", "+method=fsgs,corgs"])
+    assert told.endswith("take the plane sweep instead of a network: method=fsgs_sweep")
+    for message, words in (
+        ("depth=file: expected a folder", ["method=corgs"]),
+        ("scene.path: expected a folder", ["method=fsgs"]),
+    ):
+        assert with_variant(message, words) == message

@@ -248,6 +248,16 @@ def test_schedule_of_the_rates() -> None:
     assert schedule.evaluation_steps(TrainerOptions(steps=2)) == {1, 2}
 
 
+def test_coarse_images_become_finer_by_octaves() -> None:
+    options = TrainerOptions(steps=100, coarse_factor=8, coarse_until=0.9, coarse_octaves=True)
+    factors = [schedule.coarse_factor(options, step) for step in range(100)]
+    assert factors == [8] * 30 + [4] * 30 + [2] * 30 + [1] * 10
+    at_once = replace(options, coarse_octaves=False)
+    assert [schedule.coarse_factor(at_once, step) for step in (0, 89, 90)] == [8, 8, 1]
+    alone = replace(options, coarse_factor=1)
+    assert schedule.coarse_factor(alone, 0) == 1
+
+
 def test_pseudo_views_are_small_from_first_to_last() -> None:
     camera = Camera(torch.eye(4), torch.eye(3), 64, 40)
     photo = View("photo", camera, torch.zeros(3, 40, 64))

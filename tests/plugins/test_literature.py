@@ -24,6 +24,7 @@ from framework.methods.neighbours import nearest_distance, nearest_others
 from framework.plugin import StepContext, StepStats
 from framework.rasterize import rasterize
 from framework.types import Camera, Gaussians, Render, View
+from plugins.augment.mvs_warp import MvsWarp
 from plugins.capacity.co_prune import CoPrune
 from plugins.capacity.edge_split import EdgeSplit, edge_scores, sobel
 from plugins.capacity.proximity_unpool import ProximityUnpool, between
@@ -37,6 +38,7 @@ from plugins.regularize.depth_density import DepthDensity, ranks, scores
 from plugins.regularize.depth_local_global import DepthLocalGlobal, compared
 from plugins.regularize.depth_pearson import DepthPearson
 from plugins.regularize.depth_rank import DepthRank
+from plugins.regularize.frequency import Frequency
 from plugins.regularize.occlusion import Occlusion
 from plugins.regularize.opacity_noise import OpacityNoise
 from plugins.regularize.patch_smoothness import PatchSmoothness, roughness
@@ -44,6 +46,7 @@ from plugins.regularize.removal import Removal
 from plugins.regularize.render_consistency import RenderConsistency
 from plugins.regularize.sharpness import Sharpness
 from tests.plugins.fakes import Log, context, stage, wall_of_gaussians
+from tests.warp.stage import photograph
 
 
 def at_work(**changes: Any) -> StepContext:
@@ -339,6 +342,48 @@ def test_what_is_near_to_a_camera_should_be_transparent() -> None:
     assert found is not None and float(found) == pytest.approx(float(expected))
     far = replace(render, radii=torch.tensor([0.0, 0, 1, 0]))
     assert Occlusion().loss(ctx, None, view, far) is None
+
+
+def test_what_is_finer_than_open_frequencies_pays() -> None:
+    """By hand in float64: discs at depth z, limits of 2^octaves / pi pixels that halve."""
+    plugin = Frequency(octaves=2.0, opened=0.5)
+    assert plugin.limit(0.0) == pytest.approx(4 / math.pi)
+    assert plugin.limit(0.25) == pytest.approx(2 / math.pi)
+    assert plugin.limit(0.5) == plugin.limit(0.9) == pytest.approx(1 / math.pi)
+    scales = torch.tensor([[0.001, 0.01, 0.5], [0.2, 0.3, 0.4], [0.02, 0.02, 0.02]])
+    gaussians = wall_of_gaussians(3).replace(log_scales=scales.log())
+    ctx = context(gaussians=gaussians, step=25)
+    view = ctx.views[0]
+    render = replace(shown(ctx.depth[0].depth), radii=torch.tensor([3.0, 1.0, 0.0]))
+    pose, K = view.camera.viewmat, view.camera.K
+    total = 0.0
+    for mean, scale in ((gaussians.means[0], 0.01), (gaussians.means[1], 0.3)):
+        z = float(mean.double() @ pose[2, :3] + pose[2, 3])
+        limit = 2 / math.pi * z / float(K[0, 0])
+        total += max(0.0, math.log(limit / scale)) ** 2
+    found = plugin.loss(ctx, None, view, render)
+    assert found is not None and total > 0 and float(found) == pytest.approx(total / 2, rel=1e-4)
+    half = replace(view, camera=view.camera.scaled(2), image=view.image[:, ::2, ::2])
+    assert torch.allclose(plugin.loss(ctx, None, half, render), found)  # type: ignore[arg-type]
+    assert plugin.loss(replace(ctx, step=50), None, view, render) is None
+
+
+def test_a_warped_photo_is_of_one_view_drawn_evenly() -> None:
+    """And what it shows is the stage as its own camera would photograph it."""
+    plugin = MvsWarp(sigma_center=0.1, sigma_rotation=0.5, min_coverage=0.1)
+    drawn = []
+    for seed in range(60):
+        chosen, _ = plugin.select(context(seed=seed), None, stage()[0][0].camera)
+        drawn += chosen
+    assert sorted(set(drawn)) == [0, 1, 2] and min(map(drawn.count, range(3))) >= 10
+    ctx = context(epoch=0)
+    (view,), _ = plugin.pseudo_views(ctx, plugin.init_state(ctx))
+    photo = photograph(view.camera, samples=2)
+    assert view.mask is not None
+    valid = view.mask > 0.5
+    error = (view.image - photo.image).abs().mean(0)[valid]
+    assert 0.3 < float(valid.float().mean()) < 1 and float(error.median()) < 0.03
+    assert float(view.image[:, ~valid].abs().max()) == 0
 
 
 # Renders from elsewhere

@@ -13,29 +13,48 @@ from framework.report.text.published import read
 from tests.record.fakes import fake_run
 
 
-def _recipe(folder: Path, name: str, seed: int, **options: object) -> None:
+def _recipe(folder: Path, name: str, seed: int, loader: str = "llff", **options: object) -> None:
     """A run whose command line chose a method."""
     fake_run(folder, "none", "none", seed, run_name=f"{name}-{seed}", scene="llff_fern", **options)  # type: ignore[arg-type]
     path = folder / "runs" / f"{name}-{seed}" / "record.json"
     content = json.loads(path.read_text(encoding="utf-8"))
     content["overrides"] = [f"method={name}", f"seed={seed}"]
     content["config"]["reg"] = {"name": name}
+    content["config"]["scene"]["name"] = loader
     path.write_text(json.dumps(content), encoding="utf-8")
 
 
 def test_recipes_stand_beside_published_and_repeated_figures(tmp_path: Path) -> None:
     for seed in (0, 1):
         _recipe(tmp_path, "corgs", seed)
-        _recipe(tmp_path, "fsgs", seed, gain=1.0)
+        _recipe(tmp_path, "fsgs_sweep", seed, gain=1.0)
     (found,) = (b for b in literature(collect(tmp_path)) if isinstance(b, Table))
     columns = dict(zip(found.columns, range(20), strict=False))
     rows = {row[columns["Method"]]: row for row in found.rows}
     assert set(rows) == {"CoR-GS", "FSGS", "ReconFusion", "MuRF"}
     corgs = rows["CoR-GS"]
-    assert corgs[columns[PUBLISHED]] == "20.45" and corgs[columns["Runs"]] == "2"
-    assert corgs[columns[REPEATED]] == "20.19 ± 0.14 (10 runs)"
+    assert corgs[columns[PUBLISHED.format(set="LLFF")]] == "20.45" and corgs[columns["Runs"]] == "2"
+    assert corgs[columns[REPEATED.format(set="LLFF")]] == "20.19 ± 0.14 (10 runs)"
     assert corgs[columns[OF_SCENE]] == "22.29"
+    assert rows["FSGS"][columns["Recipe"]] == "fsgs_sweep"
+    assert rows["MuRF"][columns["Recipe"]] == "published only"
     assert rows["MuRF"][columns[HERE]] == "–" and rows["FSGS"][columns[HERE]] != "–"
+
+
+def test_scenes_of_dtu_stand_beside_figures_of_dtu(tmp_path: Path) -> None:
+    for name in ("binocular_sweep", "stereogs_sweep", "segs"):
+        _recipe(tmp_path, name, 0, loader="dtu")
+    (found,) = (b for b in literature(collect(tmp_path)) if isinstance(b, Table))
+    columns = dict(zip(found.columns, range(20), strict=False))
+    printed = {
+        row[columns["Method"]]: (
+            row[columns[PUBLISHED.format(set="DTU")]],
+            row[columns[REPEATED.format(set="DTU")]],
+        )
+        for row in found.rows
+    }
+    assert printed["Binocular3DGS"] == ("20.71", "20.83") and printed["SE-GS"] == ("–", "–")
+    assert printed["StereoGS"] == ("21.46", "–") and printed["MuRF"] == ("21.31", "–")
 
 
 def test_a_study_without_recipes_has_no_such_table(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from framework.command import own_plugins
-from framework.command.complaints import USER_ERRORS, one_line
+from framework.command.complaints import USER_ERRORS, one_line, with_variant
 from framework.command.job import Job
 from framework.command.program import program
 from framework.command.studies.closing import short_path
@@ -56,6 +56,7 @@ def tell(job: Job, raised: Exception) -> Outcome:
     entry it returns."""
     error, run_dir = _as_bad_input(raised), Path(job.run_dir)
     message, kind = _shown(error, job.config["traceback"]), kind_of(error)
+    message = with_variant(message, job.overrides)
     bad_input, busy = isinstance(error, USER_ERRORS), isinstance(error, Busy)
     if busy:
         pass  # it is the other process's to tell

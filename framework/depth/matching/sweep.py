@@ -192,12 +192,20 @@ def _partners(
     return chosen
 
 
+def checked(
+    training: TrainingSet, options: PlaneSweepOptions, limit: int
+) -> list[tuple[tuple[float, float], list[int]]]:
+    """Of every view the depth bounds and up to `limit` partners. Raises UserError for views that
+    are too few, too small, or do not overlap."""
+    _check_input(training, options)
+    bounds = [depth_bounds(training, i) for i in range(len(training.views))]
+    return list(zip(bounds, _partners(training, bounds, limit), strict=True))
+
+
 def sweep_views(training: TrainingSet, options: PlaneSweepOptions) -> tuple[DepthMap, ...]:
     """See `framework.depth.plane_sweep.PlaneSweep.measure`."""
-    _check_input(training, options)
     indices = range(len(training.views))
-    bounds = [depth_bounds(training, i) for i in indices]
-    sources = _partners(training, bounds, options.neighbours)
+    bounds, sources = zip(*checked(training, options, options.neighbours), strict=True)
     images = [grey(view) for view in training.views]
     swept = [sweep_view(training, images, i, sources[i], bounds[i], options) for i in indices]
     depths = [depth for depth, _ in swept]

@@ -1,0 +1,258 @@
+"""`init=epipolar`: a Gaussian for every pixel whose match lies on its epipolar line.
+
+NexusGS (Zheng et al. 2025): a pixel is matched with its two nearest views, the match is moved onto
+its epipolar line, or refused where it is a pixel or more away, and of two depths that one stays
+which a small error of the match changes least. NexusGS matches by optical flow, a network. Here a
+pair of views is matched by the plane sweep, which finds depth, and then freely, by the best
+correlation among the places some pixels around: what is alike elsewhere than on the line is
+refused. Both views have to agree, too, as the search goes only some pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from framework.errors import require
+from framework.plugin import Initializer, register
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+
+    from framework.types import Camera, DepthMap, Gaussians, TrainingSet
+
+FEWEST = 100  # pixels with a match
+REACH = 2  # pixels around the swept match that are searched
+VARIANCE_FLOOR = 2e-5  # as in the plane sweep: about one grey level of 255
+
+
+@register("init", "epipolar")
+@dataclass(frozen=True)
+class Epipolar(Initializer):
+    """partners: views that a pixel is matched with, the nearest. off_line: pixels from its epipolar
+    line at which a match is refused. similar: least correlation of the matched windows. tolerance:
+    relative difference of depth up to which the two views of a pair agree. share: of the matched
+    pixels that become a Gaussian, drawn at random; 1 = all of them. radius: of the compared window.
+    scale_factor: standard deviation in units of the mean spacing of the Gaussians. opacity: of
+    every Gaussian.
+    """
+
+    partners: int = 2
+    off_line: float = 1.0
+    similar: float = 0.3
+    tolerance: float = 0.03
+    share: float = 0.2
+    radius: int = 3
+    scale_factor: float = 1.0
+    opacity: float = 0.1
+
+    def __post_init__(self) -> None:
+        self.check("partners", 1 <= self.partners <= 100, "an integer from 1 to 100")
+        self.check("off_line", 0 < self.off_line <= 10, "pixels in (0, 10]")
+        self.check("similar", -1 <= self.similar <= 1, "a correlation in [-1, 1]")
+        self.check("tolerance", 0 < self.tolerance < 1, "a share in (0, 1)")
+        self.check("share", 0 < self.share <= 1, "a share in (0, 1]")
+        self.check("radius", 1 <= self.radius <= 15, "1 to 15 pixels")
+        self.check("scale_factor", 0 < self.scale_factor < 100, "a number in (0, 100)")
+        self.check("opacity", 0 < self.opacity < 1, "a number in (0, 1)")
+
+    def build(
+        self, training: TrainingSet, depth: tuple[DepthMap, ...], sh_degree: int, seed: int
+    ) -> Gaussians:
+        """Round Gaussians on the matched pixels, each as large as the pixels it stands for.
+        `depth` plays no part. Raises UserError when hardly any pixel has a match."""
+        import numpy as np
+        import torch
+
+        from framework.compute.rng import stream
+        from framework.geometry import unproject
+        from framework.initialize.isotropic import isotropic_gaussians
+
+        places, colours, sizes = [], [], []
+        for view, found in zip(training.views, self.depths(training), strict=True):
+            valid = found > 0
+            if view.mask is not None:
+                valid &= view.mask.numpy() > 0.5
+            at = unproject(torch.from_numpy(found), view.camera).numpy()
+            K = view.camera.K
+            places.append(at[valid])
+            colours.append(view.image.numpy()[:, valid].T)
+            sizes.append(found[valid] / float((K[0, 0] * K[1, 1]).sqrt()))
+        xyz, rgb, size = (np.concatenate(parts) for parts in (places, colours, sizes))
+        require(
+            len(xyz) >= FEWEST,
+            f"init=epipolar: expected at least {FEWEST} pixels with a match on their epipolar line"
+            f" in scene {training.scene}, got {len(xyz)}; use init=sparse, init=stereo, a larger"
+            " init.off_line or views that overlap more",
+        )
+        n = max(FEWEST, round(self.share * len(xyz)))
+        chosen = np.sort(stream(seed, "init/epipolar").permutation(len(xyz))[:n])
+        scales = self.scale_factor * size[chosen] * np.sqrt(len(xyz) / len(chosen))
+        return isotropic_gaussians(xyz[chosen], rgb[chosen], scales, self.opacity, sh_degree)
+
+    def depths(self, training: TrainingSet) -> list[np.ndarray]:
+        """[H, W] float64 of every view: the depth of the match that is least sensitive, 0 = none.
+
+        Raises UserError as `depth=plane_sweep` does, where views are too few or too small.
+        """
+        from framework.depth.consistency import agreeing_views
+        from framework.depth.matching.sweep import checked, grey, sweep_view
+        from framework.depth.options import PlaneSweepOptions
+
+        options = PlaneSweepOptions(radius=self.radius, tolerance=self.tolerance)
+        pairs = checked(training, options, self.partners)
+        images = [grey(view) for view in training.views]
+        cameras = [view.camera for view in training.views]
+        bounds = [bound for bound, _ in pairs]
+        wanted = {(i, j) for i, (_, partners) in enumerate(pairs) for j in partners}
+        swept = {
+            (i, j): sweep_view(training, images, i, [j], bounds[i], options)[0]
+            for i, j in sorted(wanted | {(j, i) for i, j in wanted})
+        }
+        found = []
+        for i, (_, partners) in enumerate(pairs):
+            matches = []
+            for j in partners:
+                pair = [swept[i, j], swept[j, i]], [cameras[i], cameras[j]]
+                agreed = agreeing_views(*pair, 0, [1], self.tolerance) > 0
+                z = swept[i, j] * agreed
+                matches.append(self._on_line(z, images[i], images[j], cameras[i], cameras[j]))
+            found.append(least_sensitive(matches, images[i].shape))
+        return found
+
+    def _on_line(
+        self, z: np.ndarray, image: np.ndarray, other: np.ndarray, camera: Camera, source: Camera
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Depth [H, W] of the free match moved onto the line, 0 where it is refused, and by what
+        share of itself a pixel along the line changes it [H, W]."""
+        import numpy as np
+
+        line = Line.of(z, camera, source)
+        moved, alike = free_match(image, other, line.u, line.v, self.radius)
+        along = moved[0] * line.du + moved[1] * line.dv
+        across = moved[0] * line.dv - moved[1] * line.du
+        kept = (z > 0) & (np.abs(across) < self.off_line) & (alike >= self.similar)
+        depth = np.where(kept, z + along * line.dz, 0.0)
+        depth = np.where(depth > 0, depth, 0.0)
+        return depth, np.abs(line.dz) / np.maximum(depth, 1e-300)
+
+
+@dataclass(frozen=True)
+class Line:
+    """The epipolar lines of a view's pixels in another, at their matches; all [H, W].
+
+    u, v: the match, pixels. du, dv: direction of the line there, length 1, towards larger depth.
+    dz: change of depth per pixel on it.
+    """
+
+    u: np.ndarray
+    v: np.ndarray
+    du: np.ndarray
+    dv: np.ndarray
+    dz: np.ndarray
+
+    @classmethod
+    def of(cls, z: np.ndarray, camera: Camera, source: Camera) -> Line:
+        """At depth z [H, W], from p(z) = z A x + t, u = p_0 / p_2: du/dz = (a_0 p_2 - p_0 a_2) /
+        p_2^2 with a = A x (`framework.depth.transfer`)."""
+        import numpy as np
+
+        from framework.depth.transfer import pixel_transfer
+
+        A, t = pixel_transfer(camera, source)
+        y, x = np.mgrid[: z.shape[0], : z.shape[1]] + 0.5
+        a = [A[k, 0] * x + A[k, 1] * y + A[k, 2] for k in range(3)]
+        depth = np.where(z > 0, z, 1.0).astype(np.float64)
+        p = [depth * a[k] + t[k] for k in range(3)]
+        last = np.where(np.abs(p[2]) > 1e-12, p[2], 1e-12)
+        slope = [(a[k] * last - p[k] * a[2]) / (last * last) for k in (0, 1)]
+        length = np.maximum(np.sqrt(slope[0] ** 2 + slope[1] ** 2), 1e-12)
+        return cls(p[0] / last, p[1] / last, slope[0] / length, slope[1] / length, 1 / length)
+
+
+def free_match(
+    image: np.ndarray, other: np.ndarray, u: np.ndarray, v: np.ndarray, radius: int
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """How far (pixels, [H, W] each way) the best match of every pixel lies from (u, v) in `other`,
+    at most `REACH` each way and finer than a pixel by parabolas, and its correlation [H, W].
+
+    Windows are warped by (u, v), so that slanted surfaces keep their form.
+    """
+    import numpy as np
+
+    n = 2 * REACH + 1
+    scores = np.stack(
+        [
+            zncc(image, sampled(other, u + dx, v + dy), radius)
+            for dy in range(-REACH, REACH + 1)
+            for dx in range(-REACH, REACH + 1)
+        ]
+    ).reshape(n, n, *image.shape)
+    best = scores.reshape(n * n, *image.shape).argmax(0)
+    row, column = best // n, best % n
+    y, x = np.indices(image.shape)
+
+    def score(i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        found: np.ndarray = scores[np.clip(i, 0, n - 1), np.clip(j, 0, n - 1), y, x]
+        return found
+
+    top = score(row, column)
+    finer = []
+    for low, high, at in (
+        (score(row, column - 1), score(row, column + 1), column),
+        (score(row - 1, column), score(row + 1, column), row),
+    ):
+        bend = low - 2 * top + high
+        inner = (at > 0) & (at < n - 1) & (bend < 0)
+        finer.append(at - REACH + np.where(inner, 0.5 * (low - high) / np.minimum(bend, -1e-12), 0))
+    return (finer[0], finer[1]), top
+
+
+def sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """`image` [h, w] at pixels (u, v), bilinearly; its border is repeated."""
+    import numpy as np
+
+    x = np.clip(u - 0.5, 0, image.shape[1] - 1.000001)
+    y = np.clip(v - 0.5, 0, image.shape[0] - 1.000001)
+    column, row = x.astype(np.int64), y.astype(np.int64)
+    fx, fy = x - column, y - row
+    top = image[row, column] * (1 - fx) + image[row, column + 1] * fx
+    low = image[row + 1, column] * (1 - fx) + image[row + 1, column + 1] * fx
+    found: np.ndarray = top * (1 - fy) + low * fy
+    return found
+
+
+def zncc(a: np.ndarray, b: np.ndarray, radius: int) -> np.ndarray:
+    """[H, W] correlation of the windows of two images around every pixel."""
+    import numpy as np
+    from scipy.ndimage import uniform_filter
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        found: np.ndarray = uniform_filter(
+            values.astype(np.float64), 2 * radius + 1, mode="nearest"
+        )
+        return found
+
+    mean_a, mean_b = mean(a), mean(b)
+    variance = [
+        np.maximum(mean(x * x) - m * m, 0) + VARIANCE_FLOOR
+        for x, m in ((a.astype(np.float64), mean_a), (b, mean_b))
+    ]
+    found: np.ndarray = (mean(a * b) - mean_a * mean_b) / np.sqrt(variance[0] * variance[1])
+    return found
+
+
+def least_sensitive(
+    matches: Sequence[tuple[np.ndarray, np.ndarray]], shape: tuple[int, ...]
+) -> np.ndarray:
+    """[H, W] of (depth, sensitivity) pairs the depth, where there is one, whose sensitivity is the
+    smallest; 0 where there is none."""
+    import numpy as np
+
+    depth, least = np.zeros(shape), np.full(shape, np.inf)
+    for found, sensitivity in matches:
+        better = (found > 0) & (sensitivity < least)
+        depth, least = np.where(better, found, depth), np.where(better, sensitivity, least)
+    return depth
