@@ -44,9 +44,7 @@ class TrainerOptions:
     pace_views: int = 3  # more views: smaller steps that fade less; 0 = whatever their number
     coarse_factor: int = 2  # images are box-downsampled by it at the beginning
     coarse_until: float = 0.25  # share of the steps that take images smaller by coarse_factor
-    coarse_octaves: bool = (
-        False  # the factor halves one time after another until then; else at once
-    )
+    coarse_octaves: bool = False  # coarse_factor halves step by step until then (FreeNeRF)
     pseudo_factor: int = 2  # pseudo views are always box-downsampled by it; 1 = as large as photos
     pseudo_steps: str = "joined"  # a pseudo view joins a real one's step, or has its own before it
     pseudo_mean: str = "frame"  # its loss is the mean over the frame, or over the covered pixels

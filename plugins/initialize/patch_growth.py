@@ -34,13 +34,13 @@ TOLERANCE = 0.03  # relative difference of depth up to which two views show one 
 @register("init", "patch_growth")
 @dataclass(frozen=True)
 class PatchGrowth(Initializer):
-    """seeds: where the first points are from, depth (pixels that several views confirm) or points
-    (the scene's sparse ones). per_pixel: points of the depth at most, per training pixel. growth:
-    points that grow at most, in units of the first; every round adds its share of them. rounds: of
-    growth. drawn: points that a round grows from. samples: places around each of them. spread:
-    standard deviation of these, in units of the point's mean depth in the views. similar: least
-    SSIM between the patches of any two views that have the place in their image, two or more.
-    patch: edge of a patch in pixels. opacity: of every Gaussian.
+    """seeds: where the first points are from, depth or points. That is: the fused pixels that
+    several views confirm, or the scene's sparse points. per_pixel: points of the depth at most, per
+    training pixel. growth: points that grow at most, in units of the first. Every round adds its
+    share of them. rounds: of growth. drawn: points that a round grows from. samples: places around
+    each of them. spread: their standard deviation, in the point's mean depths. similar: least SSIM
+    of the patches of two views. Of all pairs that have the place in their image. patch: edge of a
+    patch in pixels. opacity: of every Gaussian.
     """
 
     seeds: str = "depth"
