@@ -204,6 +204,8 @@ class StepStats:
     pixels. radii: [N] pixels, 0 = culled. width, height: of that render. factors: [N], what the
     regularizers multiplied opacities by (0 = dropped), None for nothing. gradients: of the
     parameters that the capacity's `gradients` names, as stored and by name. view: the real one.
+    absolute: [N, 2], as means2d_grad, but sums over pixels of absolute values, for a capacity that
+    `wants_absolute`, of the photometric loss alone; None where nobody does.
     """
 
     means2d_grad: Tensor
@@ -213,6 +215,7 @@ class StepStats:
     factors: Tensor | None = None
     gradients: Mapping[str, Tensor] = field(default_factory=dict)
     view: View | None = None
+    absolute: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -247,6 +250,11 @@ class Capacity(Plugin):
     @classmethod
     def weighted(cls) -> bool:
         """There is nothing to multiply."""
+        return False
+
+    def wants_absolute(self) -> bool:
+        """Whether `StepStats.absolute` is measured, for a render and a pass over its pixels more in
+        every step."""
         return False
 
     def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:

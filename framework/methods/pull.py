@@ -3,7 +3,8 @@
 The pull is the gradient of the loss with respect to the mean in normalised device coordinates
 (x_ndc = 2 u / width - 1, so d/dx_ndc = width / 2 d/du), averaged over the steps that saw the
 Gaussian (3DGS, Kerbl et al. 2023, section 5.2); unlike one in pixels it does not depend on the
-resolution trained at. Light to import.
+resolution trained at. Where absolute gradients are measured (`Capacity.wants_absolute`) it is of
+these (AbsGS, Ye et al. 2024). Light to import.
 """
 
 from __future__ import annotations
@@ -67,7 +68,10 @@ class PullCapacity(Capacity):
                 f" got {len(stats.means2d_grad)} gradients and {len(stats.radii)} radii"
             )
         visible = stats.radii > 0
-        half_size = stats.means2d_grad.new_tensor([stats.width / 2, stats.height / 2])
-        u, v = (stats.means2d_grad * half_size).square().unbind(1)
+        gradient = stats.means2d_grad
+        if self.wants_absolute() and stats.absolute is not None:
+            gradient = stats.absolute
+        half_size = gradient.new_tensor([stats.width / 2, stats.height / 2])
+        u, v = (gradient * half_size).square().unbind(1)
         norm = (u + v).sqrt()
         return Pull(state.total + norm * visible, state.seen + visible)

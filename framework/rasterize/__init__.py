@@ -27,6 +27,7 @@ __all__ = [
     "Image",
     "ScreenGradient",
     "Workspace",
+    "absolute_gradient",
     "borrow",
     "constants",
     "give_back",
@@ -236,6 +237,30 @@ def render_gradient(
         )
     work.blend_backward(image, Image(in_rgb, _NOTHING, _NOTHING))
     return ScreenGradient(work, gaussians, radii)
+
+
+def absolute_gradient(
+    gaussians: Gaussians,
+    camera: Camera,
+    image_gradient: Callable[[np.ndarray], np.ndarray],
+    *,
+    background: Tensor | None = None,
+    sh_degree: int | None = None,
+    opacity_factors: Tensor | None = None,
+    near: float = 0.01,
+) -> Tensor:
+    """[N, 2] sums over the pixels of the absolute gradient of a loss of the colours in the
+    projected means, in pixels: pulls that cancel still count (AbsGS, Ye et al. 2024).
+
+    A render and a pass of its own. Arguments as for `render_gradient`.
+    """
+    tensors = _tensors(gaussians, opacity_factors, None)
+    seen = camera, _colour(background), _degree(gaussians, sh_degree), near
+    work = borrow()
+    image, _ = _render(work, tensors, *seen, with_depth=False, kept=True)
+    found = work.blend_absolute(image, image_gradient(image.rgb))
+    give_back(work)
+    return torch.from_numpy(found)
 
 
 def _degree(gaussians: Gaussians, wanted: int | None) -> int:

@@ -16,7 +16,7 @@ from framework.errors import UserError
 from framework.rasterize.constants import ROW
 from framework.rasterize.lending import Lender, aligned, grown
 from framework.rasterize.project import backward, information, projection
-from framework.rasterize.tile import binning, blend, moments
+from framework.rasterize.tile import absolute, binning, blend, moments
 from framework.types import Camera
 
 MAX_ENTRIES = 2**31 - 1  # an int32 counts them
@@ -261,6 +261,35 @@ class Workspace:
             blocks=len(self.n_slots),
             own=[(slots,) for slots in self._scratch(self.slots)],
         )
+
+    def blend_absolute(self, image: Image, in_rgb: np.ndarray) -> np.ndarray:
+        """[N, 2] float32: sums over pixels of the absolute gradient in the projected means, in
+        pixels; see `absolute.blend_absolute`. Writes over `sums`."""
+        self.sums = grown(self.sums, int(self.bounds[-1]))
+        nothing = self.sums.reshape(-1)[:0]
+        run_blocks(
+            absolute.blend_absolute,
+            self.width,
+            self.height,
+            self.rows,
+            self.offsets,
+            self.lists,
+            self.strips,
+            self.bounds,
+            self.parts,
+            self.n_slots,
+            image.rgb.reshape(-1),
+            in_rgb.reshape(-1),
+            nothing,
+            self.sums.reshape(-1),
+            blocks=len(self.n_slots),
+            own=[(slots,) for slots in self._scratch(self.slots)],
+        )
+        n = len(self.arrays.means)
+        counts = np.diff(self.first[: n + 1])
+        total = np.zeros((n, 2))
+        np.add.at(total, np.repeat(np.arange(n), counts), self.sums[: counts.sum(), :2])
+        return total.astype(np.float32)
 
     def _direction_buffers(self) -> tuple[np.ndarray, np.ndarray]:
         """slopes and cross of `moments.blend_moments`; empty at SH degree 0."""

@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
+from framework.errors import UserError
 from framework.records.provenance import BITS
 
 if TYPE_CHECKING:
@@ -91,6 +92,18 @@ class Rasterizer(ABC):
     ) -> RenderGradient:
         """Render, and the gradient of a loss of the colours: `image_gradient` gets rgb [3, H, W]
         and returns the loss's gradient in it, both as `loss_gradient` has them."""
+
+    def absolute_gradient(
+        self, gaussians: Gaussians, camera: Camera, image_gradient: Callable[[Any], Any], **how: Any
+    ) -> Tensor:
+        """[N, 2] sums over pixels of the absolute gradient in the projected means, as
+        `framework.rasterize.absolute_gradient`; how: as for `render_gradient`. Raises UserError
+        where a rasterizer gives no gradient of single pixels."""
+        raise UserError(
+            f"rasterizer={self.name}: expected one that measures single pixels for the absolute"
+            f" gradients that a capacity asks for, got {self.name}; use rasterizer=numba or turn"
+            " that option off, for instance capacity.absolute=false"
+        )
 
     @abstractmethod
     def fisher(

@@ -38,6 +38,13 @@ class Numba(Rasterizer):
 
         return render_gradient(gaussians, camera, image_gradient, **how)
 
+    def absolute_gradient(
+        self, gaussians: Gaussians, camera: Camera, image_gradient: Callable[[Any], Any], **how: Any
+    ) -> Tensor:
+        from framework.rasterize import absolute_gradient
+
+        return absolute_gradient(gaussians, camera, image_gradient, **how)
+
     def fisher(self, gaussians: Gaussians, camera: Camera, **how: Any) -> FisherInformation:
         from framework.fisher.information import fisher_information
 

@@ -12,7 +12,13 @@ from torch import Tensor
 from framework.plugin import GradientAt, StepStats
 from framework.rasterizers import NUMBA, Rasterizer
 from framework.train.epoch import Item
-from framework.train.gradient import Penalty, screen_gradient, step_stats, view_gradient
+from framework.train.gradient import (
+    Penalty,
+    absolute_pulls,
+    screen_gradient,
+    step_stats,
+    view_gradient,
+)
 from framework.train.guard import check_loss, diverged
 from framework.train.torch_adam import Optimizer
 from framework.types import Gaussians
@@ -59,19 +65,24 @@ def descend(
     acting: Regularization,
     wanted: Sequence[str] = (),
     rasterizer: Rasterizer = NUMBA,
+    absolute: bool = False,
     **rendered: Any,
 ) -> tuple[list[float], StepStats]:
     """Update `params` in place by the sum of the losses on the views of `items`; gives the
     weighted loss on each of them and what was seen of the first one.
 
     step: for messages. rates: of every tensor. wanted: the parameters whose gradient the capacity
-    sees. rendered: how, see `Rasterizer.render`, but for the factors of `acting`. A lone view's
-    gradient goes from the screen into Adam while the cache has it, unless somebody looks at it;
-    the others' are summed as a whole. Raises Diverged.
+    sees. absolute: whether it sees the absolute gradient on the screen. rendered: how, see
+    `Rasterizer.render`, but for the factors of `acting`. A lone view's gradient goes from the
+    screen into Adam while the cache has it, unless somebody looks at it; the others' are summed as
+    a whole. Raises Diverged.
     """
     first, rendered = items[0], {**rendered, "opacity_factors": acting.factors}
     where = _on(f"training step {step} on view", first)
     looked_at = acting.penalty or acting.mixed or wanted or not fading.alike
+    pulls = None
+    if absolute:
+        pulls = absolute_pulls(params, first, ssim_weight, rasterizer, **rendered)
     if len(items) == 1 and not looked_at:
         loss, found = screen_gradient(params, first, where, ssim_weight, rasterizer, **rendered)
         losses = [loss]
@@ -93,7 +104,7 @@ def descend(
             fade(params, gradients["opacity_logits"], fading)
     if broken:
         raise diverged(broken, where, params.detach(), optimizer.state())
-    return losses, stats
+    return losses, stats if pulls is None else replace(stats, absolute=pulls)
 
 
 def substep(

@@ -44,6 +44,17 @@ def screen_gradient(
     return loss, found
 
 
+def absolute_pulls(
+    params: Gaussians, item: Item, ssim_weight: float, rasterizer: Rasterizer, **rendered: Any
+) -> Tensor:
+    """[N, 2] on the CPU, see `StepStats.absolute`. Arguments as for `screen_gradient`."""
+
+    def image_gradient(rgb: Any) -> Any:
+        return rasterizer.loss_gradient(rgb, item.target, ssim_weight, item.view.weight)[1]
+
+    return rasterizer.absolute_gradient(params, item.view.camera, image_gradient, **rendered)
+
+
 def view_gradient(
     params: Gaussians,
     item: Item,

@@ -76,6 +76,7 @@ class PluginsAtWork:
                 for name in getattr(running.plugged.plugin, "gradients", ())
             }
         )  # parameters whose gradient a capacity looks at
+        self.absolute = any(_wants_absolute(r.plugged.plugin) for r in self._capacities)
         for running in (self._augment, *self._regs):
             if not running.idle:
                 dose.open(f"{running.owner}.asked")
@@ -344,6 +345,7 @@ def _followed(stats: StepStats, rows: Tensor) -> StepStats:
         radii=follow(stats.radii),
         factors=None if stats.factors is None else follow(stats.factors),
         gradients={name: follow(values) for name, values in stats.gradients.items()},
+        absolute=None if stats.absolute is None else follow(stats.absolute),
     )
 
 
@@ -363,6 +365,11 @@ def _fetched(stats: StepStats) -> StepStats:
         factors=None if stats.factors is None else stats.factors.cpu(),
         gradients=_brought(stats.gradients, CPU),
     )
+
+
+def _wants_absolute(plugin: Any) -> bool:
+    """A class of tests may have no word on it."""
+    return bool(getattr(plugin, "wants_absolute", bool)())
 
 
 def _name(plugin: Any) -> str:

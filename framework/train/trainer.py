@@ -182,6 +182,7 @@ class Trainer:
             field.plugins.regularization(now, field.params),
             field.plugins.gradients if turn == 0 else (),
             self.rasterizer,
+            turn == 0 and field.plugins.absolute,
             **rendered,
         )
         if field is self.field:

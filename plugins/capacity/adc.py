@@ -35,8 +35,10 @@ class AdaptiveDensityControl(PullCapacity):
     to settle what was split. from_step: no densification up to this step. grad_threshold: least
     mean pull (loss per NDC unit). percent_dense: largest standard deviation of a "small" Gaussian,
     in scene extents. min_opacity: below it a Gaussian is removed. reset_every: steps between
-    lowering all opacities to `reset_opacity`; 0 = never. reset_opacity: the highest opacity after
-    that. max_gaussians: 0 = no limit; otherwise the strongest pulled are served first.
+    lowering all opacities to `reset_opacity`; 0 = never. reset_from: step of the first time; 0 =
+    `reset_every`. reset_opacity: the highest opacity after that. absolute: pull by the sums of
+    absolute gradients, as AbsGS (Ye et al. 2024). Every step then renders once more. max_gaussians:
+    0 = no limit; otherwise the strongest pulled are served first.
     """
 
     defaults: ClassVar[dict[str, float]] = {"stop": 0.9}
@@ -48,8 +50,10 @@ class AdaptiveDensityControl(PullCapacity):
     percent_dense: float = 0.01
     min_opacity: float = 0.005
     reset_every: int = 3000
+    reset_from: int = 0
     reset_opacity: float = 0.01
     max_gaussians: int = 0
+    absolute: bool = False
 
     def __post_init__(self) -> None:
         self.check("of_steps", self.of_steps >= 0, "an integer >= 0")
@@ -59,6 +63,7 @@ class AdaptiveDensityControl(PullCapacity):
         self.check("percent_dense", self.percent_dense > 0, "a number > 0")
         self.check("min_opacity", 0 <= self.min_opacity < 1, "a number in [0, 1)")
         self.check("reset_every", self.reset_every >= 0, "an integer >= 0")
+        self.check("reset_from", self.reset_from >= 0, "an integer >= 0")
         self.check("max_gaussians", self.max_gaussians >= 0, "an integer >= 0")
         self.check(
             "reset_opacity",
@@ -66,18 +71,23 @@ class AdaptiveDensityControl(PullCapacity):
             f"a number in (min_opacity, 1) = ({self.min_opacity}, 1), or all would be removed",
         )
 
+    def wants_absolute(self) -> bool:
+        return self.absolute
+
     def update(self, ctx: StepContext, state: Pull, stats: StepStats) -> tuple[Edits | None, Pull]:
         """Measure; at every `every`-th step also clone, split and prune; then perhaps reset.
 
         `ctx.step` is the index of the step just made, hence one more are finished.
         """
         state, finished = self.measured(state, stats), ctx.step + 1
-        every, first, reset = (
-            self._steps(ctx, n) for n in (self.every, self.from_step, self.reset_every)
+        every, first, reset, reset_from = (
+            self._steps(ctx, n)
+            for n in (self.every, self.from_step, self.reset_every, self.reset_from)
         )
         if self.of_steps > 0:
             every = max(every, len(ctx.views))
-        ceiling = self.reset_opacity if _due(finished, reset, 0) else None
+        past = finished - (reset_from or reset)  # steps since the first reset
+        ceiling = self.reset_opacity if past >= 0 and _due(past, reset, -1) else None
         if _due(finished, every, first):
             edits, n = self._densified(ctx, state, ceiling)
             return edits, self.unmeasured(n)

@@ -192,6 +192,34 @@ def test_resets_opacities_and_densifies_at_the_same_step() -> None:
     assert state.seen.tolist() == [1.0]
 
 
+def test_resets_may_begin_elsewhere_than_at_a_multiple() -> None:
+    """FSGS: after 2,001, 5,001, 8,001 steps."""
+    subject = gaussians((SMALL, OPAQUE))
+    adc = AdaptiveDensityControl(reset_from=2001, every=10_000)
+
+    def reset(finished: int, plugin: AdaptiveDensityControl = adc) -> bool:
+        ctx = context(subject, finished)
+        edits, _ = plugin.update(ctx, plugin.init_state(ctx), stats([1e-5]))
+        return edits is not None and edits.opacity_ceiling is not None
+
+    due = (2001, 5001, 8001)
+    assert [step for step in (1, 2000, 2001, 3000, 5001, 6000, 8001) if reset(step)] == [*due]
+    never = AdaptiveDensityControl(reset_every=0, reset_from=2001, every=10_000)
+    assert not any(reset(step, never) for step in due)
+
+
+def test_absolute_pulls_count_where_they_are_asked_for() -> None:
+    subject = gaussians((SMALL, OPAQUE), (SMALL, OPAQUE))
+    measured = replace(stats([1e-3, 1e-5]), absolute=stats([1e-5, 1e-3]).means2d_grad)
+    for absolute in (False, True):
+        adc = AdaptiveDensityControl(absolute=absolute)
+        assert adc.wants_absolute() == absolute
+        ctx = context(subject, 600)
+        edits, _ = adc.update(ctx, adc.init_state(ctx), measured)
+        assert edits is not None and edits.append is not None
+        assert names(edits.append) == [int(absolute)]
+
+
 def test_max_gaussians_serves_the_strongest_pulled() -> None:
     subject = gaussians(*[(SMALL, OPAQUE)] * 4, (SMALL, CLEAR))
     edits, _ = densify(subject, [1e-3, 4e-3, 2e-3, 3e-3, 9e-3], max_gaussians=6)
