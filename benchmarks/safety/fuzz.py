@@ -53,13 +53,15 @@ def _report(tally: Tally, command: str, cpu_s: float) -> str:
     kinds = ("read", "refused", "bug")
     rows = [
         f"| {reader} | {' | '.join(str(counts[kind]) for kind in kinds)} |"
+        f" {tally.slowest_s[reader]:.2f} |"
         for reader, counts in tally.counts.items()
     ]
     lines = [
         f"`{command}`",
         "",
-        "| reader | read | refused in one line | crash, hang, memory, other error |",
-        "|---|---|---|---|",
+        "| reader | read | refused in one line | crash, hang, memory, other error"
+        " | slowest, CPU s |",
+        "|---|---|---|---|---|",
         *rows,
         "",
         f"{tally.cases} cases, of which {tally.special} had a pipe, a folder, a link or the like in"

@@ -113,7 +113,7 @@ def main(argv: Sequence[str]) -> int:
         if not out_of_memory(error):
             raise
         print(f"error: {printable_line(memory_line(error))}", file=sys.stderr)
-        return 1
+        return 2
     except SystemExit as end:  # Hydra ends --help and its like this way
         return end.code if isinstance(end.code, int) else int(end.code is not None)
 

@@ -45,7 +45,7 @@ def command(argv: Sequence[str], name: str = SCRIPT) -> NoReturn:
         check_address_space()
     except MemoryError as error:
         print(f"error: {memory_line(error)}", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(2)
     if all("=" in word and not word.startswith("-") for word in argv):
         try:
             code = lone(argv)

@@ -58,7 +58,7 @@ def main(arguments: list[str] | None = None, prog: str = "python -m framework.re
         if not out_of_memory(error):
             raise
         print(f"error: {printable_line(memory_line(error))}", file=sys.stderr)
-        return 1
+        return 2
     print(f"report: {printable_line(str(path))}")
     return 0
 

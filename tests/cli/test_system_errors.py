@@ -92,11 +92,11 @@ def test_a_folder_that_is_gone(
         (OSError(errno.EROFS, "Read-only file system", "/x"), 2, "/x: expected what may be opened"),
         (OSError(errno.ELOOP, "Too many links", "/x"), 2, "/x: expected what may be opened"),
         (FileNotFoundError(errno.ENOENT, "No such file", "/x"), 2, "/x: expected a file or folder"),
-        (MemoryError("Unable to allocate 9 GiB"), 1, "memory: expected room for the run, got 'Una"),
-        (RuntimeError("DefaultCPUAllocator: can't allocate memory: you"), 1, "memory: expected"),
-        (RuntimeError("can't start new thread"), 1, "memory: expected room for the run"),
-        (ImportError("libx.so: failed to map segment from shared object"), 1, "memory: expected"),
-        (OSError(errno.ENOMEM, "Cannot allocate memory", "/x"), 1, "memory: expected"),
+        (MemoryError("Unable to allocate 9 GiB"), 2, "memory: expected room for the run, got 'Una"),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory: you"), 2, "memory: expected"),
+        (RuntimeError("can't start new thread"), 2, "memory: expected room for the run"),
+        (ImportError("libx.so: failed to map segment from shared object"), 2, "memory: expected"),
+        (OSError(errno.ENOMEM, "Cannot allocate memory", "/x"), 2, "memory: expected"),
     ],
     ids=str,
 )
@@ -135,7 +135,7 @@ def test_too_little_address_space(command: list[str], tmp_path: Path) -> None:
         preexec_fn=limit,
         check=False,
     )
-    assert process.returncode == 1 and process.stdout == ""
+    assert process.returncode == 2 and process.stdout == ""
     (line,) = process.stderr.splitlines()
     assert line.startswith("error: memory: expected room for the run, got '700 MiB of address")
 
@@ -189,7 +189,7 @@ def test_a_report_without_memory(
         raise MemoryError("Unable to allocate 9 GiB")
 
     monkeypatch.setattr("framework.report.build.build_report", fail)
-    assert report([str(tmp_path)]) == 1
+    assert report([str(tmp_path)]) == 2
     assert capsys.readouterr().err.startswith("error: memory: expected room")
 
 

@@ -18,6 +18,7 @@ import resource
 import signal
 import sys
 import tempfile
+import time
 import traceback
 from pathlib import Path
 
@@ -47,8 +48,10 @@ def main(arguments: list[str]) -> None:
                 special = bool(draw.random() < SPECIAL)
                 begun = {"reader": name, "index": index, "special": special}
                 print(json.dumps(begun), file=out, flush=True)
+                since = time.process_time()
                 outcome = _case(name, Path(folder) / name, pristine, special, draw)
-                print(json.dumps({"outcome": outcome}), file=out, flush=True)
+                ended = {"outcome": outcome, "cpu_s": time.process_time() - since}
+                print(json.dumps(ended), file=out, flush=True)
 
 
 def _prepare(reader: Reader, folder: Path) -> dict[str, bytes]:

@@ -64,7 +64,8 @@ def tell(job: Job, raised: Exception) -> Outcome:
         message = _recorded(job, message, kind)
     else:  # a lone mistyped run is not worth a record, nor a folder
         _discard(run_dir)
-    outcome = Outcome(job.number, job.run_dir, message, kind, job.again, bad_input, busy)
+    theirs = bad_input or out_of_memory(error)  # to fix by whoever asked
+    outcome = Outcome(job.number, job.run_dir, message, kind, job.again, theirs, busy)
     add_outcome(outcome)
     return outcome
 
