@@ -32,7 +32,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -305,7 +305,7 @@ def table(tallies: list[Tally], commands: list[str], runs: int) -> str:
 def add_up(path: Path | None, command: str, tallies: list[Tally]) -> tuple[list[str], list[Tally]]:
     """These and those that earlier calls left in `path`, which then holds all; their commands."""
     calls = json.loads(path.read_text(encoding="utf-8")) if path and path.is_file() else []
-    calls.append({"command": command, "tallies": [asdict(one) for one in tallies]})
+    calls.append({"command": command, "tallies": [vars(one) for one in tallies]})
     if path:
         path.write_text(json.dumps(calls, indent=1), encoding="utf-8")
     read = [Tally.from_json(entry) for call in calls for entry in call["tallies"]]

@@ -97,6 +97,20 @@ def test_another_table_ends_in_one_line(tmp_path: Path, change: tuple[str, str])
         collect(folder)
 
 
+@pytest.mark.parametrize("value", ["1e300", "-1e300", "inf", "nan", "1" * 500])
+@pytest.mark.parametrize("column", ["psnr", "train_wall_s"])
+def test_numbers_that_no_axis_can_have_end_in_one_line(
+    tmp_path: Path, column: str, value: str
+) -> None:
+    folder = _table(_study(tmp_path / "runs"), tmp_path / "table")
+    heads, first, *rest = (folder / "runs.csv").read_text(encoding="utf-8").splitlines()
+    cells = first.split(",")
+    cells[heads.split(",").index(column)] = value
+    (folder / "runs.csv").write_text("\n".join([heads, ",".join(cells), *rest]) + "\n")
+    with pytest.raises(UserError, match=r"runs\.csv: expected a table of runs"):
+        collect(folder)
+
+
 COMMITTED = sorted((ROOT / "reports").glob("*/runs.csv"))
 
 

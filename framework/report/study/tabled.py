@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,6 +21,7 @@ from framework.files.limits import RUNS, TEXT_BYTES
 from framework.files.opened import is_file, read_text
 from framework.metrics.values import METRICS, Measurement, Missing
 from framework.records.record import METHOD_GROUPS, TRAIN_STAGE, Run, RunRecord, StageTime
+from framework.records.record_check import check_number
 from framework.records.run_files import Table
 from framework.report.study.axes import BUDGETS, DATA_KEYS
 from framework.report.study.labels import USUAL, MethodLabel, SceneLabel, outside
@@ -152,8 +152,8 @@ def _measured(cell: str) -> Measurement:
 
 def _number(cell: str) -> float | None:
     value = float(cell) if cell else None
-    if value is not None and not math.isfinite(value):
-        raise ValueError(f"a value is {cell}")
+    if value is not None:
+        check_number("a value", value)
     return value
 
 
@@ -168,7 +168,9 @@ def _value(cell: str) -> object:
     """An option's value as the table has it."""
     for kind in (int, float):
         try:
-            return kind(cell[:400])
+            value = kind(cell[:400])
+            check_number("an option", value)
+            return value
         except ValueError:
             continue
     return {"True": True, "False": False}.get(cell, outside(cell))
