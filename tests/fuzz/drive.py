@@ -49,7 +49,7 @@ def fuzz(results: Path, readers: Sequence[str], cases: int, seed: int) -> Tally:
         names, first = waiting.pop(0)
         results.write_text("", encoding="utf-8")
         command = [sys.executable, "-m", "tests.fuzz.worker", str(results), str(seed)]
-        code = _watched([*command, str(first), str(cases), *names], results)
+        code = watched([*command, str(first), str(cases), *names], results)
         died = _note(results, tally)
         if code != 0 and died is None:
             raise RuntimeError(f"the worker ended with {code} before its first case")
@@ -62,7 +62,7 @@ def fuzz(results: Path, readers: Sequence[str], cases: int, seed: int) -> Tally:
     return tally
 
 
-def _watched(command: list[str], results: Path, silent_s: float = SILENT_S) -> int:
+def watched(command: list[str], results: Path, silent_s: float = SILENT_S) -> int:
     """The exit code of the worker, which is killed when it notes nothing for `silent_s`."""
     worker = subprocess.Popen(command, cwd=ROOT)
     size = -1

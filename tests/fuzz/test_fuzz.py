@@ -3,6 +3,8 @@ no hang, no memory beyond the limit. `benchmarks/safety/fuzz.py` does the same f
 
 from __future__ import annotations
 
+import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -14,20 +16,51 @@ from hypothesis import strategies as st
 from framework.errors import UserError, printable_line
 from framework.files.arrays import read_npy
 from framework.files.paths import inside
-from tests.fuzz.drive import fuzz
+from tests.fuzz.drive import fuzz, watched
 from tests.fuzz.readers import READERS
 
-CASES = 36  # of each reader
-DEAR = {"leaderboard"}  # a second a case; `benchmarks/safety/fuzz.py` does it
+CASES, DEAR_CASES = 36, 8  # of each reader
+DEAR = {"study", "table of runs", "compared runs", "command line"}  # up to half a second each
+RARE = {"leaderboard"}  # refuses one in twenty; `benchmarks/safety/fuzz.py` does it
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the worker's limits are those of Linux")
 def test_mutated_inputs_end_in_the_documented_error_or_a_read(tmp_path: Path) -> None:
-    readers = [name for name in READERS if name not in DEAR]
-    tally = fuzz(tmp_path / "results", readers, CASES, seed=0)
-    assert tally.bugs == []
-    assert tally.cases == CASES * len(readers) >= 500
-    assert all(counts["refused"] and counts["read"] for counts in tally.counts.values())
+    cheap = [name for name in READERS if name not in DEAR | RARE]
+    for readers, cases in ((cheap, CASES), (sorted(DEAR), DEAR_CASES)):
+        tally = fuzz(tmp_path / "results", readers, cases, seed=0)
+        assert tally.bugs == []
+        assert tally.cases == cases * len(readers)
+        assert all(counts["refused"] and counts["read"] for counts in tally.counts.values())
+
+
+class _Worker:
+    """Notes something in each of its first waits, and ends in the last; killed, it ends at once."""
+
+    def __init__(self, results: Path, notes: int, waits: int) -> None:
+        self.results, self.notes, self.waits = results, notes, waits
+
+    def wait(self, timeout: float | None = None) -> int:
+        self.waits -= 1
+        if self.waits < 0 or timeout is None:
+            return 0 if timeout else -signal.SIGKILL
+        if self.notes > 0:
+            self.notes -= 1
+            self.results.write_text(f"{self.results.read_text()}x")
+        raise subprocess.TimeoutExpired("worker", timeout)
+
+    def kill(self) -> None: ...
+
+
+@pytest.mark.parametrize(("notes", "code"), [(100, 0), (3, -signal.SIGKILL)])
+def test_only_a_worker_that_notes_nothing_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, notes: int, code: int
+) -> None:
+    """However long all cases take: each has a limit of its own."""
+    (tmp_path / "results").touch()
+    worker = _Worker(tmp_path / "results", notes, waits=50)
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: worker)
+    assert watched(["worker"], tmp_path / "results") == code
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)
