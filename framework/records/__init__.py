@@ -1,5 +1,5 @@
 """A run as others see it: while it goes (`progress`, `notices`) and afterwards on disk (`record`,
-`run_files`, `ply`, `cameras`, `photos`), with where it comes from (`provenance`)."""
+`run_files`, `record_check`, `ply`, `cameras`, `photos`), with where it comes from (`provenance`)."""
 
 __all__ = [
     "cameras",
@@ -11,6 +11,7 @@ __all__ = [
     "progress",
     "provenance",
     "record",
+    "record_check",
     "run_files",
     "search",
 ]

@@ -29,6 +29,7 @@ from framework.command.config.schema import check
 from framework.command.config.trust import check_composed
 from framework.command.hydra_inside import jobs_of
 from framework.command.launchers.detached import detached
+from framework.command.launchers.workers import watch_workers
 from framework.command.program import program
 from framework.command.studies.closing import closing, short_path
 from framework.command.studies.disk import check_room
@@ -122,6 +123,8 @@ class StudyCallback(Callback):
         except (*USER_ERRORS, OSError) as error:
             raise Refused from error
         os.environ[JOBS_VARIABLE] = str(len(jobs))
+        if "joblib" in str(config.hydra.launcher.get("_target_")):
+            watch_workers()
         self._watch = Stopwatch()
 
     def on_run_end(self, config: DictConfig, **kwargs: Any) -> None:
