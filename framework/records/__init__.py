@@ -1,5 +1,6 @@
 """A run as others see it: while it goes (`progress`, `notices`) and afterwards on disk (`record`,
-`run_files`, `record_check`, `ply`, `cameras`, `photos`), with where it comes from (`provenance`)."""
+`run_files`, `ply`, `cameras`, `photos`; what may stand there: `record_check`), with where it comes
+from (`provenance`)."""
 
 __all__ = [
     "cameras",
