@@ -26,6 +26,7 @@ class TrainerOptions:
 
     steps: int = 300  # of training, each on one real view; of all members together if members=0
     seconds: float = 0.0  # of training, by the wall clock here: chooses steps; 0 = steps are given
+    visits: int = 0  # of every training view at least: many photos get more steps; 0 = as steps say
     sh_degree: int = 0  # stored degree; the active one grows by one every `sh_every` steps
     sh_every: int = 0  # 0 = evenly over the first half of the training (3DGS: 1000 of 30k steps)
     ssim_weight: float = 0.4  # loss = (1 - w) L1 + w (1 - SSIM); 0.4 is sharper at the same PSNR
@@ -58,6 +59,7 @@ class TrainerOptions:
         check = functools.partial(check_option, self, "trainer")
         check("steps", 1 <= self.steps <= MOST_STEPS, f"an integer from 1 to {MOST_STEPS:,}")
         check("seconds", 0 <= self.seconds <= 1e6, "a number in [0, 1,000,000]")
+        check("visits", 0 <= self.visits <= 10_000, "an integer from 0 to 10,000")
         check("sh_degree", 0 <= self.sh_degree <= 3, "0, 1, 2 or 3")
         check("sh_every", self.sh_every >= 0, "an integer >= 0")
         check("ssim_weight", 0 <= self.ssim_weight <= 1, "a number in [0, 1]")

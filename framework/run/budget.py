@@ -45,6 +45,7 @@ class Choice:
         return dataclasses.replace(
             options,
             seconds=0.0,
+            visits=0,
             steps=self.steps,
             members=self.members,
             coarse_until=self.coarse_until,
@@ -56,7 +57,7 @@ class Choice:
         return {
             "seconds": self.seconds,
             "step_s": self.step_s,
-            "repeat": f"trainer.seconds=0 trainer.steps={self.steps}"
+            "repeat": f"trainer.seconds=0 trainer.visits=0 trainer.steps={self.steps}"
             f" trainer.members={self.members} trainer.coarse_until={self.coarse_until:g}",
         }
 

@@ -20,8 +20,10 @@ SMALLEST_SIDE = 16  # pixels; a smaller image has nothing to gain from a coarse 
 def shared(options: TrainerOptions, n_views: int) -> TrainerOptions:
     """The options of one of `members` trainings, a number >= 1.
 
-    With members=0 the steps are those of the whole run, which `members_of` shares out.
+    With `visits` a training has the steps that so many photos need, if they are more. With
+    members=0 the steps are those of the whole run, which `members_of` shares out.
     """
+    options = replace(options, steps=max(options.steps, options.visits * n_views))
     if options.members > 0:
         return options
     members = members_of(options.members, options.steps, n_views)

@@ -75,6 +75,13 @@ def test_steps_are_shared_by_as_many_trainings_as_the_views_leave_them_for(
     assert schedule.shared(one, n_views) == one
 
 
+def test_many_photos_get_the_steps_that_visits_of_each_need() -> None:
+    options = TrainerOptions(steps=75, visits=4)
+    assert schedule.shared(options, 3).steps == 75
+    assert schedule.shared(options, 43).steps == 172
+    assert schedule.shared(schedule.shared(options, 43), 43).steps == 172
+
+
 def test_members_that_were_asked_for_have_all_their_steps() -> None:
     options = TrainerOptions(steps=2400, members=2)
     assert schedule.shared(options, 3) == options

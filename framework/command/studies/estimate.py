@@ -87,7 +87,7 @@ def measure(config: Config) -> Cost:
     its kernels, so the trial is the second one."""
     from framework.run.experiment import run_experiment
 
-    trainer = {**config["trainer"], "steps": TRIAL_STEPS, "seconds": 0.0}
+    trainer = {**config["trainer"], "steps": TRIAL_STEPS, "visits": 0, "seconds": 0.0}
     short = {**config, "trainer": trainer, "force": True, "tracker": None}
     with unwarned(), tempfile.TemporaryDirectory(prefix="trial-") as folder:
         first = run_experiment(short, Path(folder) / "run", Silent())
