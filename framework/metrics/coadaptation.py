@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from framework.metrics.values import AVERAGE, COADAPTATION, Measurement, Missing, ViewMetrics
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -55,3 +58,36 @@ def average_error(psnr: float, ssim: float, lpips: float) -> float:
     1 - SSIM and LPIPS."""
     parts = 10 ** (-psnr / 10), math.sqrt(1 - ssim), lpips
     return math.prod(parts) ** (1 / len(parts))
+
+
+def with_average(metrics: Sequence[ViewMetrics]) -> list[ViewMetrics]:
+    """With the mean of errors of every view, where LPIPS was measured; of other runs as it is."""
+    if all(isinstance(one.lpips, Missing) for one in metrics):
+        return list(metrics)
+    return [replace(one, also={**one.also, AVERAGE: _average(one)}) for one in metrics]
+
+
+def _average(one: ViewMetrics) -> Measurement:
+    for part in (one.psnr, one.ssim, one.lpips):
+        if isinstance(part, Missing):
+            return part
+    found = average_error(*(float(part) for part in (one.psnr, one.ssim, one.lpips)))  # type: ignore[arg-type]
+    return found if math.isfinite(found) else Missing(f"{AVERAGE} gave no finite value")
+
+
+def with_coadaptation(
+    metrics: Sequence[ViewMetrics],
+    render: Callable[[Camera, Tensor], Render],
+    n: int,
+    cameras: Sequence[Camera],
+    rng: np.random.Generator,
+) -> list[ViewMetrics]:
+    """With the score of every view, in the order of their `cameras`; see `coadaptation`."""
+    found = []
+    for one, camera in zip(metrics, cameras, strict=True):
+        value = coadaptation(render, n, [camera], rng)
+        score: Measurement = value
+        if math.isnan(value):
+            score = Missing("no pixel shows something in all renders without half of the Gaussians")
+        found.append(replace(one, also={**one.also, COADAPTATION: score}))
+    return found

@@ -9,8 +9,19 @@ from framework.errors import nearest_hint, require
 
 # what every run measures; `MEASURES` has the plugins that `metrics.also` chooses among
 METRICS = ("psnr", "ssim", "flip", "lpips", "lpips_01")
+# of some runs: the mean of errors where there is LPIPS, the score where it is asked for
+AVERAGE, COADAPTATION = "avge", "coadaptation"
 MEASURES: dict[str, type] = {}
-RESERVED = (*METRICS, "view", "tags", "render_s", "file", "missing")  # columns of metrics.csv
+RESERVED = (
+    *METRICS,
+    AVERAGE,
+    COADAPTATION,
+    "view",
+    "tags",
+    "render_s",
+    "file",
+    "missing",
+)  # columns of metrics.csv
 
 
 @dataclass(frozen=True)
@@ -26,7 +37,7 @@ Measurement = float | Missing
 @dataclass(frozen=True)
 class ViewMetrics:
     """One test view: psnr in dB, ssim, flip, lpips, lpips_01, each or why missing; render_s
-    in s; also: what plugins measured, by name."""
+    in s; also: by name what plugins measured, AVGE and the co-adaptation score."""
 
     view: str
     tags: tuple[str, ...]

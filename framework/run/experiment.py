@@ -20,15 +20,16 @@ from typing import Any
 import torch
 
 from framework import registry
-from framework.compute import parallel
+from framework.compute import parallel, rng
 from framework.compute.stopwatch import Stopwatch
 from framework.depth import build_provider
 from framework.files.locks import locked, remove_stale
 from framework.files.whole import following, remove_temporaries
+from framework.metrics.coadaptation import with_average, with_coadaptation
 from framework.metrics.evaluate import evaluate
 from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
-from framework.metrics.values import MEASURES, Missing, measures
+from framework.metrics.values import COADAPTATION, MEASURES, Missing, measures
 from framework.options import TrainerOptions
 from framework.rasterizers import build_rasterizer
 from framework.records.cameras import write_cameras
@@ -54,7 +55,7 @@ from framework.records.record import (
 )
 from framework.run import answers, budget, trackers
 from framework.run.lpips_later import lacks_lpips, with_lpips
-from framework.run.training import Run, initial, renderer, train, try_out
+from framework.run.training import Run, initial, renderer, thinned, train, try_out
 from framework.run.warmup import Warmup
 from framework.scenes import LOADERS, load_scene
 from framework.train.dose import told
@@ -188,6 +189,12 @@ def _trained(
         render = renderer(*seen, near, rasterizer)
         also = {name: MEASURES[name]() for name in measures(config["metrics"].get("also"))}
         metrics, renders = evaluate(render, scene.test, network, also)
+        metrics = with_average(metrics)
+        if config["metrics"].get(COADAPTATION):
+            half = thinned(*seen, near, rasterizer)
+            cameras = [view.camera for view in scene.test]
+            draws = rng.stream(config["seed"], COADAPTATION)
+            metrics = with_coadaptation(metrics, half, len(trained.gaussians), cameras, draws)
     record = dataclasses.replace(
         record,
         peak_memory_bytes=peak_memory_bytes(),

@@ -18,8 +18,9 @@ import numpy as np
 from framework.compute import parallel
 from framework.errors import UserError, require
 from framework.files.whole import write_whole
+from framework.metrics.coadaptation import with_average
 from framework.metrics.evaluate import NO_LPIPS, lpips_of, mean_of
-from framework.metrics.values import METRICS, Missing, ViewMetrics
+from framework.metrics.values import AVERAGE, METRICS, Missing, ViewMetrics
 from framework.records.record import LPIPS, RunRecord, read_run, write_record
 from framework.records.run_files import METRICS_CSV, RENDERS, Table, metrics_csv
 
@@ -52,7 +53,9 @@ def with_lpips(run_dir: Path, record: RunRecord, network: Lpips | None) -> RunRe
         dataclasses.replace(view, **{name: values[name][i] for name in values})
         for i, view in enumerate(views)
     ]
-    summary = dict(record.summary) | {name: mean_of(metrics, name) for name in values}
+    metrics = with_average(metrics)
+    measured = [*values, AVERAGE] if AVERAGE in metrics[0].also else [*values]
+    summary = dict(record.summary) | {name: mean_of(metrics, name) for name in measured}
     told = dict(record.provenance) | {LPIPS: network.name}
     filled = dataclasses.replace(record, summary=summary, provenance=told)
     write_whole(run_dir / METRICS_CSV, metrics_csv(metrics, stems))

@@ -35,7 +35,7 @@ from framework.train.resume.checkpoint import Checkpoints, pack, remove_checkpoi
 from framework.train.resume.state_check import check_state
 from framework.train.resume.training_state import TrainerState
 from framework.train.trainer import Evaluate, Plugins, Trained, Trainer
-from framework.types import Camera, DepthMap, Gaussians, Scene
+from framework.types import Camera, DepthMap, Gaussians, Render, Scene
 
 LOG = logging.getLogger(__name__)
 BYTES_PER_FLOAT, COPIES = 4, 3  # of every parameter: itself and two moments
@@ -287,5 +287,30 @@ def renderer(
             placed, camera, background=background, sh_degree=sh_degree, near=near, depth=False
         )
         return seen.rgb.detach().to("cpu")
+
+    return render
+
+
+def thinned(
+    gaussians: Gaussians,
+    background: Tensor,
+    sh_degree: int,
+    near: float,
+    rasterizer: Rasterizer = NUMBA,
+) -> Callable[[Camera, Tensor], Render]:
+    """As `renderer`, with opacities times factors [N], and with alpha."""
+    placed = gaussians.detach().to(rasterizer.device)
+
+    def render(camera: Camera, factors: Tensor) -> Render:
+        seen = rasterizer.render(
+            placed,
+            camera,
+            background=background,
+            sh_degree=sh_degree,
+            near=near,
+            opacity_factors=factors.to(rasterizer.device),
+            depth=False,
+        )
+        return replace(seen, rgb=seen.rgb.detach().to("cpu"), alpha=seen.alpha.detach().to("cpu"))
 
     return render

@@ -9,7 +9,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from framework.metrics.coadaptation import RENDERS, average_error, coadaptation
+from framework.metrics.coadaptation import (
+    RENDERS,
+    average_error,
+    coadaptation,
+    with_average,
+    with_coadaptation,
+)
+from framework.metrics.values import Missing, ViewMetrics
 from framework.types import Camera, Render
 
 CAMERA = Camera(torch.eye(4), torch.eye(3), 2, 1)
@@ -40,3 +47,32 @@ def test_nothing_seen_has_no_score() -> None:
 
 def test_the_mean_of_errors() -> None:
     assert average_error(20.0, 0.75, 0.4) == pytest.approx((0.01 * 0.5 * 0.4) ** (1 / 3))
+
+
+def measured(lpips: float | Missing) -> ViewMetrics:
+    return ViewMetrics("a", (), 20.0, 0.75, 0.1, lpips, lpips, 0.01, {"edges": 1.0})
+
+
+def test_every_view_with_lpips_gets_its_mean_of_errors() -> None:
+    with_lpips, without = measured(0.4), measured(Missing("no weights"))
+    both = with_average([with_lpips, without])
+    assert both[0].value("avge") == pytest.approx((0.01 * 0.5 * 0.4) ** (1 / 3))
+    assert both[1].value("avge") == Missing("no weights") and both[0].value("edges") == 1.0
+    assert with_average([without]) == [without]  # no column without any
+
+
+def test_every_view_gets_its_score() -> None:
+    drawn: list[Tensor] = []
+
+    def render(camera: Camera, factors: Tensor) -> Render:
+        drawn.append(factors)
+        image = torch.full((3, 1, 2), float(factors.mean()))
+        alpha = torch.ones(1, 2) if len(drawn) <= RENDERS else torch.zeros(1, 2)
+        return Render(image, alpha, alpha, torch.ones(1))
+
+    views = [measured(0.4), measured(0.4)]
+    rng = np.random.default_rng(0)
+    seen, empty = with_coadaptation(views, render, 40, [CAMERA, CAMERA], rng)
+    shares = [float(factors.mean()) for factors in drawn[:RENDERS]]
+    assert seen.value("coadaptation") == pytest.approx(np.var(shares), rel=1e-4)
+    assert isinstance(empty.value("coadaptation"), Missing)

@@ -49,7 +49,7 @@ SCALARS = {
     "tracker": str | None,
 }
 MOST_THREADS = 1024
-METRICS = {"lpips_weights": str | None, "also": str | None}
+METRICS = {"lpips_weights": str | None, "also": str | None, "coadaptation": bool}
 
 
 def tables() -> dict[str, dict[str, type]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from framework.metrics.values import METRICS
+from framework.metrics.values import AVERAGE, COADAPTATION, METRICS
 from framework.records import record
 from framework.report.study.collect import Study
 from framework.report.study.labels import outside
@@ -11,6 +11,7 @@ LPIPS = ("lpips", "lpips_01")
 NAMES = {
     **{"psnr": "PSNR", "ssim": "SSIM", "flip": "FLIP", "lpips": "LPIPS"},
     "lpips_01": "LPIPS fed [0, 1], as papers do",
+    **{AVERAGE: "AVGE", COADAPTATION: "Co-adaptation"},
 }
 UNITS = {"psnr": "(dB)", "ssim": "↑"}
 
