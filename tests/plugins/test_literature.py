@@ -38,6 +38,7 @@ from plugins.regularize.depth_density import DepthDensity, ranks, scores
 from plugins.regularize.depth_local_global import DepthLocalGlobal, compared
 from plugins.regularize.depth_pearson import DepthPearson
 from plugins.regularize.depth_rank import DepthRank
+from plugins.regularize.far_fidelity import FarFidelity
 from plugins.regularize.frequency import Frequency
 from plugins.regularize.occlusion import Occlusion
 from plugins.regularize.opacity_noise import OpacityNoise
@@ -230,6 +231,23 @@ def test_pearson_knows_neither_scale_nor_offset() -> None:
     inverse = DepthPearson(inverse=True).loss(ctx, None, view, shown(other))
     expected = 1 - np.corrcoef(1 / other.reshape(-1), 1 / depth.reshape(-1))[0, 1]
     assert inverse is not None and float(inverse) == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_farthest_pixels_count_once_more() -> None:
+    ctx, view, depth = true_depth()
+    rendered = torch.rand(view.image.shape, generator=torch.Generator().manual_seed(2))
+    mask = torch.ones(depth.shape)
+    mask[:, 60:] = 0.0
+    found = FarFidelity(share=0.1).loss(
+        ctx, None, replace(view, mask=mask), replace(shown(depth), rgb=rendered)
+    )
+    far = np.sort(depth[:, :60].numpy().reshape(-1))[-int(0.1 * 60 * 60) :].min()
+    chosen = (depth.numpy() >= far) & (np.arange(80) < 60)
+    error = np.abs(rendered.double().numpy() - view.image.double().numpy())[:, chosen]
+    assert found is not None and float(found) == pytest.approx(error.mean(), rel=1e-5)
+    assert 0.1 <= chosen[:, :60].mean() < 0.2
+    pseudo = replace(view, name="pseudo")
+    assert FarFidelity().loss(ctx, None, pseudo, shown(depth)) is None
 
 
 def test_rank_asks_for_the_order_alone() -> None:

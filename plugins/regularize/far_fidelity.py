@@ -1,0 +1,47 @@
+"""`reg=far_fidelity`: what is far in the photo counts twice, as few Gaussians are seen there.
+
+D2GS (Song et al., ICLR 2026), its distance-aware fidelity: L1 once more, over the pixels with the
+largest depth, a twentieth of them. Its depth is a network's; here it is what `depth=` knows of the
+photo, and pixels without any do not take part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from framework.methods.elsewhere import known_depth
+from framework.plugin import Regularizer, StepContext, register
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.types import Render, View
+
+
+@register("reg", "far_fidelity")
+@dataclass(frozen=True)
+class FarFidelity(Regularizer):
+    """share: of the pixels with known depth, the farthest, that count once more."""
+
+    defaults: ClassVar[dict[str, float]] = {"weight": 1.0}
+
+    share: float = 0.05
+
+    def __post_init__(self) -> None:
+        self.check("share", 0 < self.share <= 1, "a share in (0, 1]")
+
+    def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
+        """Mean absolute difference to the photo over the farthest pixels and the channels."""
+        known = known_depth(ctx, view)
+        if known is None:
+            return None
+        depth, valid = known
+        if view.mask is not None:
+            valid = valid & (view.mask > 0.5)
+        n = int(self.share * int(valid.sum()))
+        if n == 0:
+            return None
+        least = depth[valid].topk(n).values[-1]
+        far = valid & (depth >= least)
+        return (render.rgb - view.image).abs()[:, far].mean()
