@@ -190,6 +190,29 @@ def forged_case(name: str, before: str) -> Case:
     return Case(f"a run of a study: {name}", before, partial(forged, change), check)
 
 
+def odd_lock(put: Callable[[Path, Path], object], folder: Path) -> list[Call]:
+    """The lock of a study is something else: its run is done, its report is not built."""
+    (folder / "precious").write_text("precious")
+    (folder / "reports" / "s").mkdir(parents=True)
+    put(folder / "reports" / "s" / ".lock", folder / "precious")
+    words = ["-m", *SMALL, "study=s", "metrics.lpips_weights=none"]
+    return [Call([*words], told="remove it and run the same again", cpu_s=None)]
+
+
+def kept(folder: Path) -> str:
+    """What the link led to is as it was."""
+    return "" if (folder / "precious").read_text() == "precious" else "overwritten"
+
+
+def linked_run(folder: Path) -> list[Call]:
+    """The folder for the renders of a run is a link to another one, with a picture in it."""
+    (folder / "pictures").mkdir()
+    (folder / "precious").write_text("precious")
+    (folder / "run").mkdir()
+    (folder / "run" / "renders").symlink_to(folder / "pictures")
+    return [Call([*SMALL, "hydra.run.dir=run"], told="expected no link where a run writes")]
+
+
 def unwritable(folder: Path) -> list[Call]:
     forged(lambda run: None, folder)
     (folder / "file").touch()
@@ -305,6 +328,18 @@ CASES = [
     forged_case("render pipe", "a hang"),
     forged_case("markup", "held"),
     Case("report --out where nothing can be written", TRACE, unwritable),
+    Case(
+        "the lock of a study is a link to a file",
+        "not tried; the file was overwritten",
+        partial(odd_lock, lambda lock, file: lock.symlink_to(file)),
+        kept,
+    ),
+    Case(
+        "the lock of a study is a pipe",
+        f"not tried; {TRACE}",
+        partial(odd_lock, lambda lock, file: os.mkfifo(lock)),
+    ),
+    Case("the renders of a run lead elsewhere", "not tried; written there", linked_run, kept),
     Case("a pipe as a photo", "a hang", pipe_as_photo),
     Case("a photo whose name is not UTF-8", TRACE, odd_name),
     Case("100,000 equal frames", "quadratic: a hang", partial(frames_equal, 100_000)),

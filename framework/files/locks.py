@@ -17,6 +17,7 @@ import fcntl
 import json
 import os
 import platform
+import stat
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,10 +25,13 @@ from pathlib import Path
 from typing import IO
 
 from framework.errors import UserError, mendable
+from framework.files.opened import read_bytes
 from framework.files.whole import Unwritable, unwritable
 
 LOCK, HELD = ".lock", ".lock.held"
 NO_LOCKS = frozenset((errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL))
+NEVER_ELSEWHERE = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+OWNER_BYTES = 4096  # of the lines that tell who holds a lock
 POLL_S = 0.2  # between looks at a file that stands for a lock
 
 
@@ -68,18 +72,11 @@ def _sign(file: IO[str]) -> None:
 def _taken(path: Path, wait: bool) -> IO[str]:
     """The opened and locked lock file."""
     while True:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            file = path.open("a+", encoding="utf-8")
-        except OSError as error:
-            if not mendable(error):
-                raise
-            raise Unwritable(unwritable(error, path)) from error
+        file = _opened(path)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError as error:
-            file.seek(0)
-            owner = _owner(file.read())
+            owner = _owner(os.pread(file.fileno(), OWNER_BYTES, 0).decode("utf-8", "replace"))
             file.close()
             raise Busy(
                 f"{path.parent}: expected nobody else at this run, got {owner};"
@@ -95,12 +92,39 @@ def _taken(path: Path, wait: bool) -> IO[str]:
         file.close()  # its owner removed it between our opening and locking it
 
 
+def _opened(path: Path) -> IO[str]:
+    """The lock file, made if missing. A link in its place is not followed, for what it leads to
+    would be overwritten; a pipe or the like is no lock."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        found = os.open(path, os.O_RDWR | os.O_CREAT | NEVER_ELSEWHERE, 0o666)
+    except OSError as error:
+        if path.is_symlink() or not mendable(error):
+            _no_lock(path)
+            raise
+        raise Unwritable(unwritable(error, path)) from error
+    if not stat.S_ISREG(os.fstat(found).st_mode):
+        os.close(found)
+        _no_lock(path)
+    return open(path, "r+", encoding="utf-8", opener=lambda *_: found)
+
+
+def _no_lock(path: Path) -> None:
+    """Raise Unwritable where `path` is there and no file."""
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        raise Unwritable(
+            f"{path}: expected a file of this program, got a link, a pipe or the like; remove it"
+            " and run the same again"
+        )
+
+
 def _held(path: Path, wait: bool) -> IO[str]:
     """The file that stands for a lock, created by us."""
     while True:
         try:
             return path.open("x", encoding="utf-8")
         except FileExistsError:
+            _no_lock(path)
             text = _text(path)
         if text is not None and _dead(text):
             _bury(path, text)
@@ -115,8 +139,8 @@ def _held(path: Path, wait: bool) -> IO[str]:
 
 def _text(path: Path) -> str | None:
     try:
-        return path.read_text(encoding="utf-8", errors="replace")
-    except OSError:  # just removed
+        return read_bytes(path, OWNER_BYTES).decode("utf-8", "replace")
+    except (OSError, UserError):  # just removed
         return None
 
 
@@ -129,7 +153,7 @@ def _dead(text: str) -> bool:
         os.kill(int(told["pid"]), 0)
     except ProcessLookupError:
         return True
-    except (ValueError, KeyError, TypeError, OverflowError, OSError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, OSError):
         return False
     return False
 
@@ -156,5 +180,5 @@ def _owner(text: str) -> str:
     try:
         told = json.loads(text)
         return f"process {told['pid']} on {told['host']} since {told['since']}"
-    except (ValueError, KeyError, TypeError):  # it is just being written
+    except (ValueError, KeyError, TypeError, RecursionError):  # it is just being written
         return "another process"

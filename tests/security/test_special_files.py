@@ -133,6 +133,25 @@ def test_configurations_behind_a_link_are_checked(tmp_path: Path) -> None:
         check_config_files(tmp_path / "own")
 
 
+PARSERS = ("json.load", "json.loads", "yaml.load", "yaml.safe_load", "literal_eval")
+PARSED = {  # beside the one reader of bounded plain values: what is checked right there, or own
+    "framework/files/documents.py",
+    "framework/scenes/transforms_file.py",  # every value that is used has its check beside it
+    "framework/train/resume/checkpoint.py",  # of every class that may be a state, field by field
+    "framework/run/lpips_later.py",  # the reasons in a cell: any fault is a damaged table
+    "framework/files/locks.py",  # who holds a lock: any fault is "another process"
+    # what processes of one command tell each other
+    *("framework/command/runner.py", "framework/run/experiment.py", "framework/run/warmup.py"),
+    *("framework/scenes/photos/search.py", "framework/scenes/photos/child.py"),
+    "framework/command/studies/study.py",
+}
+WRITERS = {  # beside `write_whole` and the locks: temporary or own folders, the cache, /proc
+    *("framework/files/whole.py", "framework/files/locks.py"),
+    *("framework/files/tidy.py", "framework/run/warmup.py", "framework/records/provenance.py"),
+    *("framework/metrics/lpips_weights.py", "framework/scenes/colmap_model.py"),
+    "framework/scenes/photos/attempt.py",
+    "framework/exports/movie.py",  # a file that the command line names
+}
 SOURCES = sorted((ROOT / "framework").rglob("*.py"))
 
 
@@ -151,3 +170,28 @@ def test_files_from_elsewhere_are_opened_at_one_place(path: Path) -> None:
             assert called != "open" or archive, ast.unparse(node)
         elif isinstance(node, ast.Call):
             assert ast.unparse(node.func) != "open", ast.unparse(node)
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_text_becomes_values_at_one_place(path: Path) -> None:
+    """Bounded and typed (`framework.files.documents`), or checked where it is read."""
+    if path.relative_to(ROOT).as_posix() in PARSED:
+        return
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call):
+            assert ast.unparse(node.func) not in PARSERS, ast.unparse(node)
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_files_are_written_at_one_place(path: Path) -> None:
+    """Whole or not at all, and never through a link: `framework.files.whole`."""
+    if path.relative_to(ROOT).as_posix() in WRITERS:
+        return
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute | ast.Name):
+            continue
+        called = node.func.attr if isinstance(node.func, ast.Attribute) else node.func.id
+        assert called not in ("write_text", "write_bytes", "touch"), ast.unparse(node)
+        modes = [value.value for value in node.args if isinstance(value, ast.Constant)]
+        writes = any(isinstance(mode, str) and mode[:1] in "wax" and mode for mode in modes)
+        assert called != "open" or not writes, ast.unparse(node)

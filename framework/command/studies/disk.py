@@ -65,6 +65,22 @@ def check_room(folder: Path, configs: Sequence[Mapping[str, Any]]) -> None:
     )
 
 
+def check_links(folder: Path) -> None:
+    """Raise UserError for a link below the folder of a study or a run, where a run writes: through
+    it, something elsewhere would be overwritten. What lies beside a study's `runs`, and where
+    `runs` itself leads, is the user's."""
+    is_study = (folder / "runs").is_dir()
+    top = folder / "runs" if is_study else folder
+    for parent, folders, names in os.walk(top):
+        for name in (*folders, *names):
+            path = os.path.join(parent, name)
+            require(
+                not os.path.islink(path),
+                f"{path}: expected no link where a run writes, got one; remove it and run the same"
+                " again",
+            )
+
+
 def _size(folder: Path) -> int:
     """Bytes of all files below; another process may be at work there, what vanishes counts 0."""
     total = 0

@@ -32,7 +32,7 @@ from framework.command.launchers.detached import detached
 from framework.command.launchers.workers import watch_workers
 from framework.command.program import program
 from framework.command.studies.closing import closing, short_path
-from framework.command.studies.disk import check_room
+from framework.command.studies.disk import check_links, check_room
 from framework.command.studies.estimate import announce
 from framework.compute.stopwatch import Stopwatch, duration
 from framework.errors import UserError, mendable, os_line, printable_line
@@ -109,6 +109,10 @@ class StudyCallback(Callback):
         self._expected_s: float | None = None
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
+        try:
+            check_links(Path(config.hydra.run.dir))
+        except (*USER_ERRORS, OSError) as error:
+            raise Refused from error
         os.environ[JOBS_VARIABLE] = "1"
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
@@ -117,6 +121,7 @@ class StudyCallback(Callback):
             studies = check_jobs(config, jobs)
             for folder, configs in studies.items():
                 check_room(folder, configs)
+                check_links(folder)
             if config.estimate:
                 every = [run for configs in studies.values() for run in configs]
                 self._expected_s = announce(every, _at_once(config))
