@@ -38,11 +38,11 @@ def main() -> int:
     text = _report(tally, command, used.ru_utime + used.ru_stime)
     print(*tally.bugs, text, sep="\n")
     if options.output is not None:
-        options.output.write_text(text + _kept(options.output), encoding="utf-8")
+        options.output.write_text(text + below(options.output), encoding="utf-8")
     return 1 if tally.bugs else 0
 
 
-def _kept(path: Path) -> str:
+def below(path: Path) -> str:
     """What stands below the tables that are made here: from the first heading on."""
     old = path.read_text(encoding="utf-8") if path.is_file() else ""
     at = old.find("\n## ")

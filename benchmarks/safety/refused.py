@@ -28,6 +28,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
+from benchmarks.safety.fuzz import below  # noqa: E402
 from tests.metrics.test_lpips import features, state_dict  # noqa: E402
 from tests.record.fakes import fake_run  # noqa: E402
 from tests.scenes.synthetic import write_llff, write_scene  # noqa: E402
@@ -433,7 +434,8 @@ def main() -> int:
     lines += ["", f"{len(rows)} cases, {calls} calls, {bad} that did not end as they should."]
     print(lines[-1])
     if given.output is not None:
-        given.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        text = "\n".join(lines) + "\n"
+        given.output.write_text(text + below(given.output), encoding="utf-8")
     return int(bool(bad))
 
 

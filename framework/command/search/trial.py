@@ -45,7 +45,7 @@ class Slot:
         """Begin a run. Its future fails with BrokenProcessPool when the process was killed."""
         if self._pool is None:
             context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(1, mp_context=context)
+            self._pool = ProcessPoolExecutor(1, context, initializer=end_with_parent)
         return self._pool.submit(run, list(words), label, metric)
 
     def close(self) -> None:
@@ -72,7 +72,6 @@ def job_of(words: Sequence[str]) -> Job:
 
 def run(words: list[str], label: str, metric: str) -> Result:
     """Do a run; what goes wrong is in its record, as a study's."""
-    end_with_parent()
     from framework.run.experiment import run_experiment
 
     job = job_of(words)
