@@ -30,6 +30,7 @@ from framework.report.study.labels import (
     scene_labels,
 )
 from framework.report.study.order import BASELINE, method_order, natural
+from framework.report.study.recipes import NOTE, by_recipe
 from framework.report.study.shorten import shortened
 from framework.report.study.tabled import TABLE, TOLD, is_tabled, read_tabled
 
@@ -226,6 +227,9 @@ def collect(
     labelled, named = _label(runs, failed)
     missing = _missing(labelled, named, origins)
     short, shortened_notes = shortened([run.method_label for run in (*labelled, *told)])
+    recipes = by_recipe([(run.method_label, run.record.overrides) for run in labelled])
+    if recipes and not told:
+        short, shortened_notes = recipes, [NOTE]
     labelled, told = (
         [replace(run, method_label=short[run.method]) for run in some] for some in (labelled, told)
     )

@@ -15,6 +15,7 @@ from framework.report.parts.document import Block, Heading, Text, table
 from framework.report.statistics.numbers import ABSENT, average, mean_text
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
+from framework.report.study.recipes import recipe_of
 from framework.report.text.published import read, scene_rows
 
 FEWEST = 2  # recipes, to stand side by side
@@ -63,11 +64,7 @@ def literature(study: Study) -> list[Block]:
 
 def recipe(run: ReportRun) -> str:
     """The name behind `method=` on the run's command line, "" without one."""
-    for override in run.record.overrides:
-        key, _, value = override.partition("=")
-        if key == "method":
-            return value
-    return ""
+    return recipe_of(run.record.overrides)
 
 
 def _of_dtu(study: Study, scene: str) -> bool:
