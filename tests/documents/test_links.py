@@ -4,6 +4,7 @@ is built by `test_site.py` where the extra `docs` is installed."""
 from __future__ import annotations
 
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -41,3 +42,12 @@ def test_its_links_lead_somewhere(page: Path) -> None:
             continue
         assert path.is_relative_to(ROOT) and path.exists(), f"{link} is not there"
         assert not anchor or anchor in anchors(path), f"{link}: no such heading"
+
+
+def test_committed_reports_show_the_photos_of_the_built_in_scene_alone() -> None:
+    """Photos of other scenes are not ours to pass on: their licences forbid it."""
+    listed = subprocess.run(
+        ["git", "ls-files", "reports"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    photos = [name for name in listed.stdout.split() if name.endswith((".jpg", ".mp4", ".webp"))]
+    assert [name for name in photos if "_embedded" not in Path(name).name] == []
