@@ -81,7 +81,10 @@ def test_the_defaults(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> Non
     names = [config[g]["name"] for g in ("scene", "depth", "init", "augment", "reg", "capacity")]
     assert names == ["embedded", "plane_sweep", "stereo", "none", "none", "evidence"]
     assert (config["seed"], config["threads"], config["study"]) == (0, 0, "embedded")
-    assert (config["force"], config["metrics"]) == (False, {"lpips_weights": None, "also": None})
+    assert (config["force"], config["metrics"]) == (
+        False,
+        {"lpips_weights": None, "also": None, "coadaptation": False},
+    )
     assert "none+none seed 0 · finished" in capsys.readouterr().out
 
 
