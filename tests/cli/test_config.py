@@ -22,7 +22,7 @@ def given(name: str) -> list[str]:
 
 @pytest.mark.parametrize(("group", "name"), ALL + VARIANTS)
 def test_every_choice_composes(group: str, name: str) -> None:
-    config = composed(f"{group}={name}", *given(name))
+    config = composed(f"{group}={name}", *(given(name) if group == "method" else []))
     required = [key for key, value in (config.get(group) or {}).items() if value in ("???", "")]
     if required:
         with pytest.raises(UserError, match=rf"{group}\.{required[0]}"):
