@@ -253,8 +253,8 @@ class Capacity(Plugin):
         return False
 
     def wants_absolute(self) -> bool:
-        """Whether `StepStats.absolute` is measured, for a render and a pass over its pixels more in
-        every step."""
+        """Whether `StepStats.absolute` is measured, for a pass over a render's pixels more in
+        every step (beside a regularizer's loss for a whole render more)."""
         return False
 
     def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:

@@ -37,6 +37,7 @@ PARTS = {
     "init": "plugins.initialize",
     "metric": "plugins.metrics",
 }
+SWEPT = "_sweep"  # ends the name of a recipe with the plane sweep in place of a network
 REQUIRED = {"scene": "load", "depth": "measure", "init": "build", "metric": "measure"}
 FOLDER = Path(__file__).resolve().parent.parent / "plugins"
 FRAMEWORK_KEYS = {"weight": 1.0, "start": 0.0, "stop": 1.0}

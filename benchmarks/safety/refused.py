@@ -19,8 +19,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -219,10 +218,9 @@ def unwritable(folder: Path) -> list[Call]:
     (folder / "file").touch()
     places = ["/proc/here", "file", "file/below", "x" * 300]
     calls = [Call(["report", "study", "--out", place]) for place in places]
-    with small_disk(folder / "disk", "ro") as there:
-        if there:
-            calls.append(Call(["report", "study", "--out", "disk"], told="Read-only"))
-        return [*calls]
+    if small_disk(folder / "disk", "ro"):
+        calls.append(Call(["report", "study", "--out", "disk"], told="Read-only"))
+    return calls
 
 
 # Scenes
@@ -280,31 +278,32 @@ FOCALS = " 50.0 50.0 "
 # The system
 
 
-@contextmanager
-def small_disk(folder: Path, options: str) -> Iterator[bool]:
-    """A file system in memory, until the case's folder goes; whether this user may mount one."""
+def small_disk(folder: Path, options: str) -> bool:
+    """Put a file system in memory at `folder`, which `judge` takes away, if allowed."""
     folder.mkdir()
     command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
-    yield subprocess.run(command, capture_output=True).returncode == 0
+    return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
 
 def full_cache(folder: Path) -> list[Call]:
-    with small_disk(folder / "disk", "size=64k") as there:
-        inside = {"NUMBA_CACHE_DIR": str(folder / "disk")}
-        calls = [Call([*SMALL], told="free some space", cpu_s=None, inside=inside)]
-        return calls if there else []
+    if not small_disk(folder / "disk", "size=64k"):
+        return []
+    inside = {"NUMBA_CACHE_DIR": str(folder / "disk")}
+    return [Call([*SMALL], told="free some space", cpu_s=None, inside=inside)]
 
 
 def full_results(folder: Path) -> list[Call]:
-    with small_disk(folder / "disk", "size=64k") as there:
-        words = [*SMALL, f"hydra.run.dir={folder / 'disk' / 'run'}"]
-        return [Call([*words], told="free some space", cpu_s=None)] if there else []
+    if not small_disk(folder / "disk", "size=64k"):
+        return []
+    words = [*SMALL, f"hydra.run.dir={folder / 'disk' / 'run'}"]
+    return [Call([*words], told="free some space", cpu_s=None)]
 
 
 def sealed_results(folder: Path) -> list[Call]:
-    with small_disk(folder / "disk", "ro") as there:
-        words = [*SMALL, f"hydra.run.dir={folder / 'disk' / 'run'}"]
-        return [Call([*words], told="Read-only")] if there else []
+    if not small_disk(folder / "disk", "ro"):
+        return []
+    words = [*SMALL, f"hydra.run.dir={folder / 'disk' / 'run'}"]
+    return [Call([*words], told="Read-only")]
 
 
 def little_memory(folder: Path) -> list[Call]:

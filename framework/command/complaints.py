@@ -24,8 +24,8 @@ from omegaconf.errors import (
 from framework.command.config.schema import CONF_DIR
 from framework.command.launchers.known import missing_extra
 from framework.errors import UserError, mendable, nearest_hint, os_line, printable_line
+from framework.registry import SWEPT
 
-SWEPT = "_sweep"  # the name of a recipe without a network ends so
 USER_ERRORS = (UserError, HydraException, OmegaConfBaseException)
 KINDS = {
     **{int: "an integer", float: "a number", bool: "true or false", str: "a text"},

@@ -27,7 +27,6 @@ __all__ = [
     "Image",
     "ScreenGradient",
     "Workspace",
-    "absolute_gradient",
     "borrow",
     "constants",
     "give_back",
@@ -185,11 +184,19 @@ class ScreenGradient:
 
     `pull_back` or `framework.train.optim.Adam.step_from` takes it to the parameters, once, as it
     holds the render's workspace. gaussians: what was rendered. radii [N]: in pixels, 0 = culled.
+    absolute: [N, 2], see `render_gradient`, None where it was not asked for.
     """
 
-    def __init__(self, work: Workspace, gaussians: Gaussians, radii: np.ndarray) -> None:
+    def __init__(
+        self,
+        work: Workspace,
+        gaussians: Gaussians,
+        radii: np.ndarray,
+        absolute: np.ndarray | None = None,
+    ) -> None:
         self._work: Workspace | None = work
         self.gaussians, self.radii = gaussians, torch.from_numpy(radii)
+        self.absolute = None if absolute is None else torch.from_numpy(absolute)
 
     def pull_back(self) -> tuple[dict[str, Tensor], Tensor]:
         """The gradient in every tensor of `gaussians`, by name, and in the projected means [N, 2],
@@ -218,11 +225,14 @@ def render_gradient(
     sh_degree: int | None = None,
     opacity_factors: Tensor | None = None,
     near: float = 0.01,
+    absolute: bool = False,
 ) -> ScreenGradient:
     """Render as `rasterize` does, and the gradient of a loss of its colours.
 
     image_gradient: given the render's rgb [3, H, W] float32, returns the loss's gradient in it. The
-    same bits as autograd's in less time. Raises UserError as `rasterize`, and for a gradient of
+    same bits as autograd's in less time. absolute: also sum, over the pixels, the absolute gradient
+    in the projected means, in pixels, by one more pass over them: pulls that cancel still count
+    (AbsGS, Ye et al. 2024). Raises UserError as `rasterize`, and for a gradient of
     another shape or dtype.
     """
     tensors = _tensors(gaussians, opacity_factors, None)
@@ -235,32 +245,9 @@ def render_gradient(
             f"render_gradient: expected a float32 gradient of shape {list(image.rgb.shape)}, got"
             f" {in_rgb.dtype} {list(in_rgb.shape)}"
         )
+    pulls = work.blend_absolute(image, in_rgb) if absolute else None
     work.blend_backward(image, Image(in_rgb, _NOTHING, _NOTHING))
-    return ScreenGradient(work, gaussians, radii)
-
-
-def absolute_gradient(
-    gaussians: Gaussians,
-    camera: Camera,
-    image_gradient: Callable[[np.ndarray], np.ndarray],
-    *,
-    background: Tensor | None = None,
-    sh_degree: int | None = None,
-    opacity_factors: Tensor | None = None,
-    near: float = 0.01,
-) -> Tensor:
-    """[N, 2] sums over the pixels of the absolute gradient of a loss of the colours in the
-    projected means, in pixels: pulls that cancel still count (AbsGS, Ye et al. 2024).
-
-    A render and a pass of its own. Arguments as for `render_gradient`.
-    """
-    tensors = _tensors(gaussians, opacity_factors, None)
-    seen = camera, _colour(background), _degree(gaussians, sh_degree), near
-    work = borrow()
-    image, _ = _render(work, tensors, *seen, with_depth=False, kept=True)
-    found = work.blend_absolute(image, image_gradient(image.rgb))
-    give_back(work)
-    return torch.from_numpy(found)
+    return ScreenGradient(work, gaussians, radii, pulls)
 
 
 def _degree(gaussians: Gaussians, wanted: int | None) -> int:

@@ -264,7 +264,7 @@ class Workspace:
 
     def blend_absolute(self, image: Image, in_rgb: np.ndarray) -> np.ndarray:
         """[N, 2] float32: sums over pixels of the absolute gradient in the projected means, in
-        pixels; see `absolute.blend_absolute`. Writes over `sums`."""
+        pixels; see `absolute.blend_absolute`. Writes over `sums`, so before `blend_backward`."""
         self.sums = grown(self.sums, int(self.bounds[-1]))
         nothing = self.sums.reshape(-1)[:0]
         run_blocks(
@@ -286,10 +286,9 @@ class Workspace:
             own=[(slots,) for slots in self._scratch(self.slots)],
         )
         n = len(self.arrays.means)
-        counts = np.diff(self.first[: n + 1])
-        total = np.zeros((n, 2))
-        np.add.at(total, np.repeat(np.arange(n), counts), self.sums[: counts.sum(), :2])
-        return total.astype(np.float32)
+        owners = np.repeat(np.arange(n), np.diff(self.first[: n + 1]))
+        parts = self.sums[: len(owners), :2]
+        return np.stack([np.bincount(owners, parts[:, k], n) for k in (0, 1)], 1).astype(np.float32)
 
     def _direction_buffers(self) -> tuple[np.ndarray, np.ndarray]:
         """slopes and cross of `moments.blend_moments`; empty at SH degree 0."""

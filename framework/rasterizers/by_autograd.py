@@ -25,6 +25,7 @@ class TakenGradient:
     radii: Tensor
     tensors: dict[str, Tensor]
     means2d: Tensor
+    absolute: Tensor | None = None  # autograd sums over the pixels
 
     def pull_back(self) -> tuple[dict[str, Tensor], Tensor]:
         return self.tensors, self.means2d
@@ -39,6 +40,8 @@ class ByAutograd(Rasterizer):
         gaussians: Gaussians,
         camera: Camera,
         image_gradient: Callable[[Any], Any],
+        *,
+        absolute: bool = False,
         **how: Any,
     ) -> RenderGradient:
         import torch

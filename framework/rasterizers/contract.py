@@ -10,7 +10,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
-from framework.errors import UserError
 from framework.records.provenance import BITS
 
 if TYPE_CHECKING:
@@ -24,13 +23,17 @@ NOT_KEPT = "not kept by this rasterizer"
 
 class RenderGradient(Protocol):
     """The gradient of a loss on one render. gaussians: what was rendered. radii [N]: in pixels,
-    0 = culled."""
+    0 = culled. absolute: [N, 2], sums over pixels of the absolute gradient in the projected means,
+    where that was asked for."""
 
     @property
     def gaussians(self) -> Gaussians: ...
 
     @property
     def radii(self) -> Tensor: ...
+
+    @property
+    def absolute(self) -> Tensor | None: ...
 
     def pull_back(self) -> tuple[dict[str, Tensor], Tensor]:
         """The gradient in every tensor of `gaussians`, by name, and in the projected means [N, 2],
@@ -43,12 +46,14 @@ class Rasterizer(ABC):
     Gaussians may be given on any device; what comes back is on `device`, but Fisher information,
     which is on the CPU. keeps_bits: whether the same seed gives the same bits. fused: its gradients
     are `framework.rasterize.ScreenGradient`s, which Adam's kernel takes; other rasterizers have
-    torch's arithmetic in Adam as in the loss.
+    torch's arithmetic in Adam as in the loss. single_pixels: whether `render_gradient` can give the
+    absolute gradient, for which it must know that of every pixel.
     """
 
     name: ClassVar[str]
     keeps_bits: ClassVar[bool] = True
     fused: ClassVar[bool] = False
+    single_pixels: ClassVar[bool] = False
 
     @property
     def device(self) -> str:
@@ -89,21 +94,11 @@ class Rasterizer(ABC):
         sh_degree: int | None = None,
         opacity_factors: Tensor | None = None,
         near: float = 0.01,
+        absolute: bool = False,
     ) -> RenderGradient:
         """Render, and the gradient of a loss of the colours: `image_gradient` gets rgb [3, H, W]
-        and returns the loss's gradient in it, both as `loss_gradient` has them."""
-
-    def absolute_gradient(
-        self, gaussians: Gaussians, camera: Camera, image_gradient: Callable[[Any], Any], **how: Any
-    ) -> Tensor:
-        """[N, 2] sums over pixels of the absolute gradient in the projected means, as
-        `framework.rasterize.absolute_gradient`; how: as for `render_gradient`. Raises UserError
-        where a rasterizer gives no gradient of single pixels."""
-        raise UserError(
-            f"rasterizer={self.name}: expected one that measures single pixels for the absolute"
-            f" gradients that a capacity asks for, got {self.name}; use rasterizer=numba or turn"
-            " that option off, for instance capacity.absolute=false"
-        )
+        and returns the loss's gradient in it, both as `loss_gradient` has them. absolute: also
+        `RenderGradient.absolute`; asked for only where `single_pixels` is true."""
 
     @abstractmethod
     def fisher(

@@ -21,6 +21,7 @@ class Numba(Rasterizer):
 
     name: ClassVar[str] = "numba"
     fused: ClassVar[bool] = True
+    single_pixels: ClassVar[bool] = True
 
     def render(self, gaussians: Gaussians, camera: Camera, **how: Any) -> Render:
         from framework.rasterize import rasterize
@@ -37,13 +38,6 @@ class Numba(Rasterizer):
         from framework.rasterize import render_gradient
 
         return render_gradient(gaussians, camera, image_gradient, **how)
-
-    def absolute_gradient(
-        self, gaussians: Gaussians, camera: Camera, image_gradient: Callable[[Any], Any], **how: Any
-    ) -> Tensor:
-        from framework.rasterize import absolute_gradient
-
-        return absolute_gradient(gaussians, camera, image_gradient, **how)
 
     def fisher(self, gaussians: Gaussians, camera: Camera, **how: Any) -> FisherInformation:
         from framework.fisher.information import fisher_information

@@ -115,6 +115,11 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
         remove_checkpoints(run.folder)
     n_views = len(run.scene.training.views)
     options = schedule.paced(schedule.shared(TrainerOptions(**config["trainer"]), n_views), n_views)
+    if options.steps > (asked := config["trainer"]["steps"]):
+        progress.note(
+            f"{options.steps} steps instead of trainer.steps={asked}: trainer.visits="
+            f"{options.visits} of each of {n_views} photos"
+        )
     if options.members == 1 and options.tuning != TrainerOptions.tuning:
         LOG.warning(
             f"trainer.tuning={options.tuning:g}: with trainer.members=1 nothing is joined that"

@@ -12,13 +12,7 @@ from torch import Tensor
 from framework.plugin import GradientAt, StepStats
 from framework.rasterizers import NUMBA, Rasterizer
 from framework.train.epoch import Item
-from framework.train.gradient import (
-    Penalty,
-    absolute_pulls,
-    screen_gradient,
-    step_stats,
-    view_gradient,
-)
+from framework.train.gradient import Penalty, screen_gradient, step_stats, view_gradient
 from framework.train.guard import check_loss, diverged
 from framework.train.torch_adam import Optimizer
 from framework.types import Gaussians
@@ -80,22 +74,20 @@ def descend(
     first, rendered = items[0], {**rendered, "opacity_factors": acting.factors}
     where = _on(f"training step {step} on view", first)
     looked_at = acting.penalty or acting.mixed or wanted or not fading.alike
-    pulls = None
-    if absolute:
-        pulls = absolute_pulls(params, first, ssim_weight, rasterizer, **rendered)
     if len(items) == 1 and not looked_at:
-        loss, found = screen_gradient(params, first, where, ssim_weight, rasterizer, **rendered)
+        how = (where, ssim_weight, rasterizer)
+        loss, found = screen_gradient(params, first, *how, absolute=absolute, **rendered)
         losses = [loss]
         broken, means2d = optimizer.step_from(found, rates, fading.decay)
-        stats = step_stats(first, means2d, found.radii, **rendered)
+        stats = step_stats(first, means2d, found.radii, found.absolute, **rendered)
     else:
 
-        def whole(of: Gaussians) -> tuple[list[float], Gradients, StepStats]:
+        def whole(of: Gaussians, seen: bool = False) -> tuple[list[float], Gradients, StepStats]:
             penalty = None if acting.penalty is None else acting.penalty(of)
-            options = (ssim_weight, penalty, rasterizer)
+            options = (ssim_weight, penalty, rasterizer, seen)
             return _summed(of, items, step, wanted, *options, **rendered)
 
-        losses, gradients, stats = whole(params)
+        losses, gradients, stats = whole(params, absolute)
         if acting.mixed is not None:
             gradients = acting.mixed(gradients, lambda other: whole(_leaves(other))[1])
         decay = fading.decay if fading.alike else 1.0
@@ -104,7 +96,7 @@ def descend(
             fade(params, gradients["opacity_logits"], fading)
     if broken:
         raise diverged(broken, where, params.detach(), optimizer.state())
-    return losses, stats if pulls is None else replace(stats, absolute=pulls)
+    return losses, stats
 
 
 def substep(
@@ -151,13 +143,16 @@ def _summed(
     ssim_weight: float,
     penalty: Penalty | None,
     rasterizer: Rasterizer,
+    absolute: bool,
     **rendered: Any,
 ) -> tuple[list[float], dict[str, Tensor], StepStats]:
     """(loss on each view, gradient of their sum in every parameter, what was seen of the first)."""
     options = (ssim_weight, penalty, rasterizer)
     where = f"training step {step} on view"
     first, *others = items
-    loss, gradients, stats = view_gradient(params, first, _on(where, first), *options, **rendered)
+    loss, gradients, stats = view_gradient(
+        params, first, _on(where, first), *options, absolute, **rendered
+    )
     losses = [loss]
     if wanted:
         stats = replace(stats, gradients={name: gradients[name].clone() for name in wanted})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -29,8 +30,8 @@ def screen_gradient(
     """The loss on a view, and its gradient as far back as the rasterizer takes it at first, which
     is the screen.
 
-    where: for messages. rendered: the options of `Rasterizer.render` but offset and depth. Raises
-    Diverged when the loss is not finite.
+    where: for messages. rendered: the options of `Rasterizer.render_gradient`. Raises Diverged when
+    the loss is not finite.
     """
     view, loss = item.view, 0.0
 
@@ -44,17 +45,6 @@ def screen_gradient(
     return loss, found
 
 
-def absolute_pulls(
-    params: Gaussians, item: Item, ssim_weight: float, rasterizer: Rasterizer, **rendered: Any
-) -> Tensor:
-    """[N, 2] on the CPU, see `StepStats.absolute`. Arguments as for `screen_gradient`."""
-
-    def image_gradient(rgb: Any) -> Any:
-        return rasterizer.loss_gradient(rgb, item.target, ssim_weight, item.view.weight)[1]
-
-    return rasterizer.absolute_gradient(params, item.view.camera, image_gradient, **rendered)
-
-
 def view_gradient(
     params: Gaussians,
     item: Item,
@@ -62,27 +52,40 @@ def view_gradient(
     ssim_weight: float,
     penalty: Penalty | None = None,
     rasterizer: Rasterizer = NUMBA,
+    absolute: bool = False,
     **rendered: Any,
 ) -> ViewGradient:
     """The loss on a view, its gradient by the parameters' names, and what capacity plugins see.
 
-    penalty: a term that is added, of whatever its plugin likes, hence by autograd; without one the
+    penalty: a term that is added, of whatever its plugin likes, hence by autograd, which cannot
+    tell pixels apart: `absolute` takes a render of its own beside one. Without a penalty the
     gradient is taken directly, with the same bits. The others as for `screen_gradient`.
     """
+    how = (params, item, where, ssim_weight)
     if penalty is not None:
-        return _by_autograd(params, item, where, ssim_weight, penalty, rasterizer, **rendered)
-    loss, found = screen_gradient(params, item, where, ssim_weight, rasterizer, **rendered)
+        loss, parameters, stats = _by_autograd(*how, penalty, rasterizer, **rendered)
+        if absolute:
+            _, found = screen_gradient(*how, rasterizer, absolute=True, **rendered)
+            found.pull_back()  # gives its workspace back
+            stats = replace(stats, absolute=found.absolute)
+        return loss, parameters, stats
+    loss, found = screen_gradient(*how, rasterizer, absolute=absolute, **rendered)
     parameters, means2d = found.pull_back()
-    return loss, parameters, step_stats(item, means2d, found.radii, **rendered)
+    return loss, parameters, step_stats(item, means2d, found.radii, found.absolute, **rendered)
 
 
 def step_stats(
-    item: Item, means2d: Tensor, radii: Tensor, opacity_factors: Tensor | None = None, **_: Any
+    item: Item,
+    means2d: Tensor,
+    radii: Tensor,
+    absolute: Tensor | None = None,
+    opacity_factors: Tensor | None = None,
+    **_: Any,
 ) -> StepStats:
     """What capacity plugins see of a view's render, which had these options, and its gradient."""
     view = item.view
     size = view.camera.width, view.camera.height
-    return StepStats(means2d, radii, *size, factors=opacity_factors, view=view)
+    return StepStats(means2d, radii, *size, factors=opacity_factors, view=view, absolute=absolute)
 
 
 def _by_autograd(

@@ -76,7 +76,7 @@ class PluginsAtWork:
                 for name in getattr(running.plugged.plugin, "gradients", ())
             }
         )  # parameters whose gradient a capacity looks at
-        self.absolute = any(_wants_absolute(r.plugged.plugin) for r in self._capacities)
+        self.absolute = any(r.plugged.plugin.wants_absolute() for r in self._capacities)
         for running in (self._augment, *self._regs):
             if not running.idle:
                 dose.open(f"{running.owner}.asked")
@@ -365,11 +365,6 @@ def _fetched(stats: StepStats) -> StepStats:
         factors=None if stats.factors is None else stats.factors.cpu(),
         gradients=_brought(stats.gradients, CPU),
     )
-
-
-def _wants_absolute(plugin: Any) -> bool:
-    """A class of tests may have no word on it."""
-    return bool(getattr(plugin, "wants_absolute", bool)())
 
 
 def _name(plugin: Any) -> str:

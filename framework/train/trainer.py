@@ -90,6 +90,12 @@ class Trainer:
         )
         self.dose = Dose()
         self.field = Field.of(gaussians, PluginsAtWork(plugins, conditions, self.dose), rasterizer)
+        require(
+            rasterizer.single_pixels or not self.field.plugins.absolute,
+            f"rasterizer={rasterizer.name}: expected one that tells the pull of single pixels, for"
+            " the absolute gradients that a capacity asks for; use rasterizer=numba, or turn that"
+            " option off, for instance capacity.absolute=false",
+        )
         self.second: Field | None = None
         if plugins.second_field:
             conditions = replace(conditions, field="second/")

@@ -37,7 +37,7 @@ class AdaptiveDensityControl(PullCapacity):
     in scene extents. min_opacity: below it a Gaussian is removed. reset_every: steps between
     lowering all opacities to `reset_opacity`; 0 = never. reset_from: step of the first time; 0 =
     `reset_every`. reset_opacity: the highest opacity after that. absolute: pull by the sums of
-    absolute gradients, as AbsGS (Ye et al. 2024). Every step then renders once more. max_gaussians:
+    absolute gradients, as AbsGS (Ye et al. 2024). A step then takes longer. max_gaussians:
     0 = no limit; otherwise the strongest pulled are served first.
     """
 

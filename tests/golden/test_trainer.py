@@ -13,7 +13,7 @@ from torch import Tensor
 from framework import registry
 from framework.errors import UserError
 from framework.options import TrainerOptions
-from framework.plugin import Augmenter, Edits, Regularizer, StepContext, StepStats
+from framework.plugin import Augmenter, Capacity, Edits, Regularizer, StepContext, StepStats
 from framework.rasterize import ScreenGradient
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
@@ -82,12 +82,7 @@ def test_harmonics_join_one_degree_at_a_time(degree: int) -> None:
 
 def test_a_capacity_that_removes_all_is_an_error() -> None:
     @dataclass(frozen=True)
-    class Nothing:
-        name = "nothing"
-
-        def init_state(self, ctx: StepContext) -> None:
-            return None
-
+    class Nothing(Capacity):
         def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits, Any]:
             return Edits(keep=torch.zeros(len(ctx.gaussians), dtype=torch.bool)), state
 

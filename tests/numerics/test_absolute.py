@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from framework.errors import UserError
-from framework.rasterize import absolute_gradient, rasterize
+from framework.rasterize import rasterize, render_gradient
 from framework.rasterizers.readable import Reference
 from framework.run.warmup import _plane
 from framework.types import Camera
@@ -29,7 +29,11 @@ def test_it_sums_what_every_pixel_pulls() -> None:
     background, factors = torch.tensor([0.2, 0.5, 0.1]), torch.linspace(0.3, 1.0, 40)
     in_rgb = torch.randn(3, 18, 20, generator=torch.Generator().manual_seed(1))
     how: dict[str, Any] = {"background": background, "opacity_factors": factors}
-    found = absolute_gradient(gaussians, camera, lambda rgb: in_rgb.numpy(), **how)
+    both = render_gradient(gaussians, camera, lambda rgb: in_rgb.numpy(), absolute=True, **how)
+    alone = render_gradient(gaussians, camera, lambda rgb: in_rgb.numpy(), **how)
+    found = both.absolute
+    assert found is not None and alone.absolute is None
+    assert torch.equal(both.pull_back()[1], alone.pull_back()[1])
     expected, signed = torch.zeros(40, 2), torch.zeros(40, 2)
     for y in range(18):
         for x in range(20):
@@ -70,6 +74,25 @@ def test_a_capacity_that_asks_sees_it_and_others_do_not(penalty: str) -> None:
         assert (stats.absolute + 1e-6 >= stats.means2d_grad.abs()).all()
 
 
-def test_a_rasterizer_without_single_pixels_says_so() -> None:
-    with pytest.raises(UserError, match=r"rasterizer=reference: .* use rasterizer=numba or turn"):
-        Reference().absolute_gradient(wall_of_gaussians(3), small_camera(), lambda rgb: rgb)
+def test_a_rasterizer_without_single_pixels_says_so_before_the_first_step() -> None:
+    from framework import registry
+    from framework.options import TrainerOptions
+    from framework.records.progress import Silent
+    from framework.train.trainer import Plugins, Trainer
+
+    registry.discover()
+    training, depth, gaussians = _plane(0)
+    names = {"augment": {"name": "none"}, "reg": {"name": "none"}}
+    names["capacity"] = {"name": "adc", "absolute": True}
+    plugins = Plugins(*(registry.build(group, given) for group, given in names.items()))
+    with pytest.raises(UserError, match=r"rasterizer=reference: .* use rasterizer=numba, or turn"):
+        Trainer(
+            training,
+            depth,
+            gaussians,
+            TrainerOptions(),
+            plugins,
+            0,
+            Silent(),
+            rasterizer=Reference(),
+        )

@@ -27,7 +27,7 @@ from framework.compute.simd import (
     zeros,
 )
 from framework.rasterize.tile.binning import gather
-from framework.rasterize.tile.blend import _read_gradients
+from framework.rasterize.tile.blend import read_gradients
 from framework.rasterize.tile.tiles import (
     AHEAD,
     CHECK,
@@ -125,7 +125,7 @@ def blend_absolute(
         x, y = (tile % columns) * 16, (tile // columns) * 16
         clear_outside(transmittance, x, y, width, height)
         state[256:] = ZERO
-        _read_gradients(x, y, size, image, gradient, behind, buffers, held)
+        read_gradients(x, y, size, image, gradient, behind, buffers, held)
         alive = 1
         for k in range(offsets[tile], offsets[tile + 1]):
             if alive != 0 and (k - offsets[tile]) % CHECK == 0:

@@ -149,7 +149,7 @@ def _weigh(
 
 
 @inlined
-def _read_gradients(
+def read_gradients(
     x: int, y: int, size: Any, image: Any, gradient: Any, behind: Any, buffers: Any, held: Any
 ) -> None:
     """The image's gradients into a tile's, and how the loss moves with all that a tile's pixels
@@ -262,7 +262,7 @@ def blend_backward(
         x, y = (tile % columns) * 16, (tile // columns) * 16
         clear_outside(transmittance, x, y, width, height)
         state[256:] = ZERO
-        _read_gradients(x, y, size, image, gradient, behind, buffers, held)
+        read_gradients(x, y, size, image, gradient, behind, buffers, held)
         alive = 1
         for k in range(offsets[tile], offsets[tile + 1]):
             if alive != 0 and (k - offsets[tile]) % CHECK == 0:

@@ -42,6 +42,7 @@ DATA_KEYS = (*(axis.key for axis in STRESSES), *CONDITIONS)
 # of a method; the capacity plugin and its options are one, too
 BUDGETS = (
     "trainer.steps",
+    "trainer.visits",
     "trainer.coarse_factor",
     "trainer.coarse_until",
     "trainer.members",

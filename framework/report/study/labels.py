@@ -27,7 +27,7 @@ from framework.scenes import ALL
 NAMED = ("augment", "reg")  # groups every method's name starts with
 WITH_STEPS = (  # what presets set beside the steps
     *("trainer.coarse_factor", "trainer.coarse_until"),
-    *("trainer.members", "trainer.tuning"),
+    *("trainer.members", "trainer.tuning", "trainer.visits"),
 )
 RATES = ("trainer.lr_final", "trainer.lr_means_final", "trainer.lr_scales")  # and beside these
 RASTERIZER, NUMBA = "rasterizer.name", "numba"  # the only one of records without the key

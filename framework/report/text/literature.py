@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 
+from framework.registry import SWEPT
 from framework.report.parts.document import Block, Heading, Text, table
 from framework.report.statistics.numbers import ABSENT, average, mean_text
 from framework.report.study.collect import ReportRun, Study
@@ -20,7 +21,6 @@ from framework.report.text.published import read, scene_rows
 
 FEWEST = 2  # recipes, to stand side by side
 PUBLISHED, REPEATED = "Published, {set}", "Repeated by others, {set}"
-SWEPT = "_sweep"
 LLFF, DTU = "LLFF", "DTU"
 OF_SCENE = "A repeat of this scene"
 HERE = "Here"
