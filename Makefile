@@ -13,7 +13,7 @@ demo: $(STAMP)
 	$(RUN) python run.py sweep=first
 
 test: $(STAMP)
-	$(RUN) python -m pytest --numprocesses=logical --maxprocesses=4
+	$(RUN) python -m pytest --numprocesses=logical --maxprocesses=4 --dist=worksteal
 
 lint: $(STAMP)
 	$(RUN) ruff check .

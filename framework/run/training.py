@@ -285,15 +285,8 @@ def renderer(
 ) -> Callable[[Camera], Tensor]:
     """What evaluation sees: the Gaussians alone, without plugins or gradients. Images are on the
     CPU."""
-    placed = gaussians.detach().to(rasterizer.device)
-
-    def render(camera: Camera) -> Tensor:
-        seen = rasterizer.render(
-            placed, camera, background=background, sh_degree=sh_degree, near=near, depth=False
-        )
-        return seen.rgb.detach().to("cpu")
-
-    return render
+    draw = thinned(gaussians, background, sh_degree, near, rasterizer)
+    return lambda camera: draw(camera, None).rgb
 
 
 def thinned(
@@ -302,18 +295,18 @@ def thinned(
     sh_degree: int,
     near: float,
     rasterizer: Rasterizer = NUMBA,
-) -> Callable[[Camera, Tensor], Render]:
-    """As `renderer`, with opacities times factors [N], and with alpha."""
+) -> Callable[[Camera, Tensor | None], Render]:
+    """As `renderer`, with opacities times factors [N] if there are any, and with alpha."""
     placed = gaussians.detach().to(rasterizer.device)
 
-    def render(camera: Camera, factors: Tensor) -> Render:
+    def render(camera: Camera, factors: Tensor | None) -> Render:
         seen = rasterizer.render(
             placed,
             camera,
             background=background,
             sh_degree=sh_degree,
             near=near,
-            opacity_factors=factors.to(rasterizer.device),
+            opacity_factors=None if factors is None else factors.to(rasterizer.device),
             depth=False,
         )
         return replace(seen, rgb=seen.rgb.detach().to("cpu"), alpha=seen.alpha.detach().to("cpu"))

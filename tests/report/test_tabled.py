@@ -97,8 +97,13 @@ def test_another_table_ends_in_one_line(tmp_path: Path, change: tuple[str, str])
         collect(folder)
 
 
-@pytest.mark.parametrize("value", ["1e300", "-1e300", "inf", "nan", "1" * 500])
-@pytest.mark.parametrize("column", ["psnr", "train_wall_s"])
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        *(("psnr", value) for value in ("1e300", "-1e300", "inf", "nan", "1" * 500)),
+        ("train_wall_s", "1e300"),
+    ],
+)
 def test_numbers_that_no_axis_can_have_end_in_one_line(
     tmp_path: Path, column: str, value: str
 ) -> None:
