@@ -82,20 +82,22 @@ def seen_through(
     from torch.nn.functional import grid_sample
 
     height, width = depth.shape
-    y, x = torch.meshgrid(
-        torch.arange(height, dtype=torch.float64) + 0.5,
-        torch.arange(width, dtype=torch.float64) + 0.5,
-        indexing="ij",
-    )
-    rays = torch.stack([x, y, torch.ones_like(x)], -1) @ torch.linalg.inv(camera.K).T
+    x = torch.arange(width, dtype=torch.float64) + 0.5
+    y = torch.arange(height, dtype=torch.float64)[:, None] + 0.5
     relative = source.viewmat @ torch.linalg.inv(camera.viewmat)
-    turned = (rays @ relative[:3, :3].T).float()
-    there = turned * depth[..., None] + relative[:3, 3].float()
-    z = there[..., 2]
-    pixels = (there @ source.K.T.float())[..., :2] / z.clamp(min=SEEN)[..., None]
-    size = pixels.new_tensor([source.width, source.height])
-    valid = (z > SEEN) & ((pixels >= 0) & (pixels <= size)).all(-1) & (depth.detach() > 0)
-    grid = (2 * pixels / size - 1).clamp(-2, 2)
+    shift = (source.K @ relative[:3, 3]).tolist()
+    turn = (source.K @ relative[:3, :3] @ torch.linalg.inv(camera.K)).tolist()
+    # a plane each of u z, v z, z: rows of the homography, told once and in float64
+    u, v, z = (
+        (row[0] * x + (row[1] * y + row[2])).float() * depth + by
+        for row, by in zip(turn, shift, strict=True)
+    )
+    # to grid_sample's [-1, 1] at the borders of the image
+    inverse = 1 / z.clamp(min=SEEN)
+    u, v = (u * inverse) * (2 / source.width) - 1, (v * inverse) * (2 / source.height) - 1
+    with torch.no_grad():
+        valid = (z > SEEN) & (u.abs() <= 1) & (v.abs() <= 1) & (depth > 0)
+    grid = torch.stack([u.clamp(-2, 2), v.clamp(-2, 2)], -1)
     found = grid_sample(
         image[None], grid[None], mode="bilinear", padding_mode="border", align_corners=False
     )[0]
