@@ -1,7 +1,7 @@
 """How good is the depth that a training starts from, and what would another guess change?
 
     python benchmarks/quality/starts.py --data DIR [--scenes fern,horns] [--seeds 0,1]
-        [--guesses around,points,true] [--steps 600] [--output FILE.md]
+        [--guesses around,points,true] [--steps 600] [--leave-one-out] [--output FILE.md]
 
 Half-size photos of the scenes of `budgets.py`. First table: COLMAP's points of *all* photos, test
 views too (a track of three photos or more, an error below 1.5 pixels), against the training views'
@@ -10,6 +10,8 @@ consistent depth begin on another guess. `around` is the default's, from the con
 sparse points around (`framework/initialize/completion.py`); `points` interpolates inverse depth
 between the sparse points that training views see, beyond them the nearest one's; `true` gives these
 pixels depth interpolated between COLMAP's points of all photos, which no training may know.
+`--leave-one-out` instead trains without each training photo in turn (six at most) and judges by it,
+with depth and sparse points of the others alone: what a choice for a scene could go by.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ from scipy.interpolate import griddata
 from benchmarks.prepare import Prepared, prepared
 from benchmarks.quality.budgets import SCENES
 from framework.compute import parallel
+from framework.depth import build_provider
 from framework.geometry import project
 from framework.initialize import completion
 from framework.initialize.fusion import Mapped
@@ -38,6 +41,7 @@ from framework.run.training import renderer
 from framework.types import DepthMap
 
 FEWEST, LARGEST_ERROR = 3, 1.5  # photos of a track; pixels
+MOST = 6  # photos that are left out in turn
 WRONG = 0.05  # relative error of a depth
 Points = list[tuple[np.ndarray, np.ndarray]]  # of every training view: uv [P, 2] pixels, z [P]
 
@@ -72,7 +76,9 @@ def true_points(ready: Prepared, model: Path) -> Points:
     return points
 
 
-def _inside(uv: np.ndarray, z: np.ndarray, width: int, height: int) -> tuple[np.ndarray, ...]:
+def _inside(
+    uv: np.ndarray, z: np.ndarray, width: int, height: int
+) -> tuple[np.ndarray, np.ndarray]:
     kept = (z > 0) & (uv >= 0).all(1) & (uv[:, 0] < width) & (uv[:, 1] < height)
     return uv[kept], z[kept]
 
@@ -136,6 +142,35 @@ def result(ready: Prepared) -> float:
     )
 
 
+def without(ready: Prepared, photo: int) -> Prepared:
+    """As if training photo number `photo` were the only test view, and unknown to the start."""
+    scene, options = ready.scene, dict(ready.config["depth"])
+    known, points = scene.training, scene.training.points
+    kept = [v for v in range(len(known.views)) if v != photo]
+    both = points.visible[:, kept].sum(1) >= 2
+    fewer = replace(
+        points, xyz=points.xyz[both], rgb=points.rgb[both], visible=points.visible[both][:, kept]
+    )
+    training = replace(known, views=tuple(known.views[v] for v in kept), points=fewer)
+    depth = build_provider(options.pop("name"), options).estimate(training)
+    return Prepared(
+        ready.config, replace(scene, training=training, test=(known.views[photo],)), depth
+    )
+
+
+def left_out(ready: Prepared, name: str) -> str:
+    """A row: PSNR of each photo from the others, and what `points` changes of it."""
+    photos, changes = len(ready.scene.training.views), []
+    for i in range(min(photos, MOST)):
+        fold, psnrs = without(ready, i * photos // min(photos, MOST)), []
+        for start in (AROUND, guess_between_points):
+            with patch.object(completion, "_start", start):
+                psnrs.append(result(fold))
+        changes.append(psnrs[1] - psnrs[0])
+    told = ", ".join(f"{change:+.2f}" for change in changes)
+    return f"| {name} | {told} | {statistics.mean(changes):+.2f} |"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, required=True)
@@ -143,6 +178,7 @@ def main() -> None:
     parser.add_argument("--guesses", default="around,points,true")
     parser.add_argument("--seeds", default="0,1")
     parser.add_argument("--steps", default="600")
+    parser.add_argument("--leave-one-out", action="store_true")
     parser.add_argument("--output", type=Path)
     given = parser.parse_args()
     parallel.set_threads(1)
@@ -151,6 +187,7 @@ def main() -> None:
     depth = [f"| {' | '.join(heads)} | others, off by over 5 % |"]
     depth += ["|---|---:|---:|---:|---:|---:|"]
     psnrs = ["| scene, views | " + " | ".join(guesses) + " |", "|---|" + "---:|" * len(guesses)]
+    folds = ["| scene, views | of each photo, `points` against `around` | mean |", "|---|---|---:|"]
     for scene in given.scenes.split(","):
         place = SCENES[scene]
         words = place.words.format(given.data).split()
@@ -159,6 +196,10 @@ def main() -> None:
         model = model_of(Path(words[1].removeprefix("scene.path=")))
         found: dict[str, list[float]] = {guess: [] for guess in guesses}
         name, points = f"{place.bold(scene)}, {place.views}", None
+        if given.leave_one_out:
+            folds.append(left_out(prepared([*words, "seed=0"]), name))
+            print(folds[-1], flush=True)
+            continue
         for seed in given.seeds.split(","):
             ready = prepared([*words, f"seed={seed}"])
             if model is not None and points is None:
@@ -170,8 +211,8 @@ def main() -> None:
                     continue
                 start = guess_between_points if guess == "points" else AROUND
                 with patch.object(completion, "_start", start):
-                    other = guess == "true" and points is not None
-                    found[guess].append(result(with_truth(ready, points) if other else ready))
+                    truth = points if guess == "true" else None
+                    found[guess].append(result(with_truth(ready, truth) if truth else ready))
         cells = (
             f"{statistics.mean(v):.2f}" + (f" ± {statistics.stdev(v):.2f}" if len(v) > 1 else "")
             if v
@@ -180,7 +221,7 @@ def main() -> None:
         )
         psnrs.append(f"| {name} | {' | '.join(cells)} |")
         print(psnrs[-1], flush=True)
-    text = "\n".join([*depth, "", *psnrs]) + "\n"
+    text = "\n".join(folds if given.leave_one_out else [*depth, "", *psnrs]) + "\n"
     print(text)
     if given.output:
         given.output.write_text(text)
