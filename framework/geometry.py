@@ -10,6 +10,9 @@ and may round differently with the number of threads.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -114,6 +117,20 @@ def perturbed(camera: Camera, axis_angle: Tensor, shift: Tensor) -> Camera:
     viewmat[:3, :3] = rotation
     viewmat[:3, 3] = -_rotate(rotation, camera.center + shift.to(torch.float64))
     return Camera(viewmat, camera.K, camera.width, camera.height)
+
+
+def distance(a: Camera, b: Camera) -> float:
+    """Of two camera centres, in scene units."""
+    x, y, z = (a.center - b.center).tolist()
+    return math.sqrt(x * x + y * y + z * z)
+
+
+def mean_neighbour_distance(cameras: Sequence[Camera]) -> float:
+    """Mean distance of a camera to its nearest other one, in scene units; 0 for a single camera."""
+    if len(cameras) < 2:
+        return 0.0
+    nearest = [min(distance(a, b) for b in cameras if b is not a) for a in cameras]
+    return sum(nearest) / len(nearest)
 
 
 def _normalised(q: Tensor) -> Tensor:

@@ -173,12 +173,9 @@ def within(scores: Sequence[float], eta: float) -> list[int]:
 def center_distances(views: Sequence[View], camera: Camera) -> list[float]:
     """Distance of each view's camera centre (not of its translation column, which also depends on
     the orientation) to that of `camera`, in scene units."""
-    return [_distance(view.camera, camera) for view in views]
+    from framework.geometry import distance
 
-
-def _distance(a: Camera, b: Camera) -> float:
-    x, y, z = (a.center - b.center).tolist()
-    return math.sqrt(x * x + y * y + z * z)
+    return [distance(view.camera, camera) for view in views]
 
 
 def known_share(supports: Sequence[Support]) -> float:
@@ -189,15 +186,9 @@ def known_share(supports: Sequence[Support]) -> float:
 
 def _spacing(ctx: StepContext) -> float:
     """Mean distance between neighbouring training cameras, of a single one the extent."""
+    from framework.geometry import mean_neighbour_distance
+
     return mean_neighbour_distance([view.camera for view in ctx.views]) or ctx.extent
-
-
-def mean_neighbour_distance(cameras: Sequence[Camera]) -> float:
-    """Mean distance of a camera to its nearest other one, in scene units; 0 for a single camera."""
-    if len(cameras) < 2:
-        return 0.0
-    nearest = [min(_distance(a, b) for b in cameras if b is not a) for a in cameras]
-    return sum(nearest) / len(nearest)
 
 
 def perturbed(

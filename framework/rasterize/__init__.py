@@ -36,6 +36,7 @@ __all__ = [
     "rasterize",
     "reference",
     "render_gradient",
+    "roughness",
 ]
 
 _NOTHING, _BLACK = np.empty((0, 0), np.float32), np.zeros(3, np.float32)
@@ -226,19 +227,22 @@ def render_gradient(
     opacity_factors: Tensor | None = None,
     near: float = 0.01,
     absolute: bool = False,
+    depth_gradient: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None,
 ) -> ScreenGradient:
     """Render as `rasterize` does, and the gradient of a loss of its colours.
 
     image_gradient: given the render's rgb [3, H, W] float32, returns the loss's gradient in it. The
     same bits as autograd's in less time. absolute: also sum, over the pixels, the absolute gradient
     in the projected means, in pixels, by one more pass over them: pulls that cancel still count
-    (AbsGS, Ye et al. 2024). Raises UserError as `rasterize`, and for a gradient of
+    (AbsGS, Ye et al. 2024). depth_gradient: given alpha and depth [H, W] float32, returns the
+    gradients in them that are added. Raises UserError as `rasterize`, and for a gradient of
     another shape or dtype.
     """
     tensors = _tensors(gaussians, opacity_factors, None)
     seen = camera, _colour(background), _degree(gaussians, sh_degree), near
     work = borrow()
-    image, radii = _render(work, tensors, *seen, with_depth=False, kept=True)
+    deep = depth_gradient is not None
+    image, radii = _render(work, tensors, *seen, with_depth=deep, kept=True)
     in_rgb = image_gradient(image.rgb)
     if in_rgb.shape != image.rgb.shape or in_rgb.dtype != np.float32:
         raise UserError(
@@ -246,7 +250,10 @@ def render_gradient(
             f" {in_rgb.dtype} {list(in_rgb.shape)}"
         )
     pulls = work.blend_absolute(image, in_rgb) if absolute else None
-    work.blend_backward(image, Image(in_rgb, _NOTHING, _NOTHING))
+    elsewhere = _NOTHING, _NOTHING
+    if depth_gradient is not None:
+        elsewhere = depth_gradient(image.alpha, image.depth)
+    work.blend_backward(image, Image(in_rgb, *elsewhere))
     return ScreenGradient(work, gaussians, radii, pulls)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from framework.rasterizers.contract import Rasterizer, RenderGradient
+from framework.rasterizers.contract import DepthGradient, Rasterizer, RenderGradient
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -42,6 +42,7 @@ class ByAutograd(Rasterizer):
         image_gradient: Callable[[Any], Any],
         *,
         absolute: bool = False,
+        depth_gradient: DepthGradient | None = None,
         **how: Any,
     ) -> RenderGradient:
         import torch
@@ -49,12 +50,17 @@ class ByAutograd(Rasterizer):
         placed = gaussians.to(self.device)
         leaves = placed.map(lambda t: t.detach().requires_grad_())
         offset = placed.means.new_zeros(len(placed), 2, requires_grad=True)
-        render = self.render(leaves, camera, means2d_offset=offset, depth=False, **how)
+        deep = depth_gradient is not None
+        render = self.render(leaves, camera, means2d_offset=offset, depth=deep, **how)
         tensors = dict(leaves.items())
+        outputs, pulls = [render.rgb], [image_gradient(render.rgb.detach())]
+        if depth_gradient is not None:
+            outputs += [render.alpha, render.depth]
+            pulls += depth_gradient(render.alpha.detach(), render.depth.detach())
         *gradients, means2d = torch.autograd.grad(
-            render.rgb,
+            outputs,
             [*tensors.values(), offset],
-            image_gradient(render.rgb.detach()),
+            pulls,
             materialize_grads=True,  # of an image that nobody is in
         )
         return TakenGradient(
@@ -82,3 +88,8 @@ class ByAutograd(Rasterizer):
         from framework.rasterizers.torch_loss import loss_gradient
 
         return loss_gradient(rgb, target, ssim_weight, weight)
+
+    def roughness_gradient(self, alpha: Any, depth: Any, weights: Tensor) -> tuple[Any, Any]:
+        from framework.rasterizers.torch_loss import roughness_gradient
+
+        return roughness_gradient(alpha, depth, weights)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from framework.types import Camera, Gaussians, Render
 
 NOT_KEPT = "not kept by this rasterizer"
+DepthGradient = Callable[[Any, Any], tuple[Any, Any]]
 
 
 class RenderGradient(Protocol):
@@ -95,10 +96,12 @@ class Rasterizer(ABC):
         opacity_factors: Tensor | None = None,
         near: float = 0.01,
         absolute: bool = False,
+        depth_gradient: DepthGradient | None = None,
     ) -> RenderGradient:
         """Render, and the gradient of a loss of the colours: `image_gradient` gets rgb [3, H, W]
         and returns the loss's gradient in it, both as `loss_gradient` has them. absolute: also
-        `RenderGradient.absolute`; asked for only where `single_pixels` is true."""
+        `RenderGradient.absolute`; asked for only where `single_pixels` is true. depth_gradient:
+        gets alpha and depth [H, W] and returns the gradients in them that are added."""
 
     @abstractmethod
     def fisher(
@@ -126,3 +129,8 @@ class Rasterizer(ABC):
         self, rgb: Any, target: Any, ssim_weight: float, weight: float
     ) -> tuple[float, Any]:
         """`loss` times `weight`, and its gradient in the render."""
+
+    @abstractmethod
+    def roughness_gradient(self, alpha: Any, depth: Any, weights: Tensor) -> tuple[Any, Any]:
+        """The gradient in alpha and depth [H, W], as `render` or `render_gradient` has them, of
+        `framework.rasterize.roughness`. weights: [2, H, W], on `device`."""

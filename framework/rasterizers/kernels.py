@@ -60,3 +60,10 @@ class Numba(Rasterizer):
         from framework.rasterize.losses import photometric_gradient
 
         return photometric_gradient(rgb, target, ssim_weight, weight)
+
+    def roughness_gradient(self, alpha: Any, depth: Any, weights: Tensor) -> tuple[Any, Any]:
+        import numpy as np
+
+        from framework.rasterize.roughness import roughness_gradient
+
+        return roughness_gradient(np.asarray(alpha), np.asarray(depth), weights.numpy())

@@ -1,4 +1,5 @@
-"""The photometric loss of `framework.rasterize.losses` in torch, on any device, by autograd."""
+"""The photometric loss of `framework.rasterize.losses`, and the gradient of
+`framework.rasterize.roughness`, in torch, on any device."""
 
 from __future__ import annotations
 
@@ -11,6 +12,7 @@ from torch.nn.functional import conv2d
 
 RADIUS, SIGMA = 5, 1.5  # pixels, of the window
 C1, C2 = 0.01**2, 0.03**2
+SEEN = 1e-6  # alpha from which a pixel shows something
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,21 @@ def loss_gradient(
     loss = photometric_loss(leaf, target, ssim_weight) * weight
     (gradient,) = torch.autograd.grad(loss, leaf)
     return float(loss.detach()), gradient
+
+
+def roughness_gradient(alpha: Tensor, depth: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+    """In alpha and depth [H, W]; weights: [2, H, W]."""
+    shows = (alpha > SEEN) & (depth > 0)
+    inverse = torch.where(shows, 1 / torch.where(shows, depth, 1.0), 0.0)
+    disparity, pull = alpha * inverse, torch.zeros_like(alpha)
+    for w, axis in zip(weights, (1, 0), strict=True):
+        n = alpha.shape[axis] - 1
+        both = shows.narrow(axis, 0, n) & shows.narrow(axis, 1, n)
+        step = torch.where(both, disparity.diff(dim=axis).sign() * w.narrow(axis, 0, n), 0.0)
+        pull.narrow(axis, 1, n).add_(step)
+        pull.narrow(axis, 0, n).sub_(step)
+    pull = pull * inverse
+    return pull, -pull * disparity
 
 
 def _blurred(image: Tensor) -> Tensor:

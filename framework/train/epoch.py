@@ -12,6 +12,7 @@ from torch import Tensor
 
 from framework.compute.rng import stream
 from framework.rasterizers import NUMBA, Rasterizer
+from framework.train.smoothness import DepthSmoothness
 from framework.types import PSEUDO, View
 
 
@@ -36,10 +37,11 @@ def ordered(
 @dataclass(frozen=True)
 class Item:
     """A view at the resolution that is trained now, on the CPU, with what the loss needs of it, on
-    the rasterizer's device."""
+    the rasterizer's device. smoothing: the weights of its render's steps in depth, if any."""
 
     view: View
     target: Any
+    smoothing: Any = None
 
 
 class Items:
@@ -48,10 +50,16 @@ class Items:
 
     covered: a pseudo view's loss is the mean over the pixels in its mask, which is that over the
     frame divided by the share that they cover (outside, loss and SSIM's error are 0).
+    smoothness: of the depth behind real views.
     """
 
-    def __init__(self, covered: bool = False, rasterizer: Rasterizer = NUMBA) -> None:
-        self._covered, self._rasterizer = covered, rasterizer
+    def __init__(
+        self,
+        covered: bool = False,
+        rasterizer: Rasterizer = NUMBA,
+        smoothness: DepthSmoothness | None = None,
+    ) -> None:
+        self._covered, self._rasterizer, self._smoothness = covered, rasterizer, smoothness
         self._kept: dict[str, tuple[int, Item]] = {}
 
     def get(self, view: View, factor: int) -> Item:
@@ -65,7 +73,10 @@ class Items:
         return kept[1]
 
     def _item(self, view: View) -> Item:
-        return Item(view, self._rasterizer.target(view.image, view.mask))
+        target, smoothing = self._rasterizer.target(view.image, view.mask), None
+        if self._smoothness is not None and PSEUDO not in view.tags:
+            smoothing = self._smoothness.weights(view).to(self._rasterizer.device)
+        return Item(view, target, smoothing)
 
 
 def _smaller_view(view: View, factor: int) -> View:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -28,7 +29,7 @@ def screen_gradient(
     **rendered: Any,
 ) -> tuple[float, RenderGradient]:
     """The loss on a view, and its gradient as far back as the rasterizer takes it at first, which
-    is the screen.
+    is the screen. What keeps depth smooth is in the gradient and not in the loss that is told.
 
     where: for messages. rendered: the options of `Rasterizer.render_gradient`. Raises Diverged when
     the loss is not finite.
@@ -41,8 +42,15 @@ def screen_gradient(
         check_loss(loss, where, params.detach())
         return gradient
 
-    found = rasterizer.render_gradient(params, view.camera, image_gradient, **rendered)
+    smooth = None if item.smoothing is None else partial(_roughness, rasterizer, item.smoothing)
+    found = rasterizer.render_gradient(
+        params, view.camera, image_gradient, depth_gradient=smooth, **rendered
+    )
     return loss, found
+
+
+def _roughness(rasterizer: Rasterizer, weights: Tensor, alpha: Any, depth: Any) -> tuple[Any, Any]:
+    return rasterizer.roughness_gradient(alpha, depth, weights)
 
 
 def view_gradient(
@@ -102,9 +110,13 @@ def _by_autograd(
     loss = rasterizer.loss(render.rgb, item.target, ssim_weight) * view.weight
     check_loss(float(loss.detach()), where, params.detach())
     loss = loss + penalty(view, render)  # one that is not finite is its plugin's
-    tensors = dict(params.items())
+    tensors, outputs, pulls = dict(params.items()), [loss], [torch.ones_like(loss)]
+    if item.smoothing is not None:
+        of_depth = render.alpha.detach(), render.depth.detach(), item.smoothing
+        outputs += [render.alpha, render.depth]
+        pulls += map(torch.as_tensor, rasterizer.roughness_gradient(*of_depth))
     *gradients, means2d = torch.autograd.grad(
-        loss, [*tensors.values(), offset], materialize_grads=True
+        outputs, [*tensors.values(), offset], pulls, materialize_grads=True
     )
     stats = step_stats(item, means2d, render.radii, **rendered)
     return float(loss.detach()), dict(zip(tensors, gradients, strict=True)), stats

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from framework.compute.stopwatch import Stopwatch
 from framework.errors import require
+from framework.geometry import mean_neighbour_distance
 from framework.initialize import background_color, random_background
 from framework.options import TrainerOptions
 from framework.plugin import Edits, StepStats
@@ -36,6 +37,7 @@ from framework.train.epoch import Item, Items, ordered
 from framework.train.field import Field
 from framework.train.plugged import PluginsAtWork
 from framework.train.resume.training_state import Keeper, Plugins, Trained, TrainerState
+from framework.train.smoothness import DepthSmoothness
 from framework.types import PSEUDO, DepthMap, Gaussians, TrainingSet, View
 
 LOG = logging.getLogger(__name__)
@@ -102,7 +104,7 @@ class Trainer:
             self.second = Field.of(
                 gaussians, PluginsAtWork(plugins, conditions, Dose()), rasterizer
             )
-        self.items = Items(options.pseudo_mean == "covered", rasterizer)
+        self.items = Items(options.pseudo_mean == "covered", rasterizer, self._smoothness())
         self.pseudo: list[View] = []
         self.queue: list[tuple[View, ...]] = []
         self.step, self.epoch = 0, -1
@@ -118,11 +120,14 @@ class Trainer:
         evaluations = schedule.evaluation_steps(self.options)
         every = max(1, self.options.steps // HISTORY_ROWS)
         while self.step < self.options.steps:
-            loss = self._train_step()
-            self.step += 1
-            if self.step in evaluations or self.step % every == 0:
+            loss, stats = self._train_step()
+            done = self.step + 1
+            # before the edits, as the field does: right after a reset of opacities nothing is seen
+            if done in evaluations or done % every == 0:
                 with self.watch.paused() as seconds:
-                    self._record(loss, seconds, self.step in evaluations)
+                    self._record(done, loss, seconds, done in evaluations)
+            self._edit(stats)
+            self.step = done
             n = len(self.field.params)
             self.progress.step(self.step, self.options.steps, loss, n, self.psnr)
             if self.keeper is not None and self.keeper.due():
@@ -139,8 +144,8 @@ class Trainer:
             self.dose.kept(),
         )
 
-    def _train_step(self) -> float:
-        """Pick, render, lose, step, edit. Returns the loss on the real view.
+    def _train_step(self) -> tuple[float, StepStats]:
+        """Pick, render, lose, step. Returns the loss on the real view and what was seen of it.
 
         A pseudo view's own update comes before its real one: so every step, and the training, ends
         on a photo, and what the capacity plugin sees of it is of the Gaussians as they are.
@@ -150,9 +155,7 @@ class Trainer:
             for turn, item in enumerate(pseudo, 1):
                 self._update([item], turn)
             pseudo = []
-        loss, stats = self._update([real, *pseudo])
-        self._edit(stats)
-        return loss
+        return self._update([real, *pseudo])
 
     def _update(self, items: list[Item], turn: int = 0) -> tuple[float, StepStats]:
         """One descent down the losses on `items`; the loss on the first, and what was seen of it.
@@ -237,6 +240,12 @@ class Trainer:
 
         field.plugins.edits(self._now(0, field, other), stats, apply)
 
+    def _smoothness(self) -> DepthSmoothness | None:
+        cameras = [view.camera for view in self.training.views]
+        spacing = mean_neighbour_distance(cameras) or self.extent
+        weight = self.options.depth_smoothness
+        return DepthSmoothness(weight, spacing) if weight > 0 else None
+
     def _sh_degree(self) -> int:
         stored = self.field.params.sh_degree
         return schedule.sh_degree(self.options, self.step, stored, self.sh_from)
@@ -253,8 +262,8 @@ class Trainer:
         gaussians = of.params.detach()
         return Moment(self.step, self.epoch, of.version, gaussians, degree, turn, behind, other)
 
-    def _record(self, loss: float, seconds: float, evaluating: bool) -> None:
-        """A row of the history; on evaluation steps with the test PSNR."""
+    def _record(self, done: int, loss: float, seconds: float, evaluating: bool) -> None:
+        """A row of the history after `done` steps; on evaluation steps with the test PSNR."""
         psnr: float | None = None
         if evaluating and self.evaluate is not None:
             gaussians = self.field.plugins.evaluated(self.field.params.clone().to("cpu"))
@@ -262,7 +271,7 @@ class Trainer:
             self.psnr = psnr
         self.history.append(
             HistoryRow(
-                step=self.step,
+                step=done,
                 seconds=seconds,
                 loss=loss,
                 gaussians=len(self.field.params),

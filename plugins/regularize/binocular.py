@@ -41,7 +41,7 @@ class Binocular(Regularizer):
 
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
         """Mean absolute difference of the warped render and the photo, over pixels and channels."""
-        from framework.methods.warping import mean_neighbour_distance
+        from framework.geometry import mean_neighbour_distance
 
         if all(view.name != photo.name for photo in ctx.views):
             return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from framework.train.epoch import Items
 from framework.train.gradient import ViewGradient, view_gradient
 from framework.train.guard import Diverged
 from framework.train.optim import Adam
+from framework.train.smoothness import DepthSmoothness
 from framework.types import Gaussians, View
 from tests.numerics.scenes import Case, crowded_case, random_case
 
@@ -35,23 +37,28 @@ def bits(found: ViewGradient) -> list[Any]:
     return [loss, list(gradients), *(tensor.numpy().tobytes() for tensor in tensors)]
 
 
+@pytest.mark.parametrize("smooth", [0.0, 0.5])
 @pytest.mark.parametrize("weight", [1.0, 0.3])
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("seed", range(4))
-def test_direct_is_autograd(seed: int, masked: bool, weight: float) -> None:
+def test_direct_is_autograd(seed: int, masked: bool, weight: float, smooth: float) -> None:
     case = random_case(seed) if seed < 3 else crowded_case(seed)
     draw = torch.Generator().manual_seed(seed)
     size = (case.camera.height, case.camera.width)
     mask = (torch.rand(size, generator=draw) > 0.3).float() if masked else None
     image = torch.rand((3, *size), generator=draw)
     view = View("v", case.camera, image, mask=mask, weight=weight)
-    item, params = Items().get(view, 1), case.gaussians.map(lambda t: t.requires_grad_())
+    items = Items(smoothness=DepthSmoothness(smooth, 0.1) if smooth else None)
+    item, params = items.get(view, 1), case.gaussians.map(lambda t: t.requires_grad_())
     options: dict[str, Any] = {"background": case.background, "near": 0.2}
     options |= {"sh_degree": case.sh_degree, "opacity_factors": case.factors}
     direct = view_gradient(params, item, "here", 0.2, **options)
     by_autograd = view_gradient(params, item, "here", 0.2, lambda view, render: 0.0, **options)
     assert bits(direct) == bits(by_autograd)
     assert direct[1]["means"].abs().sum() > 0
+    rough = view_gradient(params, replace(item, smoothing=None), "here", 0.2, **options)
+    assert (bits(rough) == bits(direct)) == (smooth == 0)
+    assert rough[0] == direct[0]  # the loss that is told is the photo's
     assert (direct[2].height, direct[2].width) == size
 
 

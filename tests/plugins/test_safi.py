@@ -13,7 +13,8 @@ import torch
 
 from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.methods.warping import WarpingAugmenter, mean_neighbour_distance, perturbed, within
+from framework.geometry import mean_neighbour_distance
+from framework.methods.warping import WarpingAugmenter, perturbed, within
 from framework.plugin import StepContext
 from framework.types import Camera, View
 from plugins.augment.dba import Dba

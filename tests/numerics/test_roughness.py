@@ -1,0 +1,107 @@
+"""Depth that is smooth where its photo is: the formula, by hand and by autograd in float64."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from framework.compute.parallel import set_threads
+from framework.geometry import mean_neighbour_distance
+from framework.rasterize.roughness import roughness_gradient
+from framework.rasterizers.torch_loss import roughness_gradient as in_torch
+from framework.train.epoch import Items
+from framework.train.smoothness import DepthSmoothness
+from framework.types import PSEUDO, Camera, View
+
+
+def drawn(seed: int, height: int = 37, width: int = 53) -> tuple[Tensor, Tensor, Tensor]:
+    """alpha, depth and weights, with a hole and a lone pixel that shows nothing."""
+    draw = torch.Generator().manual_seed(seed)
+    alpha = torch.rand(height, width, generator=draw).clamp(min=0.01)
+    depth = alpha * (1 + 3 * torch.rand(height, width, generator=draw))
+    alpha[3:6, 4:9] = depth[3:6, 4:9] = 0
+    alpha[-1, -1] = depth[-1, -1] = 0
+    weights = torch.rand(2, height, width, generator=draw)
+    weights[0, :, -1] = weights[1, -1] = 0
+    return alpha, depth, weights
+
+
+def roughness(alpha: Tensor, depth: Tensor, weights: Tensor) -> Tensor:
+    """The sum itself, for autograd."""
+    shows = alpha > 1e-6
+    disparity = alpha / torch.where(shows, depth, 1.0)
+    across = weights[0, :, :-1] * disparity.diff(dim=1).abs()
+    down = weights[1, :-1] * disparity.diff(dim=0).abs()
+    pairs = shows[:, 1:] & shows[:, :-1], shows[1:] & shows[:-1]
+    return across[pairs[0]].sum() + down[pairs[1]].sum()
+
+
+@pytest.mark.parametrize("size", [(37, 53), (1, 20), (20, 1), (1, 1), (16, 16), (3, 70)])
+def test_the_kernel_and_torch_have_autograd_s_gradient(size: tuple[int, int]) -> None:
+    alpha, depth, weights = drawn(1, *size)
+    wide = [t.double().requires_grad_() for t in (alpha, depth)]
+    expected = torch.autograd.grad(roughness(*wide, weights), wide)
+    scale = max(float(g.abs().max()) for g in expected) + 1e-30
+    kernel = roughness_gradient(alpha.numpy(), depth.numpy(), weights.numpy())
+    for found, twin, true in zip(kernel, in_torch(alpha, depth, weights), expected, strict=True):
+        assert np.abs(found - true.numpy()).max() < 1e-6 * scale
+        assert float((twin - true).abs().max()) < 1e-6 * scale
+
+
+def test_the_same_bits_on_any_threads() -> None:
+    given = [t.numpy() for t in drawn(2, 101, 67)]
+    found = []
+    for threads in (1, 2, 5):
+        set_threads(threads)
+        found.append([g.tobytes() for g in roughness_gradient(*given)])
+    set_threads(0)
+    assert found[0] == found[1] == found[2]
+
+
+def camera(x: float, focal: float = 80.0, size: tuple[int, int] = (4, 3)) -> Camera:
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[0, 3] = -x
+    K = torch.tensor([[focal, 0, size[0] / 2], [0, focal, size[1] / 2], [0, 0, 1]])
+    return Camera(viewmat, K.double(), *size)
+
+
+def test_weights_by_hand() -> None:
+    """A photo of 4 x 3 that steps by (0.3, 0, 0) between its second and third column."""
+    image = torch.zeros(3, 3, 4)
+    image[0, :, 2:] = 0.3
+    spacing = mean_neighbour_distance([camera(0), camera(0.5), camera(2.0)])
+    assert spacing == pytest.approx((0.5 + 0.5 + 1.5) / 3)
+    weights = DepthSmoothness(0.02, spacing).weights(View("v", camera(0), image))
+    flat = 0.02 * spacing * 80 / 12
+    edge = flat * math.exp(-10 * 0.1)
+    right = torch.tensor([[flat, edge, flat, 0.0]] * 3)
+    lower = torch.tensor([[flat] * 4] * 2 + [[0.0] * 4])
+    torch.testing.assert_close(weights, torch.stack([right, lower]))
+
+
+def test_it_means_the_same_at_another_size_and_scale() -> None:
+    """Of a slanted plane: photos twice as wide, and a scene ten times as large."""
+
+    def rough(height: int, focal: float, scale: float) -> float:
+        width = 2 * height
+        seen = camera(0, focal, (width, height))
+        depth = scale / torch.linspace(1, 2, width).expand(height, width).clone()
+        view = View("v", seen, torch.zeros(3, height, width))
+        weights = DepthSmoothness(1.0, 0.1 * scale).weights(view)
+        return float(roughness(torch.ones_like(depth), depth, weights)) * width
+
+    assert rough(40, 80, 1.0) == pytest.approx(rough(40, 80, 10.0), rel=1e-5)
+    assert rough(40, 80, 1.0) == pytest.approx(rough(80, 160, 1.0) / 2, rel=0.02)
+
+
+def test_photos_are_smoothed_behind_and_pseudo_views_are_not() -> None:
+    items = Items(smoothness=DepthSmoothness(0.01, 0.1))
+    photo = View("v", camera(0), torch.rand(3, 3, 4))
+    pseudo = View("p", camera(0), torch.rand(3, 3, 4), tags=(PSEUDO,))
+    assert items.get(photo, 1).smoothing is not None
+    assert items.get(pseudo, 1).smoothing is None
+    assert Items().get(photo, 1).smoothing is None
