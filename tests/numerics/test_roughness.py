@@ -83,6 +83,28 @@ def test_weights_by_hand() -> None:
     torch.testing.assert_close(weights, torch.stack([right, lower]))
 
 
+def test_it_is_kornia_s_inverse_depth_smoothness() -> None:
+    """But for its means, which are over the steps and not over the pixels; its edges fade as
+    exp(-|step|), so it gets a photo of ten times the contrast."""
+    losses = pytest.importorskip("kornia.losses", reason="kornia is the oracle (extra: oracles)")
+    height, width = 12, 17
+    draw = torch.Generator().manual_seed(3)
+    image = torch.rand(3, height, width, generator=draw)
+    disparity = torch.rand(height, width, generator=draw) + 0.5
+    view = View("v", camera(0, 80.0, (width, height)), image)
+    weights = DepthSmoothness(1.0, 1.0).weights(view)
+
+    def ours(axis: int) -> float:
+        alone = torch.zeros_like(weights)
+        alone[axis] = weights[axis]
+        ones = torch.ones_like(disparity)
+        return float(roughness(ones, 1 / disparity, alone)) / 80
+
+    means = ours(0) * width / (width - 1) + ours(1) * height / (height - 1)
+    theirs = losses.inverse_depth_smoothness_loss(disparity[None, None], 10 * image[None])
+    assert means == pytest.approx(float(theirs), rel=1e-4)
+
+
 def test_it_means_the_same_at_another_size_and_scale() -> None:
     """Of a slanted plane: photos twice as wide, and a scene ten times as large."""
 
