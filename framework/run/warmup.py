@@ -68,6 +68,7 @@ class Warmup:
         chosen = depth | {group: config[group]["name"] for group in registry.GROUPS}
         chosen |= {"sh_degree": config["trainer"]["sh_degree"], "init": config["init"]["name"]}
         chosen |= {"rasterizer": build_rasterizer(config).name}
+        chosen |= {"smooth": config["trainer"]["depth_smoothness"] > 0}
         # an option's value may call another kernel: warmed up once per process, without a word
         self.key = _key(chosen | {group: config[group] for group in (*registry.GROUPS, "depth")})
         self.markers = [KERNEL_CACHE / f"warm-{_key(names)}" for names in (chosen, depth)]
