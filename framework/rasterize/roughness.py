@@ -56,7 +56,6 @@ def roughness_rows(
         d, z, w = disparity[y - above], depth[y], weights[0, y]
         for x in range(width - 1):
             right[x + 1] = _step(d[x], d[x + 1], w[x])
-        right[width] = _ZERO
         for x in range(width):
             down[0, x] = down[1, x]
         if y + 1 < height:
