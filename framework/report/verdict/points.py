@@ -31,6 +31,7 @@ MEANING = {  # docs/methods.md has their equations
     "full_set": "pseudo views warped from all photos",
     "safi": "pseudo views warped from the photos that Fisher information chooses",
     "uniform": "dropout of Gaussians at random",
+    "dropgaussian": "dropout of Gaussians at random that the others make up for",
     "uar_hard": "dropout of Gaussians that the photos determine well",
     "uar": "dimming of Gaussians that the photos determine well",
 }
