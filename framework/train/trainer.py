@@ -122,12 +122,15 @@ class Trainer:
         while self.step < self.options.steps:
             loss, stats = self._train_step()
             done = self.step + 1
-            # before the edits, as the field does: right after a reset of opacities nothing is seen
-            if done in evaluations or done % every == 0:
-                with self.watch.paused() as seconds:
-                    self._record(done, loss, seconds, done in evaluations)
+            tested, last = done in evaluations, done == self.options.steps
+            noted = tested or done % every == 0
+            # before the edits, as the field does: after a reset of opacities nothing is seen
+            if noted and not last:
+                self._record(done, loss, tested)
             self._edit(stats)
             self.step = done
+            if noted and last:  # of what is kept
+                self._record(done, loss, tested)
             n = len(self.field.params)
             self.progress.step(self.step, self.options.steps, loss, n, self.psnr)
             if self.keeper is not None and self.keeper.due():
@@ -262,13 +265,14 @@ class Trainer:
         gaussians = of.params.detach()
         return Moment(self.step, self.epoch, of.version, gaussians, degree, turn, behind, other)
 
-    def _record(self, done: int, loss: float, seconds: float, evaluating: bool) -> None:
+    def _record(self, done: int, loss: float, evaluating: bool) -> None:
         """A row of the history after `done` steps; on evaluation steps with the test PSNR."""
         psnr: float | None = None
-        if evaluating and self.evaluate is not None:
-            gaussians = self.field.plugins.evaluated(self.field.params.clone().to("cpu"))
-            psnr = self.evaluate(gaussians, self.background, self._sh_degree())
-            self.psnr = psnr
+        with self.watch.paused() as seconds:
+            if evaluating and self.evaluate is not None:
+                gaussians = self.field.plugins.evaluated(self.field.params.clone().to("cpu"))
+                psnr = self.evaluate(gaussians, self.background, self._sh_degree())
+                self.psnr = psnr
         self.history.append(
             HistoryRow(
                 step=done,
