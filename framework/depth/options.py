@@ -21,7 +21,7 @@ class PlaneSweepOptions(DepthProvider):
     """Of `depth=plane_sweep`; penalties are in units of 1 - ZNCC."""
 
     planes: int = 96  # of inverse depth, evenly spaced
-    radius: int = 3  # of the (2 r + 1)^2 window, pixels
+    radius: int = 2  # of the (2 r + 1)^2 window, pixels
     neighbours: int = 4  # views each view is matched with, at most
     penalty_small: float = 0.1  # P1: the match moves by one pixel from pixel to pixel
     penalty_large: float = 1.0  # P2: it moves by more; less so across image edges
