@@ -2,9 +2,10 @@
 
     python benchmarks/speed/step.py [--prototype DIR] [--clock cpu] [--output FILE]
 
-The step is what training runs: `render_gradient` (SH degree 3) of `photometric_gradient` and
-`Adam.step_from`, at 504x378 on `benchmarks.scene`. Stages are timed inside it; what they leave over
-(Python between them) is the column `rest`. Every round runs in fresh processes, ours and the
+The step is what training runs: `render_gradient` (SH degree 3) of `photometric_gradient` and of
+smooth depth, and `Adam.step_from`, at 504x378 on `benchmarks.scene`. Stages are timed inside it;
+what they leave over (Python between them) is the column `rest`. Every round runs in fresh
+processes, ours and the
 prototype's in turn, so that a slow minute of the machine hits both; ours takes a few steps with one
 thread, a few with two, and a few with one beside a second process that does the same: both of them
 share nothing, so how much faster than one alone they are together tells what the machine had to
@@ -38,6 +39,7 @@ from benchmarks.speed.step_report import STAGES, Results, Steps, Turn, report
 
 ROOT = Path(__file__).resolve().parents[2]
 WARM_UP, TURN = 5, 5  # steps
+SMOOTH = 0.01  # weight of smooth depth, the default
 DECAY = 0.999999  # of opacities: the work of it, but the scene stays what it is
 CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
 PROTOTYPE_LINE = re.compile(r"^(\d+) hash .*?wall/iter med ([\d.]+) .*?cpu/iter ([\d.]+)")
@@ -119,19 +121,29 @@ def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable
     from framework.compute.rng import stream
     from framework.rasterize import render_gradient
     from framework.rasterize.losses import Target, photometric_gradient
+    from framework.rasterizers import NUMBA
     from framework.train.optim import Adam
+    from framework.train.smoothness import DepthSmoothness
+    from framework.types import View
 
     gaussians, camera = layered_scene(count, factor=factor)
     rates = dict.fromkeys([name for name, _ in gaussians.items()], 1e-5)
     shape = (3, camera.height, camera.width)
     image = stream(0, "benchmark-target").random(shape, dtype="float32")
-    target = Target.of(torch.from_numpy(image))
+    photo = View("target", camera, torch.from_numpy(image))
+    target, weights = Target.of(photo.image), DepthSmoothness(SMOOTH, 0.1).weights(photo)
     optimizer = Adam(gaussians)
     loss_of = watch.wrap("loss", photometric_gradient)
+    pull_of = watch.wrap("roughness", NUMBA.roughness_gradient)
     update = watch.wrap("update", optimizer.step_from)
 
     def step() -> None:
-        found = render_gradient(gaussians, camera, lambda rgb: loss_of(rgb, target)[1])
+        found = render_gradient(
+            gaussians,
+            camera,
+            lambda rgb: loss_of(rgb, target)[1],
+            depth_gradient=lambda alpha, depth: pull_of(alpha, depth, weights),
+        )
         update(found, rates, DECAY)
 
     return step

@@ -15,6 +15,7 @@ STAGES = {
     "bin": "binning",
     "blend": "raster forward",
     "loss": "loss",
+    "roughness": "smooth depth",
     "blend_backward": "raster backward",
     "update": "projection backward + Adam",
 }
