@@ -6,9 +6,9 @@
 Half-size photos of the scenes of `budgets.py`. First table: COLMAP's points of *all* photos, test
 views too (a track of three photos or more, an error below 1.5 pixels), against the training views'
 depth maps; scenes without such a model are left out. Second: test PSNR where pixels without
-consistent depth begin on another guess. `points` is the default's, between the sparse points that
-training views see (`framework/initialize/completion.py`); `around` continues the consistent pixels
-and sparse points around, as the default does where a view sees too few points; `true` gives these
+consistent depth begin on another guess. `around` is the default's, from the consistent pixels and
+sparse points around (`framework/initialize/completion.py`); `points` interpolates inverse depth
+between the sparse points that training views see, beyond them the nearest one's; `true` gives these
 pixels depth interpolated between COLMAP's points of all photos, which no training may know.
 `--leave-one-out` instead trains without each training photo in turn (six at most) and judges by it,
 with depth and sparse points of the others alone: what a choice for a scene could go by.
@@ -17,7 +17,6 @@ with depth and sparse points of the others alone: what a choice for a scene coul
 from __future__ import annotations
 
 import argparse
-import contextlib
 import statistics
 import sys
 from dataclasses import replace
@@ -28,13 +27,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 import torch
+from scipy.interpolate import griddata
 
 from benchmarks.prepare import Prepared, prepared
 from benchmarks.quality.budgets import SCENES
 from framework.compute import parallel
 from framework.depth import build_provider
+from framework.geometry import project
 from framework.initialize import completion
-from framework.initialize.between import between
+from framework.initialize.fusion import Mapped
 from framework.metrics.evaluate import psnr
 from framework.run.training import renderer
 from framework.types import DepthMap
@@ -82,6 +83,13 @@ def _inside(
     return uv[kept], z[kept]
 
 
+def between(uv: np.ndarray, z: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """[H, W] depth: inverse depth linear between the points, beyond them the nearest one's."""
+    x, y = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
+    linear, nearest = (griddata(uv, 1 / z, (x, y), how) for how in ("linear", "nearest"))
+    return np.asarray(1 / np.where(np.isnan(linear), nearest, linear))
+
+
 def errors(ready: Prepared, points: Points) -> str:
     """The cells of the first table."""
     off, known = [], []
@@ -101,25 +109,26 @@ def with_truth(ready: Prepared, points: Points) -> Prepared:
     maps = []
     for (uv, z), old in zip(points, ready.depth, strict=True):
         unknown = old.confidence <= 0
-        inverse = between(uv, 1.0 / z, np.ones(tuple(unknown.shape), np.bool_))
-        if inverse is None:
-            raise SystemExit("expected ten of COLMAP's points in every training view")
-        truth = torch.from_numpy(1.0 / inverse).float()
+        truth = torch.from_numpy(between(uv, z, tuple(unknown.shape))).float()  # type: ignore[arg-type]
         usual = old.confidence[~unknown].median()
         confidence = torch.where(unknown, usual, old.confidence)
         maps.append(DepthMap(torch.where(unknown, truth, old.depth), confidence))
     return replace(ready, depth=tuple(maps))
 
 
-def no_points(*_: object) -> None:
-    """In place of `completion.between`: as if a view saw too few points."""
+def guess_between_points(maps: Mapped, v: int) -> np.ndarray:
+    """In place of `completion._start`."""
+    usual = AROUND(maps, v)
+    view, points = maps.views[v], maps.training.points
+    seen = points.xyz[points.visible[:, maps.order[v]]].to(torch.float64)
+    uv, z = (values.numpy() for values in project(seen, view.camera))
+    uv, z = _inside(uv, z, view.camera.width, view.camera.height)
+    if len(uv) < 10:
+        return usual
+    return np.where(usual > 0, between(uv, z, usual.shape), 0.0)
 
 
-def guessing(guess: str) -> contextlib.AbstractContextManager[object]:
-    """The start guesses so."""
-    if guess == "around":
-        return patch.object(completion, "between", no_points)
-    return contextlib.nullcontext()
+AROUND = completion._start
 
 
 def result(ready: Prepared) -> float:
@@ -154,8 +163,8 @@ def left_out(ready: Prepared, name: str) -> str:
     photos, changes = len(ready.scene.training.views), []
     for i in range(min(photos, MOST)):
         fold, psnrs = without(ready, i * photos // min(photos, MOST)), []
-        for guess in ("around", "points"):
-            with guessing(guess):
+        for start in (AROUND, guess_between_points):
+            with patch.object(completion, "_start", start):
                 psnrs.append(result(fold))
         changes.append(psnrs[1] - psnrs[0])
     told = ", ".join(f"{change:+.2f}" for change in changes)
@@ -200,7 +209,8 @@ def main() -> None:
             for guess in guesses:
                 if guess == "true" and points is None:
                     continue
-                with guessing(guess):
+                start = guess_between_points if guess == "points" else AROUND
+                with patch.object(completion, "_start", start):
                     truth = points if guess == "true" else None
                     found[guess].append(result(with_truth(ready, truth) if truth else ready))
         cells = (

@@ -1,12 +1,10 @@
 """A surface for the pixels without consistent depth: what one view alone sees, far backgrounds.
 
 Without one, nothing but the background colour stands there, and no Gaussian is near to learn what
-the photo shows. The guess lies on planes between the sparse points that the view sees: what is
-matched as a point is right more often than what stereo found around a hole. A view of fewer than
-ten points continues the depth around the pixel, and prefers the farther where near and far meet,
-since what stereo misses is mostly behind. Then a guess moves back along its ray until no training
-view looks through it and it leaves the ball in which the cameras stand: other cameras look through
-that ball, and what floats in it hides the scene.
+the photo shows. The guess continues the depth around the pixel, that of the sparse points included,
+and prefers the farther where near and far meet, since what stereo misses is mostly behind. Then it
+moves back along its ray until no training view looks through it and it leaves the ball in which the
+cameras stand: other cameras look through that ball, and what floats in it hides the scene.
 """
 
 from __future__ import annotations
@@ -20,7 +18,6 @@ from scipy.ndimage import zoom
 
 from framework.compute.parallel import run_tasks
 from framework.geometry import project
-from framework.initialize.between import between
 from framework.initialize.fusion import Mapped, SurfacePixels, joined, surface_pixels
 from framework.initialize.sight import pushed_back
 
@@ -54,33 +51,26 @@ def complete(maps: Mapped, tolerance: float) -> SurfacePixels:
 
 
 def _start(maps: Mapped, v: int) -> Array:
-    """[H, W] the first guess where view `v` has no depth of its own; 0 elsewhere."""
+    """[H, W] the depth around, where view `v` has none of its own; 0 elsewhere."""
     depth, mask = maps.seen.image(maps.seen.depth, v), maps.views[v].mask
+    around = filled(_with_points(maps, v))
     empty = depth == 0
     if mask is not None:
         empty &= mask.numpy() > 0.5
-    uv, z = _points(maps, v)
-    inverse = between(uv, 1.0 / z, empty)
-    if inverse is None:
-        return np.where(empty, filled(_with_points(depth, uv, z)), 0.0)
-    return np.where(empty, 1.0 / np.where(empty, inverse, 1.0), 0.0)
+    return np.where(empty, around, 0.0)
 
 
-def _points(maps: Mapped, v: int) -> tuple[Array, Array]:
-    """[P, 2] pixels and [P] depth of the sparse points that view `v` sees in its image."""
+def _with_points(maps: Mapped, v: int) -> Array:
+    """[H, W] the consistent depth and, where it has none, that of the sparse points it sees."""
+    depth: Array = maps.seen.image(maps.seen.depth, v).copy()
     points, camera = maps.training.points, maps.views[v].camera
     uv, z = project(points.xyz[points.visible[:, maps.order[v]]].to(torch.float64), camera)
     inside = (z > 0) & (uv >= 0).all(1)
     inside &= (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
-    return uv[inside].numpy(), z[inside].numpy()
-
-
-def _with_points(depth: Array, uv: Array, z: Array) -> Array:
-    """[H, W] the consistent depth and, where it has none, that of the sparse points."""
-    known = depth.copy()
-    column, row = uv.astype(np.int64).T
-    known[row, column] = np.where(known[row, column] > 0, known[row, column], z)
-    return known
+    column, row = uv[inside].long().unbind(1)
+    at = (row.numpy(), column.numpy())
+    depth[at] = np.where(depth[at] > 0, depth[at], z[inside].numpy())
+    return depth
 
 
 def filled(depth: Array) -> Array:

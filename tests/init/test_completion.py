@@ -126,14 +126,3 @@ def test_guesses_are_thinner_and_can_be_left_out() -> None:
     assert counts[0.0] == 0
     assert 0.2 < counts[0.3] / (400 - counts[0.3]) < 0.4
     assert 0.9 < counts[1.0] / (400 - counts[1.0]) < 1.1
-
-
-def test_a_guess_lies_on_planes_between_the_sparse_points() -> None:
-    """Points know the wall behind a hole around which only near depth was found."""
-    training, (depth,) = scene([camera(0.0)])
-    x, y = np.meshgrid(np.linspace(-3, 2.5, 6), np.linspace(-2, 1.5, 5))
-    wall = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, WALL_Z)])
-    near = without(flat(depth, 3.0), slice(20, 30), slice(20, 40))
-    xyz = completed(replace(training, points=points(wall, 1)), (near,)).xyz
-    assert len(xyz) == 10 * 20
-    np.testing.assert_allclose(xyz[:, 2], WALL_Z, rtol=1e-6)
