@@ -1,15 +1,18 @@
 """How good is the depth that a training starts from, and what would another guess change?
 
     python benchmarks/quality/starts.py --data DIR [--scenes fern,horns] [--seeds 0,1]
-        [--guesses around,points,true] [--steps 600] [--leave-one-out] [--output FILE.md]
+        [--guesses around,points,matches,nothing,true] [--steps 600] [--leave-one-out]
+        [--output FILE.md]
 
 Half-size photos of the scenes of `budgets.py`. First table: COLMAP's points of *all* photos, test
 views too (a track of three photos or more, an error below 1.5 pixels), against the training views'
 depth maps; scenes without such a model are left out. Second: test PSNR where pixels without
 consistent depth begin on another guess. `around` is the default's, from the consistent pixels and
 sparse points around (`framework/initialize/completion.py`); `points` interpolates inverse depth
-between the sparse points that training views see, beyond them the nearest one's; `true` gives these
-pixels depth interpolated between COLMAP's points of all photos, which no training may know.
+between the sparse points that training views see, beyond them the nearest one's; `matches` the same
+between points of the training photos alone (`matches.py`); `nothing` is `around` without any point;
+`true` gives these pixels depth interpolated between COLMAP's points of all photos, which no
+training may know.
 `--leave-one-out` instead trains without each training photo in turn (six at most) and judges by it,
 with depth and sparse points of the others alone: what a choice for a scene could go by.
 """
@@ -31,6 +34,7 @@ from scipy.interpolate import griddata
 
 from benchmarks.prepare import Prepared, prepared
 from benchmarks.quality.budgets import SCENES
+from benchmarks.quality.matches import matched_points
 from framework.compute import parallel
 from framework.depth import build_provider
 from framework.geometry import project
@@ -43,7 +47,8 @@ from framework.types import DepthMap
 FEWEST, LARGEST_ERROR = 3, 1.5  # photos of a track; pixels
 MOST = 6  # photos that are left out in turn
 WRONG = 0.05  # relative error of a depth
-Points = list[tuple[np.ndarray, np.ndarray]]  # of every training view: uv [P, 2] pixels, z [P]
+# of every training view: uv [P, 2] pixels, z [P], [P] how many training photos the track has
+Points = list[tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 def model_of(folder: Path) -> Path | None:
@@ -61,26 +66,27 @@ def true_points(ready: Prepared, model: Path) -> Points:
     theirs = np.stack([image.projection_center() for image in images])
     ours = torch.stack([view.camera.center for view in views]).double().numpy()
     scale = np.linalg.norm(ours - ours.mean(0)) / np.linalg.norm(theirs - theirs.mean(0))
-    points = []
+    points, training = [], {image.image_id for image in images}
     for view, image in zip(views, images, strict=True):
         size, camera = view.camera, found.cameras[image.camera_id]
         pose = image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world
-        uv, z = [], []
+        uv, z, n = [], [], []
         for seen in image.points2D:
             point = found.points3D[seen.point3D_id] if seen.has_point3D() else None
             if point is None or point.track.length() < FEWEST or point.error > LARGEST_ERROR:
                 continue
             uv.append(seen.xy * [size.width / camera.width, size.height / camera.height])
             z.append((pose * point.xyz)[2] * scale)
-        points.append(_inside(np.array(uv), np.array(z), size.width, size.height))
+            n.append(len({e.image_id for e in point.track.elements} & training))
+        places, depth = np.array(uv), np.array(z)
+        kept = _inside(places, depth, size.width, size.height)
+        points.append((places[kept], depth[kept], np.array(n)[kept]))
     return points
 
 
-def _inside(
-    uv: np.ndarray, z: np.ndarray, width: int, height: int
-) -> tuple[np.ndarray, np.ndarray]:
-    kept = (z > 0) & (uv >= 0).all(1) & (uv[:, 0] < width) & (uv[:, 1] < height)
-    return uv[kept], z[kept]
+def _inside(uv: np.ndarray, z: np.ndarray, width: int, height: int) -> np.ndarray:
+    kept: np.ndarray = (z > 0) & (uv >= 0).all(1) & (uv[:, 0] < width) & (uv[:, 1] < height)
+    return kept
 
 
 def between(uv: np.ndarray, z: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -92,22 +98,25 @@ def between(uv: np.ndarray, z: np.ndarray, shape: tuple[int, int]) -> np.ndarray
 
 def errors(ready: Prepared, points: Points) -> str:
     """The cells of the first table."""
-    off, known = [], []
-    for (uv, z), found in zip(points, ready.depth, strict=True):
+    off, known, photos = [], [], []
+    for (uv, z, n), found in zip(points, ready.depth, strict=True):
         column, row = uv.astype(int).T
         off.append(np.abs(found.depth.numpy()[row, column] / z - 1))
         known.append(found.confidence.numpy()[row, column] > 0)
-    error, consistent = np.concatenate(off), np.concatenate(known)
+        photos.append(np.minimum(n, 3))
+    error, consistent, on = (np.concatenate(parts) for parts in (off, known, photos))
+    tracks = (f"{(on == k).mean():.0%}, {consistent[on == k].mean():.0%}" for k in (1, 2, 3))
     return (
         f"{len(error):,} | {consistent.mean():.0%} | {np.median(error[consistent]):.1%} |"
-        f" {(error[consistent] > WRONG).mean():.0%} | {(error[~consistent] > WRONG).mean():.0%}"
+        f" {(error[consistent] > WRONG).mean():.0%} | {(error[~consistent] > WRONG).mean():.0%} |"
+        f" {' | '.join(tracks)}"
     )
 
 
 def with_truth(ready: Prepared, points: Points) -> Prepared:
     """With true depth, as sure as the rest, where there was no consistent one."""
     maps = []
-    for (uv, z), old in zip(points, ready.depth, strict=True):
+    for (uv, z, _), old in zip(points, ready.depth, strict=True):
         unknown = old.confidence <= 0
         truth = torch.from_numpy(between(uv, z, tuple(unknown.shape))).float()  # type: ignore[arg-type]
         usual = old.confidence[~unknown].median()
@@ -122,13 +131,25 @@ def guess_between_points(maps: Mapped, v: int) -> np.ndarray:
     view, points = maps.views[v], maps.training.points
     seen = points.xyz[points.visible[:, maps.order[v]]].to(torch.float64)
     uv, z = (values.numpy() for values in project(seen, view.camera))
-    uv, z = _inside(uv, z, view.camera.width, view.camera.height)
+    kept = _inside(uv, z, view.camera.width, view.camera.height)
+    uv, z = uv[kept], z[kept]
     if len(uv) < 10:
         return usual
     return np.where(usual > 0, between(uv, z, usual.shape), 0.0)
 
 
 AROUND = completion._start
+
+
+def with_own_points(ready: Prepared, words: list[str], none: bool) -> Prepared:
+    """With sparse points from the training photos alone, at the size they have, or with none."""
+    full = prepared([word for word in words if not word.startswith("scene.downscale")])
+    own = matched_points(full.scene.training)
+    print(f"{len(own.xyz)} points of the training photos alone", flush=True)
+    if none:
+        own = replace(own, xyz=own.xyz[:0], rgb=own.rgb[:0], visible=own.visible[:0])
+    training = replace(ready.scene.training, points=own)
+    return replace(ready, scene=replace(ready.scene, training=training))
 
 
 def result(ready: Prepared) -> float:
@@ -184,8 +205,8 @@ def main() -> None:
     parallel.set_threads(1)
     guesses = given.guesses.split(",")
     heads = "scene, views", "points", "consistent", "median error of these", "off by over 5 %"
-    depth = [f"| {' | '.join(heads)} | others, off by over 5 % |"]
-    depth += ["|---|---:|---:|---:|---:|---:|"]
+    heads += "others, off by over 5 %", "on 1 training photo, consistent of these", "on 2", "on 3"
+    depth = [f"| {' | '.join(heads)} |", "|---|" + "---:|" * (len(heads) - 1)]
     psnrs = ["| scene, views | " + " | ".join(guesses) + " |", "|---|" + "---:|" * len(guesses)]
     folds = ["| scene, views | of each photo, `points` against `around` | mean |", "|---|---|---:|"]
     for scene in given.scenes.split(","):
@@ -209,10 +230,14 @@ def main() -> None:
             for guess in guesses:
                 if guess == "true" and points is None:
                     continue
-                start = guess_between_points if guess == "points" else AROUND
+                other = ready
+                if guess == "true":
+                    other = with_truth(ready, points or [])
+                elif guess in ("matches", "nothing"):
+                    other = with_own_points(ready, words, none=guess == "nothing")
+                start = guess_between_points if guess in ("points", "matches") else AROUND
                 with patch.object(completion, "_start", start):
-                    truth = points if guess == "true" else None
-                    found[guess].append(result(with_truth(ready, truth) if truth else ready))
+                    found[guess].append(result(other))
         cells = (
             f"{statistics.mean(v):.2f}" + (f" ± {statistics.stdev(v):.2f}" if len(v) > 1 else "")
             if v
