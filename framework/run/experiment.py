@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from framework import registry
 from framework.compute import parallel, rng
@@ -29,9 +30,9 @@ from framework.metrics.coadaptation import with_average, with_coadaptation
 from framework.metrics.evaluate import evaluate
 from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
-from framework.metrics.values import COADAPTATION, MEASURES, Missing, measures
+from framework.metrics.values import COADAPTATION, MEASURES, Missing, ViewMetrics, measures
 from framework.options import TrainerOptions
-from framework.rasterizers import build_rasterizer
+from framework.rasterizers import Rasterizer, build_rasterizer
 from framework.records.cameras import write_cameras
 from framework.records.first_view import write_settings
 from framework.records.notices import noted
@@ -60,7 +61,8 @@ from framework.run.warmup import Warmup
 from framework.scenes import LOADERS, load_scene
 from framework.train.dose import told
 from framework.train.resume.checkpoint import remove_checkpoints
-from framework.types import DepthMap, Gaussians, Scene
+from framework.train.trainer import Trained
+from framework.types import DepthMap, Gaussians, Scene, View
 
 
 def run_experiment(
@@ -158,45 +160,24 @@ def _trained(
 ) -> RunRecord:
     """The record with the result of its run, as written; `timings` are those it holds."""
     config = record.config
-    options, rasterizer = TrainerOptions(**config["trainer"]), build_rasterizer(config)
+    rasterizer = build_rasterizer(config)
 
     def start(seed: int) -> Gaussians:
         with _timed(timings, "init"):
-            return initial(config, scene, depth, options, seed)
+            return initial(config, scene, depth, TrainerOptions(**config["trainer"]), seed)
 
     run = Run(scene, depth, start, run_dir, record.identity, config["force"], rasterizer)
-    if options.seconds > 0:
-        progress.stage(f"choosing steps for {options.seconds:g} s")
-        choice = budget.chosen(
-            run_dir,
-            record.identity,
-            options,
-            len(scene.training.views),
-            budget.timed(partial(try_out, run, config)),
-        )
-        options = choice.applied(options)
-        config = {**config, "trainer": dataclasses.asdict(options)}
-        record = dataclasses.replace(
-            record, provenance={**record.provenance, "budget": choice.told}
-        )
-        progress.note(f"{choice.told['seconds']:g} s of training: {choice.told['repeat']}")
+    options, told_of_budget = _steps_for_its_seconds(run, config, progress)
+    config = {**config, "trainer": dataclasses.asdict(options)}
     trained = train(run, config, progress)
     timings[TRAIN_STAGE] = StageTime(trained.wall_s, trained.cpu_s)
     progress.stage("evaluation")
+    near = options.near_plane * scene.training.near
     with _timed(timings, "evaluate"):
-        near = options.near_plane * scene.training.near
-        seen = trained.gaussians, trained.background, trained.sh_degree
-        render = renderer(*seen, near, rasterizer)
-        also = {name: MEASURES[name]() for name in measures(config["metrics"].get("also"))}
-        metrics, renders = evaluate(render, scene.test, network, also)
-        metrics = with_average(metrics)
-        if config["metrics"].get(COADAPTATION):
-            half = thinned(*seen, near, rasterizer)
-            cameras = [view.camera for view in scene.test]
-            draws = rng.stream(config["seed"], COADAPTATION)
-            metrics = with_coadaptation(metrics, half, len(trained.gaussians), cameras, draws)
+        metrics, renders = _measured(config, trained, near, scene, network, rasterizer)
     record = dataclasses.replace(
         record,
+        provenance={**record.provenance, **told_of_budget},
         peak_memory_bytes=peak_memory_bytes(),
         resumed=trained.resumed,
         dose=told(trained.dose),
@@ -219,6 +200,47 @@ def _trained(
     remove_checkpoints(run_dir)
     (run_dir / budget.FILE).unlink(missing_ok=True)
     return record
+
+
+def _steps_for_its_seconds(
+    run: Run, config: Mapping[str, Any], progress: Progress
+) -> tuple[TrainerOptions, dict[str, Any]]:
+    """The trainer's options, with steps chosen if they were given as seconds, and what is told."""
+    options = TrainerOptions(**config["trainer"])
+    if options.seconds <= 0:
+        return options, {}
+    progress.stage(f"choosing steps for {options.seconds:g} s")
+    choice = budget.chosen(
+        run.folder,
+        run.identity,
+        options,
+        len(run.scene.training.views),
+        budget.timed(partial(try_out, run, config)),
+    )
+    progress.note(f"{choice.told['seconds']:g} s of training: {choice.told['repeat']}")
+    return choice.applied(options), {"budget": choice.told}
+
+
+def _measured(
+    config: Mapping[str, Any],
+    trained: Trained,
+    near: float,
+    scene: Scene,
+    network: Lpips | None,
+    rasterizer: Rasterizer,
+) -> tuple[list[ViewMetrics], list[tuple[View, Tensor]]]:
+    """What the test views say of a trained model, and its renders of them."""
+    seen = trained.gaussians, trained.background, trained.sh_degree
+    render = renderer(*seen, near, rasterizer)
+    also = {name: MEASURES[name]() for name in measures(config["metrics"].get("also"))}
+    metrics, renders = evaluate(render, scene.test, network, also)
+    metrics = with_average(metrics)
+    if config["metrics"].get(COADAPTATION):
+        half = thinned(*seen, near, rasterizer)
+        cameras = [view.camera for view in scene.test]
+        draws = rng.stream(config["seed"], COADAPTATION)
+        metrics = with_coadaptation(metrics, half, len(trained.gaussians), cameras, draws)
+    return metrics, renders
 
 
 def _key(options: Mapping[str, Any]) -> str:

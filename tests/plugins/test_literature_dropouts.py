@@ -1,0 +1,67 @@
+"""The literature's dropout and noise, against numbers worked by hand, or an
+independent few lines in float64."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from plugins.regularize.anchor_dropout import AnchorDropout
+from plugins.regularize.depth_density import DepthDensity, ranks, scores
+from plugins.regularize.opacity_noise import OpacityNoise
+from plugins.regularize.removal import Removal
+from tests.plugins.fakes import context, wall_of_gaussians
+
+
+def test_opacity_noise_keeps_opacities_below_one() -> None:
+    gaussians = wall_of_gaussians(4000).replace(opacity_logits=torch.linspace(-4, 6, 4000))
+    factors, _ = OpacityNoise(sigma=0.5).opacity_factors(context(gaussians=gaussians), None)
+    rendered = factors * gaussians.opacities
+    assert float(rendered.max()) <= 1 + 1e-6 and 0.5 <= float(factors.min()) < 0.51
+    low = factors[:400] - 1  # no opacity near one: N(0, 1/4), cut off at 1/2
+    assert abs(float(low.mean())) < 0.05 and float((low.abs() >= 0.4999).float().mean()) > 0.2
+
+
+def test_removal_drops_a_share_and_thins_the_rest_in_the_end() -> None:
+    ctx = context(gaussians=wall_of_gaussians(4000))
+    removal = Removal(p=0.3)
+    factors, _ = removal.opacity_factors(ctx, None)
+    assert set(factors.tolist()) == {0.0, 1.0} and float(factors.mean()) == pytest.approx(
+        0.7, abs=0.03
+    )
+    thin = removal.evaluated(ctx.gaussians, None)
+    assert torch.allclose(thin.opacities, 0.7 * ctx.gaussians.opacities, atol=1e-6)
+
+
+def test_anchors_take_their_neighbours_along() -> None:
+    """Two far groups of three: who goes, goes with its group."""
+    n = 300
+    group = torch.arange(n) // 3
+    means = torch.stack([10.0 * group, torch.arange(n) % 3 * 0.1, torch.zeros(n)], 1)
+    gaussians = wall_of_gaussians(n).replace(means=means)
+    plugin = AnchorDropout(p=0.2, neighbours=2)
+    kept, state = plugin.opacity_factors(context(gaussians=gaussians), None)
+    assert kept is not None
+    groups = kept.view(-1, 3)
+    assert (groups.min(1).values == groups.max(1).values).all() and 0 < float(kept.mean()) < 1
+    plugin.check_state(state, gaussians, 0, ())
+    with pytest.raises(ValueError, match="rows of 300"):
+        plugin.check_state((state[0] + n, *state[1:]), gaussians, 0, ())
+    early = plugin.opacity_factors(context(gaussians=gaussians, step=0), None)[0]
+    assert early is None  # none at the beginning
+
+
+def test_near_and_crowded_ones_are_dropped_more_often() -> None:
+    assert ranks(torch.tensor([3.0, 1, 2, 9])).tolist() == [0.5, 0, 0.25, 0.75]
+    ctx = context(gaussians=wall_of_gaussians(3000))
+    found = scores(ctx)
+    assert float(found.min()) >= 0 and float(found.max()) <= 1
+    centers = torch.stack([view.camera.center.float() for view in ctx.views])
+    distance = torch.cdist(ctx.gaussians.means, centers).min(1).values
+    order = distance.argsort()
+    assert float(found[order[:1000]].mean()) > 1.5 * float(found[order[2000:]].mean())
+    factors, state = DepthDensity(first=0.2, last=0.2).opacity_factors(ctx, None)
+    assert factors is not None
+    assert float(1 - factors.mean()) == pytest.approx(0.2, abs=0.03)
+    again = DepthDensity().opacity_factors(ctx, state)[1]
+    assert again is state  # not measured anew for the same set

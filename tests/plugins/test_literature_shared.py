@@ -1,0 +1,102 @@
+"""What several of the literature's plugins share, against numbers worked by hand, or an
+independent few lines in float64."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from framework.compute.rng import stream
+from framework.methods.elsewhere import (
+    correlation,
+    difference,
+    known_depth,
+    seen_through,
+    unseen_camera,
+)
+from framework.methods.neighbours import nearest_distance, nearest_others
+from tests.plugins.at_work import true_depth
+from tests.plugins.fakes import context, stage
+
+
+def test_known_depth_is_that_of_the_view_at_its_size() -> None:
+    ctx, view, depth = true_depth()
+    found, valid = known_depth(ctx, view) or (depth, depth)
+    assert torch.equal(found, depth) and valid.all()
+    small = replace(view, camera=view.camera.scaled(2), image=view.image[:, ::2, ::2])
+    halved, valid = known_depth(ctx, small) or (depth, depth)
+    assert halved.shape == small.image.shape[1:] and valid.all()
+    assert torch.allclose(halved[0, 0], depth[:2, :2].mean())
+    assert known_depth(ctx, replace(view, name="pseudo-1")) is None
+    gone = replace(ctx.depth[0], confidence=torch.zeros_like(depth))
+    assert not (known_depth(replace(ctx, depth=(gone, *ctx.depth[1:])), view) or (0, depth))[
+        1
+    ].any()
+
+
+def test_an_unseen_camera_is_between_two_neighbours() -> None:
+    ctx = context()
+    cameras = [view.camera for view in ctx.views]
+    for seed in range(8):
+        camera = unseen_camera(ctx, stream(seed, "test"), cameras[0].scaled(2))
+        a, b = min(
+            ((a, b) for a in cameras for b in cameras if a is not b),
+            key=lambda p: (
+                float((p[0].center - camera.center).norm() + (p[1].center - camera.center).norm())
+                - float((p[0].center - p[1].center).norm())
+            ),
+        )
+        through = (a.center - camera.center).norm() + (camera.center - b.center).norm()
+        assert float(through) == pytest.approx(float((a.center - b.center).norm()))
+        assert (camera.width, camera.height) == (40, 30)
+        R = camera.viewmat[:3, :3]
+        assert torch.allclose(R @ R.T, torch.eye(3, dtype=torch.float64), atol=1e-9)
+    alone = replace(ctx, views=ctx.views[:1])
+    camera = unseen_camera(alone, stream(1, "test"), cameras[0])
+    assert 0 < float((camera.center - cameras[0].center).norm()) < 0.2 * ctx.extent
+
+
+def test_seen_through_exact_depth_is_what_is_seen() -> None:
+    views, depth = stage()
+    found, valid, there = seen_through(
+        views[1].image, depth[0].depth, views[0].camera, views[1].camera
+    )
+    error = (found - views[0].image).abs().mean(0)[valid]
+    assert valid.float().mean() > 0.75 and float(error.median()) < 0.02
+    assert (there[valid] > 0).all()
+    # through itself nothing changes, to the last pixel
+    same, valid, there = seen_through(
+        views[0].image, depth[0].depth, views[0].camera, views[0].camera
+    )
+    assert torch.allclose(same, views[0].image, atol=1e-3) and valid[1:-1, 1:-1].all()
+    assert torch.allclose(there, depth[0].depth, atol=1e-4)
+
+
+def test_correlation_and_neighbours() -> None:
+    a, b = torch.tensor([1.0, 2, 3, 5]), torch.tensor([2.0, 4, 7, 9])
+    assert float(correlation(a, b)) == pytest.approx(np.corrcoef(a, b)[0, 1], abs=1e-6)
+    assert float(correlation(a, -3 * a + 2)) == pytest.approx(-1)
+    assert float(correlation(a, torch.ones(4))) == 0
+    points = torch.tensor([[0.0, 0, 0], [1, 0, 0], [3, 0, 0], [3, 0, 0]])
+    distances, rows = nearest_others(points, 2)
+    assert distances.tolist() == [[1, 3], [1, 2], [0, 2], [0, 2]]
+    assert rows[0].tolist()[0] == 1 and rows[2, 0] == 3 and rows[3, 0] == 2
+    assert nearest_others(points[:1], 2)[1].shape == (1, 0)
+    assert nearest_distance(points, points[1:2]).tolist() == [1, 0, 2, 2]
+    assert math.isinf(nearest_distance(points, points[:0])[0])
+
+
+def test_the_difference_of_two_renders_has_a_gradient_in_both() -> None:
+    first, second = (torch.rand(3, 12, 14).requires_grad_() for _ in range(2))
+    loss = difference(first, second, 0.0)
+    assert float(loss) == pytest.approx(float((first - second).abs().mean()), rel=1e-5)
+    one, other = torch.autograd.grad(loss, [first, second])
+    assert torch.allclose(one, -other) and torch.allclose(
+        one, (first - second).detach().sign() / first.numel()
+    )
+    alone = difference(first, second.detach(), 0.2)
+    assert not torch.equal(alone, loss) and alone.requires_grad

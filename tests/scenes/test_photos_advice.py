@@ -1,0 +1,101 @@
+"""What is told about a search for poses, and the parts of the search."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from framework.scenes.photos.advice import advice, failure
+from framework.scenes.photos.found import Found, Overruled
+from framework.scenes.photos.model import upright
+from framework.scenes.photos.steps import pairs, plausible
+from tests.scenes.unplaced import FOUND, NAMES
+
+
+def placed(*missing: int) -> dict[str, int]:
+    return {name: 200 for k, name in enumerate(NAMES) if k not in missing}
+
+
+def test_nothing_to_tell() -> None:
+    assert list(advice(FOUND)) == []
+
+
+def test_advice_names_photos_and_neighbours() -> None:
+    (line,) = advice(replace(FOUND, placed=placed(5)))
+    assert line.startswith(
+        "1 of 12 photos found no place: p05.jpg (matches: p04.jpg 90, p06.jpg 90); take more"
+    )
+    features = {**FOUND.features, "p05.jpg": 3}
+    (line,) = advice(replace(FOUND, placed=placed(5), features=features))
+    assert "p05.jpg (too little texture)" in line
+    (line,) = advice(replace(FOUND, placed=placed(*range(6, 12)), links=[]))
+    assert "p10.jpg (matches: none) and 1 more" in line
+
+
+def test_advice_about_groups_weak_poses_copies_and_focal_length() -> None:
+    (line,) = advice(replace(FOUND, placed=placed(0, 1, 2), groups=[NAMES[:3]]))
+    assert line.startswith("3 photos belong together, but not to the other 9: p00.jpg, p01.jpg")
+    (line,) = advice(replace(FOUND, placed={**placed(), "p03.jpg": 7}))
+    assert line.startswith("placed by few points, so perhaps wrongly: p03.jpg (7)")
+    (line,) = advice(replace(FOUND, copies={"b.jpg": "a.jpg"}))
+    assert line == "left out as copies: b.jpg is a.jpg"
+    (line,) = advice(replace(FOUND, held=True))
+    assert line.startswith("the photos do not tell the focal length")
+
+
+def test_advice_about_a_focal_length_in_exif_that_is_wrong() -> None:
+    (line,) = advice(replace(FOUND, overruled=Overruled(377.0, 609.0, 0.68, 0.18)))
+    assert "609 pixels, is what the photos tell, not EXIF's 377, which fits worse (by 0.68" in line
+    (line,) = advice(replace(FOUND, overruled=Overruled(377.0, 609.0, None, 0.18)))
+    assert "with which fewer photos find a place; were they cropped or edited?" in line
+
+
+def test_frames_of_a_video_are_recognised() -> None:
+    near = replace(FOUND, links=[replace(link, shift=link.shift / 9) for link in FOUND.links])
+    (line,) = advice(near)
+    assert line.startswith("neighbouring photos are nearly the same, as frames of a video are")
+    assert list(advice(replace(near, video=True))) == []
+
+
+def test_failures_say_why() -> None:
+    def told(found: Found) -> str:
+        text = failure(Path("holiday/p00.jpg"), found)
+        assert text.startswith("holiday: expected photos") and "\n" not in text
+        return text
+
+    nothing = replace(FOUND, placed={})
+    assert "12 of 12 photos without enough" in told(
+        replace(nothing, features=dict.fromkeys(NAMES, 9))
+    )
+    assert "at most 0 matches between two" in told(replace(nothing, links=[]))
+    still = [replace(link, shift=0.001) for link in FOUND.links]
+    assert "photos from one place (matches move by 0.1 %" in told(replace(nothing, links=still))
+    assert "or a camera that only turned (30 pairs" in told(nothing)
+    video = failure(Path("clip.mp4"), replace(nothing, links=[], video=True))
+    assert video.startswith("clip.mp4: expected")
+
+
+def test_which_photos_are_compared() -> None:
+    assert len(pairs(60)) == 60 * 59 // 2
+    chosen = pairs(300)
+    assert len(set(chosen)) == len(chosen) < 5000
+    assert {(0, 10), (0, 290), (5, 15), (7, 39)} <= set(chosen) and (5, 290) not in chosen
+
+
+def test_plausible_cameras() -> None:
+    assert plausible(600, 0.1, 640) and plausible(300, -0.1, 640)
+    assert not plausible(50, 0.0, 640) and not plausible(600, 0.9, 640)
+
+
+def test_upright_of_odd_cameras() -> None:
+    """Cameras that look straight down, or are held every way, still give a rotation."""
+    down = np.zeros((2, 3, 4))
+    down[:, 0, 0], down[:, 1, 2], down[:, 2, 1] = 1, -1, 1  # ahead is the world's +y
+    flipped = np.eye(4)[None, :3].repeat(2, axis=0)
+    flipped[1, :2, :2] *= -1
+    for views in (down, flipped):
+        turn, _ = upright(views)
+        assert np.allclose(turn @ turn.T, np.eye(3)) and np.linalg.det(turn) == pytest.approx(1)
