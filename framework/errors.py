@@ -78,6 +78,8 @@ def os_line(error: OSError, path: Path | str | None = None) -> str:
         where = where.decode("utf-8", "replace")
     if error.errno == errno.ENOENT:
         return f"{where}: expected a file or folder, found none; correct the path"
+    if error.errno == errno.EEXIST:
+        return f"{where}: expected a folder or nothing yet, got a file; choose another place"
     expected = "what may be opened"
     if error.errno in FULL:
         expected, advice = "room to write", "free some space"

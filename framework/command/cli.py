@@ -36,7 +36,7 @@ from framework.command.config.schema import (
     choices,
     register_config,
 )
-from framework.command.config.trust import check_command, parsed
+from framework.command.config.trust import check_command, parsed, quoted
 from framework.command.hydra_inside import argument_parser
 from framework.command.job import Job
 from framework.command.launchers.detached import detached
@@ -146,7 +146,7 @@ def normalise(argv: Sequence[str]) -> list[str]:
     """
     _check_utf8("command line", *argv)
     arguments = [re.sub(rf"^\+(?=({'|'.join(GROUPS)})=)", "", argument) for argument in argv]
-    arguments = [_joined_choices(argument) for argument in arguments]
+    arguments = [quoted(_joined_choices(argument)) for argument in arguments]
     _check_multirun_flag(arguments)
     _check_empty_choices(arguments)
     flags = _parse(arguments)
@@ -210,7 +210,8 @@ def _check_empty_choices(arguments: Sequence[str]) -> None:
     for argument in arguments:
         group, equals, name = argument.partition("=")
         if equals and group in OBJECT_GROUPS and name in ("", "null"):
-            known = ", ".join(choices(group))
+            variants = {file.stem for file in (CONF_DIR / group).glob("*.yaml")}
+            known = ", ".join(sorted({*choices(group), *variants}))
             raise UserError(f"{group}: expected a choice, got {name!r}; available: {known}")
 
 

@@ -7,6 +7,7 @@ user gets: where, what was expected, what came, how to fix it.
 from __future__ import annotations
 
 import dataclasses
+import os
 import re
 import typing
 from collections.abc import Iterable, Iterator
@@ -23,10 +24,13 @@ from omegaconf.errors import (
 
 from framework.command.config.schema import CONF_DIR
 from framework.command.launchers.known import missing_extra
+from framework.command.program import program
 from framework.errors import UserError, mendable, nearest_hint, os_line, printable_line
+from framework.files.paths import OWN_VARIABLE
 from framework.registry import SWEPT
 
 USER_ERRORS = (UserError, HydraException, OmegaConfBaseException)
+SEVERAL = re.compile(r"Ambiguous value for argument '(.*?)'\s+1\. To use it as a list", re.S)
 KINDS = {
     **{int: "an integer", float: "a number", bool: "true or false", str: "a text"},
     type(None): "null",
@@ -100,6 +104,12 @@ def _told(error: BaseException) -> str | None:
             f"command line: cannot read {error.override!r}; write KEY=VALUE and put quotes around"
             " a value with special characters: \"key='a b'\""
         )
+    if isinstance(error, HydraException) and (several := SEVERAL.search(str(error))):
+        key, _, values = several[1].partition("=")
+        return (
+            f"{key}: expected one value, got several ({values}); add -m to make a run of each:"
+            f" {program()} {several[1]} -m"
+        )
     if isinstance(error, ConfigKeyError | ConfigAttributeError):
         return _unknown_key(error)
     if isinstance(error, ValidationError) and error.full_key:
@@ -136,7 +146,9 @@ def _missing_choice(error: MissingConfigException) -> str | None:
             f"{group}={name}: expected what it needs to be installed, found it missing; pip install"
             f" 'fishersplat[{extra}]'"
         )
-    return f"{group}={name}: unknown {group}; {nearest_hint(name, error.options)}"
+    own = os.environ.get(OWN_VARIABLE)
+    searched = f"; --plugins {own} was searched, too" if own else ""
+    return f"{group}={name}: unknown {group}; {nearest_hint(name, error.options)}{searched}"
 
 
 def _unknown_key(error: OmegaConfBaseException) -> str | None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from framework.arguments import Arguments
 from framework.errors import require
 from framework.exports.formats import SUFFIXES, can_write, packed
 from framework.files.whole import make_folder, write_whole
@@ -78,7 +79,7 @@ def _write_cameras(folder: Path, names: list[str], cameras: list[Camera], near: 
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=prog, description=__doc__)
+    parser = Arguments(prog=prog, description=__doc__)
     parser.add_argument("run", type=Path, metavar="RUN", help="folder of a finished run")
     parser.add_argument(
         "--format",

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from framework.arguments import Arguments
 from framework.errors import require
 from framework.exports.video import check_side
 from framework.files.whole import make_folder, write_whole
@@ -46,7 +47,7 @@ def main(arguments: list[str], prog: str) -> int:
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=prog, description=__doc__)
+    parser = Arguments(prog=prog, description=__doc__)
     parser.add_argument("run", type=Path, metavar="RUN", help="folder of a finished run")
     parser.add_argument(
         "--cameras",

@@ -8,6 +8,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from framework.arguments import Arguments
 from framework.errors import require
 from framework.files.whole import write_whole
 
@@ -103,7 +104,7 @@ def check_side(side: int | None) -> None:
 
 
 def _parser(prog: str) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=prog, description=__doc__)
+    parser = Arguments(prog=prog, description=__doc__)
     parser.add_argument(
         "run", type=Path, metavar="RUN", help="folder of a finished run, or of a study"
     )

@@ -13,7 +13,6 @@ pip finds a backend here that answers by itself. The hash is compared before tha
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
@@ -23,6 +22,7 @@ import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
+from framework.arguments import Arguments
 from framework.errors import UserError, require
 from framework.files.cache import cache_dir
 from framework.files.limits import MIB
@@ -100,7 +100,7 @@ def fetch(archive: Path | None = None) -> list[Path]:
 
 def main(argv: Sequence[str] | None = None, prog: str = "fishersplat fetch") -> int:
     """The command; 0, or 2 with one line about what went wrong."""
-    parser = argparse.ArgumentParser(prog=prog, description="Fetch the weights of LPIPS.")
+    parser = Arguments(prog=prog, description="Fetch the weights of LPIPS.")
     parser.add_argument("what", choices=["lpips"], help="what to fetch")
     told = f"{ARCHIVE} on this machine, where there is no network"
     parser.add_argument("--from", dest="archive", type=Path, metavar="FILE", help=told)

@@ -5,10 +5,10 @@ Several folders are reported as one study; `--out` says where that report goes.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
+from framework.arguments import Arguments
 from framework.errors import (
     UserError,
     memory_line,
@@ -23,7 +23,7 @@ from framework.files.limits import check_address_space
 
 def main(arguments: list[str] | None = None, prog: str = "python -m framework.report") -> int:
     """Exit status: 0, or 2 with one line on stderr for bad input."""
-    parser = argparse.ArgumentParser(prog=prog, description=__doc__)
+    parser = Arguments(prog=prog, description=__doc__)
     parser.add_argument(
         "study_dirs", type=Path, nargs="+", metavar="DIR", help="folder of a study, as reports/demo"
     )
@@ -35,8 +35,8 @@ def main(arguments: list[str] | None = None, prog: str = "python -m framework.re
         help="no pictures but of the embedded scene and no links to the runs: for a report that is"
         " passed on where photos may not be",
     )
-    options = parser.parse_args(arguments)
     try:
+        options = parser.parse_args(arguments)
         require(
             options.out is not None or len(options.study_dirs) == 1,
             f"--out: expected a folder for the report of {len(options.study_dirs)} studies, got"

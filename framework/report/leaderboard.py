@@ -7,7 +7,6 @@ not told apart, each with the interval that its own report draws.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import io
 import os
@@ -16,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
+from framework.arguments import Arguments
 from framework.errors import UserError, printable_line, require
 from framework.files.limits import RUNS
 from framework.files.whole import make_folder, write_whole
@@ -294,7 +294,7 @@ def _csv(matches: Sequence[Match]) -> str:
 def main(arguments: list[str], prog: str) -> int:
     """The subcommand; exit status 0. Raises UserError for bad input."""
     text = "What all studies of a folder say about every method, from their runs or their runs.csv."
-    parser = argparse.ArgumentParser(prog=prog, description=text)
+    parser = Arguments(prog=prog, description=text)
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of studies, as reports")
     parser.add_argument("--out", type=Path, help="folder of the leaderboard (default: DIR)")
     options = parser.parse_args(arguments)

@@ -29,14 +29,14 @@ TRADEOFF_CAPTION = (
 STRESS_CAPTION = (
     "Above: test PSNR against the strength, bars: 95 % interval of the mean over seeds. Below: its"
     " difference to the baseline of the same seed, bars: 95 % intervals that hold for all strengths"
-    " of a method at once, as the sentences do. Methods stand a little beside each other. The"
+    " and methods at once, as the sentences do. Methods stand a little beside each other. The"
     " turning point is where the lower curve meets zero, interpolated linearly between tested"
     " strengths; its interval holds every strength where a paired t test does not refute zero."
 )
 STRESS_TEXT = (
     "Cells: PSNR (dB), mean over seeds ± half the width of its 95 % interval (t). A method is said"
     " to help or to cost at a strength where its corrected interval excludes zero; the correction"
-    " is over the strengths, each method for itself."
+    " is over all strengths, methods and charts of the report."
 )
 SIZE_CAPTION = " Lowest: the number of Gaussians at the end of the training."
 
@@ -97,7 +97,7 @@ def along_stress(study: Study, panels: Sequence[stress.Panel], outcomes: Outcome
         if sizes:
             title = f"Size of the model on {panel.title}, along {panel.axis.label}:"
             blocks += [Text(title, "finding"), Bullets(tuple(sizes))]
-        details += [_stress_picture(study, panel), table(stress.rows(panel), ("Method",))]
+        details += [_stress_picture(study, panel, found), table(stress.rows(panel), ("Method",))]
     beside = [text for text in (idle_sentence(study), _roles(study)) if text]
     blocks += [Text(text) for text in beside]
     return [*blocks, *gaps.gap_notes(study, pooled=False), *details, Text(STRESS_TEXT)]
@@ -127,9 +127,9 @@ def _forest(study: Study, found: Outcomes) -> list[Block]:
     return [forest_picture(study.out_dir, plot, alt, caption)]
 
 
-def _stress_picture(study: Study, panel: stress.Panel) -> Picture:
+def _stress_picture(study: Study, panel: stress.Panel, found: Sequence[stress.Limit]) -> Picture:
     alt = f"PSNR of {panel.title} against {panel.axis.label}"
-    charts = stress.charts(study, panel)
+    charts = stress.charts(study, panel, found)
     sizes = modelsize.chart(study, panel, stress.chart_name(panel))
     if sizes is None:
         return chart_picture(study.out_dir, charts, alt, STRESS_CAPTION)

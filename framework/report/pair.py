@@ -6,12 +6,12 @@ Two single runs say nothing of chance, which the first line tells; a study with 
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from framework.arguments import Arguments
 from framework.errors import printable_line, require
 from framework.files.whole import make_folder, write_whole
 from framework.records.record import METHOD_GROUPS, RECORD, Run, read_run
@@ -233,7 +233,7 @@ def _facts(study: Study) -> list[dict[str, str | Link]]:
 def main(arguments: list[str], prog: str) -> int:
     """The subcommand; exit status 0. Raises UserError for bad input."""
     text = "A small report of two runs: options that differ, every view, pictures, courses."
-    parser = argparse.ArgumentParser(prog=prog, description=text)
+    parser = Arguments(prog=prog, description=text)
     parser.add_argument(
         "runs", type=Path, nargs=2, metavar="RUN", help="folder of a run, as reports/demo/runs/NAME"
     )

@@ -5,10 +5,10 @@ A page on this machine only (127.0.0.1), or with --static a file that shows the 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from framework.arguments import Arguments
 from framework.errors import printable_line, require
 from framework.records.run_files import VIEW
 
@@ -17,7 +17,7 @@ HTML = (".html", ".htm")
 
 def main(arguments: Sequence[str], prog: str) -> int:
     """Exit status 0. Raises UserError for bad input."""
-    parser = argparse.ArgumentParser(prog=prog, description=__doc__)
+    parser = Arguments(prog=prog, description=__doc__)
     parser.add_argument(
         "runs",
         type=Path,

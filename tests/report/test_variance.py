@@ -2,32 +2,74 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from framework.compute.rng import stream
 from framework.report.statistics.breakdown import break_down
-from framework.report.statistics.power import detectable, power, seeds_needed, size
+from framework.report.statistics.power import (
+    detectable,
+    heavy_size,
+    paired_power,
+    power,
+    seeds_needed,
+    size,
+)
 from framework.report.statistics.robustness import wilson
 from framework.report.statistics.variance import brown_forsythe, c4, compare_sigmas, mean_deviation
 
 
-def test_the_comparison_is_scipys_levene_about_the_median() -> None:
+def by_seed(values: Sequence[float], first: int = 0) -> dict[int, float]:
+    return dict(enumerate(values, first))
+
+
+def test_without_common_seeds_it_is_scipys_levene_about_the_median() -> None:
     draw = stream(0, "levene")
     a, b = 0.3 * draw.standard_normal(8), 0.1 * draw.standard_normal(8)
-    found = compare_sigmas("a", list(a), "b", list(b))
+    found = compare_sigmas("a", by_seed(a), "b", by_seed(b, 100))
     assert found is not None and found.ratio is not None and found.interval is not None
+    assert not found.paired
     assert found.p == pytest.approx(stats.levene(a, b, center="median").pvalue)
     assert found.ratio == pytest.approx(a.std(ddof=1) / b.std(ddof=1))
     assert found.interval.low < found.ratio < found.interval.high
 
 
+def test_common_seeds_are_pairs() -> None:
+    """p is that of the correlation of differences and sums; the interval ends where it refutes."""
+    shared, own_a, own_b = stream(0, "pairs").standard_normal((3, 9))
+    a, b = 0.5 * (shared + 0.3 * own_a), shared + 0.3 * own_b
+    found = compare_sigmas("a", by_seed(a), "b", by_seed(b))
+    assert found is not None and found.ratio is not None and found.interval is not None
+    assert found.paired and found.p == pytest.approx(stats.pearsonr(a - b, a + b).pvalue)
+    assert found.rho == pytest.approx(np.corrcoef(a, b)[0, 1])
+    for end in (found.interval.low, found.interval.high):
+        assert stats.pearsonr(a - end * b, a + end * b).pvalue == pytest.approx(0.05, abs=1e-9)
+    more = compare_sigmas("a", by_seed([*a, 7.0]), "b", by_seed(b))
+    assert more is not None and (more.n, more.other_n, more.p) == (9, 9, found.p)
+
+
+@pytest.mark.parametrize(("ratio", "rho"), [(1.0, 0.6), (0.5, 0.8), (0.4, 0.0), (2.0, 0.5)])
+def test_power_of_pairs_is_that_of_the_test(ratio: float, rho: float) -> None:
+    """Against other draws and scipy's own test; 5 % where there is nothing to find."""
+    x, y = stream(8, "other pairs").standard_normal((2, 1500, 10))
+    a, b = ratio * x, rho * x + np.sqrt(1 - rho**2) * y
+    found = np.mean(stats.pearsonr(a - b, a + b, axis=1).pvalue < 0.05)
+    assert paired_power(ratio, rho, 10) == pytest.approx(found, abs=0.03)
+    lowest = detectable(10, 10, 1, rho)
+    assert lowest is not None and paired_power(lowest, rho, 10) == pytest.approx(0.8, abs=0.01)
+    assert heavy_size(10) > 0.06
+
+
 def test_degenerate_deviations() -> None:
-    assert compare_sigmas("a", [1.0, 2.0], "b", [1.0, 2.0, 3.0]) is None
-    same = compare_sigmas("a", [1.0] * 4, "b", [2.0] * 4)
+    assert compare_sigmas("a", by_seed([1.0, 2.0]), "b", by_seed([1.0, 2.0, 3.0])) is None
+    alike = compare_sigmas("a", by_seed([1.0, 2.0, 4.0]), "b", by_seed([2.0, 4.0, 8.0]))
+    assert alike is not None and alike.p < 0.02 and alike.ratio == pytest.approx(0.5)
+    same = compare_sigmas("a", by_seed([1.0] * 4), "b", by_seed([2.0] * 4))
     assert same is not None and same.p == 1.0 and same.ratio is None and same.seeds is None
-    fixed = compare_sigmas("a", [1.0] * 4, "b", [1.0, 2.0, 3.0, 5.0])
+    fixed = compare_sigmas("a", by_seed([1.0] * 4), "b", by_seed([1.0, 2.0, 3.0, 5.0]))
     assert fixed is not None and fixed.p < 1 and fixed.ratio is None
 
 

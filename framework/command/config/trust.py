@@ -30,8 +30,9 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from framework.command.complaints import composing
-from framework.command.config.schema import CONF_DIR, SWEEPS_DIR
+from framework.command.config.schema import CONF_DIR, OBJECT_GROUPS, SWEEPS_DIR
 from framework.command.launchers.check import check_launcher
+from framework.command.program import program
 from framework.errors import UserError, printable_line, require
 from framework.files import limits
 from framework.files.documents import check_yaml
@@ -44,6 +45,8 @@ REFUSED_FLAGS = {
     "config_name": "use hydra.searchpath=[file://DIR] and experiment=NAME of DIR/experiment",
     "config_dir": "use hydra.searchpath=[file://DIR]",
 }
+OF_GRAMMAR = set("'\"[]{}(),\\$")  # signs that mean something in the value of an override
+NO_WORDS = "#&;<>!~^`"  # of ASCII, what it reads only in quotation marks
 QUIET = {"version": 1, "root": None, "disable_existing_loggers": False}  # hydra/*_logging=none
 
 
@@ -56,6 +59,7 @@ def check_command(flags: Any) -> None:
         if getattr(flags, name) is not None:
             raise UserError(f"--{name.replace('_', '-')}: expected no such flag, got one; {fix}")
     overrides = parsed(flags.overrides)
+    check_deleted(overrides)
     folders = [CONF_DIR, SWEEPS_DIR, *_search_path(overrides)]
     for folder in folders:
         check_config_files(folder)
@@ -121,6 +125,14 @@ def check_composed(config: DictConfig) -> None:
         require(key in known, f"hydra.{key}: expected no such key, got one; remove it")
 
 
+def quoted(argument: str) -> str:
+    """`scene.path=my phötos` as `scene.path='my phötos'`: a value with letters that Hydra's grammar
+    does not know is a text, unless it has signs of a list, a sweep or a quotation of its own."""
+    key, equals, value = argument.partition("=")
+    strange = any(not sign.isascii() or sign in NO_WORDS for sign in value)
+    return f"{key}='{value}'" if equals and strange and not set(value) & OF_GRAMMAR else argument
+
+
 def check_run_count(overrides: Sequence[Override], params: Mapping[Any, Any]) -> None:
     """Raise UserError when the command asks for more than `limits.RUNS` runs, without listing
     them. params: `hydra.sweeper.params`, which the overrides of the same keys replace."""
@@ -143,6 +155,21 @@ def check_method(overrides: Sequence[Override], swept: Iterable[Any]) -> None:
             " here or by a sweep, got one, which would change nothing; leave it out, or give"
             " augment=NAME and reg=NAME in its place"
         )
+    for group in ("augment", "reg"):
+        if "method" in given and group in given:
+            method, choice = given["method"], given[group]
+            print(f"note: {choice} takes the place of what {method} has as {group}")
+
+
+def check_deleted(overrides: Iterable[Override]) -> None:
+    """Raise UserError for `~reg`: no part of a configuration can be done without."""
+    for override in overrides:
+        group = override.key_or_group
+        if override.is_delete() and group in OBJECT_GROUPS:
+            raise UserError(
+                f"~{group}: expected a choice of {group}, got none; write {group}=NAME,"
+                f" {program()} --help tells which"
+            )
 
 
 def check_config_files(folder: Path) -> None:

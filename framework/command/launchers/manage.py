@@ -18,6 +18,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from framework.arguments import Arguments
 from framework.command.launchers.detached import detach
 from framework.command.launchers.known import missing_extra
 from framework.command.launchers.page import status, told, write_page
@@ -36,7 +37,7 @@ def main(arguments: Sequence[str], prog: str) -> int:
     """Exit code: 0, that of the runs (`collect`), or 2 for bad input."""
     if arguments[:1] == ["submit"]:
         return _submit(list(arguments[1:]), f"{prog} submit")
-    parser = argparse.ArgumentParser(
+    parser = Arguments(
         prog=prog, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("what", choices=("submit", "status", "collect", "cancel"))

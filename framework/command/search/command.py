@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from framework.arguments import Arguments
 from framework.command.config.naming import study_dir
 from framework.command.config.schema import register_config
 from framework.command.config.trust import check_command
@@ -37,7 +38,7 @@ ALONE = ".search"  # holds the lock of who searches
 
 def main(arguments: Sequence[str], prog: str) -> int:
     """Exit code 0, or 1 where no trial ended well."""
-    parser = argparse.ArgumentParser(
+    parser = Arguments(
         prog=prog, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("words", nargs="*", metavar="KEY=VALUE")

@@ -23,12 +23,13 @@ from framework.report.figures.views import (
     shown_methods,
 )
 from framework.report.parts.document import Picture
-from framework.report.parts.grid import Band, Cell, Scale
+from framework.report.parts.grid import COLUMNS, Band, Cell, Scale
 from framework.report.statistics.numbers import significant
 from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside, slug
 
 SIGMA_SCALE, SIGMA_COLORS = 0.1, "viridis"
+BESIDE = COLUMNS - 1  # methods beside the ground truth, each above its own error
 FEWEST_SEEDS = 3  # a deviation of two values says little about a pixel
 
 
@@ -40,17 +41,18 @@ def draw_images(study: Study, scene: str) -> Picture | None:
     bands = []
     for view, why in shown.views:
         truth = Cell("ground truth", picture(shown.runs[0], view, "truth"))
-        renders = [
-            Cell(
-                f"{run.method}\n{_psnr_text(run, view)}",
-                picture(run, view, "render"),
-            )
-            for run in shown.runs
-        ]
-        errors = [Cell(f"error: {run.method}", picture(run, view, "error")) for run in shown.runs]
+        nothing = Cell("", np.full_like(truth.pixels, 255))
+        groups = []
+        for first in range(0, len(shown.runs), BESIDE):
+            runs = shown.runs[first : first + BESIDE]
+            renders = [
+                Cell(f"{run.method}\n{_psnr_text(run, view)}", picture(run, view, "render"))
+                for run in runs
+            ]
+            errors = [Cell(f"error: {run.method}", picture(run, view, "error")) for run in runs]
+            groups += [(truth, *renders), (nothing, *errors)]
         scale = Scale("mean absolute error", "magma", ERROR_SCALE)
-        groups = ((truth, *renders), tuple(errors))
-        bands.append(Band(f"{outside(view)} ({why})", groups, scale))
+        bands.append(Band(f"{outside(view)} ({why})", tuple(groups), scale))
     name, caption = f"images_{slug(scene)}", _images_caption(shown)
     return grid_picture(study.out_dir, name, bands, f"Images of {scene}", caption, in_viewer=True)
 

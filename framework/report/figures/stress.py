@@ -58,17 +58,23 @@ def panels(study: Study) -> list[Panel]:
 
 
 def limits(study: Study, shown: Sequence[Panel]) -> list[Limit]:
-    """The break-down of every method but the baselines, on every panel where levels are common."""
+    """The break-down of every method but the baselines, on every panel where levels are common.
+    Their intervals hold for all strengths, methods and panels at once."""
+    asked = [
+        (panel, method, *gains)
+        for panel in shown
+        for method in panel.runs
+        for gains in [_gains(study, panel, method)]
+        if gains is not None
+    ]
+    tests = sum(len(strengths) for _, _, strengths, _ in asked)
     found = []
-    for panel in shown:
-        for method in panel.runs:
-            gains = _gains(study, panel, method)
-            if gains is not None:
-                means = [(float(v), float(row.mean())) for v, row in zip(*gains, strict=True)]
-                levels = tuple(level for level, _ in means)
-                ends = (means[0], means[-1])
-                drawn = tuple(gains_of_levels(gains[1]))
-                found.append(Limit(panel, method, break_down(*gains), levels, ends, drawn))
+    for panel, method, strengths, values in asked:
+        means = [(float(v), float(row.mean())) for v, row in zip(strengths, values, strict=True)]
+        levels = tuple(level for level, _ in means)
+        drawn = tuple(gains_of_levels(values, tests))
+        broken = break_down(strengths, values, tests)
+        found.append(Limit(panel, method, broken, levels, (means[0], means[-1]), drawn))
     return found
 
 
@@ -87,8 +93,9 @@ def shown_scenes(study: Study, shown: Sequence[Panel]) -> list[str]:
     return [scene for scene in study.scenes if scene in ends or scene not in along]
 
 
-def charts(study: Study, panel: Panel) -> tuple[Chart, ...]:
-    """PSNR and gain against the strength, with 95 % intervals over seeds."""
+def charts(study: Study, panel: Panel, found: Sequence[Limit]) -> tuple[Chart, ...]:
+    """PSNR and gain against the strength, with 95 % intervals over seeds: those of the sentences.
+    found: the `limits` of the study."""
     name = chart_name(panel)
     reverse = panel.axis.harder < 0
     order = looks(study.methods)
@@ -96,7 +103,9 @@ def charts(study: Study, panel: Panel) -> tuple[Chart, ...]:
         Series(m, order[m], _psnr_points(panel, by_level)) for m, by_level in panel.runs.items()
     ]
     gain = [
-        Series(m, order[m], points) for m in panel.runs if (points := _gain_points(study, panel, m))
+        Series(own.method, order[own.method], _gain_points(own))
+        for own in found
+        if own.panel is panel
     ]
     label = f"{panel.axis.label}; harder to the right"
     made = [
@@ -211,16 +220,11 @@ def _psnr_points(panel: Panel, by_level: dict[float, list[ReportRun]]) -> tuple[
     return tuple(point(level, values) for level, values in found.items() if values)
 
 
-def _gain_points(study: Study, panel: Panel, method: str) -> tuple[Point, ...]:
-    """The intervals are those of the sentences: they hold for all strengths at once."""
-    found = _gains(study, panel, method)
-    if found is None:
-        return ()
-    levels, gains = found
+def _gain_points(limit: Limit) -> tuple[Point, ...]:
     points = []
-    for level, (mean, interval) in zip(levels.tolist(), gains_of_levels(gains), strict=True):
+    for level, (mean, interval) in zip(limit.levels, limit.gains, strict=True):
         low, high = (mean, mean) if interval is None else (interval.low, interval.high)
-        points.append(Point(level, mean, low, high, f"n = {gains.shape[1]}"))
+        points.append(Point(level, mean, low, high, f"n = {limit.found.n}"))
     return tuple(points)
 
 

@@ -29,7 +29,7 @@ class Breakdown:
     where it begins above or never does. stops: the break-down point, None where it does not fall
     to zero. interval: hull of the strengths where a zero is not refuted, None where it is refuted
     everywhere or with fewer than two seeds. n: seeds. signs: at every tested strength 1 or -1 where
-    the mean differs from zero, Bonferroni-corrected over the strengths, else 0.
+    the mean differs from zero, Bonferroni-corrected over all comparisons of a study, else 0.
     """
 
     helps: bool
@@ -48,15 +48,15 @@ class Breakdown:
         return 1 in self.signs
 
 
-def break_down(strengths: np.ndarray, gains: np.ndarray) -> Breakdown:
+def break_down(strengths: np.ndarray, gains: np.ndarray, tests: int | None = None) -> Breakdown:
     """strengths: [L] in the order of growing stress (rising or falling numbers), L >= 2. gains:
-    [L, n] dB, method minus baseline, one column per seed."""
+    [L, n] dB, method minus baseline, one column per seed. tests: see `gains_of_levels`."""
     if len(strengths) < 2 or gains.ndim != 2 or gains.shape[0] != len(strengths):
         raise ValueError(f"break_down: expected [L] and [L, n], L >= 2, got {gains.shape}")
     mean, n = gains.mean(axis=1), gains.shape[1]
     starts, stops = _zeros(strengths, mean)
     helps = bool((mean > 0).any())
-    signs = tuple(_sign(row) for row in gains_of_levels(gains))
+    signs = tuple(_sign(row) for row in gains_of_levels(gains, tests))
     if n < 2:
         return Breakdown(helps, starts, stops, None, n, signs)
     doubtful = _doubtful(strengths, gains)
@@ -64,11 +64,13 @@ def break_down(strengths: np.ndarray, gains: np.ndarray) -> Breakdown:
     return Breakdown(helps, starts, stops, interval, n, signs)
 
 
-def gains_of_levels(gains: np.ndarray) -> list[tuple[float, Interval | None]]:
-    """At every strength the mean of gains [L, n] and its interval, which holds for all strengths at
-    once; None with fewer than two seeds."""
+def gains_of_levels(
+    gains: np.ndarray, tests: int | None = None
+) -> list[tuple[float, Interval | None]]:
+    """At every strength the mean of gains [L, n] and its interval; None with fewer than two seeds.
+    tests: how many comparisons the intervals hold for at once; None: these strengths alone."""
     found = [estimate(list(row)) for row in gains]
-    return [(e.mean, e.interval(len(found))) for e in found]
+    return [(e.mean, e.interval(tests or len(found))) for e in found]
 
 
 def _sign(gain: tuple[float, Interval | None]) -> int:

@@ -45,9 +45,9 @@ def outcomes(study: Study) -> Outcomes:
     values = {m: seed_means(study.of(method=m), study.tested) for m in study.methods}
     psnr = {method: spread(list(found.values())) for method, found in values.items() if found}
     sigmas = {
-        method: compare_sigmas(method, list(values[method].values()), base, others)
+        method: compare_sigmas(method, values[method], base, others)
         for method in study.methods
-        if (base := study.baseline_of(method)) != method and (others := list(values[base].values()))
+        if (base := study.baseline_of(method)) != method and (others := values[base])
     }
     several = len(study.tested) > 1
     untuned = [scene for scene in study.tested if role(study.name_of(scene)) != CHOSE]

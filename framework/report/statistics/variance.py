@@ -1,10 +1,14 @@
 """Stability as numbers: are two methods' standard deviations over seeds different, and how many
 seeds would tell?
 
-- Test: Brown and Forsythe (1974), an F test on the absolute distances from the median. What it can
-  find, how often it errs and how many seeds it needs are simulated (`power`).
-- Interval of the ratio: sd_a / sd_b over the quantiles of F(n_a - 1, n_b - 1), both samples normal
-  and independent of each other.
+- Test of methods that share their seeds: Pitman and Morgan (1939). A seed moves both alike, so
+  their values are pairs; where the deviations are equal, differences and sums of the pairs are not
+  correlated, which a t test of that correlation r_ds asks for, n - 2 degrees of freedom.
+- Interval of their ratio q: q sqrt(k -+ sqrt(k^2 - 1)), k = 1 + 2 (1 - r^2) t^2 / (n - 2), r the
+  correlation within pairs: the ratios that this test does not refute. Both for normal errors.
+- Of methods that share fewer than three seeds: Brown and Forsythe (1974), an F test on the absolute
+  distances from the median, and sd_a / sd_b over the quantiles of F(n_a - 1, n_b - 1).
+- What they find, how often they err and how many seeds they need is simulated (`power`).
 - Mean of deviations over scenes: each s_k is divided by c4(n_k), its bias under normal errors; the
   interval takes the mean as a scaled chi with as many degrees of freedom as give its variance
   (Satterthwaite), scenes independent of each other.
@@ -20,15 +24,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from framework.report.statistics.estimates import CONFIDENCE, SIGNIFICANCE, Interval, chi2_quantiles
-from framework.report.statistics.power import detectable, seeds_needed, size
+from framework.report.statistics.estimates import (
+    CONFIDENCE,
+    SIGNIFICANCE,
+    Interval,
+    chi2_quantiles,
+    t_quantile,
+)
+from framework.report.statistics.power import detectable, heavy_size, seeds_needed, size
+
+MOST_ALIKE = 0.9999  # a correlation of exactly 1 would leave no noise to test against
 
 
 @dataclass(frozen=True)
 class SigmaComparison:
     """ratio: sd of `method` / sd of `baseline`, None where one is 0, with its interval; p: of the
-    Brown-Forsythe test. n, other_n: seeds of both. tests: how many comparisons `p_joint` and all
-    that follows are corrected for (Bonferroni)."""
+    test. n, other_n: seeds of both. rho: correlation of the pairs that share a seed, None where the
+    samples were compared as independent. tests: how many comparisons `p_joint` and all that follows
+    are corrected for (Bonferroni)."""
 
     method: str
     baseline: str
@@ -37,7 +50,12 @@ class SigmaComparison:
     p: float
     n: int
     other_n: int
+    rho: float | None = None
     tests: int = 1
+
+    @property
+    def paired(self) -> bool:
+        return self.rho is not None
 
     @property
     def p_joint(self) -> float:
@@ -50,33 +68,54 @@ class SigmaComparison:
     @property
     def seeds(self) -> int | None:
         """Per method for the test to find this ratio; None without a ratio and where too many."""
-        return None if self.ratio is None else seeds_needed(self.ratio, self.tests)
+        return None if self.ratio is None else seeds_needed(self.ratio, self.tests, self.rho)
 
     @property
     def detectable(self) -> float | None:
         """The ratio below 1 that this test would have found 8 times in 10; None: no ratio."""
-        return detectable(self.n, self.other_n, self.tests)
+        return detectable(self.n, self.other_n, self.tests, self.rho)
 
     @property
     def size(self) -> float:
-        """How often the uncorrected test errs with these numbers of seeds, normal errors."""
-        return size(self.n, self.other_n)
+        """How often the uncorrected test errs with these numbers of seeds: normal errors of
+        independent samples, heavy-tailed ones of pairs (normal ones: exactly 5 %)."""
+        return size(self.n, self.other_n) if self.rho is None else heavy_size(self.n)
 
 
 def compare_sigmas(
-    method: str, values: Sequence[float], baseline: str, others: Sequence[float]
+    method: str, values: Mapping[int, float], baseline: str, others: Mapping[int, float]
 ) -> SigmaComparison | None:
-    """The standard deviations of two samples; None where one has fewer than three values."""
+    """The standard deviations of two samples by seed, of the seeds that both have if these are
+    three or more; None where one has fewer than three values."""
     if min(len(values), len(others)) < 3:
         return None
-    a, b = np.asarray(values, dtype=np.float64), np.asarray(others, dtype=np.float64)
-    p = brown_forsythe(a, b)
+    seeds = sorted(values.keys() & others.keys())
+    paired = len(seeds) >= 3
+    a = np.array([values[seed] for seed in (seeds if paired else values)], dtype=np.float64)
+    b = np.array([others[seed] for seed in (seeds if paired else others)], dtype=np.float64)
     sd_a, sd_b = float(a.std(ddof=1)), float(b.std(ddof=1))
+    known = functools.partial(SigmaComparison, method, baseline, n=len(a), other_n=len(b))
     if sd_a == 0 or sd_b == 0:
-        return SigmaComparison(method, baseline, None, None, p, len(a), len(b))
+        return known(ratio=None, interval=None, p=brown_forsythe(a, b))
     ratio = sd_a / sd_b
-    interval = _ratio_interval(ratio, len(a), len(b))
-    return SigmaComparison(method, baseline, ratio, interval, p, len(a), len(b))
+    if not paired:
+        interval = _ratio_interval(ratio, len(a), len(b))
+        return known(ratio=ratio, interval=interval, p=brown_forsythe(a, b))
+    rho = min(max(float(np.corrcoef(a, b)[0, 1]), -MOST_ALIKE), MOST_ALIKE)
+    p, interval = pitman_morgan(ratio, rho, len(a))
+    return known(ratio=ratio, interval=interval, p=p, rho=rho)
+
+
+def pitman_morgan(ratio: float, rho: float, n: int) -> tuple[float, Interval]:
+    """Two-sided p of equal deviations of n pairs, and the interval of their ratio."""
+    mixed = math.sqrt((ratio**2 + 1) ** 2 - 4 * (rho * ratio) ** 2)
+    r = (ratio**2 - 1) / mixed  # of differences and sums
+    t = abs(r) * math.sqrt((n - 2) / max(1 - r * r, 1e-300))
+    limit = t_quantile(n - 2)
+    k = 1 + 2 * (1 - rho**2) * limit**2 / (n - 2)
+    low, high = (math.sqrt(k + sign * math.sqrt(k * k - 1)) for sign in (-1, 1))
+    p = 2 * float(special.stdtr(n - 2, -t))
+    return p, Interval(ratio * low, ratio * high)
 
 
 def sigmas_corrected(known: Mapping[str, SigmaComparison]) -> dict[str, SigmaComparison]:

@@ -19,7 +19,7 @@ from framework.records.failure import FAILED, read_failure
 from framework.records.record import RECORD, Run, RunRecord, read_run
 from framework.records.search import Searched, read_search
 from framework.report.study.axes import Axis
-from framework.report.study.folders import run_dirs
+from framework.report.study.folders import RUN_FOLDERS, run_dirs
 from framework.report.study.labels import (
     MethodLabel,
     SceneLabel,
@@ -207,23 +207,7 @@ def collect(
     if a folder has neither.
     """
     folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
-    runs, failed, origins = [], [], []
-    told: list[ReportRun] = []
-    tabled = []
-    for folder in folders:
-        complete, lost = _read(folder, broken)
-        if not complete and not lost and is_tabled(folder):
-            told += [ReportRun(*parts) for parts in read_tabled(folder)]
-            tabled.append(folder)
-            continue
-        require(
-            len(complete) + len(lost) > 0,
-            f"{folder}: expected a study's folder with runs in it, got none; give the folder that"
-            " holds runs/, as reports/embedded",
-        )
-        runs += complete
-        failed += lost
-        origins += [folder] * len(complete)
+    runs, failed, origins, told, tabled = _gathered(folders, broken)
     labelled, named = _label(runs, failed)
     missing = _missing(labelled, named, origins)
     short, shortened_notes = shortened([run.method_label for run in (*labelled, *told)])
@@ -261,12 +245,45 @@ def collect(
     )
 
 
+def _gathered(
+    folders: Sequence[Path], broken: Mapping[Path, str]
+) -> tuple[list[Run], list[FailedRun], list[Path], list[ReportRun], list[Path]]:
+    """Complete runs, failed ones, the folder that each complete one is of; what is told of those
+    that are in a table alone, and the folders of such tables."""
+    runs, failed, origins = [], [], []
+    told: list[ReportRun] = []
+    tabled = []
+    for folder in folders:
+        complete, lost = _read(folder, broken)
+        if not complete and not lost and is_tabled(folder):
+            told += [ReportRun(*parts) for parts in read_tabled(folder)]
+            tabled.append(folder)
+            continue
+        require(
+            len(complete) + len(lost) > 0,
+            f"{folder}: expected a study's folder with runs in it, got none; give the folder that"
+            " holds runs/, as reports/embedded",
+        )
+        runs += complete
+        failed += lost
+        origins += [folder] * len(complete)
+    return runs, failed, origins, told, tabled
+
+
 def _read(folder: Path, broken: Mapping[Path, str]) -> tuple[list[Run], list[FailedRun]]:
     """All complete and all failed runs below `folder`, by path; one that is not what a run writes
     counts among the failed."""
     complete: list[Run] = []
     failed: list[FailedRun] = []
-    for path in run_dirs(folder):
+    paths = run_dirs(folder)
+    studies = sorted({path.parent.parent for path in paths if path.parent.name == RUN_FOLDERS})
+    require(
+        len(studies) < 2,
+        f"{folder}: expected the folder of one study, got that of {len(studies)}; give one of them,"
+        f" as {studies[0] if studies else folder}, or several with --out DIR, or see fishersplat"
+        " leaderboard",
+    )
+    for path in paths:
         try:
             if path in broken:
                 raise UserError(broken[path])

@@ -8,6 +8,7 @@ from pathlib import Path
 from framework.records.failure import FAILED
 from framework.records.record import RECORD
 
+RUN_FOLDERS = "runs"  # in the folder of a study
 DEPTH = 12  # folders between a study and its runs; links are not followed
 
 

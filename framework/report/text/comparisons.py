@@ -50,6 +50,7 @@ def sigma_rows(found: Outcomes) -> Rows:
             "Compared with": c.baseline,
             "σ / σ": significant(c.ratio) if c.ratio is not None else ABSENT,
             "95 % interval": spanned(c.interval) if c.interval else ABSENT,
+            "r": ABSENT if c.rho is None else f"{c.rho:.2f}",
             "p": p_text(c.p_joint),
             "Seeds": str(c.n) if c.n == c.other_n else f"{c.n} and {c.other_n}",
             "Found 8 times in 10 below": ABSENT

@@ -21,7 +21,14 @@ HEADINGS = {
     "pseudo_share_of_loss": "Pseudo views' share of the loss",
     "share_dropped_mean": "Mean share dropped",
     ACTED: "Share of occasions acted on",
+    "augment_acted_share": "of these, the augmenter's",
+    "reg_acted_share": "of these, the regularizer's",
+    "refused_other": "Refused for other reasons",
+    "coverage_of_depth_mean": "Mean coverage of what depth covers",
+    "support_distance_mean": "Mean distance of supports (camera spacings)",
+    "pseudo_share_of_views": "Pseudo views' share of the renders",
 }
+OWN = ("augment_acted_share", "reg_acted_share")
 TEXT = "Counted during training, mean over the runs of a row; an empty cell was not counted."
 
 
@@ -64,8 +71,17 @@ def _acted(runs: Sequence[ReportRun]) -> float | None:
 
 def _cells(runs: Sequence[ReportRun]) -> dict[str, str]:
     present = {key for run in runs for key in run.record.dose}
+    if len(present & set(OWN)) == 1:  # which is the share of all occasions then
+        present -= set(OWN)
     keys = [key for key in HEADINGS if key in present] + sorted(present - set(HEADINGS))
-    return {HEADINGS.get(key, outside(key)): _cell(runs, key) for key in keys}
+    return {_heading(key): _cell(runs, key) for key in keys}
+
+
+def _heading(key: str) -> str:
+    """`supports_mean` as `Mean supports`."""
+    words = outside(key).replace("_", " ").strip()
+    mean = f"Mean {words.removesuffix(' mean')}" if words.endswith(" mean") else words
+    return HEADINGS.get(key, mean[:1].upper() + mean[1:])
 
 
 def _cell(runs: Sequence[ReportRun], key: str) -> str:

@@ -194,7 +194,10 @@ def _untested(study: Study, found: Outcomes) -> str:
     reach = f"highest is {best} with {found.psnr[best].mean:.2f} dB"
     c = found.comparisons.get(best)
     if not found.comparisons:
-        return f"no method shares a seed with {study.baseline}, so nothing is compared; {reach}."
+        return (
+            f"{study.baseline} has no run of the same scene, seed and options as another method, so"
+            f" nothing is compared (method=baseline beside the others makes one); {reach}."
+        )
     if c is not None:
         side = "above" if c.difference >= 0 else "below"
         reach += f", {abs(c.difference):.2f} dB {side} {c.baseline}"

@@ -1,5 +1,5 @@
 """What a method does along a stress, in sentences. They claim a difference at a strength only where
-the interval drawn there, corrected for all strengths, excludes zero."""
+the interval drawn there, corrected for all strengths, methods and panels, excludes zero."""
 
 from __future__ import annotations
 

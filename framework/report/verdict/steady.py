@@ -22,7 +22,7 @@ def steady_sentence(found: Outcomes) -> str:
 
 def _nobody(found: Outcomes) -> str:
     """What a study of so many seeds could have noticed, where it noticed nothing."""
-    c = min(found.sigmas.values(), key=lambda c: (min(c.n, c.other_n), max(c.n, c.other_n)))
+    c = min(found.sigmas.values(), key=lambda c: c.detectable or 0.0)  # the least favourable
     seeds = f"{c.n} seeds" if c.n == c.other_n else f"{c.n} and {c.other_n} seeds"
     start = f"Steadier from seed to seed: nobody is shown to be. With {seeds}"
     if c.detectable is None:
