@@ -165,8 +165,8 @@ def discover() -> None:
             name = f"{package_name}.{module.name}"
             if name not in sys.modules:
                 _guarded(name, "repair it", functools.partial(importlib.import_module, name))
-    for file in own_plugins():
-        name = f"own_plugins.{file.stem}"
+    for place, file in own_plugins():
+        name = f"own_plugins.{place.removesuffix('.py').replace('/', '.')}"
         if name not in sys.modules:
             _guarded(str(file), "repair it", functools.partial(_import_file, name, file))
     for point in _installed():

@@ -9,7 +9,10 @@ Then every stage of `stages.py` on simulated processors: the libraries and the C
 leave out what lesser ones lack, and the kernels are compiled for them. LPIPS is left out of the one
 hash, as PyTorch's convolutions are other code on each.
 
-    python benchmarks/safety/determinism.py [--steps 300] [--output FILE.md] [--only threads|cpus]
+With --only plugins: which plugins' trainings follow the processor, as they use PyTorch's functions.
+
+    python benchmarks/safety/determinism.py [--steps 300] [--output FILE.md]
+        [--only threads|cpus|plugins]
 
 The suite compares the stages with `tests/golden/bits.json`. After a change that is meant to change
 numbers:
@@ -27,6 +30,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -70,13 +74,16 @@ CPUS: dict[str, dict[str, str]] = {
 }
 
 
-def stages(changes: dict[str, str], kernels: str | None = None) -> dict[str, str]:
+def stages(
+    changes: dict[str, str], kernels: str | None = None, names: Sequence[str] = ()
+) -> dict[str, str]:
     """Stage -> hash, computed where the environment has these `changes`; generated things are not
-    taken from a cache but the kernels, whose cache tells processors apart."""
+    taken from a cache but the kernels, whose cache tells processors apart. names: of the stages of
+    `stages.py`, without any the usual ones."""
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "FISHERSPLAT_CACHE": cache, **changes}
         environment["NUMBA_CACHE_DIR"] = kernels or _kernel_cache()
-        command = [sys.executable, str(STAGES)]
+        command = [sys.executable, str(STAGES), *names]
         done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     if done.returncode != 0:
         raise SystemExit(f"{command}: {done.stderr[-2000:]}")
@@ -119,6 +126,18 @@ def simulated() -> tuple[list[str], bool]:
         print(lines[-1], flush=True)
     lines += ["", f"{len(first)} stages, {len(hashes)} distinct hash."]
     return lines, len(hashes) == 1
+
+
+def of_plugins() -> list[str]:
+    """Which plugins' trainings are the same on libraries with and without vector instructions."""
+    here, there = (stages(changes, names=("plugins",)) for changes in ({}, SSE))
+    differ = sorted(words for words in here if here[words] != there[words])
+    same = sorted(here.keys() - set(differ))
+    return [
+        f"Trainings that are the same with SSE 4.2 alone ({len(same)}): {', '.join(same)}.",
+        "",
+        f"Those that differ ({len(differ)}): {', '.join(differ) or 'none'}.",
+    ]
 
 
 def update() -> None:
@@ -178,7 +197,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=300)
     parser.add_argument("--output", type=Path)
-    parser.add_argument("--only", choices=("threads", "cpus"))
+    parser.add_argument("--only", choices=("threads", "cpus", "plugins"))
     parser.add_argument("--update", action="store_true")
     arguments = parser.parse_args()
     if arguments.update:
@@ -187,6 +206,9 @@ def main() -> int:
     only = f" --only {arguments.only}" if arguments.only else ""
     lines = [f"`python benchmarks/safety/determinism.py --steps {arguments.steps}{only}`", ""]
     hashes, same = set[str](), True
+    if arguments.only == "plugins":
+        print("\n".join(of_plugins()))
+        return 0
     if arguments.only != "cpus":
         with tempfile.TemporaryDirectory() as folder:
             rows = measure(arguments.steps, Path(folder))

@@ -1,7 +1,8 @@
 """What every stage computes, as one SHA-256 each, printed as JSON; `determinism.py` compares them.
 
 Small, so that it also runs in the suite: the embedded scene and photos of another one, depth,
-initial Gaussians, trainings with every kind of plugin, metrics, a report.
+initial Gaussians, trainings with plugins of every group, metrics, a report. Only when it is named,
+`plugins`: a training with each plugin there is.
 
     python benchmarks/safety/stages.py [STAGE ...]
 """
@@ -162,6 +163,27 @@ def training(folder: Path) -> dict[str, str]:
     return found
 
 
+def plugins(folder: Path) -> dict[str, str]:
+    """A short training with each plugin."""
+    from framework import registry
+    from framework.command import cli
+
+    registry.discover()
+    found = {}
+    size = [f"scene.{key}={value}" for key, value in SCENE.items()]
+    chosen = [f"{group}={name}" for group in registry.GROUPS for name in registry.names(group)]
+    chosen += ["init=patch_growth init.rounds=20", "init=epipolar", "trainer.opacity_spare=0.5"]
+    for k, words in enumerate(chosen):
+        run = folder / f"run{k}"
+        given = [*size, "depth.planes=48", *words.split(), f"trainer.steps={STEPS}", "threads=2"]
+        given += ["metrics.lpips_weights=none", f"hydra.run.dir={run}"]
+        code = cli.main(["scene=embedded", *given])
+        if code != 0:
+            raise SystemExit(f"{words}: exit code {code}")
+        found[words] = digest([(run / "point_cloud.ply").read_bytes()])
+    return found
+
+
 def _of_run(run: Path) -> Iterable[Any]:
     import pandas as pd
 
@@ -225,8 +247,9 @@ def report(folder: Path) -> dict[str, str]:
 
 STAGES: dict[str, Callable[[Path], dict[str, str]]] = {
     function.__name__: function
-    for function in (scene, photos, depth, init, training, metrics, report)
+    for function in (scene, photos, depth, init, training, metrics, report, plugins)
 }
+USUAL = tuple(name for name in STAGES if name != plugins.__name__)
 
 
 def main(argv: list[str]) -> int:
@@ -234,7 +257,7 @@ def main(argv: list[str]) -> int:
 
     found: dict[str, str] = {}
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(sys.stderr):
-        for name in argv or STAGES:
+        for name in argv or USUAL:
             (Path(folder) / name).mkdir()
             found |= STAGES[name](Path(folder) / name)
     print(json.dumps(found, indent=1))

@@ -157,4 +157,5 @@ def _unknown_key(error: OmegaConfBaseException) -> str | None:
         return None
     parent, _, key = str(error.full_key).rpartition(".")
     place = f" of {error.object_type.__name__}" if parent else ""
-    return f"{error.full_key}: unknown option{place}; {nearest_hint(key, known)}"
+    photos = "; for a folder of photos add scene=photos" if error.full_key == "scene.path" else ""
+    return f"{error.full_key}: unknown option{place}; {nearest_hint(key, known)}{photos}"

@@ -30,14 +30,25 @@ _STRICT: dict[str, Any] = {"nogil": True, "fastmath": False, "error_model": "num
 _COMPILED = re.compile(rb"^\s*(?:from|import) (?:numba|framework\.compute\.jit)\b", re.MULTILINE)
 
 
+_IMPORT = re.compile(rb"^from framework([.\w]*) import (\([^)]*\)|.*)$", re.MULTILINE)
+_CONSTANT = re.compile(rb"\b[A-Z][A-Z0-9_]+\b")
+
+
 def _sources_hash() -> str:
-    """Of every source that defines kernels or vector operations, or constants in them, and of
-    numba's version; a file that only speaks of them does not count."""
+    """Of every source that defines kernels or vector operations, of those that they have constants
+    from, which are compiled into them, and of numba's version; a file that only speaks of them does
+    not count."""
+    root = Path(__file__).parents[1]
+    sources = {path: path.read_bytes() for path in root.rglob("*.py")}
+    compiled = {path for path, source in sources.items() if _COMPILED.search(source)}
+    for path in tuple(compiled):
+        for module, names in _IMPORT.findall(sources[path]):
+            place = root.joinpath(*module.decode().strip(".").split("."))
+            if _CONSTANT.search(names):
+                compiled |= {place.with_suffix(".py"), place / "__init__.py"} & sources.keys()
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
-        source = path.read_bytes()
-        if _COMPILED.search(source) or path.name == "constants.py":
-            digest.update(path.name.encode() + source)
+    for path in sorted(compiled):
+        digest.update(path.relative_to(root).as_posix().encode() + sources[path])
     return digest.hexdigest()[:16]
 
 

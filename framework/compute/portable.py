@@ -160,6 +160,17 @@ def powers(x: ArrayLike, y: ArrayLike) -> Array:
     return _each(_powers, x, np.ascontiguousarray(y, np.float64).reshape(-1))
 
 
+def sigmoid(x: ArrayLike) -> Array:
+    """1 / (1 + e^-x), float64 of the shape of x."""
+    rest: Array = 1 / (1 + exp(-np.asarray(x, np.float64)))
+    return rest
+
+
+def logit(p: ArrayLike) -> Array:
+    """The x whose `sigmoid` is p in (0, 1), float64 of the shape of p."""
+    return log(p) - log1p(-np.asarray(p, np.float64))
+
+
 def arctan(x: ArrayLike) -> Array:
     """The angle in radians, float64 of the shape of x. Three halvings, then the series."""
     given = np.array(x, np.float64)

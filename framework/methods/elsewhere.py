@@ -5,8 +5,10 @@ loss between two renders. Light to import.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
+from framework.compute.portable import inverse, product
 from framework.plugin import StepContext
 
 if TYPE_CHECKING:
@@ -59,13 +61,13 @@ def unseen_camera(ctx: StepContext, rng: np.random.Generator, size_of: Camera) -
         camera = geometry.perturbed(first, torch.zeros(3, dtype=torch.float64), step)
         return Camera(camera.viewmat, size_of.K, size_of.width, size_of.height)
     others = [camera for camera in cameras if camera is not first]
-    other = min(others, key=lambda camera: float((camera.center - first.center).norm()))
+    other = min(others, key=lambda camera: math.dist(camera.center.tolist(), first.center.tolist()))
     a, b = (geometry.quaternions(camera.viewmat[:3, :3][None])[0] for camera in (first, other))
-    b = b if float(a @ b) >= 0 else -b
+    b = b if float((a * b).sum()) >= 0 else -b
     rotation = geometry.rotation_matrices(((1 - share) * a + share * b)[None])[0]
     center = (1 - share) * first.center + share * other.center
     viewmat = torch.eye(4, dtype=torch.float64)
-    viewmat[:3, :3], viewmat[:3, 3] = rotation, -rotation @ center
+    viewmat[:3, :3], viewmat[:3, 3] = rotation, torch.from_numpy(-product(rotation, center))
     return Camera(viewmat, size_of.K, size_of.width, size_of.height)
 
 
@@ -84,17 +86,17 @@ def seen_through(
     height, width = depth.shape
     x = torch.arange(width, dtype=torch.float64) + 0.5
     y = torch.arange(height, dtype=torch.float64)[:, None] + 0.5
-    relative = source.viewmat @ torch.linalg.inv(camera.viewmat)
-    shift = (source.K @ relative[:3, 3]).tolist()
-    turn = (source.K @ relative[:3, :3] @ torch.linalg.inv(camera.K)).tolist()
+    relative = product(source.viewmat, inverse(camera.viewmat))
+    shift = product(source.K, relative[:3, 3]).tolist()
+    turn = product(product(source.K, relative[:3, :3]), inverse(camera.K)).tolist()
     # a plane each of u z, v z, z: rows of the homography, told once and in float64
     u, v, z = (
         (row[0] * x + (row[1] * y + row[2])).float() * depth + by
         for row, by in zip(turn, shift, strict=True)
     )
     # to grid_sample's [-1, 1] at the borders of the image
-    inverse = 1 / z.clamp(min=SEEN)
-    u, v = (u * inverse) * (2 / source.width) - 1, (v * inverse) * (2 / source.height) - 1
+    disparity = 1 / z.clamp(min=SEEN)
+    u, v = (u * disparity) * (2 / source.width) - 1, (v * disparity) * (2 / source.height) - 1
     with torch.no_grad():
         valid = (z > SEEN) & (u.abs() <= 1) & (v.abs() <= 1) & (depth > 0)
     grid = torch.stack([u.clamp(-2, 2), v.clamp(-2, 2)], -1)

@@ -163,11 +163,17 @@ def _own_sources(root: Path) -> list[tuple[str, Path]]:
 
 
 def _foreign_sources() -> Iterable[tuple[str, Path]]:
-    yield from ((f"own {path.name}", path) for path in own_plugins())
+    yield from ((f"own {place}", file) for place, file in own_plugins())
     for point in sorted(entry_points(group=PLUGIN_ENTRY_POINTS), key=lambda p: (p.name, p.value)):
-        spec = importlib.util.find_spec(point.module)
-        if spec is not None and spec.origin is not None and Path(spec.origin).is_file():
-            yield f"entry point {point.name} = {point.value}", Path(spec.origin)
+        told = f"entry point {point.name} = {point.value}"
+        spec = importlib.util.find_spec(point.module.partition(".")[0])  # with all that it imports
+        if spec is None:
+            continue
+        for folder in map(Path, spec.submodule_search_locations or ()):
+            for file in sorted(folder.rglob("*.py")):
+                yield f"{told}: {file.relative_to(folder).as_posix()}", file
+        if spec.submodule_search_locations is None and spec.origin is not None:
+            yield told, Path(spec.origin)
 
 
 def _finite(value: Any) -> Any:

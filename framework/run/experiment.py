@@ -210,6 +210,8 @@ def _steps_for_its_seconds(
     if options.seconds <= 0:
         return options, {}
     progress.stage(f"choosing steps for {options.seconds:g} s")
+    if run.force:
+        (run.folder / budget.FILE).unlink(missing_ok=True)
     choice = budget.chosen(
         run.folder,
         run.identity,

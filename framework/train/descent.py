@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from framework.compute import portable
 from framework.plugin import GradientAt, StepStats
 from framework.rasterizers import NUMBA, Rasterizer
 from framework.train.epoch import Item
@@ -127,12 +129,15 @@ def fade(params: Gaussians, in_logits: Tensor, fading: Fading) -> None:
     """
     with torch.no_grad():
         logits = params.opacity_logits
-        opacities = logits.sigmoid()
-        pull = in_logits.abs() / (opacities * (1 - opacities)).clamp(min=1e-12)
-        relative = pull / pull.mean().clamp(min=1e-30)
-        factors = 1 - (1 - fading.decay) * (-fading.spare * relative).exp()
-        faded = torch.logit((opacities * factors).clamp(min=1e-30))
-        logits.copy_(torch.where(factors < 1, faded, logits))  # an opacity of 1 has no logit
+        opacities = portable.sigmoid(logits.cpu().numpy())
+        pull = np.abs(in_logits.cpu().numpy()) / np.maximum(opacities * (1 - opacities), 1e-12)
+        relative = pull / max(float(pull.mean()), 1e-30)
+        factors = 1 - (1 - fading.decay) * portable.exp(-fading.spare * relative)
+        kept = factors < 1  # an opacity of 1 has no logit
+        faded = torch.from_numpy(portable.logit(np.where(kept, opacities * factors, 0.5)))
+        logits.copy_(
+            torch.where(torch.from_numpy(kept).to(logits.device), faded.to(logits), logits)
+        )
 
 
 def _summed(

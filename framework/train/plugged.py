@@ -133,10 +133,13 @@ class PluginsAtWork:
             factors, penalty, functools.partial(self._mixed, mixing) if mixing else None
         )
 
-    def evaluated(self, gaussians: Gaussians) -> Gaussians:
-        """What is evaluated and kept in the place of the trained `gaussians`."""
+    def evaluated(self, gaussians: Gaussians, done: int) -> Gaussians:
+        """What is evaluated and kept in the place of `gaussians`, trained for so many steps: by
+        regularizers that acted in the last of them."""
+        progress = max(done - 1, 0) / self._conditions.options.steps
         for running in self._regs:
-            if running.has("evaluated") and running.started:
+            active = running.started and running.plugged.active(progress)
+            if running.has("evaluated") and active:
                 plugin = running.plugged.plugin
                 gaussians = hooks.evaluated(plugin, plugin.evaluated(gaussians, running.state))
         return gaussians

@@ -137,7 +137,7 @@ class Trainer:
                 self.keeper.keep(self.state())
         self._tell_what_did_nothing()
         return Trained(
-            self.field.plugins.evaluated(self.field.params.detach().to("cpu")),
+            self.field.plugins.evaluated(self.field.params.detach().to("cpu"), self.step),
             self.background,
             self._sh_degree(),
             tuple(self.history),
@@ -270,7 +270,8 @@ class Trainer:
         psnr: float | None = None
         with self.watch.paused() as seconds:
             if evaluating and self.evaluate is not None:
-                gaussians = self.field.plugins.evaluated(self.field.params.clone().to("cpu"))
+                params = self.field.params.clone().to("cpu")
+                gaussians = self.field.plugins.evaluated(params, done)
                 psnr = self.evaluate(gaussians, self.background, self._sh_degree())
                 self.psnr = psnr
         self.history.append(

@@ -22,13 +22,15 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class AnchorDropout(Regularizer):
     """p: share of anchors at the end. neighbours: of each that go with it. refresh: share of the
-    training between two searches for neighbours. A changed set of Gaussians is searched at once."""
+    training between two searches for neighbours. A changed set of Gaussians is searched at once.
+    compensate: kept ones divided by their share; what ReDI-GS does was not found."""
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 
     p: float = 0.02
     neighbours: int = 10
     refresh: float = 0.1
+    compensate: bool = False
 
     def __post_init__(self) -> None:
         self.check("p", 0 < self.p < 1, "a number in (0, 1)")
@@ -71,4 +73,4 @@ class AnchorDropout(Regularizer):
             return None, state
         kept = (~dropped).float()
         kept[state[0][dropped].reshape(-1)] = 0
-        return kept, state
+        return kept / kept.mean().clamp(min=1e-6) if self.compensate else kept, state

@@ -28,13 +28,16 @@ NEIGHBOURS = 3
 @dataclass(frozen=True)
 class DepthDensity(Regularizer):
     """first, last: mean drop rate at the beginning and the end of the training, linear between.
-    refresh: share of the training after which scores are measured anew."""
+    refresh: share of the training after which scores are measured anew. compensate: kept ones times
+    1 / (1 - their odds), so that a render absorbs as much in expectation, as in DropGaussian, which
+    D2GS builds on; it does not say whether it does."""
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 
     first: float = 0.05
     last: float = 0.3
     refresh: float = 0.1
+    compensate: bool = True
 
     def __post_init__(self) -> None:
         self.check("first", 0 <= self.first < 1, "a share in [0, 1)")
@@ -63,7 +66,8 @@ class DepthDensity(Regularizer):
         rate = self.first + (self.last - self.first) * ctx.progress
         odds = (rate * state[0] / state[0].mean().clamp(min=1e-12)).clamp(max=1)
         draws = torch.from_numpy(ctx.rng("dropped").random(len(odds)))
-        return (draws >= odds).float(), state
+        kept = (draws >= odds).float()
+        return kept / (1 - odds).clamp(min=1e-6) if self.compensate else kept, state
 
 
 def scores(ctx: StepContext) -> Tensor:

@@ -57,7 +57,8 @@ class Frequency(Regularizer):
         z = ctx.gaussians.means.detach() @ camera.viewmat[2, :3].float()
         z = (z + float(camera.viewmat[2, 3])).clamp(min=ctx.near)[seen]
         # the view may be smaller than its photo: pixels are those of the photo
-        focal_px = float(camera.K[0, 0]) * ctx.views[0].camera.width / camera.width
+        widths = {photo.name: photo.camera.width for photo in ctx.views}
+        focal_px = float(camera.K[0, 0]) * widths.get(view.name, camera.width) / camera.width
         limit = torch.log(self.limit(ctx.progress) * z / focal_px)
         middle = ctx.gaussians.log_scales[seen].sort(1).values[:, 1]
         return (limit - middle).clamp(min=0).square().mean()

@@ -40,5 +40,7 @@ class Removal(Regularizer):
         """Opacities times 1 - p."""
         import torch
 
-        thin = ((1 - self.p) * gaussians.opacities).clamp(min=1e-30)
-        return gaussians.replace(opacity_logits=torch.logit(thin))
+        from framework.compute.portable import logit, sigmoid
+
+        thin = (1 - self.p) * sigmoid(gaussians.opacity_logits.detach().numpy())
+        return gaussians.replace(opacity_logits=torch.from_numpy(logit(thin)).float())

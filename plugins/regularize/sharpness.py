@@ -39,9 +39,16 @@ class Sharpness(Regularizer):
     def gradient(
         self, ctx: StepContext, state: Any, found: Mapping[str, Tensor], at: GradientAt
     ) -> Mapping[str, Tensor]:
+        import torch
+
+        from framework.compute.portable import exp
+
         gaussians, pull = ctx.gaussians, found["means"]
-        direction = pull / pull.norm(dim=1, keepdim=True).clamp(min=1e-30)
-        size = self.rho * gaussians.scales.mean(1, keepdim=True)
+        x, y, z = pull.double().unbind(1)
+        length = (x * x + y * y + z * z).sqrt()[:, None]
+        direction = (pull / length.clamp(min=1e-30)).float()
+        a, b, c = torch.from_numpy(exp(gaussians.log_scales.detach().numpy())).unbind(1)
+        size = (self.rho / 3 * (a + b + c)).float()[:, None]
         there = at(gaussians.replace(means=gaussians.means + size * direction))
         share = self.share
         return {

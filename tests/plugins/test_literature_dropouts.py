@@ -62,6 +62,10 @@ def test_near_and_crowded_ones_are_dropped_more_often() -> None:
     assert float(found[order[:1000]].mean()) > 1.5 * float(found[order[2000:]].mean())
     factors, state = DepthDensity(first=0.2, last=0.2).opacity_factors(ctx, None)
     assert factors is not None
-    assert float(1 - factors.mean()) == pytest.approx(0.2, abs=0.03)
+    assert float((factors == 0).float().mean()) == pytest.approx(0.2, abs=0.03)
+    odds = 0.2 * found / found.mean()
+    assert torch.allclose(factors, (factors > 0) / (1 - odds))  # 1 in expectation
+    bare = DepthDensity(first=0.2, last=0.2, compensate=False).opacity_factors(ctx, None)[0]
+    assert bare is not None and torch.equal(bare, (factors > 0).float())
     again = DepthDensity().opacity_factors(ctx, state)[1]
     assert again is state  # not measured anew for the same set

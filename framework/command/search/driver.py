@@ -78,7 +78,8 @@ class Trials:
             self.study.sampler = optuna.samplers.TPESampler(
                 seed=search.seed + begun, constant_liar=True
             )
-        self.left = search.trials - sum(trial.state.is_finished() for trial in self.study.trials)
+        done = (t for t in self.study.trials if t.state.is_finished() and WORDS in t.user_attrs)
+        self.left = search.trials - sum(1 for _ in done)
 
     def next(self) -> Iterator[tuple[int, list[str]]]:
         """(number, words) of the trials to do: first those that were under way."""
@@ -86,7 +87,6 @@ class Trials:
             if not trial.state.is_finished():
                 if WORDS not in trial.user_attrs:  # killed while it was suggested
                     self.study.tell(trial.number, state=self._optuna.trial.TrialState.FAIL)
-                    self.left += 1
                     continue
                 say(f"trial {trial.number}: goes on")
                 yield trial.number, list(trial.user_attrs[WORDS])

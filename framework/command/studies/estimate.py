@@ -77,7 +77,9 @@ def estimate(configs: Sequence[Config], try_out: Callable[[Config], Cost]) -> tu
         method, scene = by_method.get(_method(config), usual), by_scene.get(_scene(config), usually)
         step_s = method.step_s * scene.step_s / base.step_s
         trainer = config["trainer"]
-        total += trainer.get("seconds") or step_s * int(trainer["steps"])
+        views = config["scene"].get("n_views")
+        visits = int(trainer.get("visits") or 0) * (views if isinstance(views, int) else 0)
+        total += trainer.get("seconds") or step_s * max(int(trainer["steps"]), visits)
         total += scene.run_s
     return total, len(by_method) + len(by_scene) - 1
 
