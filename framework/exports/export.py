@@ -8,8 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from framework.arguments import Arguments
-from framework.errors import require
+from framework.errors import Arguments, require
 from framework.exports.formats import SUFFIXES, can_write, packed
 from framework.files.whole import make_folder, write_whole
 

@@ -8,8 +8,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from framework.arguments import Arguments
-from framework.errors import require
+from framework.errors import Arguments, require
 from framework.files.whole import write_whole
 
 if TYPE_CHECKING:

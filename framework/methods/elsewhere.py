@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from framework.compute.portable import inverse, product
 from framework.plugin import StepContext
 
 if TYPE_CHECKING:
@@ -51,6 +50,7 @@ def unseen_camera(ctx: StepContext, rng: np.random.Generator, size_of: Camera) -
     import torch
 
     from framework import geometry
+    from framework.compute.portable import product
     from framework.types import Camera
 
     cameras = [view.camera for view in ctx.views]
@@ -82,6 +82,8 @@ def seen_through(
     """
     import torch
     from torch.nn.functional import grid_sample
+
+    from framework.compute.portable import inverse, product
 
     height, width = depth.shape
     x = torch.arange(width, dtype=torch.float64) + 0.5

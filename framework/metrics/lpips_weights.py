@@ -22,8 +22,7 @@ import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from framework.arguments import Arguments
-from framework.errors import UserError, require
+from framework.errors import Arguments, UserError, require
 from framework.files.cache import cache_dir
 from framework.files.limits import MIB
 from framework.files.opened import file_size

@@ -8,8 +8,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from framework.arguments import Arguments
 from framework.errors import (
+    Arguments,
     UserError,
     memory_line,
     mendable,

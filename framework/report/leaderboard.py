@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
-from framework.arguments import Arguments
-from framework.errors import UserError, printable_line, require
+from framework.errors import Arguments, UserError, printable_line, require
 from framework.files.limits import RUNS
 from framework.files.whole import make_folder, write_whole
 from framework.report.figures.files import forest_picture

@@ -11,8 +11,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from framework.arguments import Arguments
-from framework.errors import printable_line, require
+from framework.errors import Arguments, printable_line, require
 from framework.files.whole import make_folder, write_whole
 from framework.records.record import METHOD_GROUPS, RECORD, Run, read_run
 from framework.report.figures.closeup import draw_closeup

@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from framework.arguments import Arguments
-from framework.errors import printable_line, require
+from framework.errors import Arguments, printable_line, require
 from framework.records.run_files import VIEW
 
 HTML = (".html", ".htm")

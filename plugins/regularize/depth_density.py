@@ -28,9 +28,9 @@ NEIGHBOURS = 3
 @dataclass(frozen=True)
 class DepthDensity(Regularizer):
     """first, last: mean drop rate at the beginning and the end of the training, linear between.
-    refresh: share of the training after which scores are measured anew. compensate: kept ones times
-    1 / (1 - their odds), so that a render absorbs as much in expectation, as in DropGaussian, which
-    D2GS builds on; it does not say whether it does."""
+    refresh: share of the training after which scores are measured anew. compensate: kept ones
+    are scaled up, times 1 / (1 - their odds). A render absorbs as much in expectation then, as in
+    DropGaussian, which D2GS builds on; it does not say whether it does so, too."""
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 

@@ -18,14 +18,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from framework.arguments import Arguments
 from framework.command.launchers.detached import detach
 from framework.command.launchers.known import missing_extra
 from framework.command.launchers.page import status, told, write_page
 from framework.command.launchers.plan import CANCELLED, PLAN, Plan, plans, read_plan
 from framework.command.studies.failures import conclude
 from framework.command.studies.study import JOBS_VARIABLE, add_outcome, build_reports, ledger
-from framework.errors import UserError, require
+from framework.errors import Arguments, UserError, require
 from framework.files.whole import write_whole
 from framework.records.progress import say
 

@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from framework.arguments import Arguments
 from framework.command.config.naming import study_dir
 from framework.command.config.schema import register_config
 from framework.command.config.trust import check_command
@@ -28,7 +27,7 @@ from framework.command.search.driver import HIGHER, Search, check_search, fixed_
 from framework.command.search.space import space_of
 from framework.command.search.trial import job_of
 from framework.command.studies.study import short_path
-from framework.errors import UserError, require
+from framework.errors import Arguments, UserError, require
 from framework.files.locks import locked
 from framework.records.progress import say
 from framework.scenes import HELD_OUT, UNTESTED
