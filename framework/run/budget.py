@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from framework.compute.stopwatch import Stopwatch
 from framework.errors import UserError
 from framework.files.documents import read_json
 from framework.files.limits import TEXT_BYTES
@@ -23,10 +22,12 @@ from framework.options import MOST_STEPS, TrainerOptions, members_of
 
 FILE = "budget.json"
 TRIAL_STEPS, TRIAL_EPOCHS = 40, 2  # of the trial, the more of both
+SHARE, LONGEST_S = 0.15, 20.0  # of the time asked for, and seconds, that a second trial may take
 WARM = 8  # steps of a first trial, which meets cold caches and is not counted
 SHORT = 150  # steps; a training below it takes more of them at half size, as preset=fast does
 
-Trial = Callable[[TrainerOptions], float]  # trains with these options; the seconds it took
+# trains with these options; the seconds by the wall clock that its steps took, without its start
+Trial = Callable[[TrainerOptions], float]
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,9 @@ def chosen(
 ) -> Choice:
     """The choice that an interrupted process of the same run left, else a new one, which is kept.
 
-    n_views: real training views. Measures for about `TRIAL_STEPS` steps.
+    n_views: real training views. Measures for about `TRIAL_STEPS` steps, then for `SHARE` of time:
+    the longer a training, the less is it like its beginning, when Gaussians are many and photos are
+    prepared.
     """
     kept = _kept(folder / FILE, identity)
     if kept is not None:
@@ -76,6 +79,9 @@ def chosen(
     steps = max(TRIAL_STEPS, TRIAL_EPOCHS * n_views)
     trial(dataclasses.replace(one, steps=WARM))
     step_s = max(1e-5, trial(dataclasses.replace(one, steps=steps)) / steps)
+    longer = int(min(SHARE * options.seconds, LONGEST_S) / step_s)
+    if longer > steps:
+        step_s = max(1e-5, trial(dataclasses.replace(one, steps=longer)) / longer)
     choice = choose(identity, options, n_views, step_s)
     write_whole(folder / FILE, json.dumps(dataclasses.asdict(choice)) + "\n")
     return choice
@@ -88,17 +94,6 @@ def choose(identity: str, options: TrainerOptions, n_views: int, step_s: float) 
     steps = max(1, total // members)
     coarse = options.coarse_until if steps >= SHORT else max(options.coarse_until, 0.5)
     return Choice(identity, options.seconds, step_s, steps, members, coarse)
-
-
-def timed(train: Callable[[TrainerOptions], object]) -> Trial:
-    """A trial by the clock of the wall."""
-
-    def seconds(options: TrainerOptions) -> float:
-        watch = Stopwatch()
-        train(options)
-        return watch.wall_s
-
-    return seconds
 
 
 def _kept(file: Path, identity: str) -> Choice | None:

@@ -13,7 +13,6 @@ import functools
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -217,7 +216,7 @@ def _steps_for_its_seconds(
         run.identity,
         options,
         len(run.scene.training.views),
-        budget.timed(partial(try_out, run, config)),
+        lambda trial: try_out(run, config, trial).wall_s,
     )
     progress.note(f"{choice.told['seconds']:g} s of training: {choice.told['repeat']}")
     return choice.applied(options), {"budget": choice.told}
