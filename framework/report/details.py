@@ -63,9 +63,10 @@ RATIOS = (
     " hold for the corrected test."
 )
 PAIRED = (
-    "p: Pitman–Morgan test of pairs, as a seed moves both methods (r: how alike), corrected for"
-    " {tests}. It is exact for normal errors; with heavy-tailed ones (t, 3 degrees of freedom) it"
-    " errs at 5 % in {sizes} of studies without a difference (simulated)."
+    "p: Pitman–Morgan test of pairs, as a seed moves both methods (r: how alike), of values and of"
+    " ranks, the larger p, corrected for {tests}. With normal errors it errs at most as often as it"
+    " says; with heavy-tailed ones (t, 3 degrees of freedom) at 5 % in {sizes} of studies without a"
+    " difference (simulated)."
 )
 INDEPENDENT = (
     "p: Brown–Forsythe test, as the methods share too few seeds, corrected for {tests}; at 5 % it"

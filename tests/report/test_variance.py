@@ -38,12 +38,14 @@ def test_without_common_seeds_it_is_scipys_levene_about_the_median() -> None:
 
 
 def test_common_seeds_are_pairs() -> None:
-    """p is that of the correlation of differences and sums; the interval ends where it refutes."""
+    """p is that of the correlation of differences and sums, of values or of ranks; the interval
+    ends where that of values refutes."""
     shared, own_a, own_b = stream(0, "pairs").standard_normal((3, 9))
     a, b = 0.5 * (shared + 0.3 * own_a), shared + 0.3 * own_b
     found = compare_sigmas("a", by_seed(a), "b", by_seed(b))
     assert found is not None and found.ratio is not None and found.interval is not None
-    assert found.paired and found.p == pytest.approx(stats.pearsonr(a - b, a + b).pvalue)
+    told = [test(a - b, a + b).pvalue for test in (stats.pearsonr, stats.spearmanr)]
+    assert found.paired and found.p == pytest.approx(max(told))
     assert found.rho == pytest.approx(np.corrcoef(a, b)[0, 1])
     for end in (found.interval.low, found.interval.high):
         assert stats.pearsonr(a - end * b, a + end * b).pvalue == pytest.approx(0.05, abs=1e-9)
@@ -53,20 +55,23 @@ def test_common_seeds_are_pairs() -> None:
 
 @pytest.mark.parametrize(("ratio", "rho"), [(1.0, 0.6), (0.5, 0.8), (0.4, 0.0), (2.0, 0.5)])
 def test_power_of_pairs_is_that_of_the_test(ratio: float, rho: float) -> None:
-    """Against other draws and scipy's own test; 5 % where there is nothing to find."""
+    """Against other draws and scipy's own tests; at most 5 % where there is nothing to find."""
     x, y = stream(8, "other pairs").standard_normal((2, 1500, 10))
     a, b = ratio * x, rho * x + np.sqrt(1 - rho**2) * y
-    found = np.mean(stats.pearsonr(a - b, a + b, axis=1).pvalue < 0.05)
+    values = stats.pearsonr(a - b, a + b, axis=1).pvalue
+    ranks = [stats.spearmanr(d, s).pvalue for d, s in zip(a - b, a + b, strict=True)]
+    found = np.mean(np.maximum(values, ranks) < 0.05)
     assert paired_power(ratio, rho, 10) == pytest.approx(found, abs=0.03)
     lowest = detectable(10, 10, 1, rho)
     assert lowest is not None and paired_power(lowest, rho, 10) == pytest.approx(0.8, abs=0.01)
-    assert heavy_size(10) > 0.06
+    assert ratio != 1 or found < 0.05
+    assert 0.04 < heavy_size(10) < 0.12
 
 
 def test_degenerate_deviations() -> None:
     assert compare_sigmas("a", by_seed([1.0, 2.0]), "b", by_seed([1.0, 2.0, 3.0])) is None
     alike = compare_sigmas("a", by_seed([1.0, 2.0, 4.0]), "b", by_seed([2.0, 4.0, 8.0]))
-    assert alike is not None and alike.p < 0.02 and alike.ratio == pytest.approx(0.5)
+    assert alike is not None and alike.p < 0.05 and alike.ratio == pytest.approx(0.5)
     same = compare_sigmas("a", by_seed([1.0] * 4), "b", by_seed([2.0] * 4))
     assert same is not None and same.p == 1.0 and same.ratio is None and same.seeds is None
     fixed = compare_sigmas("a", by_seed([1.0] * 4), "b", by_seed([1.0, 2.0, 3.0, 5.0]))

@@ -8,7 +8,7 @@ same question has the same answer everywhere.
   F = (N - 2) sum_g n_g (z_g - z)^2 / sum (z_gi - z_g)^2, refuted above the quantile of F(1, N - 2).
 - Pitman and Morgan (1939), of pairs, is the t test of the correlation of their differences and
   sums, which is (q^2 - 1) / sqrt((q^2 + 1)^2 - 4 rho^2 q^2) for a ratio q and pairs correlated by
-  rho. Under normal errors it errs exactly as often as it should.
+  rho. As a single outlier can make such a correlation, that of the ranks must agree.
 """
 
 from __future__ import annotations
@@ -55,24 +55,36 @@ def paired_power(ratio: float, rho: float, n: int, tests: int = 1) -> float:
         return 0.0
     mixed = math.sqrt(max((ratio**2 + 1) ** 2 - 4 * (rho * ratio) ** 2, 1e-12))
     c = (ratio**2 - 1) / mixed
-    x, xy, y = _products(n)
-    rest = math.sqrt(max(1 - c * c, 0.0))
-    variance = x * (c * c * x + 2 * c * rest * xy + rest * rest * y)
-    r = (c * x + rest * xy) / np.sqrt(variance)
-    limit = float(special.stdtrit(n - 2, 1 - SIGNIFICANCE / (2 * tests)))
-    return float(np.mean(np.abs(r) * math.sqrt(n - 2) > limit * np.sqrt(np.maximum(1 - r * r, 0))))
+    differences, rest = _pairs(n)
+    return _found(differences, c * differences + math.sqrt(max(1 - c * c, 0.0)) * rest, tests)
 
 
 @functools.cache
 def heavy_size(n: int) -> float:
     """How often the paired test errs at 5 % where both errors of a pair, independent of each other,
     are heavy-tailed: t with 3 degrees of freedom."""
-    draws = stream(0, f"pitman-morgan/heavy/{n}").standard_t(3, (2, _draws(n), n))
-    a, b = draws - draws.mean(axis=2, keepdims=True)
-    sums, differences = a + b, a - b
-    r = (sums * differences).sum(1) / np.sqrt((sums**2).sum(1) * (differences**2).sum(1))
-    limit = float(special.stdtrit(n - 2, 1 - SIGNIFICANCE / 2))
-    return float(np.mean(np.abs(r) * math.sqrt(n - 2) > limit * np.sqrt(1 - r * r)))
+    a, b = stream(0, f"pitman-morgan/heavy/{n}").standard_t(3, (2, FEWER_DRAWS, n))
+    return _found(a - b, a + b, 1)
+
+
+def uncorrelated(differences: np.ndarray, sums: np.ndarray) -> np.ndarray:
+    """Of every row of pairs' differences and sums [draws, n] the two-sided p of no correlation: the
+    larger one of their values' and of their ranks' (Pitman and Morgan 1939; McCulloch 1987), each
+    by t with n - 2 degrees of freedom."""
+    n = differences.shape[1]
+    ranks = [x.argsort(axis=1).argsort(axis=1).astype(np.float64) for x in (differences, sums)]
+    found = []
+    for x, y in ((differences, sums), ranks):
+        x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
+        size = np.sqrt((x * x).sum(1) * (y * y).sum(1))
+        r = (x * y).sum(1) / np.maximum(size, 1e-150)  # equal ones are not correlated
+        t = np.abs(r) * np.sqrt((n - 2) / np.maximum(1 - r * r, 1e-300))
+        found.append(2 * special.stdtr(n - 2, -t))
+    return np.maximum(*found)
+
+
+def _found(differences: np.ndarray, sums: np.ndarray, tests: int) -> float:
+    return float(np.mean(uncorrelated(differences, sums) < SIGNIFICANCE / tests))
 
 
 def detectable(n: int, other_n: int, tests: int = 1, rho: float | None = None) -> float | None:
@@ -80,7 +92,7 @@ def detectable(n: int, other_n: int, tests: int = 1, rho: float | None = None) -
     would find none, however small. rho: of pairs, None of independent samples."""
     if rho is None:
         return _lowest(lambda ratio: power(ratio, n, other_n, tests))
-    return _lowest(lambda ratio: paired_power(ratio, round(rho, 2), n, tests))
+    return _lowest(lambda ratio: paired_power(ratio, round(rho, 1), n, tests))
 
 
 def seeds_needed(ratio: float, tests: int = 1, rho: float | None = None) -> int | None:
@@ -89,7 +101,7 @@ def seeds_needed(ratio: float, tests: int = 1, rho: float | None = None) -> int 
     lower = min(ratio, 1 / ratio)
     if rho is None:
         return _fewest(lambda n: power(lower, n, n, tests))
-    return _fewest(lambda n: paired_power(lower, round(rho, 2), n, tests))
+    return _fewest(lambda n: paired_power(lower, round(rho, 1), n, tests))
 
 
 def _lowest(found: Callable[[float], float]) -> float | None:
@@ -133,8 +145,7 @@ def _distances(n: int, sample: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @functools.cache
-def _products(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """[draws] centred sums of squares and of products of n pairs of independent normal values."""
-    x, y = stream(0, f"pitman-morgan/{n}").standard_normal((2, _draws(n), n))
-    x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
-    return (x * x).sum(1), (x * y).sum(1), (y * y).sum(1)
+def _pairs(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Twice [draws, n] independent standard normal values."""
+    x, y = stream(0, f"pitman-morgan/{n}").standard_normal((2, FEWER_DRAWS, n))
+    return x, y

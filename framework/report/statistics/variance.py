@@ -3,9 +3,10 @@ seeds would tell?
 
 - Test of methods that share their seeds: Pitman and Morgan (1939). A seed moves both alike, so
   their values are pairs; where the deviations are equal, differences and sums of the pairs are not
-  correlated, which a t test of that correlation r_ds asks for, n - 2 degrees of freedom.
+  correlated, which a t test of that correlation asks for, of their values and of their ranks, as
+  one outlier can make a correlation of values; p is the larger one.
 - Interval of their ratio q: q sqrt(k -+ sqrt(k^2 - 1)), k = 1 + 2 (1 - r^2) t^2 / (n - 2), r the
-  correlation within pairs: the ratios that this test does not refute. Both for normal errors.
+  correlation within pairs: the ratios that the test of values does not refute, for normal errors.
 - Of methods that share fewer than three seeds: Brown and Forsythe (1974), an F test on the absolute
   distances from the median, and sd_a / sd_b over the quantiles of F(n_a - 1, n_b - 1).
 - What they find, how often they err and how many seeds they need is simulated (`power`).
@@ -31,7 +32,13 @@ from framework.report.statistics.estimates import (
     chi2_quantiles,
     t_quantile,
 )
-from framework.report.statistics.power import detectable, heavy_size, seeds_needed, size
+from framework.report.statistics.power import (
+    detectable,
+    heavy_size,
+    seeds_needed,
+    size,
+    uncorrelated,
+)
 
 MOST_ALIKE = 0.9999  # a correlation of exactly 1 would leave no noise to test against
 
@@ -102,20 +109,8 @@ def compare_sigmas(
         interval = _ratio_interval(ratio, len(a), len(b))
         return known(ratio=ratio, interval=interval, p=brown_forsythe(a, b))
     rho = min(max(float(np.corrcoef(a, b)[0, 1]), -MOST_ALIKE), MOST_ALIKE)
-    p, interval = pitman_morgan(ratio, rho, len(a))
-    return known(ratio=ratio, interval=interval, p=p, rho=rho)
-
-
-def pitman_morgan(ratio: float, rho: float, n: int) -> tuple[float, Interval]:
-    """Two-sided p of equal deviations of n pairs, and the interval of their ratio."""
-    mixed = math.sqrt((ratio**2 + 1) ** 2 - 4 * (rho * ratio) ** 2)
-    r = (ratio**2 - 1) / mixed  # of differences and sums
-    t = abs(r) * math.sqrt((n - 2) / max(1 - r * r, 1e-300))
-    limit = t_quantile(n - 2)
-    k = 1 + 2 * (1 - rho**2) * limit**2 / (n - 2)
-    low, high = (math.sqrt(k + sign * math.sqrt(k * k - 1)) for sign in (-1, 1))
-    p = 2 * float(special.stdtr(n - 2, -t))
-    return p, Interval(ratio * low, ratio * high)
+    p = float(uncorrelated((a - b)[None], (a + b)[None])[0])
+    return known(ratio=ratio, interval=_paired_interval(ratio, rho, len(a)), p=p, rho=rho)
 
 
 def sigmas_corrected(known: Mapping[str, SigmaComparison]) -> dict[str, SigmaComparison]:
@@ -170,6 +165,12 @@ def _freedom(relative_variance: float) -> float:
         above = 1 / float(_c4_of_freedom(middle)) ** 2 - 1 > relative_variance
         low, high = (middle, high) if above else (low, middle)
     return math.sqrt(low * high)
+
+
+def _paired_interval(ratio: float, rho: float, n: int) -> Interval:
+    k = 1 + 2 * (1 - rho**2) * t_quantile(n - 2) ** 2 / (n - 2)
+    low, high = (math.sqrt(k + sign * math.sqrt(k * k - 1)) for sign in (-1, 1))
+    return Interval(ratio * low, ratio * high)
 
 
 def _ratio_interval(ratio: float, n: int, other_n: int) -> Interval:
