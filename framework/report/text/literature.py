@@ -68,7 +68,10 @@ def recipe(run: ReportRun) -> str:
 
 
 def _of_dtu(study: Study, scene: str) -> bool:
-    return any(run.record.config["scene"]["name"] == "dtu" for run in study.of(scene))
+    return any(
+        run.record.config["scene"]["name"] == "dtu" or "scene=dtu" in run.record.overrides
+        for run in study.of(scene)
+    )
 
 
 def _row(
