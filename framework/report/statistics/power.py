@@ -27,6 +27,7 @@ POWER = 0.8
 FEWEST, MOST_SEEDS = 3, 200  # of a method
 SCANNED = 20  # below, a seed more may lower the power (odd samples hold their median): try each
 DRAWS, FEWER_DRAWS = 20_000, 4_000  # samples of up to `SCANNED` values, of more
+VALUES = 80_000  # at most, of all samples of pairs together, whose ranks take most of the time
 NO_SPREAD = 1e-6  # as a ratio
 
 
@@ -147,5 +148,6 @@ def _distances(n: int, sample: int) -> tuple[np.ndarray, np.ndarray]:
 @functools.cache
 def _pairs(n: int) -> tuple[np.ndarray, np.ndarray]:
     """Twice [draws, n] independent standard normal values."""
-    x, y = stream(0, f"pitman-morgan/{n}").standard_normal((2, FEWER_DRAWS, n))
+    draws = min(FEWER_DRAWS, VALUES // n)
+    x, y = stream(0, f"pitman-morgan/{n}").standard_normal((2, draws, n))
     return x, y
