@@ -56,11 +56,11 @@ BOTH_READINGS = (
     " χ with matched variance (Satterthwaite), normal errors, scenes independent."
 )
 RATIOS = (
-    "Ratio of the standard deviations over seeds. {test} Interval: of the row alone, the ratios"
-    " that the uncorrected test does not refute. Found 8 times in 10 below: the ratio that this"
-    " test would have found with these seeds; –: none, however small. Seeds needed: per method, for"
-    " this test to find the observed ratio 8 times in 10. Both are simulated with normal errors and"
-    " hold for the corrected test."
+    "Ratio of the standard deviations over seeds. {test} Interval: of the row alone, normal"
+    " errors: the ratios that the test of values does not refute. Found 8 times in 10 below: the"
+    " ratio that this test would have found with these seeds; –: none, however small. Seeds needed:"
+    " per method, for this test to find the observed ratio 8 times in 10. Both are simulated with"
+    " normal errors and hold for the corrected test."
 )
 PAIRED = (
     "p: Pitman–Morgan test of pairs, as a seed moves both methods (r: how alike), of values and of"

@@ -3,7 +3,7 @@
 With few photos half of what a test view shows may be seen by one photo alone, or be without
 texture; Gaussians hang there at any depth that gives the photo its colours. The prior is as old as
 stereo, here as Godard et al. 2017 have it (eq. 3). It holds where a mask says that colours do not
-count, too: a surface goes on there, and without its steps both DTU scenes lost 0.1 to 0.2 dB.
+count, too: a surface goes on there (`benchmarks/results/presets.md` has what that is worth).
 """
 
 from __future__ import annotations

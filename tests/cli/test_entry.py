@@ -61,6 +61,15 @@ def test_own_plugins_are_found_when_the_command_line_asks(tmp_path: Path) -> Non
     assert "Traceback" not in unasked.stderr
 
 
+def test_own_plugins_of_one_name_in_two_folders_are_both_found(tmp_path: Path) -> None:
+    for folder, name in (("reg", "of_mine"), ("more", "of_yours")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "same.py").write_text(OWN.replace("of_mine", name))
+    for name in ("of_mine", "of_yours"):
+        found = run(tmp_path, "--plugins", ".", f"reg={name}", "--cfg", "job")
+        assert found.returncode == 0 and f"name: {name}" in found.stdout, found.stderr
+
+
 @pytest.mark.parametrize("words", [["--plugins"], ["--plugins", "none"], ["--plugins=a=b"]])
 def test_a_folder_of_plugins_that_is_none(
     words: list[str], capsys: pytest.CaptureFixture[str]

@@ -42,6 +42,21 @@ def test_a_choice_is_kept_for_the_same_run_alone(tmp_path: Path) -> None:
     assert chosen(tmp_path, "other", MINUTE, 30, trial) != first and len(asked) == 4
 
 
+def test_a_long_training_is_tried_for_longer_but_not_for_long(tmp_path: Path) -> None:
+    """Steps that get cheaper, as those of a start with many Gaussians do."""
+    asked: list[int] = []
+
+    def trial(options: TrainerOptions) -> float:
+        asked.append(options.steps)
+        return 0.02 * options.steps + 1.0
+
+    hour = TrainerOptions(seconds=3600.0)
+    choice = chosen(tmp_path, "mine", hour, 3, trial)
+    assert asked[:2] == [8, 40] and len(asked) == 3
+    assert 3 * 40 < asked[2] <= 20 / 0.02  # at most LONGEST_S at the cost of a step
+    assert choice.step_s == pytest.approx(trial(TrainerOptions(steps=asked[2])) / asked[2])
+
+
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"steps": "many"}', "[" * 10_000])
 def test_a_damaged_choice_is_made_anew(tmp_path: Path, text: str) -> None:
     (tmp_path / FILE).write_text(text)

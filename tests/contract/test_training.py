@@ -165,3 +165,19 @@ def test_one_more_plugin_moves_no_other_draw(
 ) -> None:
     plain = bits(**{**others, group: NEUTRAL[group]})
     assert bits(**{**others, group: "drawing"}) == plain
+
+
+def test_a_regularizer_that_ended_has_no_word_in_what_is_evaluated() -> None:
+    """`reg=removal` thins opacities for the tests, where its dropout went on to the last step."""
+    thinned = {}
+    for stop in (0.5, 1.0):
+        reg = registry.build("reg", {"name": "removal", "start": 0.0, "stop": stop, "p": 0.5})
+        plugins = Plugins(
+            registry.build("augment", {"name": "none"}),
+            reg,
+            registry.build("capacity", {"name": "fixed"}),
+        )
+        trainer = Trainer(*_plane(1), TrainerOptions(steps=4, evaluations=1), plugins, 0, Silent())
+        kept = trainer.run().gaussians.opacities.mean()
+        thinned[stop] = float(kept / trainer.field.params.detach().opacities.mean())
+    assert thinned[0.5] == 1.0 and thinned[1.0] == pytest.approx(0.5, abs=1e-3)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from framework.compute.rng import stream
-from framework.report.figures.stress import Limit
+from framework.report.figures.stress import Limit, charts, limits, panels
 from framework.report.statistics.breakdown import break_down, gains_of_levels
 from framework.report.study.axes import STRESSES
+from framework.report.study.collect import collect
 from framework.report.verdict.limits import behind, sentence, verdict
+from tests.record.fakes import fake_run
 
 VIEWS = next(axis for axis in STRESSES if axis.short == "n_views")
 STRENGTH = next(axis for axis in STRESSES if axis.short == "strength")
@@ -52,6 +56,33 @@ def told(axis: Any, levels: list[float], gains: list[float], spread: float = 1.0
 )
 def test_the_sentence(axis: Any, levels: list[float], gains: list[float], expected: str) -> None:
     assert told(axis, levels, gains).startswith(expected)
+
+
+def test_intervals_hold_for_all_methods_and_panels_at_once(tmp_path: Path) -> None:
+    """Two methods at three numbers of views: six comparisons; what is drawn is what is said."""
+    for augment in ("none", "dba", "safi"):
+        for views in (2, 3, 4):
+            for seed in range(3):
+                name = f"{augment}-{views}-{seed}"
+                fake_run(tmp_path, augment, seed=seed, run_name=name, condition={"n_views": views})
+    study = collect(tmp_path)
+    (panel,) = panels(study)
+    found = limits(study, [panel])
+    assert len(found) == 2
+    for own in found:
+        for level, (mean, inside) in zip(own.levels, own.gains, strict=True):
+            mine, base = (
+                np.array([float(run.mean("psnr") or 0) for run in panel.runs[method][level]])
+                for method in (own.method, study.baseline)
+            )
+            gains = mine - base
+            alone = stats.sem(gains) * stats.t.ppf(1 - 0.05 / 2 / 6, 2)
+            assert inside is not None and mean == pytest.approx(np.mean(gains))
+            assert inside.high - mean == pytest.approx(alone, rel=1e-6)
+    drawn = charts(study, panel, found)[1].series
+    assert [p.y_high for s in drawn for p in s.points] == [
+        inside.high for own in found for _, inside in own.gains if inside
+    ]
 
 
 def test_the_verdict_of_a_stress() -> None:

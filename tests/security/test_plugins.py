@@ -58,6 +58,27 @@ def test_an_installed_entry_point_is(tmp_path: Path) -> None:
     assert "name: foreign" in done.stdout
 
 
+def test_all_of_a_package_counts_in_what_makes_a_run_the_same(tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    install(site, "")
+    (site / "foreign.py").unlink()
+    (site / "foreign").mkdir()
+    (site / "foreign" / "__init__.py").write_text("")
+    code = "from framework.records.provenance import code_hash; print(code_hash())"
+    hashes = []
+    for helper in ("A = 1\n", "A = 2\n"):
+        (site / "foreign" / "helper.py").write_text(helper)
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            env={**os.environ, "PYTHONPATH": f"{site}{os.pathsep}{ROOT}"},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        hashes.append(done.stdout)
+    assert hashes[0] != hashes[1]
+
+
 @pytest.mark.parametrize("source", ["import no_such_module", "1 / 0", "def"])
 def test_one_that_does_not_import_is_named_in_one_line(tmp_path: Path, source: str) -> None:
     install(tmp_path / "site", source)

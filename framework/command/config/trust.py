@@ -16,6 +16,7 @@ from __future__ import annotations
 import functools
 import math
 import os
+import sys
 import urllib.parse
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -147,7 +148,8 @@ def check_run_count(overrides: Sequence[Override], params: Mapping[Any, Any]) ->
 
 def check_method(overrides: Sequence[Override], swept: Iterable[Any]) -> None:
     """Raise UserError for a method both of whose choices are replaced without a word: by others on
-    the command line, or by those that a sweep has for each of its runs (swept)."""
+    the command line, or by those that a sweep has for each of its runs (swept). Where one of them
+    is replaced, tell it."""
     given = {override.get_key_element(): override.input_line for override in overrides}
     if "method" in given and {"augment", "reg"} <= {*given, *swept}:
         raise UserError(
@@ -158,7 +160,8 @@ def check_method(overrides: Sequence[Override], swept: Iterable[Any]) -> None:
     for group in ("augment", "reg"):
         if "method" in given and group in given:
             method, choice = given["method"], given[group]
-            print(f"note: {choice} takes the place of what {method} has as {group}")
+            told = f"note: {choice} takes the place of what {method} has as {group}"
+            print(told, file=sys.stderr)  # what --cfg prints is data
 
 
 def check_deleted(overrides: Iterable[Override]) -> None:

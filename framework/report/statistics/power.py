@@ -28,6 +28,7 @@ FEWEST, MOST_SEEDS = 3, 200  # of a method
 SCANNED = 20  # below, a seed more may lower the power (odd samples hold their median): try each
 DRAWS, FEWER_DRAWS = 20_000, 4_000  # samples of up to `SCANNED` values, of more
 VALUES = 80_000  # at most, of all samples of pairs together, whose ranks take most of the time
+LARGEST_Z = 3.0  # of Fisher's transform: a correlation of 0.995
 NO_SPREAD = 1e-6  # as a ratio
 
 
@@ -88,21 +89,29 @@ def _found(differences: np.ndarray, sums: np.ndarray, tests: int) -> float:
     return float(np.mean(uncorrelated(differences, sums) < SIGNIFICANCE / tests))
 
 
+@functools.cache
 def detectable(n: int, other_n: int, tests: int = 1, rho: float | None = None) -> float | None:
     """The ratio below 1 from which on the test finds a lower deviation with `POWER`; None where it
     would find none, however small. rho: of pairs, None of independent samples."""
     if rho is None:
         return _lowest(lambda ratio: power(ratio, n, other_n, tests))
-    return _lowest(lambda ratio: paired_power(ratio, round(rho, 1), n, tests))
+    return _lowest(lambda ratio: paired_power(ratio, _near(rho), n, tests))
 
 
+@functools.cache
 def seeds_needed(ratio: float, tests: int = 1, rho: float | None = None) -> int | None:
     """Seeds per method with which, and with one more, the test finds this ratio with `POWER`; None
     above `MOST_SEEDS`. rho: of pairs, None of independent samples."""
     lower = min(ratio, 1 / ratio)
     if rho is None:
         return _fewest(lambda n: power(lower, n, n, tests))
-    return _fewest(lambda n: paired_power(lower, round(rho, 1), n, tests))
+    return _fewest(lambda n: paired_power(lower, _near(rho), n, tests))
+
+
+def _near(rho: float) -> float:
+    """A correlation nearby that questions can share: in steps of its Fisher transform, which are
+    the smaller the nearer it is to 1, and never 1, where no pair differs from another by chance."""
+    return math.tanh(round(min(max(math.atanh(rho), -LARGEST_Z), LARGEST_Z), 1))
 
 
 def _lowest(found: Callable[[float], float]) -> float | None:

@@ -1,0 +1,69 @@
+"""Slips of a newcomer: each ends in one line that says what to type instead."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from framework.command.cli import main
+from framework.command.config.trust import quoted
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["seed=0,1"], "seed: expected one value, got several (0,1); add -m to make a run of each"),
+        (["method=safi,dba"], "method: expected one value, got several (safi,dba); add -m"),
+        (["~reg"], "~reg: expected a choice of reg, got none; write reg=NAME"),
+        (["reg="], "available: anchor_dropout, binocular, co_register"),
+        (["reg="], "uar, uar_hard, uniform"),
+        (["scene.path=photos"], "; for a folder of photos add scene=photos"),
+        (["report"], "report: expected DIR, got none; usage: "),
+        (["view"], "view: expected RUN, got none; usage: "),
+        (["export", "RUN", "--format", "foo"], "--format: expected 'ply', "),
+        (["search", "--trials", "x"], "--trials: expected an integer, got 'x'; usage: "),
+        (["compare", "A", "B", "--odd"], "expected only what the usage names, got --odd; usage: "),
+    ],
+)
+def test_a_slip_is_one_line(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert told in said and said.startswith("error: ") and said.count("\n") == 1
+
+
+def test_what_replaces_a_part_of_a_method_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["method=safi", "reg=uar", "--cfg", "job"]) == 0
+    said = capsys.readouterr()
+    assert said.err == "note: reg=uar takes the place of what method=safi has as reg\n"
+    assert "note:" not in said.out and "name: uar" in said.out
+
+
+@pytest.mark.parametrize(
+    ("typed", "read"),
+    [
+        ("scene.path=my phötos", "scene.path='my phötos'"),
+        ("scene.path=a&b", "scene.path='a&b'"),
+        ("scene.path=plain/of letters", "scene.path=plain/of letters"),
+        ("scene.path='é'", "scene.path='é'"),
+        ("scene.path=é,b", "scene.path=é,b"),  # a sweep
+        ("-m", "-m"),
+    ],
+)
+def test_letters_that_hydra_does_not_know(typed: str, read: str) -> None:
+    assert quoted(typed) == read
+
+
+def test_a_path_may_have_any_letters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "my phötos"
+    folder.mkdir()
+    assert main(["scene=photos", f"scene.path={folder}", f"hydra.run.dir={tmp_path / 'run'}"]) == 2
+    assert f"{folder}: expected photos" in capsys.readouterr().err
+
+
+def test_a_file_where_a_folder_goes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "notes").write_text("")
+    assert main(["trainer.steps=1", f"hydra.run.dir={tmp_path / 'notes'}"]) == 2
+    assert "notes: expected a folder or nothing yet, got a file" in capsys.readouterr().err
