@@ -162,6 +162,12 @@ class Regularizer(Plugin):
 
     group: ClassVar[str] = "reg"
 
+    @property
+    def turns(self) -> float:
+        """In which share of its steps it means to act; one that acts in less than half of them is
+        told of."""
+        return 1.0
+
     @classmethod
     def weighted(cls) -> bool:
         """`weight` multiplies the loss term and the losses of steps of its own."""

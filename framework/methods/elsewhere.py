@@ -81,7 +81,6 @@ def seen_through(
     [H, W], as the source measures it). Differentiable in image and depth.
     """
     import torch
-    from torch.nn.functional import grid_sample
 
     from framework.compute.portable import inverse, product
 
@@ -96,16 +95,34 @@ def seen_through(
         (row[0] * x + (row[1] * y + row[2])).float() * depth + by
         for row, by in zip(turn, shift, strict=True)
     )
-    # to grid_sample's [-1, 1] at the borders of the image
     disparity = 1 / z.clamp(min=SEEN)
-    u, v = (u * disparity) * (2 / source.width) - 1, (v * disparity) * (2 / source.height) - 1
+    u, v = u * disparity, v * disparity
     with torch.no_grad():
-        valid = (z > SEEN) & (u.abs() <= 1) & (v.abs() <= 1) & (depth > 0)
-    grid = torch.stack([u.clamp(-2, 2), v.clamp(-2, 2)], -1)
-    found = grid_sample(
-        image[None], grid[None], mode="bilinear", padding_mode="border", align_corners=False
-    )[0]
-    return found, valid, z
+        inside = (u >= 0) & (u <= source.width) & (v >= 0) & (v <= source.height)
+        valid = (z > SEEN) & inside & (depth > 0)
+    return bilinear(image, u, v), valid, z
+
+
+def bilinear(image: Tensor, u: Tensor, v: Tensor) -> Tensor:
+    """[C, h, w]: `image` [C, H, W] at pixels u, v [h, w] (centre of the first at 0.5), its border
+    repeated. Differentiable in all three. Products and sums one by one, whose bits are the same on
+    any processor; those of PyTorch's grid_sample are not."""
+    channels, height, width = image.shape
+    u, v = (u - 0.5).clamp(0, width - 1), (v - 0.5).clamp(0, height - 1)
+    left = u.detach().floor().clamp(max=max(width - 2, 0))
+    top = v.detach().floor().clamp(max=max(height - 2, 0))
+    right, down = u - left, v - top
+    flat, first = image.reshape(channels, -1), (top * width + left).long().reshape(-1)
+
+    def at(offset: int) -> Tensor:
+        index = (first + offset).expand(channels, -1)
+        return flat.gather(1, index).reshape(channels, *u.shape)
+
+    to_right, to_down = int(width > 1), width * int(height > 1)
+    near, far = at(0), at(to_down)
+    upper = near + right * (at(to_right) - near)
+    lower = far + right * (at(to_down + to_right) - far)
+    return upper + down * (lower - upper)
 
 
 def difference(first: Tensor, second: Tensor, ssim_weight: float) -> Tensor:
