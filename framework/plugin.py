@@ -162,16 +162,15 @@ class Regularizer(Plugin):
 
     group: ClassVar[str] = "reg"
 
-    @property
-    def turns(self) -> float:
-        """In which share of its steps it means to act; one that acts in less than half of them is
-        told of."""
-        return 1.0
-
     @classmethod
     def weighted(cls) -> bool:
         """`weight` multiplies the loss term and the losses of steps of its own."""
         return not (cls.loss is Regularizer.loss and cls.substeps is Regularizer.substeps)
+
+    def rests(self, step: int) -> bool:
+        """Whether it means to do nothing in this step, for instance in every second one: it is not
+        asked then, and the step is as cheap as one without it."""
+        return False
 
     def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
         """[N] float32 factors on the activated opacities for this update's renders, or None. A

@@ -53,6 +53,9 @@ class _Running:
         """Whether it does nothing by design; a class of tests may have no word on it."""
         return bool(getattr(self.plugged.plugin, "idle", False))
 
+    def rests(self, step: int) -> bool:
+        return bool(self.plugged.plugin.rests(step))
+
     def has(self, hook: str) -> bool:
         """Whether its class has this hook of a `Regularizer`, and not just the base class' own."""
         own = getattr(type(self.plugged.plugin), hook, None)
@@ -120,7 +123,7 @@ class PluginsAtWork:
         asked: list[tuple[_Running, StepContext]] = []
         for running in self._regs:
             context = self._context(running, now)
-            if context is None:
+            if context is None or (running.has("rests") and running.rests(now.step)):
                 continue
             asked.append((running, context))
             own = self._factors(running, context, len(params))
@@ -226,8 +229,7 @@ class PluginsAtWork:
     def _tell_of_regularizer(self, running: _Running) -> None:
         asked, acted = (self._dose[f"{running.owner}.{what}"][0] for what in ("asked", "acted"))
         plugged = running.plugged
-        meant = getattr(plugged.plugin, "turns", 1.0)  # a class of tests may have no word on it
-        if acted < HALF * meant * asked:
+        if acted < HALF * asked:
             LOG.warning(
                 f"reg={_name(plugged.plugin)}: changed only {acted} of the {asked} training steps"
                 f" between {running.owner}.start={plugged.start:g} and"

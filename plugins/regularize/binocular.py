@@ -50,9 +50,8 @@ class Binocular(Regularizer):
         self.check("agree", self.agree >= 0, "pixels, 0 or more")
         self.check("every", self.every >= 1, "an integer >= 1")
 
-    @property
-    def turns(self) -> float:
-        return 1 / self.every
+    def rests(self, step: int) -> bool:
+        return step % self.every > 0
 
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
         """Mean absolute difference of the warped render and the photo, over pixels and channels."""
@@ -60,7 +59,7 @@ class Binocular(Regularizer):
 
         from framework.geometry import mean_neighbour_distance
 
-        if ctx.step % self.every or all(view.name != photo.name for photo in ctx.views):
+        if all(view.name != photo.name for photo in ctx.views):
             return None
         spacing = mean_neighbour_distance([v.camera for v in ctx.views]) or ctx.extent
         t = self.shift * spacing * float(ctx.rng("shift").uniform(-1, 1))

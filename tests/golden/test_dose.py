@@ -217,6 +217,21 @@ def test_a_method_that_acts_on_less_than_half_is_told(caplog: pytest.LogCaptureF
     ]
 
 
+def test_nothing_is_asked_of_one_that_rests(caplog: pytest.LogCaptureFixture) -> None:
+    class Third(Regularizer):
+        def rests(self, step: int) -> bool:
+            return step % 3 > 0
+
+        def loss(self, ctx: Any, state: Any, view: Any, render: Any) -> Tensor:
+            total: Tensor = ctx.gaussians.opacities.mean()
+            return total
+
+    with caplog.at_level(logging.WARNING, "framework"):
+        trained, _ = train(plugins(**darker(), reg=Plugged(Third(), 1.0, 0.0, 1.0)), steps=15)
+    assert not caplog.records
+    assert trained.dose["reg.asked"][0] == trained.dose["reg.acted"][0] == 5
+
+
 def test_a_loss_term_is_an_act_however_many_views_a_step_has() -> None:
     class Faint(Regularizer):
         def loss(self, ctx: Any, state: Any, view: Any, render: Any) -> Tensor:

@@ -12,6 +12,7 @@ import torch
 
 from framework.compute.rng import stream
 from framework.methods.elsewhere import (
+    bilinear,
     correlation,
     difference,
     known_depth,
@@ -74,6 +75,27 @@ def test_seen_through_exact_depth_is_what_is_seen() -> None:
     )
     assert torch.allclose(same, views[0].image, atol=1e-3) and valid[1:-1, 1:-1].all()
     assert torch.allclose(there, depth[0].depth, atol=1e-4)
+
+
+@pytest.mark.parametrize("size", [(5, 7), (1, 4), (3, 1)])
+def test_pictures_are_sampled_as_pytorch_samples_them(size: tuple[int, int]) -> None:
+    """Values and gradients, on the border and beyond it too; but for the bits of the sums."""
+    draws = stream(0, "sampled")
+    image = torch.from_numpy(draws.random((2, *size))).float().requires_grad_()
+    u = torch.from_numpy(draws.uniform(-1, size[1] + 1, (6, 8))).float().requires_grad_()
+    v = torch.from_numpy(draws.uniform(-1, size[0] + 1, (6, 8))).float().requires_grad_()
+    grid = torch.stack([2 * u / size[1] - 1, 2 * v / size[0] - 1], -1)
+    theirs = torch.nn.functional.grid_sample(
+        image[None], grid[None], padding_mode="border", align_corners=False
+    )[0]
+    ours, pull = bilinear(image, u, v), torch.ones_like(theirs)
+    assert torch.allclose(ours, theirs, atol=1e-5)
+    for a, b in zip(
+        torch.autograd.grad(ours, [image, u, v], pull),
+        torch.autograd.grad(theirs, [image, u, v], pull),
+        strict=True,
+    ):
+        assert torch.allclose(a, b, atol=1e-4)
 
 
 def test_correlation_and_neighbours() -> None:
