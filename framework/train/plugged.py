@@ -54,7 +54,7 @@ class _Running:
         return bool(getattr(self.plugged.plugin, "idle", False))
 
     def rests(self, step: int) -> bool:
-        return bool(self.plugged.plugin.rests(step))
+        return self.has("rests") and bool(self.plugged.plugin.rests(step))
 
     def has(self, hook: str) -> bool:
         """Whether its class has this hook of a `Regularizer`, and not just the base class' own."""
@@ -104,7 +104,7 @@ class PluginsAtWork:
     def substeps(self, now: Moment, params: Gaussians, view: View) -> Iterator[SubStep]:
         """The losses that regularizers take steps of their own down, weighted."""
         for running in self._regs:
-            if not running.has("substeps"):
+            if not running.has("substeps") or running.rests(now.step):
                 continue
             context = self._context(running, now)
             if context is None:
@@ -123,7 +123,7 @@ class PluginsAtWork:
         asked: list[tuple[_Running, StepContext]] = []
         for running in self._regs:
             context = self._context(running, now)
-            if context is None or (running.has("rests") and running.rests(now.step)):
+            if context is None or running.rests(now.step):
                 continue
             asked.append((running, context))
             own = self._factors(running, context, len(params))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +14,7 @@ from torch import Tensor
 
 from framework import registry
 from framework.options import TrainerOptions
-from framework.plugin import Augmenter, Regularizer, StepContext
+from framework.plugin import Augmenter, Regularizer, StepContext, SubStep
 from framework.rasterize.losses import photometric_gradient
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
@@ -226,10 +227,14 @@ def test_nothing_is_asked_of_one_that_rests(caplog: pytest.LogCaptureFixture) ->
             total: Tensor = ctx.gaussians.opacities.mean()
             return total
 
+        def substeps(self, ctx: Any, state: Any, view: Any) -> Iterator[SubStep]:
+            yield ctx.gaussians.opacities.mean(), ("opacity_logits",)
+
     with caplog.at_level(logging.WARNING, "framework"):
         trained, _ = train(plugins(**darker(), reg=Plugged(Third(), 1.0, 0.0, 1.0)), steps=15)
     assert not caplog.records
     assert trained.dose["reg.asked"][0] == trained.dose["reg.acted"][0] == 5
+    assert trained.dose["substeps"][0] == 5
 
 
 def test_a_loss_term_is_an_act_however_many_views_a_step_has() -> None:
