@@ -109,7 +109,7 @@ class PluginsAtWork:
             context = self._context(running, now)
             if context is None:
                 continue
-            plugged = running.plugged
+            plugged, running.acted = running.plugged, False
             inside = replace(context, gaussians=on_cpu(params))
             for loss, names in plugged.plugin.substeps(inside, running.state, view):
                 checked = hooks.sub_step(plugged.plugin, loss, names)
@@ -126,6 +126,8 @@ class PluginsAtWork:
             if context is None or running.rests(now.step):
                 continue
             asked.append((running, context))
+            if now.turn > 0 or not running.has("substeps"):  # else these began the update
+                running.acted = False
             own = self._factors(running, context, len(params))
             if own is not None:
                 factors = own if factors is None else factors * own
@@ -259,7 +261,6 @@ class PluginsAtWork:
     def _factors(self, running: _Running, context: StepContext, n: int) -> Tensor | None:
         """What one regularizer multiplies opacities by, [N] or None."""
         plugin: Any = running.plugged.plugin
-        running.acted = False
         result = plugin.opacity_factors(context, running.state)
         factors, running.state = hooks.opacity_factors(plugin, result, n)
         if not running.idle:
