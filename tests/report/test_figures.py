@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ from PIL import Image
 
 from framework.report import build_report
 from framework.report.export import comparisons_tex
+from framework.report.figures import images
 from framework.report.figures.closeup import _window
+from framework.report.figures.images import BESIDE
 from framework.report.figures.tradeoff import charts
 from framework.report.parts.chart import Band, Chart, Point, Series
 from framework.report.parts.draw import draw
@@ -32,6 +35,27 @@ def study_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 fake_run(folder, augment, seed=seed, gain=gain, scene=scene)
     build_report(folder)
     return folder
+
+
+def test_every_render_stands_above_its_own_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With more methods than fit beside the ground truth, too."""
+    methods = ("none", "dba", "euclidean", "full_set", "safi", "mvs_warp")[: BESIDE + 1]
+    for augment in methods:
+        fake_run(tmp_path, augment, seed=0)
+    drawn: list[Any] = []
+    monkeypatch.setattr(images, "grid_picture", lambda *args, **_: drawn.extend(args[2]))
+    (scene,) = (study := collect(tmp_path)).scenes
+    images.draw_images(study, scene)
+    assert drawn
+    for band in drawn:
+        rows = [[cell.title.split("\n")[0] for cell in row] for row in band.groups]
+        assert [len(row) for row in rows] == [BESIDE + 1, BESIDE + 1, 2, 2]
+        for renders, errors in zip(rows[::2], rows[1::2], strict=True):
+            assert errors == ["", *(f"error: {name}" for name in renders[1:])]
+        shown = [name for row in rows[::2] for name in row[1:]]
+        assert len(set(shown)) == len(methods)
 
 
 def row(low: float, high: float, joint: bool) -> Row:
