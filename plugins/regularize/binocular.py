@@ -32,9 +32,9 @@ EDGE = 0.33  # how fast smoothing fades with a step of the image, whose values a
 @dataclass(frozen=True)
 class Binocular(Regularizer):
     """shift: largest move of the camera, in mean distances to the next camera. smooth: weight of
-    the disparity's smoothness, in pixels. agree: how far the depths of the two renders may be apart
-    for a pixel to count, as disparity in pixels between neighbouring cameras; 0: any, as in the
-    paper. every: the term acts in one of so many steps, so many times as much."""
+    the disparity's smoothness, in pixels. agree: pixels of disparity by which depths may differ
+    where a pixel counts; 0: any. every: it acts in one of so many steps, so many times as much.
+    """
 
     # the last third of 30,000 steps
     defaults: ClassVar[dict[str, float]] = {"start": 0.667}
