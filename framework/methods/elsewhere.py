@@ -109,8 +109,8 @@ def bilinear(image: Tensor, u: Tensor, v: Tensor) -> Tensor:
     any processor; those of PyTorch's grid_sample are not."""
     channels, height, width = image.shape
     u, v = (u - 0.5).clamp(0, width - 1), (v - 0.5).clamp(0, height - 1)
-    left = u.detach().floor().clamp(max=max(width - 2, 0))
-    top = v.detach().floor().clamp(max=max(height - 2, 0))
+    left, top = (t.detach().nan_to_num().floor() for t in (u, v))  # no index is NaN, values are
+    left, top = left.clamp(max=max(width - 2, 0)), top.clamp(max=max(height - 2, 0))
     right, down = u - left, v - top
     flat, first = image.reshape(channels, -1), (top * width + left).long().reshape(-1)
 

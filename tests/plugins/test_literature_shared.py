@@ -96,6 +96,8 @@ def test_pictures_are_sampled_as_pytorch_samples_them(size: tuple[int, int]) -> 
         strict=True,
     ):
         assert torch.allclose(a, b, atol=1e-4)
+    broken = torch.tensor([[math.nan, math.inf, 1.0]])
+    assert bilinear(image.detach(), broken, broken)[0, 0].isnan().tolist() == [True, False, False]
 
 
 def test_correlation_and_neighbours() -> None:
