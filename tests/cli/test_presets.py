@@ -170,7 +170,8 @@ def test_a_short_run_under_the_paper_s_conditions(tmp_path: Path) -> None:
 RECIPES = sorted(
     path.stem for path in (CONF_DIR / "method").glob("*.yaml") if path.stem not in PAIRS
 )
-OF_PAPERS = [name for name in RECIPES if not name.endswith("_here")]
+OURS = ("binocular_agreed",)  # a paper's idea made another, on our defaults as NAME_here are
+OF_PAPERS = [name for name in RECIPES if not name.endswith("_here") and name not in OURS]
 
 
 def test_the_recipes_are_those_of_the_study() -> None:
