@@ -66,7 +66,9 @@ class Binocular(Regularizer):
         beside = moved(view.camera, t)
         other = ctx.render(beside, ctx.gaussians, background=ctx.behind)
         depth = render.expected_depth
-        seen = torch.cat([other.rgb, other.expected_depth.detach()[None]])
+        seen = other.rgb
+        if self.agree > 0:
+            seen = torch.cat([seen, other.expected_depth.detach()[None]])
         warped, valid, there = seen_through(seen, depth, view.camera, beside)
         focal = float(view.camera.K[0, 0])
         if self.agree > 0:
