@@ -31,6 +31,8 @@ class TrainerOptions:
     sh_every: int = 0  # 0 = evenly over the first half of the training (3DGS: 1000 of 30k steps)
     ssim_weight: float = 0.4  # loss = (1 - w) L1 + w (1 - SSIM); 0.4 is sharper at the same PSNR
     depth_smoothness: float = 0.01  # weight of depth's steps where the photo has none; 0 = off
+    binocular: float = 1.0  # weight of a photo seen again from beside it, by its depth; 0 = off
+    binocular_from: float = 0.667  # share of the steps from which it is
     lr_scale: float = 5.0  # multiplies all learning rates
     lr_means: float = 9.6e-4  # in units of the scene extent
     lr_means_final: float = 0.01  # share of lr_means that is left at the end
@@ -65,6 +67,8 @@ class TrainerOptions:
         check("sh_every", self.sh_every >= 0, "an integer >= 0")
         check("ssim_weight", 0 <= self.ssim_weight <= 1, "a number in [0, 1]")
         check("depth_smoothness", 0 <= self.depth_smoothness <= 1e3, "a number in [0, 1000]")
+        check("binocular", 0 <= self.binocular <= 1e3, "a number in [0, 1000]")
+        check("binocular_from", 0 <= self.binocular_from <= 1, "a share in [0, 1]")
         for rate in ("lr_scale", "lr_means", "lr_sh0", "lr_opacities", "lr_scales", "lr_quats"):
             check(rate, 0 <= getattr(self, rate) < 1e3, "a number in [0, 1000)")
         for share in ("lr_means_final", "lr_final", "lr_shN_ratio", "opacity_decay"):

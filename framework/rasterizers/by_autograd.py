@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from framework.fisher.information import FisherInformation
-    from framework.types import Camera, Gaussians
+    from framework.types import Camera, Gaussians, Render
 
 
 @dataclass(frozen=True)
@@ -93,3 +93,10 @@ class ByAutograd(Rasterizer):
         from framework.rasterizers.torch_loss import roughness_gradient
 
         return roughness_gradient(alpha, depth, weights)
+
+    def binocular_gradient(
+        self, alpha: Any, depth: Any, beside: Render, target: Any, *numbers: float
+    ) -> tuple[Any, Any, Any]:
+        from framework.rasterizers.torch_loss import binocular_gradient
+
+        return binocular_gradient(alpha, depth, beside, target, *numbers)

@@ -134,3 +134,18 @@ class Rasterizer(ABC):
     def roughness_gradient(self, alpha: Any, depth: Any, weights: Tensor) -> tuple[Any, Any]:
         """The gradient in alpha and depth [H, W], as `render` or `render_gradient` has them, of
         `framework.rasterize.roughness`. weights: [2, H, W], on `device`."""
+
+    @abstractmethod
+    def binocular_gradient(
+        self,
+        alpha: Any,
+        depth: Any,
+        beside: Render,
+        target: Any,
+        moves: float,
+        tolerance: float,
+        weight: float,
+    ) -> tuple[Any, Any, Any]:
+        """The gradients of `framework.rasterize.binocular`, in alpha and depth [H, W], as `render`
+        or `render_gradient` has them, and in the colours of `beside`, which the moved camera sees.
+        target: the photo's."""

@@ -67,3 +67,14 @@ class Numba(Rasterizer):
         from framework.rasterize.roughness import roughness_gradient
 
         return roughness_gradient(np.asarray(alpha), np.asarray(depth), weights.numpy())
+
+    def binocular_gradient(
+        self, alpha: Any, depth: Any, beside: Render, target: Any, *numbers: float
+    ) -> tuple[Any, Any, Any]:
+        import numpy as np
+
+        from framework.rasterize.binocular import binocular_gradient
+
+        seen = tuple(t.detach().numpy() for t in (beside.rgb, beside.alpha, beside.depth))
+        of_photo = np.asarray(alpha), np.asarray(depth)
+        return binocular_gradient(*of_photo, seen, target.image, target.mask, *numbers)

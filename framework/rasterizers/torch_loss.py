@@ -1,5 +1,5 @@
 """The photometric loss of `framework.rasterize.losses`, and the gradient of
-`framework.rasterize.roughness`, in torch, on any device."""
+`framework.rasterize.roughness` and `binocular`, in torch, on any device."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d
 
+from framework.types import Render
+
 RADIUS, SIGMA = 5, 1.5  # pixels, of the window
 C1, C2 = 0.01**2, 0.03**2
 SEEN = 1e-6  # alpha from which a pixel shows something
+WHOLE = 0.999  # of a mask, from which a pixel is in it
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,46 @@ def roughness_gradient(alpha: Tensor, depth: Tensor, weights: Tensor) -> tuple[T
         pull.narrow(axis, 0, n).sub_(step)
     pull = pull * inverse
     return pull, -pull * disparity
+
+
+def binocular_gradient(
+    alpha: Tensor,
+    depth: Tensor,
+    beside: Render,
+    target: TorchTarget,
+    moves: float,
+    tolerance: float,
+    weight: float,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """In alpha and depth [H, W], and in the colours of `beside`."""
+    leaves = [t.detach().requires_grad_() for t in (alpha, depth, beside.rgb)]
+    own = _disparities(*leaves[:2])
+    width = own.shape[1]
+    there = torch.arange(width, device=own.device) - moves * own
+    inside = (there >= 0) & (there <= width - 1)
+    left = there.detach().clamp(0, max(width - 2, 0)).floor().long()
+    share, right = there - left, (left + 1).clamp(max=width - 1)
+
+    def moved_back(planes: Tensor) -> Tensor:
+        near, far = (planes.gather(-1, i.expand_as(planes)) for i in (left, right))
+        return near + share * (far - near)
+
+    with torch.no_grad():
+        depths = _disparities(beside.alpha, beside.depth)
+        shown = (depths > 0).float()
+        counts = inside & (own > 0) & (moved_back(shown) == 1)
+        counts &= (moved_back(depths) - own).abs() < tolerance
+        if target.mask is not None:
+            counts &= target.mask > WHOLE
+    loss = weight * ((moved_back(leaves[2]) - target.image).abs() * counts).sum()
+    in_alpha, in_depth, in_rgb = torch.autograd.grad(loss, leaves)
+    return in_alpha, in_depth, in_rgb
+
+
+def _disparities(alpha: Tensor, depth: Tensor) -> Tensor:
+    """[H, W] inverse expected depth; 0 where nothing is seen."""
+    shows = (alpha > SEEN) & (depth > 0)
+    return torch.where(shows, alpha / torch.where(shows, depth, 1.0), 0.0)
 
 
 def _blurred(image: Tensor) -> Tensor:

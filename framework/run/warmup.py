@@ -68,7 +68,7 @@ class Warmup:
         chosen = depth | {group: config[group]["name"] for group in registry.GROUPS}
         chosen |= {"sh_degree": config["trainer"]["sh_degree"], "init": config["init"]["name"]}
         chosen |= {"rasterizer": build_rasterizer(config).name}
-        chosen |= {"smooth": config["trainer"]["depth_smoothness"] > 0}
+        chosen |= {key: config["trainer"][key] > 0 for key in ("depth_smoothness", "binocular")}
         # an option's value may call another kernel: warmed up once per process, without a word
         self.key = _key(chosen | {group: config[group] for group in (*registry.GROUPS, "depth")})
         self.markers = [KERNEL_CACHE / f"warm-{_key(names)}" for names in (chosen, depth)]
@@ -191,7 +191,11 @@ def _train(
     steps: int,
 ) -> None:
     options = dataclasses.replace(
-        TrainerOptions(**config["trainer"]), steps=steps, sh_every=1, evaluations=1
+        TrainerOptions(**config["trainer"]),
+        steps=steps,
+        sh_every=1,
+        evaluations=1,
+        binocular_from=0.0,
     )
     always = {"start": 0.0, "stop": 1.0}  # also what the user lets act for a short while only
     plugins = Plugins(

@@ -75,7 +75,7 @@ def descend(
     """
     first, rendered = items[0], {**rendered, "opacity_factors": acting.factors}
     where = _on(f"training step {step} on view", first)
-    looked_at = acting.penalty or acting.mixed or wanted or not fading.alike
+    looked_at = acting.penalty or acting.mixed or wanted or first.beside or not fading.alike
     if len(items) == 1 and not looked_at:
         how = (where, ssim_weight, rasterizer)
         loss, found = screen_gradient(params, first, *how, absolute=absolute, **rendered)

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from framework.compute.rng import stream
 from framework.rasterizers import NUMBA, Rasterizer
+from framework.train.binocular import Beside
 from framework.train.smoothness import DepthSmoothness
 from framework.types import PSEUDO, View
 
@@ -37,11 +38,13 @@ def ordered(
 @dataclass(frozen=True)
 class Item:
     """A view at the resolution that is trained now, on the CPU, with what the loss needs of it, on
-    the rasterizer's device. smoothing: the weights of its render's steps in depth, if any."""
+    the rasterizer's device. smoothing: the weights of its render's steps in depth, if any. beside:
+    the camera from which it is seen again in this step, if any."""
 
     view: View
     target: Any
     smoothing: Any = None
+    beside: Beside | None = None
 
 
 class Items:

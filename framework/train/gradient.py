@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import torch
@@ -12,6 +11,7 @@ from torch import Tensor
 
 from framework.plugin import StepStats
 from framework.rasterizers import NUMBA, Rasterizer, RenderGradient
+from framework.train.depth_terms import DepthTerms
 from framework.train.epoch import Item
 from framework.train.guard import check_loss
 from framework.types import Gaussians, Render, View
@@ -26,14 +26,18 @@ def screen_gradient(
     where: str,
     ssim_weight: float,
     rasterizer: Rasterizer = NUMBA,
+    absolute: bool = False,
+    terms: DepthTerms | None = None,
     **rendered: Any,
 ) -> tuple[float, RenderGradient]:
     """The loss on a view, and its gradient as far back as the rasterizer takes it at first, which
-    is the screen. What keeps depth smooth is in the gradient and not in the loss that is told.
+    is the screen. What is asked of depth is in the gradient and not in the loss that is told.
 
-    where: for messages. rendered: the options of `Rasterizer.render_gradient`. Raises Diverged when
-    the loss is not finite.
+    where: for messages. absolute, rendered: the options of `Rasterizer.render_gradient`. terms: of
+    depth, those of the view by default; the gradient in another render is left to who gave them.
+    Raises Diverged when the loss is not finite.
     """
+    terms = DepthTerms(params, item, rasterizer, **rendered) if terms is None else terms
     view, loss = item.view, 0.0
 
     def image_gradient(rgb: Any) -> Any:
@@ -42,15 +46,15 @@ def screen_gradient(
         check_loss(loss, where, params.detach())
         return gradient
 
-    smooth = None if item.smoothing is None else partial(_roughness, rasterizer, item.smoothing)
     found = rasterizer.render_gradient(
-        params, view.camera, image_gradient, depth_gradient=smooth, **rendered
+        params,
+        view.camera,
+        image_gradient,
+        absolute=absolute,
+        depth_gradient=terms if terms.any else None,
+        **rendered,
     )
     return loss, found
-
-
-def _roughness(rasterizer: Rasterizer, weights: Tensor, alpha: Any, depth: Any) -> tuple[Any, Any]:
-    return rasterizer.roughness_gradient(alpha, depth, weights)
 
 
 def view_gradient(
@@ -73,13 +77,17 @@ def view_gradient(
     if penalty is not None:
         loss, parameters, stats = _by_autograd(*how, penalty, rasterizer, **rendered)
         if absolute:
+            item = replace(item, smoothing=None, beside=None)  # it is of the colours alone
+            how = (params, item, where, ssim_weight)
             _, found = screen_gradient(*how, rasterizer, absolute=True, **rendered)
             found.pull_back()  # gives its workspace back
             stats = replace(stats, absolute=found.absolute)
         return loss, parameters, stats
-    loss, found = screen_gradient(*how, rasterizer, absolute=absolute, **rendered)
+    terms = DepthTerms(params, item, rasterizer, **rendered)
+    loss, found = screen_gradient(*how, rasterizer, absolute, terms, **rendered)
     parameters, means2d = found.pull_back()
-    return loss, parameters, step_stats(item, means2d, found.radii, found.absolute, **rendered)
+    stats = step_stats(item, means2d, found.radii, found.absolute, **rendered)
+    return loss, terms.added(parameters), stats
 
 
 def step_stats(
@@ -111,12 +119,12 @@ def _by_autograd(
     check_loss(float(loss.detach()), where, params.detach())
     loss = loss + penalty(view, render)  # one that is not finite is its plugin's
     tensors, outputs, pulls = dict(params.items()), [loss], [torch.ones_like(loss)]
-    if item.smoothing is not None:
-        of_depth = render.alpha.detach(), render.depth.detach(), item.smoothing
+    terms = DepthTerms(params, item, rasterizer, **rendered)
+    if terms.any:
         outputs += [render.alpha, render.depth]
-        pulls += map(torch.as_tensor, rasterizer.roughness_gradient(*of_depth))
+        pulls += map(torch.as_tensor, terms(render.alpha.detach(), render.depth.detach()))
     *gradients, means2d = torch.autograd.grad(
         outputs, [*tensors.values(), offset], pulls, materialize_grads=True
     )
     stats = step_stats(item, means2d, render.radii, **rendered)
-    return float(loss.detach()), dict(zip(tensors, gradients, strict=True)), stats
+    return float(loss.detach()), terms.added(dict(zip(tensors, gradients, strict=True))), stats

@@ -14,6 +14,7 @@ can be reached from here; `evaluate` is a callback that sees only the Gaussians.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -30,6 +31,7 @@ from framework.rasterizers import NUMBA, Rasterizer
 from framework.records.progress import Progress
 from framework.records.run_files import HistoryRow
 from framework.train import schedule
+from framework.train.binocular import Binocular
 from framework.train.context import Conditions, Moment
 from framework.train.descent import Fading, descend, substep
 from framework.train.dose import Dose
@@ -105,6 +107,7 @@ class Trainer:
                 gaussians, PluginsAtWork(plugins, conditions, Dose()), rasterizer
             )
         self.items = Items(options.pseudo_mean == "covered", rasterizer, self._smoothness())
+        self.binocular = self._binocular()
         self.pseudo: list[View] = []
         self.queue: list[tuple[View, ...]] = []
         self.step, self.epoch = 0, -1
@@ -210,10 +213,13 @@ class Trainer:
             self.epoch += 1
             self.pseudo = self.field.plugins.pseudo_views(self._now())
             self.queue = self._ordered()
-        return tuple(
+        real, *pseudo = (
             self.items.get(view, schedule.downsampling(self.options, self.step, view))
             for view in self.queue.pop()
         )
+        if self.binocular is not None:
+            real = replace(real, beside=self.binocular.beside(real.view, self.step))
+        return real, *pseudo
 
     def _ordered(self) -> list[tuple[View, ...]]:
         """The epoch's steps in their order; the last one is taken first."""
@@ -244,10 +250,18 @@ class Trainer:
         field.plugins.edits(self._now(0, field, other), stats, apply)
 
     def _smoothness(self) -> DepthSmoothness | None:
-        cameras = [view.camera for view in self.training.views]
-        spacing = mean_neighbour_distance(cameras) or self.extent
         weight = self.options.depth_smoothness
-        return DepthSmoothness(weight, spacing) if weight > 0 else None
+        return DepthSmoothness(weight, self._spacing()) if weight > 0 else None
+
+    def _binocular(self) -> Binocular | None:
+        weight, since = self.options.binocular, self.options.binocular_from
+        if weight == 0:
+            return None
+        return Binocular(weight, self._spacing(), math.ceil(since * self.options.steps), self.seed)
+
+    def _spacing(self) -> float:
+        """Mean distance of a training camera to the next; of a single one the extent."""
+        return mean_neighbour_distance([v.camera for v in self.training.views]) or self.extent
 
     def _sh_degree(self) -> int:
         stored = self.field.params.sh_degree

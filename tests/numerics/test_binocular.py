@@ -1,0 +1,194 @@
+"""A photo seen again from beside it: the gradient by hand, by autograd in float64, and by moving."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from framework.compute.parallel import set_threads
+from framework.options import TrainerOptions
+from framework.rasterize.binocular import binocular_gradient
+from framework.rasterizers import build_rasterizer
+from framework.train.binocular import AGREE, EVERY, SHIFT, Beside, Binocular
+from framework.train.epoch import Item
+from framework.train.gradient import view_gradient
+from framework.types import Camera, Render, View
+from tests.numerics.scenes import random_case
+
+SIZES = [(37, 53), (1, 20), (20, 1), (1, 1), (3, 70)]
+MOVES, TOLERANCE, WEIGHT = -3.7, 0.2, 0.3
+
+
+def drawn(seed: int, height: int = 37, width: int = 53) -> tuple[Tensor, Tensor, Render, Tensor]:
+    """alpha and depth, what the camera beside sees, and a photo; with holes in all."""
+    draw = torch.Generator().manual_seed(seed)
+
+    def rand(*shape: int) -> Tensor:
+        return torch.rand(*shape, generator=draw)
+
+    def render() -> tuple[Tensor, Tensor]:
+        alpha = rand(height, width).clamp(min=0.01)
+        depth = alpha * (1 + 0.3 * rand(height, width))
+        alpha[3:6, 4:9] = depth[3:6, 4:9] = 0
+        return alpha, depth
+
+    alpha, depth = render()
+    beside = Render(rand(3, height, width), *render(), torch.zeros(0))
+    return alpha, depth, beside, rand(3, height, width)
+
+
+def loss(alpha: Tensor, depth: Tensor, rgb: Tensor, beside: Render, photo: Tensor) -> Tensor:
+    """Pixel by pixel, for autograd; numbers as above."""
+    height, width = alpha.shape
+    total = rgb.new_zeros(())
+    for y in range(height):
+        for x in range(width):
+            if not float(alpha[y, x]) > 1e-6:
+                continue
+            disparity = alpha[y, x] / depth[y, x]
+            there = x - MOVES * disparity
+            if not 0 <= float(there) <= width - 1:
+                continue
+            left = min(int(there), max(width - 2, 0))
+            right = min(left + 1, width - 1)
+            if min(float(beside.alpha[y, left]), float(beside.alpha[y, right])) <= 1e-6:
+                continue
+            share = there - left
+            near, far = (float(beside.alpha[y, i] / beside.depth[y, i]) for i in (left, right))
+            if abs(near + float(share) * (far - near) - float(disparity)) >= TOLERANCE:
+                continue
+            seen = rgb[:, y, left] + share * (rgb[:, y, right] - rgb[:, y, left])
+            total = total + WEIGHT * (seen - photo[:, y, x]).abs().sum()
+    return total
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("name", ["numba", "reference"])
+def test_the_gradient_is_autograd_s(name: str, size: tuple[int, int]) -> None:
+    alpha, depth, beside, photo = drawn(1, *size)
+    wide = [t.double().requires_grad_() for t in (alpha, depth, beside.rgb)]
+    total = loss(*wide, beside, photo)
+    true = torch.autograd.grad(total, wide) if total.requires_grad else wide
+    if not total.requires_grad:  # nothing counts
+        true = [torch.zeros_like(t) for t in wide]
+    who = build_rasterizer({"rasterizer": {"name": name}})
+    target = who.target(photo, None)
+    found = who.binocular_gradient(alpha, depth, beside, target, MOVES, TOLERANCE, WEIGHT)
+    assert size[1] < 50 or all(t.abs().max() > 0 for t in true)
+    for mine, exact in zip(found, true, strict=True):
+        error = (torch.as_tensor(mine) - exact).abs().max()
+        assert error < 2e-5 * exact.abs().max() + 1e-9
+
+
+def test_the_same_bits_on_any_threads() -> None:
+    alpha, depth, beside, photo = drawn(2, 101, 67)
+    seen = tuple(t.numpy() for t in (beside.rgb, beside.alpha, beside.depth))
+    mask, numbers = np.ones((101, 67), np.float32), (MOVES, TOLERANCE, WEIGHT)
+    found = []
+    for threads in (1, 2, 5):
+        set_threads(threads)
+        given = alpha.numpy(), depth.numpy(), seen, photo.numpy(), mask, *numbers
+        found.append([g.tobytes() for g in binocular_gradient(*given)])
+    set_threads(0)
+    assert found[0] == found[1] == found[2]
+
+
+@pytest.mark.parametrize("name", ["numba", "reference"])
+def test_where_a_mask_has_no_photo_nothing_is_asked(name: str) -> None:
+    alpha, depth, beside, photo = drawn(3)
+    who = build_rasterizer({"rasterizer": {"name": name}})
+    mask = torch.zeros_like(alpha)
+    mask[20:] = 1
+    found = who.binocular_gradient(alpha, depth, beside, who.target(photo, mask), -3.7, 9.0, 0.3)
+    for gradient in map(torch.as_tensor, found):
+        assert float(gradient[..., :20, :].abs().max()) == 0
+        assert float(gradient[..., 20:, :].abs().max()) > 0
+
+
+def test_the_step_s_gradient_is_that_of_both_renders() -> None:
+    """What the term adds to the gradient in every parameter, with a penalty or without one, against
+    autograd through two renders; the loss that is told stays the photo's."""
+    case = random_case(6, n=60, margin=0.1)
+    params = case.gaussians.map(lambda t: t.detach().requires_grad_())
+    camera = case.camera
+    photo = torch.rand(3, camera.height, camera.width, generator=torch.Generator().manual_seed(0))
+    who = build_rasterizer({"rasterizer": {"name": "numba"}})
+    viewmat = camera.viewmat.clone()
+    viewmat[0, 3] -= 0.05
+    beside = Beside(
+        Camera(viewmat, camera.K, camera.width, camera.height),
+        moves=0.05 * float(camera.K[0, 0]),
+        tolerance=TOLERANCE,
+        weight=WEIGHT,
+    )
+    how = {"background": case.background, "opacity_factors": case.factors}
+    item = Item(View("v", camera, photo), who.target(photo, None))
+    watched = Item(item.view, item.target, beside=beside)
+
+    def penalty(view: View, render: Render) -> Tensor:
+        return 0 * render.rgb.sum()
+
+    own, other = (who.render(params, c, **how) for c in (camera, beside.camera))
+    leaves = [t.detach().requires_grad_() for t in (own.alpha, own.depth, other.rgb)]
+    found = who.binocular_gradient(
+        own.alpha.detach(), own.depth.detach(), other, item.target, beside.moves, TOLERANCE, WEIGHT
+    )
+    assert all(float(torch.as_tensor(f).abs().max()) > 0 for f in found), leaves
+    names = [name for name, _ in params.items()]
+    exact = torch.autograd.grad(
+        [own.alpha, own.depth, other.rgb],
+        [t for _, t in params.items()],
+        [torch.as_tensor(f) for f in found],
+        materialize_grads=True,
+    )
+    for asked in (None, penalty):
+        without = view_gradient(params, item, "here", 0.2, asked, who, **how)
+        plain = {name: gradient.clone() for name, gradient in without[1].items()}
+        loss, gradients, _ = view_gradient(params, watched, "here", 0.2, asked, who, **how)
+        assert loss == without[0]
+        for name, true in zip(names, exact, strict=True):
+            error = (gradients[name] - plain[name] - true).norm()
+            assert error <= 1e-4 * (true.norm() + plain[name].norm()) + 1e-9, name
+
+
+def view(focal: float = 80.0) -> View:
+    K = torch.tensor([[focal, 0, 2], [0, focal, 1.5], [0, 0, 1]], dtype=torch.float64)
+    return View("v", Camera(torch.eye(4, dtype=torch.float64), K, 4, 3), torch.zeros(3, 3, 4))
+
+
+def test_when_and_where_the_camera_is() -> None:
+    term = Binocular(weight=0.5, spacing=2.0, since=10, seed=0)
+    asked = [step for step in range(30) if term.beside(view(), step)]
+    assert asked == list(range(10, 30, EVERY))
+    places = []
+    for step in asked:
+        beside = term.beside(view(), step)
+        assert beside is not None
+        shift = float(beside.camera.center[0])
+        assert beside.camera.center.tolist()[1:] == [0, 0] and abs(shift) <= SHIFT * 2
+        assert beside.moves == pytest.approx(80 * shift)
+        assert beside.tolerance == pytest.approx(AGREE / (80 * 2))
+        assert beside.weight == pytest.approx(EVERY * 0.5 / 36)
+        places.append(shift)
+    assert min(places) < 0 < max(places)
+    other = Binocular(weight=0.5, spacing=2.0, since=10, seed=1).beside(view(), 10)
+    assert other is not None and float(other.camera.center[0]) != places[0]
+
+
+def test_it_means_the_same_at_another_size_and_scale() -> None:
+    """Twice the pixels: twice the disparity; ten times the scene: ten times the way."""
+    one, larger, wider = (
+        Binocular(1.0, spacing, 0, 0).beside(view(focal), 0)
+        for spacing, focal in ((1.0, 80.0), (10.0, 80.0), (1.0, 160.0))
+    )
+    assert one is not None and larger is not None and wider is not None
+    assert larger.moves / 10 == pytest.approx(one.moves)  # pixels at ten times the depth
+    assert larger.tolerance * 10 == pytest.approx(one.tolerance)
+    assert wider.moves == pytest.approx(2 * one.moves)
+    assert wider.tolerance * 2 == pytest.approx(one.tolerance)
+
+
+def test_the_trainer_s_default_and_that_of_the_paper_s_conditions() -> None:
+    assert TrainerOptions().binocular > 0
