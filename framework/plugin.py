@@ -167,11 +167,6 @@ class Regularizer(Plugin):
         """`weight` multiplies the loss term and the losses of steps of its own."""
         return not (cls.loss is Regularizer.loss and cls.substeps is Regularizer.substeps)
 
-    def rests(self, step: int) -> bool:
-        """Whether it means to do nothing in this step, for instance in every second one: it is not
-        asked then, and the step is as cheap as one without it."""
-        return False
-
     def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
         """[N] float32 factors on the activated opacities for this update's renders, or None. A
         step has one update, and another for every pseudo view with `trainer.pseudo_steps=own`."""

@@ -9,14 +9,14 @@ one of the two depths is wrong and its colour would be painted on what lies behi
 
 from __future__ import annotations
 
-import threading
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from framework.compute.jit import inlined, kernel
 from framework.compute.parallel import run_blocks
-from framework.rasterize.lending import Lender
+from framework.rasterize.lending import ThreadsLender
 from framework.rasterize.roughness import SEEN
 
 WHOLE = np.float32(0.999)  # a pixel of a mask that covers no less
@@ -28,6 +28,41 @@ def _disparities(alpha: Any, depth: Any, into: Any) -> None:
     """Inverse expected depth of a row; -1 where nothing is seen."""
     for x in range(len(into)):
         into[x] = alpha[x] / depth[x] if (alpha[x] > SEEN) & (depth[x] > _ZERO) else _NONE
+
+
+@inlined
+def _places(own: Any, beside: Any, mask: Any, numbers: Any, left: Any, share: Any) -> None:
+    """Of every pixel of a row: the pixel to the left of where it is seen from beside, how far it is
+    from there to the next, and into `own` its weight, 0 where it does not count."""
+    moves, tolerance, weight = numbers
+    width = len(own)
+    last, most = np.float32(width - 1), np.float32(max(width - 2, 0))
+    to_right = np.uint32(width > 1)
+    for x in range(width):
+        there = np.float32(x) - moves * own[x]
+        counts = (own[x] > _ZERO) & (mask[x] > WHOLE) & (there >= _ZERO) & (there <= last)
+        at = np.uint32(min(there, most)) if counts else np.uint32(0)
+        rest = there - np.float32(at) if counts else _ZERO
+        near, far = beside[at], beside[at + to_right]
+        apart = abs((near + rest * (far - near)) - own[x])
+        counts = counts & (near > _ZERO) & (far > _ZERO) & (apart < tolerance)
+        left[x], share[x] = at, rest
+        own[x] = weight if counts else _ZERO
+
+
+@inlined
+def _pull(rgb: Any, photo: Any, own: Any, left: Any, share: Any, in_rgb: Any, slope: Any) -> None:
+    """One colour of a row: the gradient in what is seen from beside, and added to `slope` how the
+    loss moves with the place where a pixel is seen."""
+    to_right = np.uint32(len(own) > 1)
+    for x in range(len(own)):
+        at, rest = left[x], share[x]
+        near, far = rgb[at], rgb[at + to_right]
+        error = near + rest * (far - near) - photo[x]
+        pull = own[x] if error > _ZERO else (-own[x] if error < _ZERO else _ZERO)
+        in_rgb[at] += pull * (_ONE - rest)
+        in_rgb[at + to_right] += pull * rest
+        slope[x] += pull * (far - near)
 
 
 @kernel
@@ -52,43 +87,31 @@ def binocular_rows(
     colours [3, H, W] that the camera beside it sees. The other arguments: `binocular_gradient`."""
     height, width = alpha.shape
     own, beside = np.empty(width, np.float32), np.empty(width, np.float32)
+    share, slope = np.empty(width, np.float32), np.empty(width, np.float32)
+    left = np.empty(width, np.uint32)
     for y in range(height * block // blocks, height * (block + 1) // blocks):
         _disparities(alpha[y], depth[y], own)
         _disparities(alpha_beside[y], depth_beside[y], beside)
-        in_alpha[y], in_depth[y] = _ZERO, _ZERO
-        in_rgb[:, y] = _ZERO
+        _places(own, beside, mask[y], (moves, tolerance, weight), left, share)
+        slope[:] = _ZERO
+        for c in range(3):
+            in_rgb[c, y] = _ZERO
+            _pull(rgb_beside[c, y], photo[c, y], own, left, share, in_rgb[c, y], slope)
+        to_alpha, to_depth, a, z = in_alpha[y], in_depth[y], alpha[y], depth[y]
         for x in range(width):
-            d = own[x]
-            there = np.float32(x) - moves * d
-            if not ((d > _ZERO) & (mask[y, x] > WHOLE) & (there >= _ZERO) & (there <= width - 1)):
-                continue
-            left = min(int(there), max(width - 2, 0))
-            right = min(left + 1, width - 1)
-            share = there - np.float32(left)
-            if (beside[left] < _ZERO) | (beside[right] < _ZERO):
-                continue
-            seen = beside[left] + share * (beside[right] - beside[left])
-            if abs(seen - d) >= tolerance:
-                continue
-            slope = _ZERO
-            for c in range(3):
-                near, far = rgb_beside[c, y, left], rgb_beside[c, y, right]
-                error = near + share * (far - near) - photo[c, y, x]
-                pull = weight if error > _ZERO else (-weight if error < _ZERO else _ZERO)
-                in_rgb[c, y, left] += pull * (_ONE - share)
-                in_rgb[c, y, right] += pull * share
-                slope += pull * (far - near)
-            in_alpha[y, x] = -moves * slope / depth[y, x]
-            in_depth[y, x] = -in_alpha[y, x] * d
+            counts = own[x] > _ZERO
+            pull = moves * slope[x] / z[x] if counts else _ZERO
+            to_alpha[x] = -pull
+            to_depth[x] = pull * (a[x] / z[x]) if counts else _ZERO
 
 
-_own = threading.local()
+_lender = ThreadsLender()
 
 
 def binocular_gradient(
     alpha: np.ndarray,
     depth: np.ndarray,
-    beside: tuple[np.ndarray, np.ndarray, np.ndarray],
+    beside: Sequence[np.ndarray],
     photo: np.ndarray,
     mask: np.ndarray,
     moves: float,
@@ -102,9 +125,8 @@ def binocular_gradient(
     [H, W]. moves: f t, pixels that a point at depth 1 moves to the left. tolerance: by which the
     inverse depths of a pixel may differ. weight: of a pixel and channel.
     """
-    if not hasattr(_own, "lender"):
-        _own.lender = Lender()  # this thread's, as trainings may run at the same time
-    found = _own.lender.lend([alpha.shape, alpha.shape, photo.shape])
+    found = _lender.lend([alpha.shape, alpha.shape, photo.shape])
     numbers = np.float32(moves), np.float32(tolerance), np.float32(weight)
     run_blocks(binocular_rows, alpha, depth, *beside, photo, mask, *numbers, *found)
-    return tuple(found)
+    in_alpha, in_depth, in_rgb = found
+    return in_alpha, in_depth, in_rgb

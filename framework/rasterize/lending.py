@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 from collections.abc import Sequence
 from itertools import accumulate
 from typing import Any
@@ -77,3 +78,15 @@ class Lender:
                 return buffer.arrays(shapes)
         self._buffers = [*self._buffers[-_KEPT + 1 :], _Buffer()]
         return self._buffers[-1].arrays(shapes)
+
+
+class ThreadsLender(threading.local):
+    """A lender for whoever has no workspace: every thread has its own, as trainings may run at the
+    same time."""
+
+    def __init__(self) -> None:
+        self._own = Lender()
+
+    def lend(self, shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
+        """As `Lender.lend`."""
+        return self._own.lend(shapes)

@@ -7,7 +7,6 @@ multiplies the render and the target, so nothing outside it leaks in; see `raste
 from __future__ import annotations
 
 import functools
-import threading
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +17,7 @@ from torch.autograd.function import once_differentiable
 
 from framework.compute.parallel import run_blocks
 from framework.rasterize import photometric
-from framework.rasterize.lending import Lender
+from framework.rasterize.lending import ThreadsLender
 
 
 @dataclass(frozen=True)
@@ -55,14 +54,7 @@ def _ones(height: int, width: int) -> np.ndarray:
     return np.ones((height, width), np.float32)
 
 
-_own = threading.local()
-
-
-def _lender() -> Lender:
-    """This thread's, as trainings may run at the same time."""
-    if not hasattr(_own, "lender"):
-        _own.lender = Lender()
-    return _own.lender  # type: ignore[no-any-return]
+_lender = ThreadsLender()
 
 
 def photometric_gradient(
@@ -74,7 +66,7 @@ def photometric_gradient(
         raise ValueError(
             f"photometric_loss: expected float32 {target.image.shape}, got {rgb.dtype} {rgb.shape}"
         )
-    gradient, sums = _lender().lend([rgb.shape, (2, *rgb.shape[:2])])
+    gradient, sums = _lender.lend([rgb.shape, (2, *rgb.shape[:2])])
     run_blocks(
         photometric.loss_and_gradient,
         rgb,

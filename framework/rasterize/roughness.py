@@ -7,14 +7,13 @@ weights w). A pixel that shows nothing is nobody's neighbour.
 
 from __future__ import annotations
 
-import threading
 from typing import Any
 
 import numpy as np
 
 from framework.compute.jit import inlined, kernel
 from framework.compute.parallel import run_blocks
-from framework.rasterize.lending import Lender
+from framework.rasterize.lending import ThreadsLender
 
 SEEN = np.float32(1e-6)  # alpha from which a pixel shows something
 _NONE, _ZERO = np.float32(-1), np.float32(0)
@@ -71,7 +70,7 @@ def roughness_rows(
             to_alpha[x], to_depth[x] = pull, -pull * d[x]
 
 
-_own = threading.local()
+_lender = ThreadsLender()
 
 
 def roughness_gradient(
@@ -79,8 +78,6 @@ def roughness_gradient(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The gradients of R in alpha and depth [H, W] float32, as `rasterize` gives them, in memory
     that is lent again once nobody holds it. weights: [2, H, W] float32."""
-    if not hasattr(_own, "lender"):
-        _own.lender = Lender()  # this thread's, as trainings may run at the same time
-    in_alpha, in_depth = _own.lender.lend([alpha.shape, alpha.shape])
+    in_alpha, in_depth = _lender.lend([alpha.shape, alpha.shape])
     run_blocks(roughness_rows, alpha, depth, weights, in_alpha, in_depth)
     return in_alpha, in_depth

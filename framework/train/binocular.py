@@ -3,8 +3,7 @@
 With few photos colours may be right at any depth. A camera beside the photo, whose own photo is not
 needed, tells: seen from there, Gaussians at a wrong depth are in the wrong place. The loss is
 Binocular-Guided 3DGS's (`framework.rasterize.binocular`), counted where both renders show the same
-surface, and asked in some steps only, as a render costs one. `docs/trainer.md` has what chose the
-numbers.
+surface. `benchmarks/results/presets.md` has what chose the numbers.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from framework.types import Camera, View
 
 SHIFT = 0.4  # largest move of the camera, in mean distances to the next training camera
 AGREE = 2.0  # pixels of disparity, from one training camera to the next, by which depths may differ
-EVERY = 2  # it is asked in one of so many steps, and counts so many times as much
 
 
 @dataclass(frozen=True)
@@ -41,13 +39,13 @@ class Binocular:
     seed: int
 
     def beside(self, view: View, step: int) -> Beside | None:
-        """The camera beside `view` in this step; None where nothing is asked."""
-        if step < self.since or step % EVERY:
+        """The camera beside `view` in this step; None before `since`."""
+        if step < self.since:
             return None
         draw = float(stream(self.seed, "binocular", step).uniform(-1, 1))
         shift = SHIFT * self.spacing * draw
         focal = float(view.camera.K[0, 0])
-        weight = EVERY * self.weight * view.weight / view.image.numel()
+        weight = self.weight * view.weight / view.image.numel()
         tolerance = AGREE / (focal * self.spacing)
         return Beside(_moved(view.camera, shift), focal * shift, tolerance, weight)
 

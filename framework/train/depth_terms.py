@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from framework.rasterizers import Rasterizer
+from framework.train.binocular import Beside
 from framework.train.epoch import Item
 from framework.types import Gaussians
 
@@ -37,14 +38,15 @@ class DepthTerms:
         if item.smoothing is not None:
             found.append(self._rasterizer.roughness_gradient(alpha, depth, item.smoothing))
         if item.beside is not None:
-            found.append(self._from_beside(alpha, depth))
-        if len(found) == 1:
-            return found[0]
-        in_alpha, in_depth = zip(*found, strict=True)
-        return in_alpha[0] + in_alpha[1], in_depth[0] + in_depth[1]
+            found.append(self._from_beside(item.beside, alpha, depth))
+        (in_alpha, in_depth), *others = found
+        for more_alpha, more_depth in others:
+            in_alpha += more_alpha
+            in_depth += more_depth
+        return in_alpha, in_depth
 
-    def _from_beside(self, alpha: Any, depth: Any) -> tuple[Any, Any]:
-        beside, tensors = self._item.beside, dict(self._params.items())
+    def _from_beside(self, beside: Beside, alpha: Any, depth: Any) -> tuple[Any, Any]:
+        tensors = dict(self._params.items())
         render = self._rasterizer.render(self._params, beside.camera, **self._rendered)
         in_alpha, in_depth, in_rgb = self._rasterizer.binocular_gradient(
             alpha, depth, render, self._item.target, beside.moves, beside.tolerance, beside.weight

@@ -53,9 +53,6 @@ class _Running:
         """Whether it does nothing by design; a class of tests may have no word on it."""
         return bool(getattr(self.plugged.plugin, "idle", False))
 
-    def rests(self, step: int) -> bool:
-        return self.has("rests") and bool(self.plugged.plugin.rests(step))
-
     def has(self, hook: str) -> bool:
         """Whether its class has this hook of a `Regularizer`, and not just the base class' own."""
         own = getattr(type(self.plugged.plugin), hook, None)
@@ -104,7 +101,7 @@ class PluginsAtWork:
     def substeps(self, now: Moment, params: Gaussians, view: View) -> Iterator[SubStep]:
         """The losses that regularizers take steps of their own down, weighted."""
         for running in self._regs:
-            if not running.has("substeps") or running.rests(now.step):
+            if not running.has("substeps"):
                 continue
             context = self._context(running, now)
             if context is None:
@@ -123,7 +120,7 @@ class PluginsAtWork:
         asked: list[tuple[_Running, StepContext]] = []
         for running in self._regs:
             context = self._context(running, now)
-            if context is None or running.rests(now.step):
+            if context is None:
                 continue
             asked.append((running, context))
             if now.turn > 0 or not running.has("substeps"):  # else these began the update

@@ -6,9 +6,7 @@ photo's rendered depth D, is compared with the photo, mean over all pixels of |m
 photo)|. Its code also smooths the disparity, sum of exp(-0.33 |dI|) |d(mask d)| per pixel, which
 the text does not say. Gradients go into both renders.
 
-`agree` and `every` are ours. Where the two renders show different surfaces, the depth is wrong in
-one of them, as at thin things near the camera, and the colour that is asked for would be painted on
-what is behind: `agree` leaves such pixels out. `every` takes the second render in some steps only.
+The trainer has a term of its own that came of it, `trainer.binocular`: `framework.train.binocular`.
 """
 
 from __future__ import annotations
@@ -32,31 +30,20 @@ EDGE = 0.33  # how fast smoothing fades with a step of the image, whose values a
 @dataclass(frozen=True)
 class Binocular(Regularizer):
     """shift: largest move of the camera, in mean distances to the next camera. smooth: weight of
-    the disparity's smoothness, in pixels. agree: pixels of disparity by which depths may differ
-    where a pixel counts; 0: any. every: it acts in one of so many steps, so many times as much.
-    """
+    the disparity's smoothness, in pixels."""
 
     # the last third of 30,000 steps
     defaults: ClassVar[dict[str, float]] = {"start": 0.667}
 
     shift: float = 0.4
     smooth: float = 0.0
-    agree: float = 0.0
-    every: int = 1
 
     def __post_init__(self) -> None:
         self.check("shift", 0 < self.shift <= 10, "a number in (0, 10]")
         self.check("smooth", self.smooth >= 0, "a number >= 0")
-        self.check("agree", self.agree >= 0, "pixels, 0 or more")
-        self.check("every", self.every >= 1, "an integer >= 1")
-
-    def rests(self, step: int) -> bool:
-        return step % self.every > 0
 
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
         """Mean absolute difference of the warped render and the photo, over pixels and channels."""
-        import torch
-
         from framework.geometry import mean_neighbour_distance
 
         if all(view.name != photo.name for photo in ctx.views):
@@ -66,21 +53,15 @@ class Binocular(Regularizer):
         beside = moved(view.camera, t)
         other = ctx.render(beside, ctx.gaussians, background=ctx.behind)
         depth = render.expected_depth
-        seen = other.rgb
-        if self.agree > 0:
-            seen = torch.cat([seen, other.expected_depth.detach()[None]])
-        warped, valid, there = seen_through(seen, depth, view.camera, beside)
-        focal = float(view.camera.K[0, 0])
-        if self.agree > 0:
-            apart = 1 / warped[3].clamp(min=NEAREST) - 1 / there.clamp(min=NEAREST)
-            valid = valid & (focal * spacing * apart.detach().abs() < self.agree)
+        warped, valid, _ = seen_through(other.rgb, depth, view.camera, beside)
         if view.mask is not None:
             valid = valid & (view.mask > 0.5)
-        loss = ((warped[:3] - view.image).abs() * valid).mean()
+        loss = ((warped - view.image).abs() * valid).mean()
         if self.smooth > 0:
+            focal = float(view.camera.K[0, 0])
             disparity = focal * abs(t) / depth.clamp(min=NEAREST) * valid
             loss = loss + self.smooth * roughness(disparity, view.image)
-        return self.every * loss
+        return loss
 
 
 def moved(camera: Camera, t: float) -> Camera:

@@ -107,7 +107,8 @@ def test_opacities_fade_in_real_updates_alone(monkeypatch: pytest.MonkeyPatch) -
         return step_from(self, found, rates, decay)
 
     monkeypatch.setattr(Adam, "step_from", noted)
-    _, names = train(plugins(**darker()), pseudo_steps="own", opacity_decay=0.9, pace_steps=0)
+    alone = {"binocular": 0.0, "pace_steps": 0}  # every update from one render
+    _, names = train(plugins(**darker()), pseudo_steps="own", opacity_decay=0.9, **alone)
     assert decays == [1.0 if update == ["dark"] else 0.9 for update in names]
 
 
@@ -218,11 +219,8 @@ def test_a_method_that_acts_on_less_than_half_is_told(caplog: pytest.LogCaptureF
     ]
 
 
-def test_nothing_is_asked_of_one_that_rests(caplog: pytest.LogCaptureFixture) -> None:
-    class Third(Regularizer):
-        def rests(self, step: int) -> bool:
-            return step % 3 > 0
-
+def test_steps_of_its_own_and_a_loss_are_one_act(caplog: pytest.LogCaptureFixture) -> None:
+    class Both(Regularizer):
         def loss(self, ctx: Any, state: Any, view: Any, render: Any) -> Tensor:
             total: Tensor = ctx.gaussians.opacities.mean()
             return total
@@ -231,10 +229,10 @@ def test_nothing_is_asked_of_one_that_rests(caplog: pytest.LogCaptureFixture) ->
             yield ctx.gaussians.opacities.mean(), ("opacity_logits",)
 
     with caplog.at_level(logging.WARNING, "framework"):
-        trained, _ = train(plugins(**darker(), reg=Plugged(Third(), 1.0, 0.0, 1.0)), steps=15)
+        trained, _ = train(plugins(**darker(), reg=Plugged(Both(), 1.0, 0.0, 1.0)), steps=15)
     assert not caplog.records
-    assert trained.dose["reg.asked"][0] == trained.dose["reg.acted"][0] == 5
-    assert trained.dose["substeps"][0] == 5
+    assert trained.dose["reg.asked"][0] == trained.dose["reg.acted"][0] == 15
+    assert trained.dose["substeps"][0] == 15
 
 
 def test_a_loss_term_is_an_act_however_many_views_a_step_has() -> None:

@@ -14,7 +14,6 @@ from framework.methods.elsewhere import (
     seen_through,
     unseen_camera,
 )
-from framework.types import Render
 from plugins.regularize.binocular import Binocular, moved
 from plugins.regularize.binocular import roughness as disparity_roughness
 from plugins.regularize.co_register import CoRegister
@@ -56,35 +55,6 @@ def test_a_scene_that_is_right_has_a_small_warping_loss(plugin: Any) -> None:
     assert right is not None and wrong is not None and right.requires_grad
     assert float(right) < 0.25 * float(wrong)
     assert plugin.loss(ctx, None, replace(view, name="pseudo"), render) is None
-
-
-def test_only_what_both_renders_show_alike_counts() -> None:
-    ctx = at_work()
-    view, render = ctx.views[0], ctx.render(ctx.views[0].camera, ctx.gaussians)
-    plain = Binocular().loss(ctx, None, view, render)
-    alike = Binocular(agree=1e6).loss(ctx, None, view, render)
-    some = Binocular(agree=0.2).loss(ctx, None, view, render)
-    assert plain is not None and alike is not None and some is not None
-    assert float(alike) == pytest.approx(float(plain), rel=1e-6)
-    assert 0 < float(some) < float(plain)
-
-    def nearer(*args: Any, **options: Any) -> Render:  # something hangs before the second camera
-        found = ctx.render(*args, **options)
-        return replace(found, depth=0.5 * found.depth)
-
-    apart = Binocular(agree=1.0).loss(replace(ctx, render=nearer), None, view, render)
-    assert apart is not None and float(apart) == 0.0
-
-
-def test_every_second_step_counts_twice() -> None:
-    ctx = at_work()
-    view, render = ctx.views[0], ctx.render(ctx.views[0].camera, ctx.gaussians)
-    once, half = Binocular(), Binocular(every=2)
-    alone, twice = once.loss(ctx, None, view, render), half.loss(ctx, None, view, render)
-    assert alone is not None and twice is not None
-    assert float(twice) == pytest.approx(2 * float(alone))
-    assert [half.rests(step) for step in range(4)] == [False, True, False, True]
-    assert not once.rests(1)
 
 
 def test_consistency_compares_with_a_render_that_lacks_some() -> None:
