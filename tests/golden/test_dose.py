@@ -112,6 +112,29 @@ def test_opacities_fade_in_real_updates_alone(monkeypatch: pytest.MonkeyPatch) -
     assert decays == [1.0 if update == ["dark"] else 0.9 for update in names]
 
 
+@pytest.mark.parametrize("how", ["joined", "own"])
+def test_the_second_camera_is_beside_photos_of_the_last_third_alone(
+    monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    watched: list[list[bool]] = []
+    update = Trainer._update
+
+    def noted(self: Trainer, items: list[Item], turn: int = 0) -> Any:
+        watched.append([item.beside is not None for item in items])
+        return update(self, items, turn)
+
+    monkeypatch.setattr(Trainer, "_update", noted)
+    trained, names = train(plugins(**darker()), pseudo_steps=how)
+    steps = [pair for pair in zip(names, watched, strict=True) if pair[0] != ["dark"]]
+    assert [beside[0] for _, beside in steps] == [False] * 9 + [True] * 3  # from 8.004 on
+    dark = [pair for pair in zip(names, watched, strict=True) if "dark" in pair[0]]
+    assert dark and not any(beside[update.index("dark")] for update, beside in dark)
+    plain, _ = train(plugins(**darker()), pseudo_steps=how, binocular=0.0)
+    assert parameters_sha256(plain.gaussians) != parameters_sha256(trained.gaussians)
+    # what is told of the loss is the photos' alone, until the term has moved something
+    assert plain.dose["loss.real"][0] == trained.dose["loss.real"][0]
+
+
 def test_every_update_has_draws_of_its_own_and_the_real_ones_are_the_plain_trainer_s() -> None:
     @dataclass(frozen=True)
     class Drawing(Regularizer):
