@@ -32,7 +32,7 @@ class TrainerOptions:
     ssim_weight: float = 0.4  # loss = (1 - w) L1 + w (1 - SSIM); 0.4 is sharper at the same PSNR
     depth_smoothness: float = 0.01  # weight of depth's steps where the photo has none; 0 = off
     binocular: float = 1.0  # weight of a photo seen again from beside it, by its depth; 0 = off
-    binocular_from: float = 0.667  # share of the steps from which it is
+    binocular_from: float = 0.667  # share of the steps from which it is, and after `enough_steps`
     lr_scale: float = 5.0  # multiplies all learning rates
     lr_means: float = 9.6e-4  # in units of the scene extent
     lr_means_final: float = 0.01  # share of lr_means that is left at the end
@@ -90,14 +90,18 @@ class TrainerOptions:
         check("tuning", 0 <= self.tuning <= 1, "a share in [0, 1]")
 
 
+def enough_steps(n_views: int) -> int:
+    """The steps of one training that `n_views` pay for, `ENOUGH_VISITS` of every view; beyond them
+    it learns few photos by heart."""
+    return max(ENOUGH_STEPS, ENOUGH_VISITS * n_views)
+
+
 def members_of(members: int, steps: int, n_views: int) -> int:
     """How many trainings a run has: `members`, or where that is 0 as many as `steps` in all allow.
 
-    One training takes the steps that `n_views` pay for, `ENOUGH_VISITS` of every view. Beyond them
-    it learns few photos by heart; several trainings from different draws, whose errors cancel, gain
-    more in the same time. What is u times enough goes to sqrt(2 u) trainings, so their number and
+    One training takes `enough_steps`. Beyond them several trainings from different draws, whose
+    errors cancel, gain more in the same time. What is u times enough goes to sqrt(2 u) trainings, so their number and
     their length grow alike: with four times the steps there are twice as many, each twice as long,
     which is sharper than more short ones at the same PSNR (benchmarks/results/presets.md).
     """
-    enough = max(ENOUGH_STEPS, ENOUGH_VISITS * n_views)
-    return members or min(SHARED_BY, max(1, math.isqrt(2 * steps // enough)))
+    return members or min(SHARED_BY, max(1, math.isqrt(2 * steps // enough_steps(n_views))))

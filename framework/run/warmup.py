@@ -195,6 +195,7 @@ def _train(
         steps=steps,
         sh_every=1,
         evaluations=1,
+        pace_steps=0,  # else so short a training does without the second camera
         binocular_from=0.0,
     )
     always = {"start": 0.0, "stop": 1.0}  # also what the user lets act for a short while only

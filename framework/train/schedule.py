@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from framework.compute import portable
-from framework.options import TrainerOptions, members_of
+from framework.options import TrainerOptions, enough_steps, members_of
 from framework.types import PSEUDO, View
 
 VIEWS_EXPONENT = 0.15  # with 43 views and 300 steps, 0.15 is the best of 0, 0.15, 0.25, 0.5
@@ -40,17 +40,21 @@ def paced(options: TrainerOptions, n_views: int) -> TrainerOptions:
       shorter one cannot take larger steps.
     - With V views, V - 1 others pull between two visits of one: the noise of the way grows with V,
       so rates fall with V^-VIEWS_EXPONENT (by trial).
+    - The second camera costs as much as a step, and a short training gains more from a step. So it
+      waits until a training has the steps that its views pay for.
     - Fading is a prior against Gaussians that no photo asks for. It competes with the rates, so it
       slows with them; and it holds once, not once per photo: each of V views does 1/V of it.
     """
     o = options
     fewer = min(1.0, o.pace_views / n_views) if o.pace_views else 1.0
     full_way = max(o.pace_steps, VISITS * n_views)
+    paid = enough_steps(n_views) if o.pace_steps else 0
     shorter = min(1.0, full_way / o.steps) if o.pace_steps else 1.0
     return replace(
         o,
         lr_scale=o.lr_scale * shorter * _power(fewer, VIEWS_EXPONENT),
         opacity_decay=_power(o.opacity_decay, shorter * fewer),
+        binocular_from=min(1.0, max(o.binocular_from, paid / o.steps)),
         pace_steps=0,
         pace_views=0,
     )

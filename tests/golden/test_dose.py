@@ -107,8 +107,8 @@ def test_opacities_fade_in_real_updates_alone(monkeypatch: pytest.MonkeyPatch) -
         return step_from(self, found, rates, decay)
 
     monkeypatch.setattr(Adam, "step_from", noted)
-    alone = {"binocular": 0.0, "pace_steps": 0}  # every update from one render
-    _, names = train(plugins(**darker()), pseudo_steps="own", opacity_decay=0.9, **alone)
+    options = {"opacity_decay": 0.9, "pace_steps": 0, "binocular": 0.0}
+    _, names = train(plugins(**darker()), pseudo_steps="own", **options)
     assert decays == [1.0 if update == ["dark"] else 0.9 for update in names]
 
 
@@ -124,12 +124,13 @@ def test_the_second_camera_is_beside_photos_of_the_last_third_alone(
         return update(self, items, turn)
 
     monkeypatch.setattr(Trainer, "_update", noted)
-    trained, names = train(plugins(**darker()), pseudo_steps=how)
+    own_pace = {"pseudo_steps": how, "pace_steps": 0}
+    trained, names = train(plugins(**darker()), **own_pace)
     steps = [pair for pair in zip(names, watched, strict=True) if pair[0] != ["dark"]]
     assert [beside[0] for _, beside in steps] == [False] * 9 + [True] * 3  # from 8.004 on
     dark = [pair for pair in zip(names, watched, strict=True) if "dark" in pair[0]]
     assert dark and not any(beside[update.index("dark")] for update, beside in dark)
-    plain, _ = train(plugins(**darker()), pseudo_steps=how, binocular=0.0)
+    plain, _ = train(plugins(**darker()), **own_pace, binocular=0.0)
     assert parameters_sha256(plain.gaussians) != parameters_sha256(trained.gaussians)
     # what is told of the loss is the photos' alone, until the term has moved something
     assert plain.dose["loss.real"][0] == trained.dose["loss.real"][0]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from framework.options import TrainerOptions
+from framework.run.members import tuning_options
 from framework.train import schedule
 
 BASE = TrainerOptions()
@@ -85,3 +88,17 @@ def test_many_photos_get_the_steps_that_visits_of_each_need() -> None:
 def test_members_that_were_asked_for_have_all_their_steps() -> None:
     options = TrainerOptions(steps=2400, members=2)
     assert schedule.shared(options, 3) == options
+
+
+def test_the_second_camera_waits_for_the_steps_that_the_views_pay_for() -> None:
+    def share(steps: int, n_views: int, **options: Any) -> float:
+        given = TrainerOptions(steps=steps, **options)
+        return schedule.paced(given, n_views).binocular_from
+
+    assert [share(steps, 3) for steps in (75, 300, 375, 600, 3000)] == [1, 1, 0.8, 0.667, 0.667]
+    assert share(2430, 43) == pytest.approx(1720 / 2430)
+    assert share(2000, 3, binocular_from=0.1) == pytest.approx(0.15)
+    assert share(75, 3, pace_steps=0) == 0.667
+    once = schedule.paced(TrainerOptions(steps=600), 3)
+    tuned = schedule.paced(tuning_options(once, 30), 3)
+    assert tuned.binocular_from == 0.667  # of its own steps, as in the members
