@@ -43,7 +43,12 @@ TRAININGS: dict[str, list[str]] = {
         "reg=uar_hard",
         "capacity=fisher_prune",
     ],
-    "second camera": ["augment=none", "reg=uar", "trainer.pace_steps=0", "trainer.binocular_from=0"],
+    "second camera": [
+        "augment=none",
+        "reg=uar",
+        "trainer.pace_steps=0",
+        "trainer.binocular_from=0",
+    ],
     "two members": ["augment=none", "reg=none", "trainer.members=2", "trainer.tuning=0.2"],
 }
 STEPS = 20
