@@ -100,8 +100,9 @@ def members_of(members: int, steps: int, n_views: int) -> int:
     """How many trainings a run has: `members`, or where that is 0 as many as `steps` in all allow.
 
     One training takes `enough_steps`. Beyond them several trainings from different draws, whose
-    errors cancel, gain more in the same time. What is u times enough goes to sqrt(2 u) trainings, so their number and
-    their length grow alike: with four times the steps there are twice as many, each twice as long,
-    which is sharper than more short ones at the same PSNR (benchmarks/results/presets.md).
+    errors cancel, gain more in the same time. What is u times enough goes to sqrt(2 u) trainings,
+    so their number and their length grow alike: with four times the steps there are twice as many,
+    each twice as long, which is sharper than more short ones at the same PSNR
+    (benchmarks/results/presets.md).
     """
     return members or min(SHARED_BY, max(1, math.isqrt(2 * steps // enough_steps(n_views))))
