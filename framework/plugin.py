@@ -67,7 +67,7 @@ class StepContext:
     others, from any camera, differentiable in both: in `Regularizer.loss` those of `ctx.gaussians`
     or some with parts detached, `ctx.gaussians.replace(means=ctx.gaussians.means.detach())`.
     fisher(camera): their information; fisher(camera, gaussians, sh_degree): that of others, for
-    instance a snapshot.
+    instance a snapshot; fisher(camera, mask=view.mask): that of the pixels which a photo has.
     rng(purpose): this plugin's own stream for this update. log(name, value): into the history, and
     its mean over the training into the run's dose. behind: [3], the background of this step's
     renders, another in every step with `trainer.background=random`. other: the second field of a

@@ -50,6 +50,7 @@ def fisher_in_torch(
     background: Tensor | None = None,
     sh_degree: int | None = None,
     near: float = 0.01,
+    mask: Tensor | None = None,
 ) -> FisherInformation:
     """As `information.fisher_information`; the result is on the CPU, the work where `gaussians`
     are."""
@@ -70,7 +71,7 @@ def fisher_in_torch(
         if degree > 0:
             slopes = _rows_of_gradient(seen.colors, [exact.means])[seen.index]
     on_screen = seen.radii(camera.width, camera.height) > 0
-    moments, through_colour, weights = _sums(seen, conics.detach(), camera, background)
+    moments, through_colour, weights = _sums(seen, conics.detach(), camera, background, mask)
     block, turns = _pulled_back(conics.detach(), jacobian, slopes, moments, through_colour, weights)
     logit_slope = 1 - exact.opacities.detach()[seen.index]
     shown = (seen.colors.detach() > 0) * weights[:, None]
@@ -139,7 +140,11 @@ def _batches(start: Tensor, pairs: int) -> Iterator[tuple[Tensor, int]]:
 
 
 def _sums(
-    seen: Footprints, conics: Tensor, camera: Camera, background: Tensor | None
+    seen: Footprints,
+    conics: Tensor,
+    camera: Camera,
+    background: Tensor | None,
+    mask: Tensor | None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Q [M, 6, 6], h [M, 3, 6] and W [M] of all footprints, float64."""
     lists = _lists(seen, camera)
@@ -151,6 +156,7 @@ def _sums(
     columns = [seen.means2d, shape, seen.opacities[:, None], seen.colors]
     flat = torch.cat(columns, 1).detach().float()
     flat = torch.cat([flat, flat.new_zeros(1, flat.shape[1])])  # an entry that fills up a list
+    shown = None if mask is None else mask.to(device) > 0.5
     behind = flat.new_zeros(3) if background is None else background.to(flat)
     found = flat.new_zeros(len(lists.footprint), len(POWERS) + 3 * len(MEMBERS) + 1)
     across = -(-camera.width // TILE)
@@ -160,7 +166,7 @@ def _sums(
         places = places.clamp(max=len(lists.footprint) - 1)
         rows = torch.where(real, lists.footprint[places], len(flat) - 1)
         corner = torch.stack([tiles % across, tiles // across], 1) * TILE
-        found[places[real]] = _tile_sums(flat[rows], corner, camera, behind)[real]
+        found[places[real]] = _tile_sums(flat[rows], corner, camera, behind, shown)[real]
     per_footprint = torch.segment_reduce(
         found[lists.by_footprint], "sum", lengths=lists.counts, initial=0
     ).double()
@@ -171,14 +177,19 @@ def _sums(
     return per_footprint[:, pick], through, per_footprint[:, -1]
 
 
-def _tile_sums(rows: Tensor, corner: Tensor, camera: Camera, background: Tensor) -> Tensor:
+def _tile_sums(
+    rows: Tensor, corner: Tensor, camera: Camera, background: Tensor, shown: Tensor | None
+) -> Tensor:
     """[B, K, 34]: sums over a tile's pixels of q dx^i e^j, of weight J_c m and of weight^2.
 
     rows [B, K, 9]: u, v, B / C, A - B^2 / C, C, opacity, colour of the tiles' lists. corner
-    [B, 2]: pixels."""
+    [B, 2]: pixels. shown [H, W] bool: those that count, or None: all."""
     side = torch.arange(TILE, device=rows.device)
     xs, ys = corner[:, :1] + side, corner[:, 1:] + side
     inside = ((ys < camera.height)[:, :, None] & (xs < camera.width)[:, None, :]).flatten(1)
+    if shown is not None:
+        columns, lines = xs.clamp(max=camera.width - 1), ys.clamp(max=camera.height - 1)
+        inside &= shown[lines[:, :, None], columns[:, None, :]].flatten(1)
     x = (xs + 0.5).to(rows)[:, None, :].expand(-1, TILE, -1).flatten(1)
     y = (ys + 0.5).to(rows)[:, :, None].expand(-1, -1, TILE).flatten(1)
     u, v, lean, narrow, c, opacity, red, green, blue = (t[..., None] for t in rows.unbind(2))

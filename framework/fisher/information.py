@@ -36,9 +36,11 @@ def fisher_information(
     background: Tensor | None = None,
     sh_degree: int | None = None,
     near: float = 0.01,
+    mask: Tensor | None = None,
 ) -> FisherInformation:
     """Information of `camera`'s image on each Gaussian, exactly: one render, one second-moment
-    pass, one pull-back (see `rasterize.information` for the equation). Arguments as `rasterize`."""
+    pass, one pull-back (see `rasterize.information` for the equation). mask [H, W]: pixels that it
+    has not, at or below 0.5, tell nothing. The other arguments as `rasterize`."""
     n = len(gaussians)
     degree = gaussians.sh_degree if sh_degree is None else min(sh_degree, gaussians.sh_degree)
     colour = np.zeros(3, np.float32) if background is None else background.numpy()
@@ -46,10 +48,12 @@ def fisher_information(
     arrays = [t.detach().contiguous().numpy() for _, t in gaussians.items()]
     arrays += [np.ones(n, np.float32), np.zeros((n, 2), np.float32)]
     (planes,) = work.images.lend([(4, camera.height, camera.width)])
-    image = Image(planes[:3], planes[3], np.empty((0, 0), np.float32))  # the moments need no depth
+    nothing = np.empty((0, 0), np.float32)
+    image = Image(planes[:3], planes[3], nothing)  # the moments need no depth
     radii = np.empty(n, np.float32)
     work.render(Arrays(*arrays), camera, colour, degree, near, image, radii)
-    work.blend_moments(image)
+    counted = nothing if mask is None else mask.detach().contiguous().numpy()
+    work.blend_moments(image, counted)
     block, diagonal = work.blocks.lend([(n, 6, 6), (n, 14)])
     work.information(block, diagonal)
     visible = torch.from_numpy(work.first[1:] > work.first[:-1])  # it has parts

@@ -117,7 +117,7 @@ def training_information(ctx: StepContext) -> TrainingInformation:
 
     total, colours = None, []
     for view in ctx.views:
-        own = ctx.fisher(view.camera)
+        own = ctx.fisher(view.camera, mask=view.mask)
         colours.append(own.diagonal[:, SH0:].clone())
         if total is None:
             total = FisherInformation(own.block.double(), own.diagonal.double(), own.visible)

@@ -298,9 +298,10 @@ class Workspace:
         self.cross = grown(self.cross, int(self.bounds[-1]))
         return self.slopes, self.cross
 
-    def blend_moments(self, image: Image) -> None:
+    def blend_moments(self, image: Image, mask: np.ndarray) -> None:
         """Second moments of the image's derivatives -> `sums`, and with view-dependent colour
-        `slopes` and `cross`; see `moments.blend_moments` and `information`."""
+        `slopes` and `cross`; see `moments.blend_moments` and `information`. mask: [H, W], or empty:
+        of all pixels."""
         self.sums = grown(self.sums, int(self.bounds[-1]))
         slopes, cross = self._direction_buffers()
         slots = self._scratch(self.slots)
@@ -328,6 +329,7 @@ class Workspace:
             self.parts,
             self.n_slots,
             image.rgb.reshape(-1),
+            mask.reshape(-1),
             self.sums.reshape(-1),
             slopes.reshape(-1),
             cross.reshape(-1),

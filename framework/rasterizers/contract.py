@@ -112,9 +112,10 @@ class Rasterizer(ABC):
         background: Tensor | None = None,
         sh_degree: int | None = None,
         near: float = 0.01,
+        mask: Tensor | None = None,
     ) -> FisherInformation:
         """Information of the camera's image on each Gaussian, on the CPU; see
-        `framework.fisher.information`."""
+        `framework.fisher.information`. mask: [H, W] on the CPU."""
 
     @abstractmethod
     def target(self, image: Tensor, mask: Tensor | None) -> Any:

@@ -107,11 +107,14 @@ def step_context(
         return seen if rasterizer.device == CPU else seen.to(CPU)
 
     def fisher(
-        camera: Camera, others: Gaussians | None = None, sh_degree: int | None = None
+        camera: Camera,
+        others: Gaussians | None = None,
+        sh_degree: int | None = None,
+        mask: Tensor | None = None,
     ) -> FisherInformation:
         chosen = gaussians if others is None else others
         degree = active if sh_degree is None else sh_degree
-        return rasterizer.fisher(chosen, camera, sh_degree=degree, **fixed)
+        return rasterizer.fisher(chosen, camera, sh_degree=degree, mask=mask, **fixed)
 
     def rng(purpose: str) -> np.random.Generator:
         turn = f"/{now.turn}" if now.turn else ""

@@ -113,7 +113,7 @@ class Safi(ThresholdAugmenter):
         from framework.fisher.scores import block_prior, shared_prior, variances
 
         gaussians, degree = ctx.gaussians.clone(), ctx.sh_degree
-        views = [self._information(ctx, gaussians, degree, v.camera) for v in ctx.views]
+        views = [self._information(ctx, gaussians, degree, v.camera, v.mask) for v in ctx.views]
         diagonals = [diagonal for _, diagonal in views]
         prior = shared_prior(diagonals, self.regulariser)
         unknown = tuple(variances(diagonal, prior) for diagonal in diagonals)
@@ -122,14 +122,23 @@ class Safi(ThresholdAugmenter):
         return Snapshot(gaussians, degree, unknown, blocks, of_blocks, ctx.epoch)
 
     def _information(
-        self, ctx: StepContext, gaussians: Gaussians, sh_degree: int, camera: Camera
+        self,
+        ctx: StepContext,
+        gaussians: Gaussians,
+        sh_degree: int,
+        camera: Camera,
+        mask: Tensor | None = None,
     ) -> tuple[Tensor | None, Tensor]:
-        """Fisher information of theta_0 in `camera`, float64, lengths in scene extents: None and
-        the [N, 14] diagonal; or the blocks [N, 6, 6] and the diagonal [N, 8] of the others."""
+        """Fisher information of theta_0 in `camera`, of a photo's `mask` [H, W] alone, float64,
+        lengths in scene extents: None and the [N, 14] diagonal; or the blocks [N, 6, 6] and the
+        diagonal [N, 8] of the others."""
         import torch
 
         factor = min(self.downscale, camera.width, camera.height)
-        information = ctx.fisher(camera.scaled(factor), gaussians, sh_degree)
+        small = camera.scaled(factor)
+        if mask is not None:
+            mask = mask[factor // 2 :: factor, factor // 2 :: factor][: small.height, : small.width]
+        information = ctx.fisher(small, gaussians, sh_degree, mask)
         unit = torch.ones(information.diagonal.shape[1], dtype=torch.float64)
         unit[:3] = ctx.extent
         diagonal = information.diagonal * unit**2

@@ -123,12 +123,12 @@ class Uar(DropoutRegularizer):
 
         from framework.fisher.scores import uncertainty
 
-        views = iter(ctx.views)
-        first = ctx.fisher(next(views).camera)
+        known, *views = ctx.views
+        first = ctx.fisher(known.camera, mask=known.mask)
         blocks, visible = first.block.double(), first.visible
         del first  # one at a time, and sums in place: new memory takes longer than the sums
         for view in views:
-            information = ctx.fisher(view.camera)
+            information = ctx.fisher(view.camera, mask=view.mask)
             blocks += information.block
             visible |= information.visible
             del information

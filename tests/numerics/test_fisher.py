@@ -50,7 +50,7 @@ def double(gaussians: Gaussians) -> Gaussians:
     return gaussians.map(lambda t: t.double())
 
 
-def brute_force(case: Case, sh_degree: int | None = None) -> Tensor:
+def brute_force(case: Case, sh_degree: int | None = None, mask: Tensor | float = 1.0) -> Tensor:
     """[N, 14, 14] float64: the blocks of J^T J in the order of PARAMETERS."""
     gaussians = double(case.gaussians)
 
@@ -62,7 +62,7 @@ def brute_force(case: Case, sh_degree: int | None = None) -> Tensor:
             background=case.background,
             sh_degree=sh_degree,
         )
-        return render.rgb.flatten()
+        return (render.rgb * mask).flatten()
 
     inputs = tuple(getattr(gaussians, name) for name in PARAMETERS)
     jacobians = torch.autograd.functional.jacobian(
@@ -84,9 +84,11 @@ def _form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> No
 FORM: dict[str, Any] = {"fisher": fisher_information}
 
 
-def information(case: Case, sh_degree: int | None = None) -> FisherInformation:
+def information(
+    case: Case, sh_degree: int | None = None, mask: Tensor | None = None
+) -> FisherInformation:
     return FORM["fisher"](  # type: ignore[no-any-return]
-        case.gaussians, case.camera, background=case.background, sh_degree=sh_degree
+        case.gaussians, case.camera, background=case.background, sh_degree=sh_degree, mask=mask
     )
 
 
@@ -116,6 +118,16 @@ def test_equals_the_sum_of_the_pixels_outer_products(seed: int) -> None:
     margin = cutoff_margin(project(double(case.gaussians), case.camera), case.camera)
     assert margin.min() > 1e-5, "a pixel at a cut-off: choose another scene"
     assert_equal(information(case), brute_force(case))
+
+
+@pytest.mark.parametrize("seed", SEEDS[:4])
+def test_what_a_mask_leaves_out_tells_nothing(seed: int) -> None:
+    case = scene(seed)
+    draws = torch.Generator().manual_seed(seed)
+    mask = (torch.rand(case.camera.height, case.camera.width, generator=draws) > 0.3).float()
+    assert_equal(information(case, mask=mask), brute_force(case, mask=mask))
+    whole, ones = information(case), information(case, mask=torch.ones_like(mask))
+    assert torch.equal(whole.block, ones.block) and torch.equal(whole.diagonal, ones.diagonal)
 
 
 @pytest.mark.parametrize(("length", "width"), [(0.5, 0.01), (2.0, 0.003), (8.0, 0.002)])

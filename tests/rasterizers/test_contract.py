@@ -118,12 +118,16 @@ def test_a_loss_of_all_that_is_rendered(rasterizer: Rasterizer) -> None:
         assert (ours - theirs).norm() <= 2e-3 * ours.norm() + 1e-9
 
 
+@pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_information(rasterizer: Rasterizer, seed: int) -> None:
+def test_information(rasterizer: Rasterizer, seed: int, masked: bool) -> None:
     """The kernels' own, whose truth is in tests/numerics/test_fisher.py, on the CPU."""
     case = scene(seed)
-    ours = NUMBA.fisher(case.gaussians, case.camera, background=case.background)
-    theirs = rasterizer.fisher(case.gaussians, case.camera, background=case.background)
+    size = case.camera.height, case.camera.width
+    mask = (torch.rand(size, generator=_draws(seed)) > 0.4).float() if masked else None
+    given = {"background": case.background, "mask": mask}
+    ours = NUMBA.fisher(case.gaussians, case.camera, **given)
+    theirs = rasterizer.fisher(case.gaussians, case.camera, **given)
     assert torch.equal(ours.visible, theirs.visible)
     for mine, other in ((ours.block, theirs.block), (ours.diagonal, theirs.diagonal)):
         assert other.device.type == "cpu" and other.dtype == torch.float32
