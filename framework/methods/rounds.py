@@ -112,12 +112,14 @@ class RoundsCapacity(PullCapacity):
 
 
 def training_information(ctx: StepContext) -> TrainingInformation:
-    """What the training views know about the current Gaussians."""
+    """What the training views know about the current Gaussians, of all pixels: a surface goes on
+    where a photo's mask ends, and other views look at it (with masks scan 24 has 3 % fewer
+    Gaussians and loses 0.03 dB after 300 steps, 0.16 after 1,000)."""
     from framework.fisher.information import FisherInformation
 
     total, colours = None, []
     for view in ctx.views:
-        own = ctx.fisher(view.camera, mask=view.mask)
+        own = ctx.fisher(view.camera)
         colours.append(own.diagonal[:, SH0:].clone())
         if total is None:
             total = FisherInformation(own.block.double(), own.diagonal.double(), own.visible)

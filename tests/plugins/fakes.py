@@ -67,10 +67,14 @@ def context(
         raise AssertionError("the plugin is not expected to render")
 
     def snapshot_fisher(
-        camera: Camera, others: Gaussians | None = None, sh_degree: int | None = None
+        camera: Camera,
+        others: Gaussians | None = None,
+        sh_degree: int | None = None,
+        mask: Tensor | None = None,
     ) -> FisherInformation:
         assert others is not None, "the plugin is not expected to ask for the current Fisher"
-        return fisher_information(others, camera, background=torch.zeros(3), sh_degree=sh_degree)
+        how = {"background": torch.zeros(3), "sh_degree": sh_degree, "mask": mask}
+        return fisher_information(others, camera, **how)
 
     return StepContext(
         step=step,

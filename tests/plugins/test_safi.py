@@ -97,6 +97,22 @@ def test_snapshot_is_frozen_unless_refreshed() -> None:
         assert torch.equal(state.selection.gaussians.means, expected.means)
 
 
+def test_what_a_mask_leaves_out_of_a_photo_is_unknown() -> None:
+    """The left half of the photos does not count: no view knows what lies there alone."""
+    now = context()
+    mask = torch.ones(now.views[0].image.shape[1:])
+    mask[:, : mask.shape[1] // 2] = 0
+    masked = replace(now, views=tuple(replace(view, mask=mask) for view in now.views))
+    whole, half = (Safi()._snapshot(c).unknown for c in (now, masked))
+    for before, after in zip(whole, half, strict=True):
+        assert bool((after >= before * (1 - 1e-6)).all()) and float(after.sum()) > float(
+            before.sum()
+        )
+    one = tuple(replace(view, mask=torch.ones_like(mask)) for view in now.views)
+    same = Safi()._snapshot(replace(now, views=one)).unknown
+    assert all(torch.equal(a, b) for a, b in zip(whole, same, strict=True))
+
+
 def test_a_view_lives_for_every_epochs() -> None:
     safi, state, names = Safi(every=2), None, []
     for epoch in range(10, 14):

@@ -27,7 +27,7 @@ def information() -> torch.Tensor:
 
 
 def ctx(**changes: float) -> StepContext:
-    return context(fisher=lambda _: known_information(information()), **changes)  # type: ignore[arg-type]
+    return context(fisher=lambda *_, **__: known_information(information()), **changes)  # type: ignore[arg-type]
 
 
 def factors(uar: Uar, context: StepContext, state: Ranking | None = None) -> torch.Tensor:
@@ -92,7 +92,7 @@ def test_same_seed_same_draws_other_step_other_draws() -> None:
 def test_ranking_is_refreshed_by_age_and_by_version_only() -> None:
     passes: list[Camera] = []
 
-    def counted(camera: Camera):  # type: ignore[no-untyped-def]
+    def counted(camera: Camera, **_: object):  # type: ignore[no-untyped-def]
         passes.append(camera)
         return known_information(information())
 
@@ -104,11 +104,24 @@ def test_ranking_is_refreshed_by_age_and_by_version_only() -> None:
         assert len(passes) == total
 
 
+def test_a_photo_tells_of_what_its_mask_leaves_alone() -> None:
+    mask, asked = torch.zeros(48, 64), []
+    plain = ctx()
+    views = tuple(replace(view, mask=mask) for view in plain.views)
+
+    def noted(_: Camera, mask: object):  # type: ignore[no-untyped-def]
+        asked.append(mask)
+        return known_information(information())
+
+    Uar().opacity_factors(replace(plain, views=views, fisher=noted), None)
+    assert len(asked) == len(views) and all(one is mask for one in asked)
+
+
 def test_views_add_up_and_a_gaussian_any_view_sees_is_ranked() -> None:
     """Each view sees another third; together they see all but the unseen."""
     turns = iter(range(3))
 
-    def partly(_: Camera):  # type: ignore[no-untyped-def]
+    def partly(_: Camera, **__: object):  # type: ignore[no-untyped-def]
         keep = torch.arange(N) % 3 == next(turns)
         return known_information(torch.where(keep, information(), 0.0))
 
@@ -117,7 +130,7 @@ def test_views_add_up_and_a_gaussian_any_view_sees_is_ranked() -> None:
 
 
 def test_nothing_seen_nothing_dropped() -> None:
-    blind = context(fisher=lambda _: known_information(torch.zeros(N)))
+    blind = context(fisher=lambda *_, **__: known_information(torch.zeros(N)))
     assert Uar(schedule="constant").opacity_factors(blind, None)[0] is None
 
 
@@ -201,7 +214,7 @@ def test_the_diagonal_form_ignores_what_parameters_tell_together() -> None:
     block[7, 0, 1] = block[7, 1, 0] = 0.9
     seen = torch.ones(N, dtype=torch.bool)
     correlated = FisherInformation(block, torch.ones(N, 14), seen)
-    now = context(fisher=lambda _: correlated)
+    now = context(fisher=lambda *_, **__: correlated)
     _, by_block = Uar().opacity_factors(now, None)
     _, by_diagonal = Uar(form="diagonal").opacity_factors(now, None)
     assert int(by_block.order[-1]) == 7

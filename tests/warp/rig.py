@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from framework.compute.parallel import run_blocks
 from framework.compute.rng import stream
@@ -67,11 +68,13 @@ def context(epoch: int, log: Callable[[str, float], None], unit: float = 1.0) ->
         raise AssertionError("the plugin is not expected to render")
 
     def fisher(
-        camera: Camera, others: Gaussians | None = None, sh_degree: int | None = None
+        camera: Camera,
+        others: Gaussians | None = None,
+        sh_degree: int | None = None,
+        mask: Tensor | None = None,
     ) -> FisherInformation:
-        return fisher_information(
-            larger if others is None else others, camera, sh_degree=sh_degree, near=near
-        )
+        chosen = larger if others is None else others
+        return fisher_information(chosen, camera, sh_degree=sh_degree, near=near, mask=mask)
 
     return StepContext(
         step=3 * epoch,
