@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from framework.errors import require
 from framework.rasterize import Arrays, Image, borrow, give_back
 from framework.types import Camera, Gaussians
 
@@ -40,7 +41,8 @@ def fisher_information(
 ) -> FisherInformation:
     """Information of `camera`'s image on each Gaussian, exactly: one render, one second-moment
     pass, one pull-back (see `rasterize.information` for the equation). mask [H, W]: pixels that it
-    has not, at or below 0.5, tell nothing. The other arguments as `rasterize`."""
+    has not, at or below 0.5, tell nothing. The other arguments as `rasterize`. Raises UserError for
+    a mask of another shape or dtype."""
     n = len(gaussians)
     degree = gaussians.sh_degree if sh_degree is None else min(sh_degree, gaussians.sh_degree)
     colour = np.zeros(3, np.float32) if background is None else background.numpy()
@@ -52,10 +54,21 @@ def fisher_information(
     image = Image(planes[:3], planes[3], nothing)  # the moments need no depth
     radii = np.empty(n, np.float32)
     work.render(Arrays(*arrays), camera, colour, degree, near, image, radii)
-    counted = nothing if mask is None else mask.detach().contiguous().numpy()
+    counted = nothing if mask is None else _counted(mask, camera)
     work.blend_moments(image, counted)
     block, diagonal = work.blocks.lend([(n, 6, 6), (n, 14)])
     work.information(block, diagonal)
     visible = torch.from_numpy(work.first[1:] > work.first[:-1])  # it has parts
     give_back(work)
     return FisherInformation(torch.from_numpy(block), torch.from_numpy(diagonal), visible)
+
+
+def _counted(mask: Tensor, camera: Camera) -> np.ndarray:
+    """A mask as the kernel reads it, which does not check bounds."""
+    size = camera.height, camera.width
+    require(
+        mask.dtype == torch.float32 and tuple(mask.shape) == size,
+        f"Fisher information: expected a float32 mask of shape {list(size)}, got {mask.dtype}"
+        f" {list(mask.shape)}; scale it as its camera is",
+    )
+    return mask.detach().contiguous().numpy()

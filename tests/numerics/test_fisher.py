@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from framework.compute.parallel import set_threads
+from framework.errors import UserError
 from framework.fisher.in_torch import fisher_in_torch
 from framework.fisher.information import FisherInformation, fisher_information
 from framework.fisher.scores import block_prior, information_gains, uncertainty
@@ -128,6 +129,9 @@ def test_what_a_mask_leaves_out_tells_nothing(seed: int) -> None:
     assert_equal(information(case, mask=mask), brute_force(case, mask=mask))
     whole, ones = information(case), information(case, mask=torch.ones_like(mask))
     assert torch.equal(whole.block, ones.block) and torch.equal(whole.diagonal, ones.diagonal)
+    for wrong in (mask[1:], mask.double()):
+        with pytest.raises(UserError, match="mask of shape"):
+            fisher_information(case.gaussians, case.camera, mask=wrong)
 
 
 @pytest.mark.parametrize(("length", "width"), [(0.5, 0.01), (2.0, 0.003), (8.0, 0.002)])
