@@ -27,6 +27,7 @@ __all__ = [
     "Image",
     "ScreenGradient",
     "Workspace",
+    "binocular",
     "borrow",
     "constants",
     "give_back",
