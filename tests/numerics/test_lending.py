@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from framework.compute.parallel import run_together
-from framework.rasterize import losses, rasterize
-from framework.rasterize.lending import Lender
+from framework.rasterize import rasterize
+from framework.rasterize.lending import Lender, ThreadsLender
 from framework.rasterize.losses import Target, photometric_loss
 from tests.numerics.scenes import random_case
 
@@ -133,8 +133,13 @@ def test_what_a_plugin_may_keep_holds_no_image_and_no_other_gradient() -> None:
     assert len({tensor.data_ptr() for tensor in held}) == len(held)
 
 
-def test_a_loss_has_a_lender_for_each_thread() -> None:
+def test_who_has_no_workspace_has_a_lender_for_each_thread() -> None:
     """Between finding a buffer free and lending it another thread may find it free too."""
-    first, second = run_together([lambda _: losses._lender(), lambda _: losses._lender()])
+    lender = ThreadsLender()
+    first, second = run_together([lambda _: lender._own, lambda _: lender._own])
     assert first is not second
-    assert losses._lender() is losses._lender()
+    (held,) = lender.lend([(8, 8)])
+    place = held.ctypes.data
+    assert lender.lend([(8, 8)])[0].ctypes.data != place
+    del held
+    assert lender.lend([(8, 8)])[0].ctypes.data == place
