@@ -119,6 +119,13 @@ def perturbed(camera: Camera, axis_angle: Tensor, shift: Tensor) -> Camera:
     return Camera(viewmat, camera.K, camera.width, camera.height)
 
 
+def moved_aside(camera: Camera, shift: float) -> Camera:
+    """`camera` with its centre at `shift` (scene units) along its own x axis."""
+    viewmat = camera.viewmat.clone()
+    viewmat[0, 3] -= shift
+    return Camera(viewmat, camera.K, camera.width, camera.height)
+
+
 def distance(a: Camera, b: Camera) -> float:
     """Of two camera centres, in scene units."""
     x, y, z = (a.center - b.center).tolist()

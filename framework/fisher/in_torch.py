@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from framework.fisher.information import FisherInformation
+from framework.fisher.information import FisherInformation, counted
 from framework.rasterize.constants import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
 from framework.rasterize.reference import Footprints, project, sh_basis
 from framework.types import Camera, Gaussians
@@ -54,6 +54,7 @@ def fisher_in_torch(
 ) -> FisherInformation:
     """As `information.fisher_information`; the result is on the CPU, the work where `gaussians`
     are."""
+    shown = None if mask is None else counted(mask, camera).to(gaussians.means.device) > 0.5
     exact = gaussians.map(lambda t: t.detach().double().requires_grad_())
     n, degree = len(gaussians), gaussians.sh_degree
     degree = degree if sh_degree is None else min(sh_degree, degree)
@@ -71,7 +72,7 @@ def fisher_in_torch(
         if degree > 0:
             slopes = _rows_of_gradient(seen.colors, [exact.means])[seen.index]
     on_screen = seen.radii(camera.width, camera.height) > 0
-    moments, through_colour, weights = _sums(seen, conics.detach(), camera, background, mask)
+    moments, through_colour, weights = _sums(seen, conics.detach(), camera, background, shown)
     block, turns = _pulled_back(conics.detach(), jacobian, slopes, moments, through_colour, weights)
     logit_slope = 1 - exact.opacities.detach()[seen.index]
     shown = (seen.colors.detach() > 0) * weights[:, None]
@@ -144,7 +145,7 @@ def _sums(
     conics: Tensor,
     camera: Camera,
     background: Tensor | None,
-    mask: Tensor | None,
+    shown: Tensor | None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Q [M, 6, 6], h [M, 3, 6] and W [M] of all footprints, float64."""
     lists = _lists(seen, camera)
@@ -156,7 +157,6 @@ def _sums(
     columns = [seen.means2d, shape, seen.opacities[:, None], seen.colors]
     flat = torch.cat(columns, 1).detach().float()
     flat = torch.cat([flat, flat.new_zeros(1, flat.shape[1])])  # an entry that fills up a list
-    shown = None if mask is None else mask.to(device) > 0.5
     behind = flat.new_zeros(3) if background is None else background.to(flat)
     found = flat.new_zeros(len(lists.footprint), len(POWERS) + 3 * len(MEMBERS) + 1)
     across = -(-camera.width // TILE)

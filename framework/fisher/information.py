@@ -54,8 +54,8 @@ def fisher_information(
     image = Image(planes[:3], planes[3], nothing)  # the moments need no depth
     radii = np.empty(n, np.float32)
     work.render(Arrays(*arrays), camera, colour, degree, near, image, radii)
-    counted = nothing if mask is None else _counted(mask, camera)
-    work.blend_moments(image, counted)
+    pixels = nothing if mask is None else counted(mask, camera).numpy()
+    work.blend_moments(image, pixels)
     block, diagonal = work.blocks.lend([(n, 6, 6), (n, 14)])
     work.information(block, diagonal)
     visible = torch.from_numpy(work.first[1:] > work.first[:-1])  # it has parts
@@ -63,12 +63,12 @@ def fisher_information(
     return FisherInformation(torch.from_numpy(block), torch.from_numpy(diagonal), visible)
 
 
-def _counted(mask: Tensor, camera: Camera) -> np.ndarray:
-    """A mask as the kernel reads it, which does not check bounds."""
+def counted(mask: Tensor, camera: Camera) -> Tensor:
+    """A mask that fits its camera, as the kernel reads it, which does not check bounds."""
     size = camera.height, camera.width
     require(
         mask.dtype == torch.float32 and tuple(mask.shape) == size,
         f"Fisher information: expected a float32 mask of shape {list(size)}, got {mask.dtype}"
         f" {list(mask.shape)}; scale it as its camera is",
     )
-    return mask.detach().contiguous().numpy()
+    return mask.detach().contiguous()

@@ -16,11 +16,11 @@ import numpy as np
 
 from framework.compute.jit import inlined, kernel
 from framework.compute.parallel import run_blocks
+from framework.rasterize.constants import WHOLE
 from framework.rasterize.lending import ThreadsLender
 from framework.rasterize.roughness import SEEN
 
-WHOLE = np.float32(0.999)  # a pixel of a mask that covers no less
-_NONE, _ZERO, _ONE = np.float32(-1), np.float32(0), np.float32(1)
+_NONE, _ZERO, _ONE, _WHOLE = (np.float32(x) for x in (-1, 0, 1, WHOLE))
 
 
 @inlined
@@ -40,7 +40,7 @@ def _places(own: Any, beside: Any, mask: Any, numbers: Any, left: Any, share: An
     to_right = np.uint32(width > 1)
     for x in range(width):
         there = np.float32(x) - moves * own[x]
-        counts = (own[x] > _ZERO) & (mask[x] > WHOLE) & (there >= _ZERO) & (there <= last)
+        counts = (own[x] > _ZERO) & (mask[x] > _WHOLE) & (there >= _ZERO) & (there <= last)
         at = np.uint32(min(there, most)) if counts else np.uint32(0)
         rest = there - np.float32(at) if counts else _ZERO
         near, far = beside[at], beside[at + to_right]

@@ -6,4 +6,5 @@ TRANSMITTANCE_MIN = 1e-4  # a pixel that would fall below it is finished
 DILATION = 0.3  # pixels^2, added to both variances of the projected covariance
 FRUSTUM_MARGIN = 0.25  # a centre farther outside the image than this share of its size is culled
 TILE = 16  # pixels
+WHOLE = 0.999  # of a mask, from which a pixel is in it
 ROW = 16  # floats of a projected Gaussian, see projection.py

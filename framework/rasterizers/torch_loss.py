@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d
 
+from framework.rasterize.constants import WHOLE
 from framework.types import Render
 
 RADIUS, SIGMA = 5, 1.5  # pixels, of the window
 C1, C2 = 0.01**2, 0.03**2
 SEEN = 1e-6  # alpha from which a pixel shows something
-WHOLE = 0.999  # of a mask, from which a pixel is in it
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from framework.compute.rng import stream
+from framework.geometry import moved_aside
 from framework.types import Camera, View
 
 SHIFT = 0.4  # largest move of the camera, in mean distances to the next training camera
@@ -47,11 +48,4 @@ class Binocular:
         focal = float(view.camera.K[0, 0])
         weight = self.weight * view.weight / view.image.numel()
         tolerance = AGREE / (focal * self.spacing)
-        return Beside(_moved(view.camera, shift), focal * shift, tolerance, weight)
-
-
-def _moved(camera: Camera, shift: float) -> Camera:
-    """`camera` with its centre at `shift`, in scene units, along its own x axis."""
-    viewmat = camera.viewmat.clone()
-    viewmat[0, 3] -= shift
-    return Camera(viewmat, camera.K, camera.width, camera.height)
+        return Beside(moved_aside(view.camera, shift), focal * shift, tolerance, weight)

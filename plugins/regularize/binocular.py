@@ -20,7 +20,7 @@ from framework.plugin import Regularizer, StepContext, register
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from framework.types import Camera, Render, View
+    from framework.types import Render, View
 
 NEAREST = 1e-5  # scene units
 EDGE = 0.33  # how fast smoothing fades with a step of the image, whose values are in [0, 1]
@@ -44,13 +44,13 @@ class Binocular(Regularizer):
 
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
         """Mean absolute difference of the warped render and the photo, over pixels and channels."""
-        from framework.geometry import mean_neighbour_distance
+        from framework.geometry import mean_neighbour_distance, moved_aside
 
         if all(view.name != photo.name for photo in ctx.views):
             return None
         spacing = mean_neighbour_distance([v.camera for v in ctx.views]) or ctx.extent
         t = self.shift * spacing * float(ctx.rng("shift").uniform(-1, 1))
-        beside = moved(view.camera, t)
+        beside = moved_aside(view.camera, t)
         other = ctx.render(beside, ctx.gaussians, background=ctx.behind)
         depth = render.expected_depth
         warped, valid, _ = seen_through(other.rgb, depth, view.camera, beside)
@@ -62,15 +62,6 @@ class Binocular(Regularizer):
             disparity = focal * abs(t) / depth.clamp(min=NEAREST) * valid
             loss = loss + self.smooth * roughness(disparity, view.image)
         return loss
-
-
-def moved(camera: Camera, t: float) -> Camera:
-    """`camera` with its centre at t (scene units) along its own x axis."""
-    from framework.types import Camera
-
-    viewmat = camera.viewmat.clone()
-    viewmat[0, 3] -= t
-    return Camera(viewmat, camera.K, camera.width, camera.height)
 
 
 def roughness(disparity: Tensor, image: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from framework.compute.parallel import set_threads
+from framework.geometry import moved_aside
 from framework.rasterize.binocular import binocular_gradient
 from framework.rasterizers import build_rasterizer
 from framework.train.binocular import AGREE, SHIFT, Beside, Binocular
@@ -115,10 +116,8 @@ def test_the_step_s_gradient_is_that_of_both_renders() -> None:
     camera = case.camera
     photo = torch.rand(3, camera.height, camera.width, generator=torch.Generator().manual_seed(0))
     who = build_rasterizer({"rasterizer": {"name": "numba"}})
-    viewmat = camera.viewmat.clone()
-    viewmat[0, 3] -= 0.05
     beside = Beside(
-        Camera(viewmat, camera.K, camera.width, camera.height),
+        moved_aside(camera, 0.05),
         moves=0.05 * float(camera.K[0, 0]),
         tolerance=TOLERANCE,
         weight=WEIGHT,
@@ -131,11 +130,10 @@ def test_the_step_s_gradient_is_that_of_both_renders() -> None:
         return 0 * render.rgb.sum()
 
     own, other = (who.render(params, c, **how) for c in (camera, beside.camera))
-    leaves = [t.detach().requires_grad_() for t in (own.alpha, own.depth, other.rgb)]
     found = who.binocular_gradient(
         own.alpha.detach(), own.depth.detach(), other, item.target, beside.moves, TOLERANCE, WEIGHT
     )
-    assert all(float(torch.as_tensor(f).abs().max()) > 0 for f in found), leaves
+    assert all(float(torch.as_tensor(f).abs().max()) > 0 for f in found)
     names = [name for name, _ in params.items()]
     exact = torch.autograd.grad(
         [own.alpha, own.depth, other.rgb],

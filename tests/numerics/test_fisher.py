@@ -131,7 +131,7 @@ def test_what_a_mask_leaves_out_tells_nothing(seed: int) -> None:
     assert torch.equal(whole.block, ones.block) and torch.equal(whole.diagonal, ones.diagonal)
     for wrong in (mask[1:], mask.double()):
         with pytest.raises(UserError, match="mask of shape"):
-            fisher_information(case.gaussians, case.camera, mask=wrong)
+            information(case, mask=wrong)
 
 
 @pytest.mark.parametrize(("length", "width"), [(0.5, 0.01), (2.0, 0.003), (8.0, 0.002)])

@@ -10,11 +10,12 @@ from typing import Any
 import pytest
 import torch
 
+from framework.geometry import moved_aside
 from framework.methods.elsewhere import (
     seen_through,
     unseen_camera,
 )
-from plugins.regularize.binocular import Binocular, moved
+from plugins.regularize.binocular import Binocular
 from plugins.regularize.binocular import roughness as disparity_roughness
 from plugins.regularize.co_register import CoRegister
 from plugins.regularize.cycle_warp import CycleWarp
@@ -26,7 +27,7 @@ from tests.plugins.fakes import context, stage, wall_of_gaussians
 
 def test_a_camera_beside_sees_points_where_the_disparity_says() -> None:
     camera = stage()[0][0].camera
-    beside = moved(camera, 0.25)
+    beside = moved_aside(camera, 0.25)
     step = beside.center - camera.center
     assert torch.allclose(step, 0.25 * camera.viewmat[0, :3])
     depth = torch.full((camera.height, camera.width), 4.0)
