@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from framework.compute.portable import inverse, sinc_cosine
+from framework.compute.tensors import exp, root
 from framework.types import Camera
 
 
@@ -60,7 +61,7 @@ def covariances(quats: Tensor, log_scales: Tensor) -> Tensor:
 
     quats: [N, 4] wxyz. log_scales: [N, 3], natural logarithm of standard deviations.
     """
-    axes = rotation_matrices(quats) * log_scales.exp()[..., None, :]
+    axes = rotation_matrices(quats) * exp(log_scales)[..., None, :]
     return (axes[..., :, None, :] * axes[..., None, :, :]).sum(-1)
 
 
@@ -143,7 +144,7 @@ def mean_neighbour_distance(cameras: Sequence[Camera]) -> float:
 def _normalised(q: Tensor) -> Tensor:
     """`q` [..., 4] divided by their lengths, whose squares are summed in one order."""
     w, x, y, z = (q * q).unbind(-1)
-    return q / (w + x + y + z).sqrt()[..., None]
+    return q / root(w + x + y + z)[..., None]
 
 
 def _product(a: Tensor, b: Tensor) -> Tensor:

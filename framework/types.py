@@ -10,6 +10,7 @@ Conventions, everywhere in the project:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -123,7 +124,7 @@ class TrainingSet:
         centers = torch.stack([v.camera.center for v in self.views])
         away = centers - centers.sum(0) / len(centers)
         x, y, z = away.square().unbind(1)
-        spread = 1.1 * float((x + y + z).max().sqrt())
+        spread = 1.1 * math.sqrt(float((x + y + z).max()))
         return spread if spread > 0 else 0.1 * self.near
 
 

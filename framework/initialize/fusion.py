@@ -11,6 +11,7 @@ Views are taken from the most central to the outermost one. A pixel enters when
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import partial
@@ -97,6 +98,6 @@ def surface_pixels(
 ) -> SurfacePixels:
     """The pixels `chosen` [H, W] of a view, at places [H, W, 3] and depth [H, W]."""
     view = maps.views[v]
-    focal_px = float((view.camera.K[0, 0] * view.camera.K[1, 1]).sqrt())
+    focal_px = math.sqrt(float(view.camera.K[0, 0] * view.camera.K[1, 1]))
     rgb = view.image.numpy()[:, chosen].T
     return SurfacePixels(places[chosen], rgb, depth[chosen] / focal_px, maps.density[v][chosen])

@@ -17,6 +17,7 @@ Gains hold one at a time: many Gaussians that lose their bands together lose mor
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -61,7 +62,7 @@ def bands_evidence(
     basis = np.stack([_basis(gaussians.means[:m], center, degree) for center in centers], 1)
     weights = np.stack([known[:m].double().numpy() for known in colours], 1) * 4 * np.pi
     spread, y0 = prior_variance(gaussians), np.sqrt(1 / (4 * np.pi))
-    gain, cost = np.zeros(m), np.full(m, np.log(2.0))
+    gain, cost = np.zeros(m), np.full(m, math.log(2))
     sh0 = gaussians.sh0[:m, 0].double().numpy().copy()
     for channel in range(3):
         rows, mean = _centred(basis, weights[:, :, channel])

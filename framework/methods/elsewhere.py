@@ -141,7 +141,9 @@ def difference(first: Tensor, second: Tensor, ssim_weight: float) -> Tensor:
 
 def correlation(a: Tensor, b: Tensor) -> Tensor:
     """Pearson's correlation of two vectors [P]; 0 where one of them is constant."""
+    from framework.compute.tensors import root
+
     a, b = a - a.mean(), b - b.mean()
     size = a.square().mean() * b.square().mean()
-    mean: Tensor = (a * b).mean() / (size.clamp(min=1e-24)).sqrt()
+    mean: Tensor = (a * b).mean() / root(size.clamp(min=1e-24))
     return mean

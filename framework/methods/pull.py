@@ -67,11 +67,13 @@ class PullCapacity(Capacity):
                 f"capacity={self.name}: expected step statistics of {n} Gaussians as in the state,"
                 f" got {len(stats.means2d_grad)} gradients and {len(stats.radii)} radii"
             )
+        from framework.compute.tensors import root
+
         visible = stats.radii > 0
         gradient = stats.means2d_grad
         if self.wants_absolute() and stats.absolute is not None:
             gradient = stats.absolute
         half_size = gradient.new_tensor([stats.width / 2, stats.height / 2])
         u, v = (gradient * half_size).square().unbind(1)
-        norm = (u + v).sqrt()
+        norm = root(u + v)
         return Pull(state.total + norm * visible, state.seen + visible)

@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from framework.compute import portable
 from framework.compute.jit import inlined, kernel
 from framework.compute.simd import LANES, fma, lane_sums, load, splat, store, zeros
 
 f4 = np.float32
 
-_taps = np.exp(-((np.arange(11) - 5.0) ** 2) / (2 * 1.5**2))
+_taps = portable.exp(-((np.arange(11) - 5.0) ** 2) / (2 * 1.5**2))
 WINDOW = (_taps / _taps.sum()).astype(np.float32)
 _W0, _W1, _W2, _W3, _W4, _W5 = (f4(w) for w in WINDOW[:6])
 _C1, _C2 = f4(0.01**2), f4(0.03**2)

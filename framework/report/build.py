@@ -16,7 +16,8 @@ from framework.report.page import markdown
 from framework.report.page.gallery import gallery
 from framework.report.sections import document
 from framework.report.statistics.outcomes import outcomes
-from framework.report.study.collect import Study, collect
+from framework.report.study.collect import collect
+from framework.report.study.runs import Study
 
 REPORT, PAGE = "report.md", "report.html"
 

@@ -10,8 +10,8 @@ from framework.report.opening import TRADEOFF_CAPTION
 from framework.report.parts.document import Block, Bullets, Heading, Text, table
 from framework.report.statistics.outcomes import Outcomes
 from framework.report.statistics.variance import SigmaComparison
-from framework.report.study.collect import Study
 from framework.report.study.labels import outside
+from framework.report.study.runs import Study
 from framework.report.text import budgets, capacities, comparisons, tables
 
 WORDS = ("Scene", "Method", "Compared with", "Parameters", "Folder", "Capacity", "View", "Video")

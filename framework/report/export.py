@@ -10,8 +10,8 @@ from framework.report.statistics.compare import Comparison
 from framework.report.statistics.estimates import Interval
 from framework.report.statistics.numbers import interval_text, p_text, signed
 from framework.report.statistics.outcomes import Outcomes
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
+from framework.report.study.runs import ReportRun, Study
 from framework.report.study.tabled import ALSO, CODE, TABLE
 from framework.report.text.provenance import code_of
 

@@ -28,10 +28,11 @@ from framework.report.parts.palette import looks
 from framework.report.statistics.compare import Comparison
 from framework.report.statistics.numbers import ABSENT, interval_text, mean_text, p_text, signed
 from framework.report.statistics.outcomes import Outcomes, outcomes
-from framework.report.study.collect import Study, collect
+from framework.report.study.collect import collect
 from framework.report.study.folders import run_dirs
 from framework.report.study.labels import listed, outside
 from framework.report.study.order import method_order, natural
+from framework.report.study.runs import Study
 from framework.report.study.tabled import is_tabled
 from framework.report.verdict.lead import best_method, has_budgets
 

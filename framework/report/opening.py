@@ -13,8 +13,8 @@ from framework.report.figures.files import chart_picture, forest_picture
 from framework.report.figures.forest import forest
 from framework.report.parts.document import Block, Bullets, Picture, Text, table
 from framework.report.statistics.outcomes import Outcomes
-from framework.report.study.collect import Study
 from framework.report.study.roles import roles_sentence
+from framework.report.study.runs import Study
 from framework.report.text import budgets, capacities, gaps
 from framework.report.text.dose import idle_sentence
 from framework.report.verdict import lead, limits, points

@@ -25,7 +25,6 @@ from framework.report.parts.chart import MIN_SPAN_DB, Chart, Point, Series
 from framework.report.parts.document import Block, Document, Heading, Link, Picture, Text, table
 from framework.report.parts.palette import looks
 from framework.report.statistics.numbers import ABSENT
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import (
     MethodLabel,
     SceneLabel,
@@ -36,6 +35,7 @@ from framework.report.study.labels import (
     text_of,
 )
 from framework.report.study.names import heading_of
+from framework.report.study.runs import ReportRun, Study
 from framework.report.text.provenance import code_of
 
 REPORT, PAGE = "compare.md", "compare.html"

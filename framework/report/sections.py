@@ -15,8 +15,8 @@ from framework.report.figures.kept import kept
 from framework.report.parts.document import Block, Document, Heading, Picture, Text, table
 from framework.report.statistics.outcomes import Outcomes, outcomes
 from framework.report.study.beside import OPEN
-from framework.report.study.collect import Study
 from framework.report.study.labels import outside, slug
+from framework.report.study.runs import Study
 from framework.report.text import capacities, gaps, searched, tables
 from framework.report.text.dose import dose
 from framework.report.text.literature import literature

@@ -45,11 +45,13 @@ class EdgeSplit(Capacity):
     def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
         import torch
 
+        from framework.compute.tensors import exp
+
         every = max(1, round(self.every * ctx.n_steps))
         if (ctx.step + 1) % every != 0 or stats.view is None:
             return None, state
         score = edge_scores(ctx, stats.view)
-        large = ctx.gaussians.scales.max(1).values > self.large * ctx.extent
+        large = exp(ctx.gaussians.log_scales.max(1).values) > self.large * ctx.extent
         chosen = (large & (score >= self.score)).nonzero()[:, 0]
         most = max(1, int(self.at_most * len(score)))
         chosen = chosen[score[chosen].argsort(descending=True, stable=True)[:most]]
@@ -84,7 +86,9 @@ def sobel(image: Tensor) -> Tensor:
     import torch
     from torch.nn.functional import conv2d, pad
 
+    from framework.compute.tensors import root
+
     kernel = torch.tensor([[-1.0, 0, 1], [-2, 0, 2], [-1, 0, 1]]) / 4
     grey = pad(image.mean(0)[None, None], (1, 1, 1, 1), mode="replicate")
     x, y = (conv2d(grey, k[None, None])[0, 0] for k in (kernel, kernel.T))
-    return (x.square() + y.square()).sqrt()
+    return root(x.square() + y.square())

@@ -45,14 +45,16 @@ class ProximityUnpool(Capacity):
         self.check("at_most", 0 < self.at_most <= 10, "a number in (0, 10]")
 
     def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
+        from framework.compute.tensors import exp, root
+
         every = max(1, round(self.every * ctx.n_steps))
         if (ctx.step + 1) % every != 0 or len(ctx.gaussians) <= NEIGHBOURS:
             return None, state
         gaussians = ctx.gaussians
         distances, rows = nearest_others(gaussians.means, NEIGHBOURS)
-        apart = distances.square().mean(1).sqrt()
+        apart = root(distances.square().mean(1))
         room = apart > self.far * ctx.extent
-        room &= gaussians.scales.max(1).values > self.large * ctx.extent
+        room &= exp(gaussians.log_scales.max(1).values) > self.large * ctx.extent
         chosen = room.nonzero()[:, 0]
         most = max(1, int(self.at_most * len(gaussians)) // NEIGHBOURS)
         chosen = chosen[apart[chosen].argsort(descending=True, stable=True)[:most]]

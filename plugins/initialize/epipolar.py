@@ -10,6 +10,7 @@ refused. Both views have to agree, too, as the search goes only some pixels.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -79,7 +80,7 @@ class Epipolar(Initializer):
             K = view.camera.K
             places.append(at[valid])
             colours.append(view.image.numpy()[:, valid].T)
-            sizes.append(found[valid] / float((K[0, 0] * K[1, 1]).sqrt()))
+            sizes.append(found[valid] / math.sqrt(float(K[0, 0] * K[1, 1])))
         xyz, rgb, size = (np.concatenate(parts) for parts in (places, colours, sizes))
         require(
             len(xyz) >= FEWEST,

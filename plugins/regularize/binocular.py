@@ -66,8 +66,10 @@ class Binocular(Regularizer):
 
 def roughness(disparity: Tensor, image: Tensor) -> Tensor:
     """Mean of exp(-0.33 |step of the image|) |step of the disparity|, both axes."""
+    from framework.compute.tensors import exp
+
     total = disparity.new_zeros(())
     for axis in (0, 1):
-        edge = (-EDGE * image.diff(dim=axis + 1).abs().mean(0)).exp()
+        edge = exp(-EDGE * image.diff(dim=axis + 1).abs().mean(0))
         total = total + (edge * disparity.diff(dim=axis).abs()).mean()
     return total

@@ -10,6 +10,7 @@ what `depth=` gives, so only its order of magnitude in a patch has to be right.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -67,7 +68,7 @@ class DepthLocalGlobal(Regularizer):
 
         gaussians = ctx.gaussians.detach().replace(**{moved: getattr(ctx.gaussians, moved)})
         if moved == "means":
-            logit = float(torch.logit(torch.tensor(HARD)))
+            logit = math.log(HARD / (1 - HARD))
             opaque = torch.full_like(gaussians.opacity_logits, logit)
             gaussians = gaussians.replace(opacity_logits=opaque)
         seen = ctx.render(view.camera, gaussians)

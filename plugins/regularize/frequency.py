@@ -50,15 +50,18 @@ class Frequency(Regularizer):
         deviation: that of a disc which faces the camera, across its narrower side."""
         import torch
 
+        from framework.compute.portable import log
+        from framework.geometry import project
+
         seen = render.radii > 0
         if ctx.progress >= self.opened or not seen.any():
             return None
         camera = view.camera
-        z = ctx.gaussians.means.detach() @ camera.viewmat[2, :3].float()
-        z = (z + float(camera.viewmat[2, 3])).clamp(min=ctx.near)[seen]
+        _, z = project(ctx.gaussians.means.detach(), camera)
+        z = z.clamp(min=ctx.near)[seen]
         # the view may be smaller than its photo: pixels are those of the photo
         widths = {photo.name: photo.camera.width for photo in ctx.views}
         focal_px = float(camera.K[0, 0]) * widths.get(view.name, camera.width) / camera.width
-        limit = torch.log(self.limit(ctx.progress) * z / focal_px)
+        limit = torch.from_numpy(log(self.limit(ctx.progress) * z / focal_px)).to(z.dtype)
         middle = ctx.gaussians.log_scales[seen].sort(1).values[:, 1]
         return (limit - middle).clamp(min=0).square().mean()

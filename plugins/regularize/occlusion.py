@@ -32,10 +32,12 @@ class Occlusion(Regularizer):
 
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
         """Mean opacity of the Gaussians near to the view's camera and in its image."""
-        viewmat = view.camera.viewmat.float()
-        z = ctx.gaussians.means.detach() @ viewmat[2, :3] + viewmat[2, 3]
+        from framework.compute.tensors import sigmoid
+        from framework.geometry import project
+
+        _, z = project(ctx.gaussians.means.detach(), view.camera)
         near = (render.radii > 0) & (z < self.depth * ctx.near)
         ctx.log(f"{self.name}_near", float(near.sum()))
         if not near.any():
             return None
-        return ctx.gaussians.opacities[near].mean()
+        return sigmoid(ctx.gaussians.opacity_logits[near]).mean()

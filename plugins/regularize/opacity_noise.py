@@ -31,7 +31,9 @@ class OpacityNoise(Regularizer):
     def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor, Any]:
         import torch
 
+        from framework.compute.tensors import sigmoid
+
         draws = torch.from_numpy(ctx.rng("noise").standard_normal(len(ctx.gaussians)))
         noise = (self.sigma * draws).clamp(-self.sigma, self.sigma).float()
-        highest = 1 / ctx.gaussians.opacities.clamp(min=1e-12)  # an opacity of 1
+        highest = 1 / sigmoid(ctx.gaussians.opacity_logits).clamp(min=1e-12)  # an opacity of 1
         return torch.minimum(1 + noise, highest), state

@@ -42,10 +42,11 @@ class Sharpness(Regularizer):
         import torch
 
         from framework.compute.portable import exp
+        from framework.compute.tensors import root
 
         gaussians, pull = ctx.gaussians, found["means"]
         x, y, z = pull.double().unbind(1)
-        length = (x * x + y * y + z * z).sqrt()[:, None]
+        length = root(x * x + y * y + z * z)[:, None]
         direction = (pull / length.clamp(min=1e-30)).float()
         a, b, c = torch.from_numpy(exp(gaussians.log_scales.detach().numpy())).unbind(1)
         size = (self.rho / 3 * (a + b + c)).float()[:, None]

@@ -52,7 +52,7 @@ PLUGIN_MAY_IMPORT = {
     for name in (
         *("plugin", "types", "shapes", "geometry", "errors", "registry"),
         *("methods", "fisher", "warp", "rasterize.losses", "scenes", "depth", "initialize"),
-        *("compute.portable", "compute.rng"),
+        *("compute.portable", "compute.rng", "compute.tensors"),
     )
 }
 REPORT_MUST_NOT_IMPORT = {

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
-from framework.compute import portable
+from framework.compute import portable, tensors
 from framework.compute.rng import stream
 
 DRAW = stream(0, "tests/portable")
@@ -56,3 +57,28 @@ def test_matrices_agree_with_numpys() -> None:
     blocks = a @ a.transpose(0, 2, 1) + 0.1 * np.eye(3)
     np.testing.assert_allclose(portable.inverses(blocks), np.linalg.inv(blocks), rtol=1e-9)
     np.testing.assert_allclose(portable.log_det(blocks), np.linalg.slogdet(blocks)[1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [torch.float32, torch.float64])
+def test_roots_of_tensors_are_rounded_right(kind: torch.dtype) -> None:
+    x = torch.from_numpy(10 ** DRAW.uniform(-30, 30, 5000)).to(kind)
+    root = tensors.root(x).double().numpy()
+    assert root.dtype == np.float64 and tensors.root(x).dtype == kind
+    # the nearest number of its type: the squares of the middles to both neighbours enclose x
+    ulp = np.spacing(tensors.root(x).numpy()).astype(np.longdouble)
+    low, high = ((root.astype(np.longdouble) + s * ulp / 2) ** 2 for s in (-1, 1))
+    exact = x.double().numpy().astype(np.longdouble)
+    assert (low <= exact).all() and (exact <= high).all()
+
+
+@pytest.mark.parametrize(
+    ("ours", "torchs"),
+    [(tensors.root, torch.sqrt), (tensors.exp, torch.exp), (tensors.sigmoid, torch.sigmoid)],
+)
+def test_functions_of_tensors_and_their_gradients(ours, torchs) -> None:  # type: ignore[no-untyped-def]
+    for shape in ((), (0,), (5, 3)):
+        x = torch.from_numpy(DRAW.uniform(0.1, 2, shape)).requires_grad_()
+        torch.testing.assert_close(ours(x), torchs(x))
+        assert torch.autograd.gradcheck(ours, x)
+    wide = torch.from_numpy(DRAW.uniform(0.1, 2, (4, 6)))[:, ::2]
+    torch.testing.assert_close(ours(wide.float()), torchs(wide.float()))

@@ -15,8 +15,8 @@ from framework.report.figures.files import grid_picture
 from framework.report.figures.views import check_size, choose_views, picture, psnr_of
 from framework.report.parts.document import Picture
 from framework.report.parts.grid import Band, Cell, Scale
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside, slug
+from framework.report.study.runs import ReportRun, Study
 
 SHARE = 4  # of the width and height that a crop takes: one part in so many
 FRAME = np.array([255, 215, 0], dtype=np.uint8)

@@ -10,8 +10,8 @@ from framework.report.figures.views import shown_methods
 from framework.report.parts.chart import MIN_SPAN_DB, Chart, Point, Series
 from framework.report.parts.palette import looks
 from framework.report.statistics.estimates import spread
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import slug
+from framework.report.study.runs import ReportRun, Study
 
 THIN_SEEDS = 12
 Evaluations = dict[int, tuple[float, float]]  # step -> seconds, test PSNR (dB)

@@ -9,8 +9,8 @@ from framework.report.parts.palette import looks
 from framework.report.statistics.compare import Comparison, excludes_zero
 from framework.report.statistics.estimates import Interval
 from framework.report.statistics.outcomes import Outcomes
-from framework.report.study.collect import Study
 from framework.report.study.roles import marked
+from framework.report.study.runs import Study
 
 MIN_SPAN_DB = 0.5
 MOST_ROWS = 60  # with more, scenes are left to the tables

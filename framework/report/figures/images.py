@@ -25,8 +25,8 @@ from framework.report.figures.views import (
 from framework.report.parts.document import Picture
 from framework.report.parts.grid import COLUMNS, Band, Cell, Scale
 from framework.report.statistics.numbers import significant
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside, slug
+from framework.report.study.runs import ReportRun, Study
 
 SIGMA_SCALE, SIGMA_COLORS = 0.1, "viridis"
 BESIDE = COLUMNS - 1  # methods beside the ground truth, each above its own error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from framework.files.opened import is_file
 from framework.report.parts.document import Picture
-from framework.report.study.collect import Study
+from framework.report.study.runs import Study
 
 KINDS = ("jpg", "png", "svg")
 CAPTION = "Drawn when the runs were made, with the names and colours of the report of that time."

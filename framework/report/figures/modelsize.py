@@ -7,7 +7,7 @@ from framework.report.figures.stress import Panel, point
 from framework.report.parts.chart import Chart, Series
 from framework.report.parts.palette import looks
 from framework.report.statistics.estimates import spread
-from framework.report.study.collect import Study
+from framework.report.study.runs import Study
 
 SAME = 0.02  # sizes this near to each other are said to be the same
 

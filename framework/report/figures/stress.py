@@ -19,8 +19,8 @@ from framework.report.statistics.breakdown import Breakdown, break_down, gains_o
 from framework.report.statistics.estimates import Interval, spread
 from framework.report.statistics.numbers import mean_text
 from framework.report.study.axes import STRESSES, Axis
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import slug, text_of
+from framework.report.study.runs import ReportRun, Study
 
 FEWEST_LEVELS = 3
 

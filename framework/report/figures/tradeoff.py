@@ -19,8 +19,8 @@ from framework.report.statistics.compare import compare
 from framework.report.statistics.estimates import Spread, spread
 from framework.report.statistics.numbers import average
 from framework.report.statistics.outcomes import by_pair
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import slug
+from framework.report.study.runs import ReportRun, Study
 
 SAME_COST = 0.02  # costs that differ by less than this share are not worth a chart
 LOG_FROM = 4  # ratio of costs from which an axis is logarithmic; a lesser one has too few ticks

@@ -16,7 +16,7 @@ from framework.errors import UserError
 from framework.files.paths import inside
 from framework.records.run_files import RENDERS
 from framework.report.statistics.numbers import average
-from framework.report.study.collect import ReportRun, Study
+from framework.report.study.runs import ReportRun, Study
 from framework.scenes.images import read_image
 
 KINDS = ("render", "truth", "error")

@@ -22,8 +22,8 @@ from framework.files.limits import IMAGE_BYTES
 from framework.files.opened import read_bytes
 from framework.report.figures.views import choose_views, image_file, picture, psnr_of, reading
 from framework.report.study.beside import video_file, video_link, view_link
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
+from framework.report.study.runs import ReportRun, Study
 from framework.scenes.images import read_image
 
 BYTES_PER_RUN, FEWEST_BYTES, MOST_BYTES = 75_000, 600_000, 4_000_000

@@ -19,8 +19,8 @@ from framework.report.statistics.variance import (
     mean_deviation,
     sigmas_corrected,
 )
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.roles import CHOSE, role
+from framework.report.study.runs import ReportRun, Study
 
 
 @dataclass(frozen=True)

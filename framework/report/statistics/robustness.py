@@ -17,7 +17,7 @@ from scipy import special
 
 from framework.report.statistics.estimates import CONFIDENCE, Interval
 from framework.report.statistics.outcomes import by_pair
-from framework.report.study.collect import FailedRun, ReportRun, Study
+from framework.report.study.runs import FailedRun, ReportRun, Study
 
 FAILURE_DB = 1.0
 PERCENTILE = 5.0

@@ -10,7 +10,7 @@ from urllib.parse import quote
 from framework.files.opened import is_file
 from framework.records.run_files import VIDEOS, VIEW
 from framework.report.parts.document import Link
-from framework.report.study.collect import ReportRun, Study
+from framework.report.study.runs import ReportRun, Study
 
 OPEN = (
     "`fishersplat view FOLDER` opens a run in the browser; with `--static` its page is kept in that"

@@ -5,194 +5,24 @@ from __future__ import annotations
 import os
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import chain, product
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
-from framework.errors import UserError, printable_line, require
+from framework.errors import UserError, require
 from framework.files.limits import RUNS
-from framework.metrics.values import Missing
 from framework.records.failure import FAILED, read_failure
-from framework.records.record import RECORD, Run, RunRecord, read_run
-from framework.records.search import Searched, read_search
-from framework.report.study.axes import Axis
+from framework.records.record import RECORD, Run, read_run
+from framework.records.search import read_search
 from framework.report.study.folders import RUN_FOLDERS, run_dirs
-from framework.report.study.labels import (
-    MethodLabel,
-    SceneLabel,
-    code,
-    listed,
-    method_labels,
-    outside,
-    scene_labels,
-)
-from framework.report.study.order import BASELINE, method_order, natural
+from framework.report.study.labels import MethodLabel, code, method_labels, scene_labels
+from framework.report.study.notes import notes, table_notes, within
+from framework.report.study.order import method_order, natural
 from framework.report.study.recipes import NOTE, by_recipe
+from framework.report.study.runs import DAMAGED, FailedRun, ReportRun, Study
 from framework.report.study.shorten import shortened
-from framework.report.study.tabled import TABLE, TOLD, is_tabled, read_tabled
-
-DAMAGED = "damaged"  # the kind of failure of a folder that no run left
-BUSY = 1.3  # wall seconds per CPU second of a training from which others shared its cores
-
-
-@dataclass(frozen=True)
-class ReportRun:
-    """A complete run with the labels it has in this study."""
-
-    run: Run
-    method_label: MethodLabel
-    scene_label: SceneLabel
-
-    @property
-    def method(self) -> str:
-        return self.method_label.full
-
-    @property
-    def scene(self) -> str:
-        return self.scene_label.full
-
-    @property
-    def record(self) -> RunRecord:
-        return self.run.record
-
-    @property
-    def seed(self) -> int:
-        return self.run.record.seed
-
-    def mean(self, metric: str) -> float | None:
-        """Mean of a metric over the test views; None where it is missing."""
-        value = self.record.summary.get(metric, Missing("not measured"))
-        return None if isinstance(value, Missing) else float(value)
-
-    @property
-    def tested(self) -> bool:
-        """Whether there were test views."""
-        return len(self.files) > 0 or self.mean("psnr") is not None
-
-    @cached_property
-    def files(self) -> dict[str, str]:
-        """View -> first part of the names of its image files."""
-        texts = self.run.metrics.texts
-        return dict(zip(texts["view"], texts["file"], strict=True))
-
-    @cached_property
-    def psnr(self) -> dict[str, float]:
-        """View -> PSNR in dB, NaN where it is infinite."""
-        table = self.run.metrics
-        return dict(zip(table.texts["view"], table.numbers["psnr"].tolist(), strict=True))
-
-    def level(self, axis: Axis) -> float | None:
-        """The strength of a stress; None where the run's options do not have it as a number."""
-        value = self.scene_label.data.get(axis.key)
-        return float(value) if isinstance(value, int | float) else None
-
-
-@dataclass(frozen=True)
-class FailedRun:
-    """A run that ended with an error. kind: of it, a word or two, "" where that was not kept.
-    method, scene: "" where it left no configuration."""
-
-    run_dir: Path
-    error: str
-    kind: str
-    overrides: tuple[str, ...]
-    config: Mapping[str, Any]
-    provenance: Mapping[str, Any]
-    method: str = ""
-    scene: str = ""
-
-    @property
-    def seed(self) -> int | None:
-        return int(self.config["seed"]) if "seed" in self.config else None
-
-
-@dataclass(frozen=True)
-class Study:
-    """out_dir: where the report goes. runs: complete, sorted by scene, method, seed. notes: what a
-    reader must be told. missing: (scene, method, seed) that a full cross would have. linked:
-    whether the folders of the runs can be reached from the report. tabled: folders of which only
-    the table of runs is there. searched: the trials, where the runs are those of a search."""
-
-    out_dir: Path
-    runs: tuple[ReportRun, ...]
-    failed: tuple[FailedRun, ...]
-    notes: tuple[str, ...]
-    missing: tuple[tuple[str, str, int], ...] = ()
-    linked: bool = True
-    tabled: tuple[Path, ...] = ()
-    searched: Searched | None = None
-
-    @cached_property
-    def scenes(self) -> list[str]:
-        """Scene labels, sorted."""
-        return sorted({run.scene for run in self.runs}, key=natural)
-
-    @cached_property
-    def tested(self) -> list[str]:
-        """The scenes, sorted, of which some run had test views."""
-        return sorted({run.scene for run in self.runs if run.tested}, key=natural)
-
-    @cached_property
-    def methods(self) -> list[str]:
-        """Method labels: the baseline first, then by name."""
-        return sorted({run.method for run in self.runs}, key=method_order)
-
-    @property
-    def tried(self) -> list[str]:
-        """`methods` and those of which every run failed."""
-        names = {run.method for run in self.runs} | {run.method for run in self.failed}
-        return sorted(names - {""}, key=method_order)
-
-    @cached_property
-    def families(self) -> list[str]:
-        """Method labels without budgets, in the order of `methods`."""
-        return sorted({run.method_label.family for run in self.runs}, key=method_order)
-
-    @property
-    def baseline(self) -> str:
-        """What the others are compared with: `none + none` if it ran, else the first by name."""
-        return self.methods[0]
-
-    @cached_property
-    def by_cpu(self) -> bool:
-        """Whether to compare the CPU seconds of trainings: other programs ran beside some."""
-        return any(map(_disturbed, self.runs))
-
-    @property
-    def has_plain(self) -> bool:
-        """Whether the baseline is `none + none`, perhaps with options of its own."""
-        return bool(self.runs) and self.baseline.startswith(BASELINE)
-
-    def baseline_of(self, method: str) -> str:
-        """The baseline with the budget and, for another method, the other options of `method`, as
-        far as there is one; else the study's."""
-        if len(self.families) < 2:
-            return self.baseline
-        labels = {run.method: run.method_label for run in self.runs}
-        own = labels.get(method, MethodLabel(method))
-        equal = [m for m in self.methods if labels[m].budget == own.budget]
-        plain = labels[self.baseline].pair
-        alike = [m for m in equal if (labels[m].pair, labels[m].options) == (plain, own.options)]
-        if own.pair != plain and alike:
-            return alike[0]
-        return equal[0] if equal else self.baseline
-
-    def of(self, scene: str | None = None, method: str | None = None) -> list[ReportRun]:
-        """The runs of a scene and method (None = any), by seed."""
-        return [
-            run for run in self.runs if scene in (None, run.scene) and method in (None, run.method)
-        ]
-
-    def name_of(self, scene: str) -> str:
-        """The name in its record of a scene with this label."""
-        return next(run.scene_label.name for run in self.runs if run.scene == scene)
-
-    def folder_of(self, run_dir: Path) -> str:
-        """`run_dir` as seen from the report."""
-        return Path(os.path.relpath(run_dir.resolve(), self.out_dir.resolve())).as_posix()
+from framework.report.study.tabled import is_tabled, read_tabled
 
 
 def collect(
@@ -224,20 +54,11 @@ def collect(
     searched = read_search(folders[0]) if len(folders) == 1 else None
     if searched is not None:
         missing = []  # no full cross: each trial is a method of its own
-    notes = chain(
-        _table_notes(told),
-        shortened_notes,
-        repeated,
-        _repeat_notes(unique),
-        _equal_notes(unique),
-        _code_notes(runs),
-        _busy_notes(unique),
-    )
     return Study(
         out_dir or folders[0],
         tuple(unique),
         tuple(named),
-        tuple(notes),
+        (*table_notes(told), *shortened_notes, *repeated, *notes(unique, runs)),
         tuple(missing),
         linked=not tabled,
         tabled=tuple(tabled),
@@ -289,7 +110,7 @@ def _read(folder: Path, broken: Mapping[Path, str]) -> tuple[list[Run], list[Fai
                 raise UserError(broken[path])
             found = _read_run(path)
         except UserError as error:
-            failed.append(FailedRun(path, _within(path, error), DAMAGED, (), {}, {}))
+            failed.append(FailedRun(path, within(path, error), DAMAGED, (), {}, {}))
             continue
         if isinstance(found, Run):
             complete.append(found)
@@ -310,12 +131,6 @@ def _read_run(path: Path) -> Run | FailedRun:
     kind = read_failure(path).kind if os.path.lexists(path / FAILED) else ""
     error = record.error or "not told"
     return FailedRun(path, error, kind, record.overrides, record.config, record.provenance)
-
-
-def _within(path: Path, error: UserError) -> str:
-    """The error, which tells the folder `path` and its files without the way to it."""
-    below = str(error).replace(printable_line(f"{path}/"), "")
-    return below.replace(printable_line(f"{path}:"), printable_line(f"{path.name}:"))
 
 
 def _label(
@@ -376,90 +191,3 @@ def _without_repeats(runs: list[ReportRun]) -> tuple[list[ReportRun], list[str]]
                 f" {code(first.run.run_dir.name)}."
             )
     return list(kept.values()), notes
-
-
-def _repeat_notes(runs: Sequence[ReportRun]) -> list[str]:
-    """A complete run outlives a repetition that failed, which is told."""
-    again = [run.run.run_dir for run in runs if os.path.lexists(run.run.run_dir / FAILED)]
-    return [
-        f"The run in {code(folder.name)} was repeated and failed"
-        f" ({outside(_error_of(folder))}); the earlier, complete one is reported."
-        for folder in again
-    ]
-
-
-def _error_of(folder: Path) -> str:
-    try:
-        return read_failure(folder).error
-    except UserError as error:
-        return _within(folder, error)
-
-
-def _equal_notes(runs: Sequence[ReportRun]) -> list[str]:
-    """Methods that trained to the same bits: a test of their difference would be of nothing."""
-    cells: dict[tuple[str, int, str], list[str]] = defaultdict(list)
-    for run in runs:
-        cells[run.scene, run.seed, run.record.parameters_sha256].append(run.method)
-    found: dict[tuple[str, ...], dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
-    for (scene, seed, bits), methods in cells.items():
-        if bits and len(methods) > 1:
-            found[tuple(methods)][scene].append(seed)
-    notes = []
-    for alike, scenes in found.items():
-        where = "; ".join(f"{scene}, {_seeds(seeds)}" for scene, seeds in scenes.items())
-        notes.append(
-            f"{listed(alike, 'and')} trained to the same bits ({where}): what tells them apart"
-            " never took effect there, so nothing was learned about it."
-        )
-    return notes
-
-
-def _seeds(seeds: Sequence[int]) -> str:
-    return f"seed{'s' if len(seeds) > 1 else ''} {listed(seeds, 'and')}"
-
-
-def _table_notes(runs: Sequence[ReportRun]) -> list[str]:
-    """What a report from a table does not know, and of which code its runs are."""
-    if not runs:
-        return []
-    told = [str(run.record.provenance[TOLD]).split(" or ") for run in runs]
-    codes = sorted({*chain(*told)} - {""})
-    made = "one version" if len(codes) == 1 else f"{len(codes)} versions"
-    of = (
-        f" The runs were made by {made} of the code ({', '.join(codes)}); today's defaults may"
-        " differ from theirs."
-        if codes
-        else ""
-    )
-    return [
-        f"Built from the table `{TABLE}` alone, as the folders of the runs were not kept: nothing"
-        " is said about single views, the course of a training or failed runs, and the pictures"
-        f" are those that were drawn when the runs were made.{of}"
-    ]
-
-
-def _code_notes(runs: list[Run]) -> list[str]:
-    versions = {str(run.record.provenance.get("code")) for run in runs}
-    if len(versions) < 2:
-        return []
-    return [
-        f"The runs were made with {len(versions)} versions of the code, which may explain a"
-        " difference; the study's command repeats the outdated ones."
-    ]
-
-
-def _busy_notes(runs: Sequence[ReportRun]) -> list[str]:
-    """A training alone on its cores takes no more wall time than CPU time."""
-    slowed = sum(map(_disturbed, runs))
-    if slowed == 0:
-        return []
-    return [
-        f"While {slowed} of {len(runs)} trainings ran, other programs used the processor too (the"
-        f" clock showed over {BUSY:g} times the CPU time). Charts of cost and the advice by time"
-        " therefore count CPU seconds; tables give both; curves over time go by the clock."
-    ]
-
-
-def _disturbed(run: ReportRun) -> bool:
-    wall, cpu = run.record.train_s or 0.0, run.record.train_cpu_s or 0.0
-    return wall > BUSY * cpu > 0

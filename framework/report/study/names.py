@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from framework.metrics.values import AVERAGE, COADAPTATION, METRICS
 from framework.records import record
-from framework.report.study.collect import Study
 from framework.report.study.labels import outside
+from framework.report.study.runs import Study
 
 LPIPS = ("lpips", "lpips_01")
 NAMES = {

@@ -12,8 +12,8 @@ from framework.report.figures.tradeoff import Entry, differs, entries, megabytes
 from framework.report.statistics.compare import compare
 from framework.report.statistics.numbers import mean_text
 from framework.report.statistics.outcomes import by_pair
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import listed
+from framework.report.study.runs import ReportRun, Study
 from framework.report.verdict.lead import AS_GOOD_DB
 
 LIMITS_S = (15.0, 60.0, 300.0)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from framework.report.statistics.compare import Comparison, compare, corrected
 from framework.report.statistics.numbers import ABSENT, interval_text, signed, significant
 from framework.report.statistics.outcomes import by_pair
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import MethodLabel, listed
+from framework.report.study.runs import ReportRun, Study
 from framework.report.text.comparisons import tested_cells
 from framework.report.verdict.lead import amount, could_hide
 

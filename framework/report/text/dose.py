@@ -9,8 +9,8 @@ import numpy as np
 
 from framework.report.parts.document import Block, Heading, Text, table
 from framework.report.statistics.numbers import ABSENT
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
+from framework.report.study.runs import ReportRun, Study
 
 ACTED, ENOUGH = "acted_share", 0.5
 HEADINGS = {

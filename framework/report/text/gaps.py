@@ -8,9 +8,9 @@ from collections import defaultdict
 
 from framework.metrics.values import METRICS, Missing
 from framework.report.parts.document import Block, Bullets, Heading, Text, table
-from framework.report.study.collect import DAMAGED, FailedRun, Study
 from framework.report.study.labels import code, outside
 from framework.report.study.names import NAMES, own_metrics
+from framework.report.study.runs import DAMAGED, FailedRun, Study
 from framework.report.text import searched
 from framework.scenes import HELD_OUT
 

@@ -14,9 +14,9 @@ from collections import defaultdict
 from framework.registry import SWEPT
 from framework.report.parts.document import Block, Heading, Text, table
 from framework.report.statistics.numbers import ABSENT, average, mean_text
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
 from framework.report.study.recipes import recipe_of
+from framework.report.study.runs import ReportRun, Study
 from framework.report.text.published import read, scene_rows
 
 FEWEST = 2  # recipes, to stand side by side

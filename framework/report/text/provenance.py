@@ -9,8 +9,8 @@ from typing import Any
 from framework.compute.stopwatch import duration
 from framework.records.provenance import BITS
 from framework.report.parts.document import Block, Bullets, Heading, Text
-from framework.report.study.collect import Study
 from framework.report.study.labels import code, outside
+from framework.report.study.runs import Study
 from framework.report.study.tabled import TOLD
 
 SHOWN_VIEWS = 12

@@ -8,7 +8,7 @@ import csv
 from pathlib import Path
 
 from framework.report.parts.document import Block, Heading, Table, Text, table
-from framework.report.study.collect import Study
+from framework.report.study.runs import Study
 
 FOLDER = Path(__file__).parent
 MEANS = (

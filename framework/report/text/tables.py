@@ -12,10 +12,10 @@ from framework.report.statistics.numbers import ABSENT, mean_text, sigma_text
 from framework.report.statistics.outcomes import seed_means
 from framework.report.statistics.robustness import failure_rate, worst_case
 from framework.report.study.beside import folder_target, video_link, view_link
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import outside
 from framework.report.study.names import LPIPS, heading_of, own_metrics
 from framework.report.study.roles import marked
+from framework.report.study.runs import ReportRun, Study
 
 ALL_SCENES = "mean of all"
 DIGITS = {"psnr": 2, "ssim": 4, "flip": 4, "lpips": 4, "lpips_01": 4}

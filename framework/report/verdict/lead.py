@@ -14,8 +14,8 @@ from framework.report.statistics.compare import Comparison, compare
 from framework.report.statistics.estimates import Interval
 from framework.report.statistics.numbers import decimals, interval_text, significant
 from framework.report.statistics.outcomes import Outcomes, by_pair
-from framework.report.study.collect import Study
 from framework.report.study.order import BASELINE
+from framework.report.study.runs import Study
 
 MOST_NAMED = 8  # of methods that could not be told apart
 AS_GOOD_DB = 0.1  # a mean so much below the best counts as good

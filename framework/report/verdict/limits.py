@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from framework.report.figures.stress import Limit, Panel
 from framework.report.statistics.numbers import average, interval_text, significant
 from framework.report.study.axes import Axis
-from framework.report.study.collect import ReportRun
 from framework.report.study.labels import listed
+from framework.report.study.runs import ReportRun
 
 
 def verdict(found: Sequence[Limit], baseline: str) -> str:

@@ -10,9 +10,9 @@ from framework.report.statistics.compare import Comparison
 from framework.report.statistics.numbers import average, mean_text
 from framework.report.statistics.outcomes import Outcomes
 from framework.report.statistics.robustness import failure_rate, worst_case
-from framework.report.study.collect import ReportRun, Study
 from framework.report.study.labels import listed, outside
 from framework.report.study.roles import CHOSE, role
+from framework.report.study.runs import ReportRun, Study
 from framework.report.verdict.lead import (
     AS_GOOD_DB,
     alike,

@@ -1,0 +1,114 @@
+"""What a reader must be told about the runs of a study before their figures are believed."""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from collections.abc import Sequence
+from itertools import chain
+from pathlib import Path
+
+from framework.errors import UserError, printable_line
+from framework.records.failure import FAILED, read_failure
+from framework.records.record import Run
+from framework.report.study.labels import code, listed, outside
+from framework.report.study.runs import BUSY, ReportRun
+from framework.report.study.tabled import TABLE, TOLD
+
+
+def notes(unique: Sequence[ReportRun], runs: Sequence[Run]) -> list[str]:
+    """What `unique`, the runs that are reported, and `runs`, all complete ones, ask to be told."""
+    return [
+        *_repeat_notes(unique),
+        *_equal_notes(unique),
+        *_code_notes(runs),
+        *_busy_notes(unique),
+    ]
+
+
+def within(path: Path, error: UserError) -> str:
+    """The error, which tells the folder `path` and its files without the way to it."""
+    below = str(error).replace(printable_line(f"{path}/"), "")
+    return below.replace(printable_line(f"{path}:"), printable_line(f"{path.name}:"))
+
+
+def _repeat_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """A complete run outlives a repetition that failed, which is told."""
+    again = [run.run.run_dir for run in runs if os.path.lexists(run.run.run_dir / FAILED)]
+    return [
+        f"The run in {code(folder.name)} was repeated and failed"
+        f" ({outside(_error_of(folder))}); the earlier, complete one is reported."
+        for folder in again
+    ]
+
+
+def _error_of(folder: Path) -> str:
+    try:
+        return read_failure(folder).error
+    except UserError as error:
+        return within(folder, error)
+
+
+def _equal_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """Methods that trained to the same bits: a test of their difference would be of nothing."""
+    cells: dict[tuple[str, int, str], list[str]] = defaultdict(list)
+    for run in runs:
+        cells[run.scene, run.seed, run.record.parameters_sha256].append(run.method)
+    found: dict[tuple[str, ...], dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for (scene, seed, bits), methods in cells.items():
+        if bits and len(methods) > 1:
+            found[tuple(methods)][scene].append(seed)
+    notes = []
+    for alike, scenes in found.items():
+        where = "; ".join(f"{scene}, {_seeds(seeds)}" for scene, seeds in scenes.items())
+        notes.append(
+            f"{listed(alike, 'and')} trained to the same bits ({where}): what tells them apart"
+            " never took effect there, so nothing was learned about it."
+        )
+    return notes
+
+
+def _seeds(seeds: Sequence[int]) -> str:
+    return f"seed{'s' if len(seeds) > 1 else ''} {listed(seeds, 'and')}"
+
+
+def table_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """What a report from a table does not know, and of which code its runs are."""
+    if not runs:
+        return []
+    told = [str(run.record.provenance[TOLD]).split(" or ") for run in runs]
+    codes = sorted({*chain(*told)} - {""})
+    made = "one version" if len(codes) == 1 else f"{len(codes)} versions"
+    of = (
+        f" The runs were made by {made} of the code ({', '.join(codes)}); today's defaults may"
+        " differ from theirs."
+        if codes
+        else ""
+    )
+    return [
+        f"Built from the table `{TABLE}` alone, as the folders of the runs were not kept: nothing"
+        " is said about single views, the course of a training or failed runs, and the pictures"
+        f" are those that were drawn when the runs were made.{of}"
+    ]
+
+
+def _code_notes(runs: Sequence[Run]) -> list[str]:
+    versions = {str(run.record.provenance.get("code")) for run in runs}
+    if len(versions) < 2:
+        return []
+    return [
+        f"The runs were made with {len(versions)} versions of the code, which may explain a"
+        " difference; the study's command repeats the outdated ones."
+    ]
+
+
+def _busy_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """A training alone on its cores takes no more wall time than CPU time."""
+    slowed = sum(run.disturbed for run in runs)
+    if slowed == 0:
+        return []
+    return [
+        f"While {slowed} of {len(runs)} trainings ran, other programs used the processor too (the"
+        f" clock showed over {BUSY:g} times the CPU time). Charts of cost and the advice by time"
+        " therefore count CPU seconds; tables give both; curves over time go by the clock."
+    ]

@@ -1,0 +1,184 @@
+"""The runs of a study and the study itself, as every page and figure of a report sees them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from framework.metrics.values import Missing
+from framework.records.record import Run, RunRecord
+from framework.records.search import Searched
+from framework.report.study.axes import Axis
+from framework.report.study.labels import MethodLabel, SceneLabel
+from framework.report.study.order import BASELINE, method_order, natural
+
+DAMAGED = "damaged"  # the kind of failure of a folder that no run left
+BUSY = 1.3  # wall seconds per CPU second of a training from which others shared its cores
+
+
+@dataclass(frozen=True)
+class ReportRun:
+    """A complete run with the labels it has in this study."""
+
+    run: Run
+    method_label: MethodLabel
+    scene_label: SceneLabel
+
+    @property
+    def method(self) -> str:
+        return self.method_label.full
+
+    @property
+    def scene(self) -> str:
+        return self.scene_label.full
+
+    @property
+    def record(self) -> RunRecord:
+        return self.run.record
+
+    @property
+    def seed(self) -> int:
+        return self.run.record.seed
+
+    def mean(self, metric: str) -> float | None:
+        """Mean of a metric over the test views; None where it is missing."""
+        value = self.record.summary.get(metric, Missing("not measured"))
+        return None if isinstance(value, Missing) else float(value)
+
+    @property
+    def tested(self) -> bool:
+        """Whether there were test views."""
+        return len(self.files) > 0 or self.mean("psnr") is not None
+
+    @cached_property
+    def files(self) -> dict[str, str]:
+        """View -> first part of the names of its image files."""
+        texts = self.run.metrics.texts
+        return dict(zip(texts["view"], texts["file"], strict=True))
+
+    @cached_property
+    def psnr(self) -> dict[str, float]:
+        """View -> PSNR in dB, NaN where it is infinite."""
+        table = self.run.metrics
+        return dict(zip(table.texts["view"], table.numbers["psnr"].tolist(), strict=True))
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether other programs used the cores of the training too: alone it takes no more wall
+        time than CPU time."""
+        wall, cpu = self.record.train_s or 0.0, self.record.train_cpu_s or 0.0
+        return wall > BUSY * cpu > 0
+
+    def level(self, axis: Axis) -> float | None:
+        """The strength of a stress; None where the run's options do not have it as a number."""
+        value = self.scene_label.data.get(axis.key)
+        return float(value) if isinstance(value, int | float) else None
+
+
+@dataclass(frozen=True)
+class FailedRun:
+    """A run that ended with an error. kind: of it, a word or two, "" where that was not kept.
+    method, scene: "" where it left no configuration."""
+
+    run_dir: Path
+    error: str
+    kind: str
+    overrides: tuple[str, ...]
+    config: Mapping[str, Any]
+    provenance: Mapping[str, Any]
+    method: str = ""
+    scene: str = ""
+
+    @property
+    def seed(self) -> int | None:
+        return int(self.config["seed"]) if "seed" in self.config else None
+
+
+@dataclass(frozen=True)
+class Study:
+    """out_dir: where the report goes. runs: complete, sorted by scene, method, seed. notes: what a
+    reader must be told. missing: (scene, method, seed) that a full cross would have. linked:
+    whether the folders of the runs can be reached from the report. tabled: folders of which only
+    the table of runs is there. searched: the trials, where the runs are those of a search."""
+
+    out_dir: Path
+    runs: tuple[ReportRun, ...]
+    failed: tuple[FailedRun, ...]
+    notes: tuple[str, ...]
+    missing: tuple[tuple[str, str, int], ...] = ()
+    linked: bool = True
+    tabled: tuple[Path, ...] = ()
+    searched: Searched | None = None
+
+    @cached_property
+    def scenes(self) -> list[str]:
+        """Scene labels, sorted."""
+        return sorted({run.scene for run in self.runs}, key=natural)
+
+    @cached_property
+    def tested(self) -> list[str]:
+        """The scenes, sorted, of which some run had test views."""
+        return sorted({run.scene for run in self.runs if run.tested}, key=natural)
+
+    @cached_property
+    def methods(self) -> list[str]:
+        """Method labels: the baseline first, then by name."""
+        return sorted({run.method for run in self.runs}, key=method_order)
+
+    @property
+    def tried(self) -> list[str]:
+        """`methods` and those of which every run failed."""
+        names = {run.method for run in self.runs} | {run.method for run in self.failed}
+        return sorted(names - {""}, key=method_order)
+
+    @cached_property
+    def families(self) -> list[str]:
+        """Method labels without budgets, in the order of `methods`."""
+        return sorted({run.method_label.family for run in self.runs}, key=method_order)
+
+    @property
+    def baseline(self) -> str:
+        """What the others are compared with: `none + none` if it ran, else the first by name."""
+        return self.methods[0]
+
+    @cached_property
+    def by_cpu(self) -> bool:
+        """Whether to compare the CPU seconds of trainings: other programs ran beside some."""
+        return any(run.disturbed for run in self.runs)
+
+    @property
+    def has_plain(self) -> bool:
+        """Whether the baseline is `none + none`, perhaps with options of its own."""
+        return bool(self.runs) and self.baseline.startswith(BASELINE)
+
+    def baseline_of(self, method: str) -> str:
+        """The baseline with the budget and, for another method, the other options of `method`, as
+        far as there is one; else the study's."""
+        if len(self.families) < 2:
+            return self.baseline
+        labels = {run.method: run.method_label for run in self.runs}
+        own = labels.get(method, MethodLabel(method))
+        equal = [m for m in self.methods if labels[m].budget == own.budget]
+        plain = labels[self.baseline].pair
+        alike = [m for m in equal if (labels[m].pair, labels[m].options) == (plain, own.options)]
+        if own.pair != plain and alike:
+            return alike[0]
+        return equal[0] if equal else self.baseline
+
+    def of(self, scene: str | None = None, method: str | None = None) -> list[ReportRun]:
+        """The runs of a scene and method (None = any), by seed."""
+        return [
+            run for run in self.runs if scene in (None, run.scene) and method in (None, run.method)
+        ]
+
+    def name_of(self, scene: str) -> str:
+        """The name in its record of a scene with this label."""
+        return next(run.scene_label.name for run in self.runs if run.scene == scene)
+
+    def folder_of(self, run_dir: Path) -> str:
+        """`run_dir` as seen from the report."""
+        return Path(os.path.relpath(run_dir.resolve(), self.out_dir.resolve())).as_posix()

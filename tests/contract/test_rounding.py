@@ -1,0 +1,62 @@
+"""What a training computes is rounded alike by every processor: no function is asked of a library
+that rounds it by the processor, or by its maker (docs/bits.md)."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+from framework.command.config.schema import ROOT
+
+# of numbers, arrays or tensors; sums, products, quotients and NumPy's and Python's roots are exact
+ROUNDED = {
+    *("exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "pow", "power", "sqrt", "rsqrt"),
+    *("sigmoid", "logit", "softplus", "softmax", "logsumexp", "tanh", "erf"),
+    *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "arctan", "arctan2"),
+    *("matmul", "mm", "bmm", "mv", "dot", "inverse", "inv", "svd", "eigh", "solve", "lstsq"),
+}
+OURS = {"math", "portable", "tensors", "ctx"}  # ctx.log notes a number
+ACTIVATED = ("gaussians.scales", "gaussians.opacities")  # PyTorch's exponential and sigmoid
+NO_TRAINING = (
+    *("command", "report", "view", "exports", "records", "run/trackers.py"),
+    *("scenes/photos", "scenes/placement.py", "scenes/cameras.py", "depth/network.py", "types.py"),
+    # twins in PyTorch and NumPy, for tests and other devices
+    *("rasterize/reference.py", "rasterizers", "fisher/in_torch.py", "train/torch_adam.py"),
+    "depth/matching/reference.py",
+)
+
+
+def _trained() -> Iterator[Path]:
+    for path in sorted((ROOT / "framework").rglob("*.py")):
+        if not path.relative_to(ROOT / "framework").as_posix().startswith(NO_TRAINING):
+            yield path
+    yield from sorted((ROOT / "plugins").rglob("*.py"))
+
+
+def rounded(text: str) -> list[str]:
+    """What in the source `text` a library rounds by the processor."""
+    found = []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
+            found.append(f"line {node.lineno}: @")
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            of, name = ast.unparse(node.func.value), node.func.attr
+            if name in ROUNDED and of not in OURS and (of, name) != ("np", "sqrt"):
+                found.append(f"line {node.lineno}: {of}.{name}")
+        elif isinstance(node, ast.Attribute) and ast.unparse(node).endswith(ACTIVATED):
+            found.append(f"line {node.lineno}: {ast.unparse(node)}")
+    return found
+
+
+def test_nothing_in_a_training_is_rounded_by_the_processor() -> None:
+    found = {str(path.relative_to(ROOT)): rounded(path.read_text("utf-8")) for path in _trained()}
+    assert len(found) > 100
+    found = {path: lines for path, lines in found.items() if lines}
+    assert not found, f"{found}: framework.compute.portable and tensors round alike everywhere"
+
+
+def test_what_would_be_found() -> None:
+    text = "a = x.sqrt() + torch.exp(y) + np.log(z) + u @ v + ctx.gaussians.scales\n"
+    assert len(rounded(text)) == 5
+    assert not rounded("a = np.sqrt(x) + math.exp(y) + portable.log(z) + ctx.log('n', 1)\n")
