@@ -9,6 +9,7 @@ tensor's type. Gradients are those of the definitions.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -37,10 +38,14 @@ def sigmoid(x: Tensor) -> Tensor:
     return result
 
 
+def _each(function: Callable[[Any], Any], x: Tensor) -> Tensor:
+    return torch.from_numpy(np.asarray(function(x.detach().numpy()))).to(x.dtype)
+
+
 class _Root(Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor) -> Tensor:
-        found = torch.from_numpy(np.asarray(np.sqrt(np.asarray(x.detach()))))
+        found = _each(np.sqrt, x)
         ctx.save_for_backward(found)
         return found
 
@@ -53,7 +58,7 @@ class _Root(Function):
 class _Exp(Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor) -> Tensor:
-        found = torch.from_numpy(portable.exp(np.asarray(x.detach()))).to(x.dtype)
+        found = _each(portable.exp, x)
         ctx.save_for_backward(found)
         return found
 
@@ -66,7 +71,7 @@ class _Exp(Function):
 class _Sigmoid(Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor) -> Tensor:
-        found = torch.from_numpy(portable.sigmoid(np.asarray(x.detach()))).to(x.dtype)
+        found = _each(portable.sigmoid, x)
         ctx.save_for_backward(found)
         return found
 
