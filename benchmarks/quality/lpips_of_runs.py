@@ -45,6 +45,8 @@ def measured(run: Path, network: Lpips) -> tuple[float, float, float]:
         mask = (pixels(mask_file)[0] > 0.5).float() if mask_file.exists() else None
         pair = pixels(Path(f"{view}.png")), pixels(truth)
         found.append([lpips(*pair, network, mask, centred) for centred in (False, True)])
+    if not found:
+        raise SystemExit(f"{run}: expected a run with renders of test views, found none")
     fed, centred = np.mean(np.array(found, np.float64), axis=0)
     return float(record["summary"]["psnr"]["mean"]), float(fed), float(centred)
 

@@ -60,7 +60,7 @@ SSE = {
     "OPENBLAS_CORETYPE": "Nehalem",
     "ATEN_CPU_CAPABILITY": "default",
     "MKL_ENABLE_INSTRUCTIONS": "SSE4_2",
-    "MKL_CBWR": "COMPATIBLE",  # the other switches it passes over where the maker is not Intel
+    "MKL_CBWR": "COMPATIBLE",  # the switch above changed nothing on an AMD
     "ONEDNN_MAX_CPU_ISA": "SSE41",
     "OPENCV_CPU_DISABLE": "AVX512-SKX,AVX2,FMA3,AVX,FP16",
     "OPENCV_IPP": "sse42",

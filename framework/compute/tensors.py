@@ -1,10 +1,9 @@
-"""Functions of tensors on the CPU, differentiable, whose bits depend on no processor.
+"""Functions of tensors, differentiable, whose bits on the CPU depend on no processor.
 
-PyTorch hands square roots, exponentials and logarithms to MKL, which rounds them by the processor
-and its maker: on an Intel with AVX-512 one square root of float32 in a hundred is off by the last
-bit (`tests/laws/test_portable.py` says how many where it runs). NumPy's square root is the
-processor's, which IEEE 754 defines; the others are `framework.compute.portable`'s, rounded to the
-tensor's type. Gradients are those of the definitions.
+PyTorch hands square roots and exponentials to MKL, whose code is chosen by the processor and does
+not round alike everywhere (`benchmarks/results/determinism.md` has figures). NumPy's square root is
+the processor's, which IEEE 754 defines; the others are `framework.compute.portable`'s, rounded to
+the tensor's type. Gradients are those of the definitions. On other devices they are PyTorch's.
 """
 
 from __future__ import annotations
@@ -22,60 +21,39 @@ from framework.compute import portable
 
 def root(x: Tensor) -> Tensor:
     """The square root, of the shape and type of x."""
-    result: Tensor = _Root.apply(x)  # type: ignore[no-untyped-call]
-    return result
+    return _computed(x, np.sqrt, lambda g, y: g / (2 * y)) if x.is_cpu else x.sqrt()
 
 
 def exp(x: Tensor) -> Tensor:
     """e^x, of the shape and type of x."""
-    result: Tensor = _Exp.apply(x)  # type: ignore[no-untyped-call]
-    return result
+    return _computed(x, portable.exp, lambda g, y: g * y) if x.is_cpu else x.exp()
 
 
 def sigmoid(x: Tensor) -> Tensor:
     """1 / (1 + e^-x), of the shape and type of x."""
-    result: Tensor = _Sigmoid.apply(x)  # type: ignore[no-untyped-call]
+    if not x.is_cpu:
+        return x.sigmoid()
+    return _computed(x, portable.sigmoid, lambda g, y: g * y * (1 - y))
+
+
+def _computed(
+    x: Tensor, function: Callable[[Any], Any], pull_back: Callable[[Tensor, Tensor], Tensor]
+) -> Tensor:
+    result: Tensor = _Computed.apply(x, function, pull_back)  # type: ignore[no-untyped-call]
     return result
 
 
-def _each(function: Callable[[Any], Any], x: Tensor) -> Tensor:
-    return torch.from_numpy(np.asarray(function(x.detach().numpy()))).to(x.dtype)
+class _Computed(Function):
+    """function: of NumPy's arrays. pull_back: gradient in its value y, and y -> gradient in x."""
 
-
-class _Root(Function):
     @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        found = _each(np.sqrt, x)
+    def forward(ctx: Any, x: Tensor, function: Any, pull_back: Any) -> Tensor:
+        found = torch.from_numpy(np.asarray(function(x.detach().numpy()))).to(x.dtype)
         ctx.save_for_backward(found)
+        ctx.pull_back = pull_back
         return found
 
     @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
         (found,) = ctx.saved_tensors
-        return gradient / (2 * found)
-
-
-class _Exp(Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        found = _each(portable.exp, x)
-        ctx.save_for_backward(found)
-        return found
-
-    @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> Tensor:
-        (found,) = ctx.saved_tensors
-        return gradient * found
-
-
-class _Sigmoid(Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        found = _each(portable.sigmoid, x)
-        ctx.save_for_backward(found)
-        return found
-
-    @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> Tensor:
-        (found,) = ctx.saved_tensors
-        return gradient * found * (1 - found)
+        return ctx.pull_back(gradient, found), None, None

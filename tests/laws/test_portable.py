@@ -82,3 +82,9 @@ def test_functions_of_tensors_and_their_gradients(ours, torchs) -> None:  # type
         assert torch.autograd.gradcheck(ours, x)
     wide = torch.from_numpy(DRAW.uniform(0.1, 2, (4, 6)))[:, ::2]
     torch.testing.assert_close(ours(wide.float()), torchs(wide.float()))
+
+
+def test_functions_of_tensors_elsewhere_are_pytorchs() -> None:
+    there = torch.ones(3, device="meta", requires_grad=True)  # of a device that NumPy cannot read
+    for ours in (tensors.root, tensors.exp, tensors.sigmoid):
+        assert ours(there).device == there.device

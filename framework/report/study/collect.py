@@ -181,13 +181,13 @@ def _missing(
 def _without_repeats(runs: list[ReportRun]) -> tuple[list[ReportRun], list[str]]:
     """One run per scene, method and seed: the first by folder; the others are told."""
     kept: dict[tuple[str, str, int], ReportRun] = {}
-    notes = []
+    told = []
     for run in runs:
         first = kept.setdefault((run.scene, run.method, run.seed), run)
         if first is not run:
-            notes.append(
+            told.append(
                 f"{run.method} on {run.scene} with seed {run.seed} was found twice; the run in"
                 f" {code(run.run.run_dir.name)} is left out in favour of"
                 f" {code(first.run.run_dir.name)}."
             )
-    return list(kept.values()), notes
+    return list(kept.values()), told

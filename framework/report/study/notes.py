@@ -58,14 +58,14 @@ def _equal_notes(runs: Sequence[ReportRun]) -> list[str]:
     for (scene, seed, bits), methods in cells.items():
         if bits and len(methods) > 1:
             found[tuple(methods)][scene].append(seed)
-    notes = []
+    told = []
     for alike, scenes in found.items():
         where = "; ".join(f"{scene}, {_seeds(seeds)}" for scene, seeds in scenes.items())
-        notes.append(
+        told.append(
             f"{listed(alike, 'and')} trained to the same bits ({where}): what tells them apart"
             " never took effect there, so nothing was learned about it."
         )
-    return notes
+    return told
 
 
 def _seeds(seeds: Sequence[int]) -> str:
