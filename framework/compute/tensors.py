@@ -44,12 +44,15 @@ def _computed(
 
 
 class _Computed(Function):
-    """function: of NumPy's arrays. pull_back: gradient in its value y, and y -> gradient in x."""
+    """function: of NumPy's arrays, each number by itself, so that its derivative is diagonal and
+    takes a gradient back as it takes a tangent forward. pull_back: (gradient in the value, value)
+    -> gradient in x."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, function: Any, pull_back: Any) -> Tensor:
         found = torch.from_numpy(np.asarray(function(x.detach().numpy()))).to(x.dtype)
         ctx.save_for_backward(found)
+        ctx.save_for_forward(found)
         ctx.pull_back = pull_back
         return found
 
@@ -57,3 +60,9 @@ class _Computed(Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
         (found,) = ctx.saved_tensors
         return ctx.pull_back(gradient, found), None, None
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor, *_: None) -> Tensor:
+        (found,) = ctx.saved_tensors
+        moved: Tensor = ctx.pull_back(tangent, found)
+        return moved
