@@ -16,8 +16,9 @@ import torch  # noqa: E402
 from hydra import compose, initialize_config_dir  # noqa: E402
 
 from framework import registry  # noqa: E402
+from framework.command.config.check import check  # noqa: E402
 from framework.command.config.naming import plain  # noqa: E402
-from framework.command.config.schema import CONF_DIR, check, register_config  # noqa: E402
+from framework.command.config.schema import CONF_DIR, register_config  # noqa: E402
 from framework.options import TrainerOptions, members_of  # noqa: E402
 from framework.records.progress import Progress, Silent  # noqa: E402
 from framework.run import experiment  # noqa: E402

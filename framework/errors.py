@@ -109,7 +109,7 @@ def memory_line(error: BaseException) -> str:
 
 
 REWORDED = (  # argparse's words -> ours
-    (r"the following arguments are required: (.*)", r"expected \1, got none"),
+    (r"the following arguments are required: (.*)", r"expected \1, got too few words"),
     (r"argument ([^:]+): invalid choice: (.*) \(choose from (.*)\)", r"\1: expected \3, got \2"),
     (r"argument ([^:]+): invalid int value: (.*)", r"\1: expected an integer, got \2"),
     (r"argument ([^:]+): invalid float value: (.*)", r"\1: expected a number, got \2"),

@@ -42,7 +42,8 @@ def main() -> None:
 
 
 def _report(name: str, commit: str | None) -> str:
-    path = f"reports/{name}/report.md"
+    inside = "reports/committed" if commit is None else "reports"  # where they were then
+    path = f"{inside}/{name}/report.md"
     if commit is None:
         return (ROOT / path).read_text(encoding="utf-8")
     words = ["git", "show", f"{commit}:{path}"]

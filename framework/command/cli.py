@@ -26,13 +26,13 @@ from omegaconf import DictConfig, OmegaConf
 import framework
 from framework.command import own_plugins, runner
 from framework.command.complaints import USER_ERRORS, one_line, with_variant
+from framework.command.config.check import check
 from framework.command.config.help import help_text
 from framework.command.config.naming import plain, register_resolvers, study_name
 from framework.command.config.schema import (
     CONF_DIR,
     GROUPS,
     OBJECT_GROUPS,
-    check,
     choices,
     register_config,
 )
@@ -55,7 +55,7 @@ from framework.errors import (
     printable_line,
 )
 from framework.records.progress import unread
-from framework.registry import JOINED_BY, parts_of
+from framework.registry import JOINABLE, JOINED_BY, parts_of
 
 register_resolvers()
 
@@ -149,6 +149,7 @@ def normalise(argv: Sequence[str]) -> list[str]:
     arguments = [quoted(_joined_choices(argument)) for argument in arguments]
     _check_multirun_flag(arguments)
     _check_empty_choices(arguments)
+    _check_chosen_twice(arguments)
     flags = _parse(arguments)
     if flags.multirun and _only_informs(flags):
         raise UserError("command line: expected -m or a flag that only informs, got both; drop one")
@@ -213,6 +214,23 @@ def _check_empty_choices(arguments: Sequence[str]) -> None:
             variants = {file.stem for file in (CONF_DIR / group).glob("*.yaml")}
             known = ", ".join(sorted({*choices(group), *variants}))
             raise UserError(f"{group}: expected a choice, got {name!r}; available: {known}")
+
+
+def _check_chosen_twice(arguments: Sequence[str]) -> None:
+    """Of `reg=uar reg=uniform` Hydra takes the last without a word, where many mean both."""
+    given: dict[str, str] = {}
+    for argument in arguments:
+        group, equals, name = argument.partition("=")
+        if not equals or group not in GROUPS:
+            continue
+        if group in given:
+            both = f"{given[group]},{name}"
+            joined = f"{group}=[{both}] for both in one run, " if group in JOINABLE else ""
+            raise UserError(
+                f"{group}: expected one choice, got two words ({group}={given[group]} and"
+                f" {argument}); write {joined}{group}={both} -m for a run of each"
+            )
+        given[group] = name
 
 
 def _parse(arguments: Sequence[str]) -> Any:

@@ -22,6 +22,7 @@ from omegaconf.errors import (
     ValidationError,
 )
 
+from framework.command.config.check import hint
 from framework.command.config.schema import CONF_DIR
 from framework.command.launchers.known import missing_extra
 from framework.command.program import program
@@ -102,7 +103,7 @@ def _told(error: BaseException) -> str | None:
     if isinstance(error, OverrideParseException):
         return (
             f"command line: cannot read {error.override!r}; write KEY=VALUE and put quotes around"
-            " a value with special characters: \"key='a b'\""
+            " a value with spaces or special characters: \"key='a b'\""
         )
     if isinstance(error, HydraException) and (several := SEVERAL.search(str(error))):
         key, _, values = several[1].partition("=")
@@ -158,4 +159,4 @@ def _unknown_key(error: OmegaConfBaseException) -> str | None:
     parent, _, key = str(error.full_key).rpartition(".")
     place = f" of {error.object_type.__name__}" if parent else ""
     photos = "; for a folder of photos add scene=photos" if error.full_key == "scene.path" else ""
-    return f"{error.full_key}: unknown option{place}; {nearest_hint(key, known)}{photos}"
+    return f"{error.full_key}: unknown option{place}; {hint(parent, key, known)}{photos}"

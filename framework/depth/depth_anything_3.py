@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from framework.depth.options import DepthAnything3Options
+from framework.depth.options import DEPTH_ANYTHING_3, DepthAnything3Options
+from framework.errors import require
 
 if TYPE_CHECKING:
     from framework.types import DepthMap, TrainingSet
@@ -29,6 +31,13 @@ class DepthAnything3(DepthAnything3Options):
         from framework.depth.network import predict_views
 
         return predict_views(training, self)
+
+    def ready(self) -> None:
+        require(
+            importlib.util.find_spec("depth_anything_3") is not None,
+            f"depth=depth_anything_3: expected the package depth_anything_3, got none; install"
+            f" it with: pip install {DEPTH_ANYTHING_3}",
+        )
 
     def fingerprint(self, training: TrainingSet) -> str:
         """SHA-256 hex of the weights and the package's version. Raises UserError without them."""

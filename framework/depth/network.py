@@ -20,6 +20,7 @@ import torch
 
 from framework.depth.align import align, fit_scale
 from framework.depth.consistency import agreeing_views
+from framework.depth.options import DEPTH_ANYTHING_3
 from framework.depth.plane_sweep import PlaneSweep
 from framework.depth.read import resample
 from framework.errors import UserError, require
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from framework.types import TrainingSet
 
 WHERE = "depth=depth_anything_3"
-SOURCE = "git+https://github.com/ByteDance-Seed/Depth-Anything-3"
 FILES = ("config.json", "model.safetensors")
 LEAST_CONFIDENCE = 0.05  # of a pixel that other views confirm
 FEWEST_PIXELS = 100  # of the plane sweep that set a view's scale
@@ -130,7 +130,7 @@ def _prediction(answer: Any, n: int, unit: float) -> Prediction:
     require(
         depth.ndim == 3 and len(depth) == n,
         f"{WHERE}: expected depth [{n}, h, w] from the network, got shape {depth.shape}; install"
-        f" the package from {SOURCE}",
+        f" the package from {DEPTH_ANYTHING_3}",
     )
     known = np.isfinite(depth) & (depth > 0)
     if answer.sky is not None:
@@ -232,7 +232,7 @@ def _api() -> Any:
     except ImportError as problem:
         raise UserError(
             f"{WHERE}: expected the package depth_anything_3, got {problem}; install it with: pip"
-            f" install {SOURCE}"
+            f" install {DEPTH_ANYTHING_3}"
         ) from problem
     return api
 

@@ -13,6 +13,7 @@ KINDS = ("depth", "inverse_depth")
 FILE_ALIGNMENTS = ("scale", "scale_shift", "none")
 INVALID = ("error", "mask")
 NETWORK_ALIGNMENTS = ("points", "plane_sweep", "none")
+DEPTH_ANYTHING_3 = "git+https://github.com/ByteDance-Seed/Depth-Anything-3"  # for pip
 PATCH = 14  # pixels per token; the network's input sizes are its multiples
 
 

@@ -56,6 +56,10 @@ class DepthProvider:
         """The chosen corruptions in the order they act."""
         return () if self.corruption == NONE else tuple(self.corruption.split("+"))
 
+    def ready(self) -> None:
+        """Raise UserError, in one line, where this machine lacks what the provider needs. Quick:
+        studies ask before their first run. Most need nothing."""
+
     def estimate(self, training: TrainingSet) -> tuple[DepthMap, ...]:
         """One map per training view, in their order, corrupted as the options say."""
         maps = self.measure(training)

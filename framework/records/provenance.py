@@ -32,6 +32,7 @@ PACKAGES = (
     *("torch", "numpy", "numba", "llvmlite", "scipy", "scikit-image"),
     *("pycolmap", "opencv-contrib-python-headless", "hydra-core"),
 )
+MAKING = ("run.py", "pyproject.toml", "framework", "plugins", "conf", "sweeps")  # a result
 SHOWING = ("framework/report/", "framework/view/")  # rooms that no result depends on
 BITS = "bits"  # of a run whose rasterizer does not keep them: why its repetition differs
 PLUGIN_ENTRY_POINTS = "fishersplat.plugins"
@@ -65,11 +66,15 @@ def package_versions() -> dict[str, str | None]:
 
 
 def git_state(root: Path) -> dict[str, Any] | None:
-    """{"sha", "dirty"} of the checkout that tracks `root`/framework; None where there is none."""
+    """{"sha", "dirty"} of the checkout that tracks `root`/framework; None where there is none.
+    dirty: whether something of `MAKING` differs from the commit, files that it lacks included."""
     # an installed copy may lie inside somebody else's repository, which says nothing about it
     if _git(root, "ls-files", "--error-unmatch", "framework/__init__.py") is None:
         return None
-    sha, status = _git(root, "rev-parse", "HEAD"), _git(root, "status", "--porcelain")
+    sha, status = (
+        _git(root, "rev-parse", "HEAD"),
+        _git(root, "status", "--porcelain", "--", *MAKING),
+    )
     if sha is None or status is None:
         return None
     return {"sha": sha, "dirty": bool(status)}

@@ -21,6 +21,7 @@ from framework.records.run_files import RENDERS
 from framework.view.cameras import NEAR, RunCamera, read_cameras
 
 FEW = 6  # runs that a message names
+USUAL = "reports/STUDY/runs/RUN"
 SAME = 1e-4  # of the rig's size, and of an axis: how far one camera may lie apart in two runs
 
 
@@ -53,15 +54,16 @@ def find_run(path: Path) -> Path:
     require(
         path.is_dir(),
         f"{path}: expected the folder of a run, found {'a file' if path.exists() else 'nothing'};"
-        " it is the one that holds record.json, as reports/STUDY/runs/RUN",
+        f" it is the one that holds {RECORD}, as {USUAL}",
     )
     found = sorted(record.parent for record in path.glob(f"runs/*/{RECORD}"))
     names = ", ".join(str(run) for run in found[:FEW]) + (" ..." if len(found) > FEW else "")
-    require(
-        len(found) == 1,
-        f"{path}: expected the folder of a run, got one with"
-        f" {f'{len(found)} runs; name one: {names}' if found else f'neither {RECORD} nor runs'}",
+    got = (
+        f"{len(found)} runs; name one: {names}"
+        if found
+        else f"neither {RECORD} nor runs; name one as {USUAL}"
     )
+    require(len(found) == 1, f"{path}: expected the folder of a run, got one with {got}")
     return found[0]
 
 

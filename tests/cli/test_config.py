@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from framework.command.config.check import check
 from framework.command.config.naming import run_name, study_dir, study_name
-from framework.command.config.schema import CONF_DIR, OBJECT_GROUPS, check, choices
+from framework.command.config.schema import CONF_DIR, OBJECT_GROUPS, choices
 from framework.errors import UserError
 from tests.cli.conftest import composed
 

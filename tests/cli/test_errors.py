@@ -26,7 +26,22 @@ CASES = {
     "augmment=safi": ["augmment: unknown option", "did you mean 'augment'?"],
     "reg=uar reg.wieght=3": ["reg.wieght: unknown option of reg=uar", "did you mean 'weight'?"],
     "+reg.wieght=3": ["reg.wieght: unknown option of reg=none"],
-    "augment.eta=1.2": ["augment.eta: unknown option of augment=none"],
+    "augment.eta=1.2": [
+        "augment.eta: unknown option of augment=none; did you mean 'augment.eta' of augment=euclid",
+        "safi? available: start, stop, weight",
+    ],
+    "steps=5": [
+        "steps: unknown option; did you mean 'trainer.steps'? available: augment,",
+        "preset",
+    ],
+    "+n_views=5": ["n_views: unknown option; did you mean 'scene.n_views'? available: augment,"],
+    "trainer.n_views=5": ["n_views: unknown option of trainer; did you mean 'scene.n_views'?"],
+    "reg=uar reg=uniform": [
+        "reg: expected one choice, got two words",
+        "reg=[uar,uniform] for both",
+    ],
+    "+reg=uar,none reg=uniform -m": ["write reg=[uar,none,uniform] for both in one run"],
+    "preset=fast preset=best": ["got two words (preset=fast and preset=best); write preset=fast,"],
     "augment=null": ["augment: expected a choice, got 'null'; available: dba,"],
     "augment=": ["augment: expected a choice, got ''"],
     "trainer.steps=abc": ["trainer.steps: expected an integer, got 'abc'"],
@@ -56,7 +71,7 @@ CASES = {
     "scene=llff scene.path=x scene.n_views=each": [
         "scene=llff: expected n_views to be an integer >= 1 or all, got each; set scene.n_views"
     ],
-    "scene=colmap scene.path=x scene.n_views=3,al -m": ["an integer >= 1 or all, got al; set"],
+    "scene=colmap scene.path=. scene.n_views=3,al -m": ["an integer >= 1 or all, got al; set"],
     "scene=dtu scene.path=x scene.n_views=2.5": [
         "scene.n_views: expected an integer or a text, got 2.5"
     ],
@@ -67,6 +82,15 @@ CASES = {
     "threads=1,2 -m": ["multirun: expected a folder for each run", "study=NAME"],
     "hydra.sweep.subdir=x seed=0,1 -m": ["expected a folder for each run", "hydra.sweep.subdir"],
     "seed=0,1": ["seed"],
+    "scene=embedded,llff scene.path=nowhere -m": ["scene.path: unknown option of scene=embedded"],
+    "scene=llff scene.path=/nowhere seed=0,1 -m": [
+        "scene=llff: expected a file or folder at '/nowhere', found nothing; correct scene.path"
+    ],
+    "depth=plane_sweep,file depth.path=/nowhere -m": ["depth.path: unknown option of depth=plane_"],
+    "method=baseline,fsgs -m": [
+        "depth=depth_anything_3: expected the package depth_anything_3, got none; install it with:",
+        "or take the plane sweep instead of a network: method=fsgs_sweep",
+    ],
     "--nonsense": ["command line: unrecognized arguments: --nonsense"],
     "--cfg job -m": ["command line: expected -m or a flag that only informs"],
     "--resolve": ["command line: expected --cfg beside --resolve"],

@@ -6,7 +6,7 @@ import pytest
 
 from framework import registry
 from framework.command.cli import main
-from framework.command.config.schema import check
+from framework.command.config.check import check
 from framework.errors import UserError
 from tests.cli.conftest import FakeRuns
 from tests.cli.test_config import composed

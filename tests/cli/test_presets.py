@@ -11,7 +11,8 @@ import yaml
 
 from framework import registry
 from framework.command.cli import main
-from framework.command.config.schema import CONF_DIR, ROOT, check
+from framework.command.config.check import check
+from framework.command.config.schema import CONF_DIR, ROOT
 from framework.methods.dropout import DropoutRegularizer
 from framework.methods.warping import WarpingAugmenter
 from framework.options import TrainerOptions

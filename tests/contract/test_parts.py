@@ -16,7 +16,8 @@ import pytest
 import torch
 
 from framework import registry
-from framework.command.config.schema import OBJECT_GROUPS, ROOT, check, choices, rows
+from framework.command.config.check import check
+from framework.command.config.schema import OBJECT_GROUPS, ROOT, choices, rows
 from framework.errors import UserError
 from framework.metrics.evaluate import evaluate, plugged
 from framework.metrics.values import MEASURES, Missing, measures

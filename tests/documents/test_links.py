@@ -15,8 +15,8 @@ PAGES = [
     *sorted(ROOT.glob("*.md")),
     *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((ROOT / "benchmarks" / "results").glob("*.md")),
-    *sorted((ROOT / "reports").glob("*.md")),
-    *sorted((ROOT / "reports").glob("*/report.md")),
+    *sorted((ROOT / "reports" / "committed").glob("*.md")),
+    *sorted((ROOT / "reports" / "committed").glob("*/report.md")),
 ]
 MADE = ("reference/options.md", "reference/api.md")  # by the site
 CODE = re.compile(r"^```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)

@@ -228,6 +228,21 @@ def test_no_git_state_outside_a_checkout(tmp_path: Path) -> None:
     assert provenance.git_state(tmp_path) is None
 
 
+def test_a_checkout_is_dirty_by_what_makes_results_alone(tmp_path: Path) -> None:
+    package = tmp_path / "framework"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    words = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    for line in (["init", "-q"], ["add", "."], [*words, "commit", "-qm", "first"]):
+        subprocess.run(["git", "-C", str(tmp_path), *line], check=True)
+    (tmp_path / "notes.md").write_text("mine", encoding="utf-8")
+    state = provenance.git_state(tmp_path)
+    assert state is not None and not state["dirty"]
+    (package / "new.py").touch()
+    state = provenance.git_state(tmp_path)
+    assert state is not None and state["dirty"]
+
+
 def test_an_installed_copy_inside_a_foreign_checkout_has_no_git_state(tmp_path: Path) -> None:
     subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
     (tmp_path / "framework").mkdir()

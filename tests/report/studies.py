@@ -44,7 +44,7 @@ def _rename(record: Path, scene: str, seed: int) -> None:
 def write_committed(folder: Path, name: str) -> None:
     """Records with the PSNR of a committed study's `runs.csv`, as far as its methods are pairs of
     augmenter and regularizer."""
-    text = (ROOT / "reports" / name / "runs.csv").read_text(encoding="utf-8")
+    text = (ROOT / "reports" / "committed" / name / "runs.csv").read_text(encoding="utf-8")
     rows = [row for row in csv.DictReader(text.splitlines()) if "," not in row["method"]]
     with tempfile.TemporaryDirectory() as source:
         made = {

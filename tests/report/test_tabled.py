@@ -116,7 +116,7 @@ def test_numbers_that_no_axis_can_have_end_in_one_line(
         collect(folder)
 
 
-COMMITTED = sorted((ROOT / "reports").glob("*/runs.csv"))
+COMMITTED = sorted((ROOT / "reports" / "committed").glob("*/runs.csv"))
 
 
 @pytest.mark.parametrize("table", COMMITTED, ids=lambda path: path.parent.name)

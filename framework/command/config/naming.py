@@ -16,7 +16,8 @@ from typing import Any
 
 from omegaconf import MISSING, DictConfig, OmegaConf
 
-from framework.command.config.schema import check, rows
+from framework.command.config.check import check
+from framework.command.config.schema import rows
 from framework.command.config.trust import refuse_environment
 from framework.scenes import HELD_OUT, UNTESTED
 

@@ -5,15 +5,15 @@ whose typed fields are its options. From each one a Hydra structured-config node
 `name` and the options, so that Hydra refuses unknown keys and wrong types by itself. An option
 without a default is MISSING ("???") until the user gives it. `conf/config.yaml` has the top level.
 
-This module imports neither torch nor numba: `--help` and every configuration error stay instant.
+`framework.command.config.check` checks a composed configuration. This module imports neither torch
+nor numba: `--help` and every configuration error stay instant.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import re
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import field, make_dataclass
 from pathlib import Path
 from typing import Any
@@ -24,10 +24,8 @@ from omegaconf import MISSING, OmegaConf
 import framework
 from framework import registry
 from framework.command.hydra_inside import JoinedChoices
-from framework.errors import UserError, nearest_hint, require
-from framework.metrics.values import measures
+from framework.errors import nearest_hint, require
 from framework.options import TrainerOptions
-from framework.run import trackers
 
 PACKAGE = Path(framework.__file__).resolve().parent
 ROOT = PACKAGE.parent  # of the repository, or where packages are installed
@@ -48,7 +46,6 @@ SCALARS = {
     **{"force": bool, "traceback": bool, "estimate": bool},
     "tracker": str | None,
 }
-MOST_THREADS = 1024
 METRICS = {"lpips_weights": str | None, "also": str | None, "coadaptation": bool}
 
 
@@ -131,85 +128,3 @@ def register_config() -> None:
     # `sweeps/` stands beside `conf/`, where a config group cannot be: each file becomes a node.
     for path in sorted(SWEEPS_DIR.glob("*.yaml")):
         store.store(group="sweep", name=path.stem, package="_global_", node=OmegaConf.load(path))
-
-
-def check(config: Mapping[str, Any]) -> None:
-    """Raise UserError unless `config` (plain, resolved) describes a run that can start.
-
-    Every group needs a choice, every required option a value, and no key may be unknown (Hydra lets
-    `+key=value` through); then the chosen classes check their own options. Reads no scene.
-    """
-    _known_keys("", config, [*SCALARS, "trainer", "metrics", *OBJECT_GROUPS])
-    _known_keys("trainer.", config["trainer"], [row[0] for row in class_rows(TrainerOptions)])
-    _known_keys("metrics.", config["metrics"], METRICS)
-    _check_integers("", config)
-    for group in OBJECT_GROUPS:
-        _check_choice(group, config[group])
-    for group in registry.GROUPS:
-        registry.build(group, config[group])
-    for group, table in tables().items():
-        options = dict(config[group])
-        table[options.pop("name")](**options)
-    registry.parts("metric")
-    measures(config["metrics"].get("also"))
-    TrainerOptions(**config["trainer"])
-    _check_scalars(config["seed"], config["threads"], config["study"])
-    trackers.ready(config.get("tracker"))
-
-
-def _check_integers(prefix: str, options: Mapping[str, Any]) -> None:
-    """Raise UserError for an integer that libraries cannot take."""
-    for key, value in options.items():
-        if isinstance(value, Mapping):
-            _check_integers(f"{prefix}{key}.", value)
-        require(
-            type(value) is not int or abs(value) < 2**63,
-            f"{prefix}{key}: expected an integer below 2^63, got {value}; choose another",
-        )
-
-
-def _check_scalars(seed: int, threads: int, study: str | None) -> None:
-    require(seed >= 0, f"seed: expected an integer >= 0, got {seed}; choose another")
-    require(threads >= 0, f"threads: expected an integer >= 0, got {threads}; 0 uses all cores")
-    require(
-        threads <= MOST_THREADS,
-        f"threads: expected an integer of at most {MOST_THREADS}, got {threads}; 0 uses all cores",
-    )
-    require(
-        study is None or re.fullmatch(r"\w[\w.-]*(/\w[\w.-]*)*", study) is not None,
-        f"study: expected a folder name of letters, digits, _ . and -, got {study!r}; rename it",
-    )
-
-
-def _check_choice(group: str, options: Any) -> None:
-    """A group needs a name (an empty choice must not be half-configured) and no missing option."""
-    if not isinstance(options, Mapping) or "name" not in options:
-        raise UserError(
-            f"{group}: expected a choice, got none; add {group}=NAME, available:"
-            f" {', '.join(choices(group.partition('.')[0]))}"
-        )
-    title = f"{group}={options['name']}"
-    parts = registry.parts_of(group, str(options["name"]))
-    if len(parts) > 1:
-        _known_keys(f"{group}.", [key for key in options if key != "name"], parts, title)
-        for part in parts:
-            _check_choice(f"{group}.{part}", options.get(part))
-        return
-    kind = group.partition(".")[0]
-    known = [row[0] for row in rows(kind, options["name"])]
-    _known_keys(f"{group}.", {k: v for k, v in options.items() if k != "name"}, known, title)
-    for key, value in options.items():
-        require(
-            value != MISSING,
-            f"{group}.{key}: required by {title}, got nothing; add {group}.{key}=VALUE",
-        )
-
-
-def _known_keys(prefix: str, given: Iterable[str], known: Iterable[str], owner: str = "") -> None:
-    options = list(known)
-    place = f" of {owner}" if owner else ""
-    for key in given:
-        require(
-            key in options,
-            f"{prefix}{key}: unknown option{place}; {nearest_hint(key, options)}",
-        )

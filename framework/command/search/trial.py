@@ -12,8 +12,9 @@ from typing import Any
 from hydra import compose, initialize_config_dir
 
 from framework.command.complaints import composing
+from framework.command.config.check import check
 from framework.command.config.naming import plain, register_resolvers
-from framework.command.config.schema import CONF_DIR, check, register_config
+from framework.command.config.schema import CONF_DIR, register_config
 from framework.command.config.trust import check_composed
 from framework.command.job import Job
 from framework.command.program import program

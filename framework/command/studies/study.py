@@ -24,8 +24,8 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from framework.command.collector import import_uncollected
 from framework.command.complaints import USER_ERRORS, composing
+from framework.command.config.check import check
 from framework.command.config.naming import plain, study_dir
-from framework.command.config.schema import check
 from framework.command.config.trust import check_composed
 from framework.command.hydra_inside import jobs_of
 from framework.command.launchers.detached import detached
@@ -34,12 +34,12 @@ from framework.command.program import program
 from framework.command.studies.closing import closing, short_path
 from framework.command.studies.disk import check_links, check_room
 from framework.command.studies.estimate import announce
+from framework.command.studies.ready import check_ready
 from framework.compute.stopwatch import Stopwatch, duration
 from framework.errors import UserError, mendable, os_line, printable_line
 from framework.files.locks import locked
 from framework.files.tidy import own_folder
 from framework.files.whole import write_whole
-from framework.rasterizers import build_rasterizer
 from framework.records.progress import say
 
 LEDGER_VARIABLE = "FISHERSPLAT_LEDGER"
@@ -192,7 +192,7 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
             check_composed(composed)
         check(plain(composed))
         if "Slurm" not in str(config.hydra.launcher.get("_target_")):  # the run is on this machine
-            build_rasterizer(plain(composed)).ready()
+            check_ready(plain(composed))
         with open_dict(composed):
             composed.hydra.job.num = number  # as the launcher will, after this
         # the seed may be part of either folder

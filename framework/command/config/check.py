@@ -1,0 +1,137 @@
+"""Whether a composed configuration describes a run that can start, and where an option is that
+somebody looked for in a wrong place."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from omegaconf import MISSING
+
+from framework import registry
+from framework.command.config.schema import (
+    GROUPS,
+    METRICS,
+    OBJECT_GROUPS,
+    SCALARS,
+    choices,
+    class_rows,
+    rows,
+    tables,
+)
+from framework.errors import UserError, nearest_hint, require
+from framework.metrics.values import measures
+from framework.options import TrainerOptions
+from framework.run import trackers
+
+MOST_THREADS = 1024
+FEW = 4  # choices that have an option, told by name
+
+
+def check(config: Mapping[str, Any]) -> None:
+    """Raise UserError unless `config` (plain, resolved) describes a run that can start.
+
+    Every group needs a choice, every required option a value, and no key may be unknown (Hydra lets
+    `+key=value` through); then the chosen classes check their own options. Reads no scene.
+    """
+    _known_keys("", config, [*SCALARS, "trainer", "metrics", *OBJECT_GROUPS])
+    _known_keys("trainer.", config["trainer"], [row[0] for row in class_rows(TrainerOptions)])
+    _known_keys("metrics.", config["metrics"], METRICS)
+    _check_integers("", config)
+    for group in OBJECT_GROUPS:
+        _check_choice(group, config[group])
+    for group in registry.GROUPS:
+        registry.build(group, config[group])
+    for group, table in tables().items():
+        options = dict(config[group])
+        table[options.pop("name")](**options)
+    registry.parts("metric")
+    measures(config["metrics"].get("also"))
+    TrainerOptions(**config["trainer"])
+    _check_scalars(config["seed"], config["threads"], config["study"])
+    trackers.ready(config.get("tracker"))
+
+
+def _check_integers(prefix: str, options: Mapping[str, Any]) -> None:
+    """Raise UserError for an integer that libraries cannot take."""
+    for key, value in options.items():
+        if isinstance(value, Mapping):
+            _check_integers(f"{prefix}{key}.", value)
+        require(
+            type(value) is not int or abs(value) < 2**63,
+            f"{prefix}{key}: expected an integer below 2^63, got {value}; choose another",
+        )
+
+
+def _check_scalars(seed: int, threads: int, study: str | None) -> None:
+    require(seed >= 0, f"seed: expected an integer >= 0, got {seed}; choose another")
+    require(threads >= 0, f"threads: expected an integer >= 0, got {threads}; 0 uses all cores")
+    require(
+        threads <= MOST_THREADS,
+        f"threads: expected an integer of at most {MOST_THREADS}, got {threads}; 0 uses all cores",
+    )
+    require(
+        study is None or re.fullmatch(r"\w[\w.-]*(/\w[\w.-]*)*", study) is not None,
+        f"study: expected a folder name of letters, digits, _ . and -, got {study!r}; rename it",
+    )
+
+
+def _check_choice(group: str, options: Any) -> None:
+    """A group needs a name (an empty choice must not be half-configured) and no missing option."""
+    if not isinstance(options, Mapping) or "name" not in options:
+        raise UserError(
+            f"{group}: expected a choice, got none; add {group}=NAME, available:"
+            f" {', '.join(choices(group.partition('.')[0]))}"
+        )
+    title = f"{group}={options['name']}"
+    parts = registry.parts_of(group, str(options["name"]))
+    if len(parts) > 1:
+        _known_keys(f"{group}.", [key for key in options if key != "name"], parts, title)
+        for part in parts:
+            _check_choice(f"{group}.{part}", options.get(part))
+        return
+    kind = group.partition(".")[0]
+    known = [row[0] for row in rows(kind, options["name"])]
+    _known_keys(f"{group}.", {k: v for k, v in options.items() if k != "name"}, known, title)
+    for key, value in options.items():
+        require(
+            value != MISSING,
+            f"{group}.{key}: required by {title}, got nothing; add {group}.{key}=VALUE",
+        )
+
+
+def _known_keys(prefix: str, given: Iterable[str], known: Iterable[str], owner: str = "") -> None:
+    options = list(known)
+    place = f" of {owner}" if owner else ""
+    for key in given:
+        if key not in options:
+            told = hint(prefix.rstrip("."), str(key), options)
+            raise UserError(f"{prefix}{key}: unknown option{place}; {told}")
+
+
+def hint(section: str, key: str, known: Iterable[str]) -> str:
+    """What to write in place of the unknown option `section.key`: the same name elsewhere, or a
+    similar one of those that are known there. section: "" for the top level."""
+    offered = {*known} if section else {*known, *GROUPS}
+    there = _places(section.partition(".")[0], key)
+    return f"did you mean {there}? {_available(offered)}" if there else nearest_hint(key, offered)
+
+
+def _places(section: str, key: str) -> str:
+    """Where there is an option of this name: `trainer.steps`, `augment.eta of augment=safi`."""
+    sections = {"trainer": [row[0] for row in class_rows(TrainerOptions)], "metrics": [*METRICS]}
+    found = [f"'{name}.{key}'" for name, options in sections.items() if key in options]
+    groups = [section] if section in OBJECT_GROUPS else OBJECT_GROUPS
+    for group in groups:
+        names = choices(group)
+        having = [name for name in names if key in (row[0] for row in rows(group, name))]
+        if having:
+            few = having[:FEW] + ["..."] * (len(having) > FEW)
+            of = "" if len(having) == len(names) else f" of {group}={', '.join(few)}"
+            found.append(f"'{group}.{key}'{of}")
+    return " or ".join(found)
+
+
+def _available(names: Iterable[str]) -> str:
+    return f"available: {', '.join(sorted(names))}"

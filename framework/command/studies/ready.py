@@ -1,0 +1,29 @@
+"""Whether this machine has what a run needs, as far as that is quick to see: told before the first
+run of a study, not after hours of the ones before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from framework.command.config.schema import tables
+from framework.errors import require
+from framework.rasterizers import build_rasterizer
+
+WITH_PATH = ("scene", "depth")  # groups whose option `path` names files of this machine
+
+
+def check_ready(config: Mapping[str, Any]) -> None:
+    """Raise UserError where a checked configuration names a folder that is not there, or a part of
+    it says that it lacks something here. Reads no files."""
+    for group in WITH_PATH:
+        path = config[group].get("path")
+        require(
+            not isinstance(path, str) or Path(path).expanduser().exists(),
+            f"{group}={config[group]['name']}: expected a file or folder at '{path}', found"
+            f" nothing; correct {group}.path",
+        )
+    options = dict(config["depth"])
+    tables()["depth"][options.pop("name")](**options).ready()
+    build_rasterizer(config).ready()
