@@ -41,7 +41,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from framework.methods.rounds import SH0, RoundsCapacity, Selection, TrainingInformation
 from framework.plugin import StepContext, register
@@ -178,14 +178,28 @@ def residual_noise(ctx: StepContext) -> tuple[float, float, float]:
     products, pixels = np.zeros((3, 3)), 0.0
     for view in ctx.views:
         residual = (ctx.render(view.camera).rgb - view.image).numpy().astype(np.float64)
-        mask = np.ones(residual.shape[1:]) if view.mask is None else view.mask.numpy()
-        pairs = residual[:, None] * residual[None] * mask
-        products += pairs.sum(axis=(2, 3))
-        pixels += float(mask.sum(dtype=np.float64))
+        mask = None if view.mask is None else view.mask.numpy()
+        products += channel_products(residual, mask)
+        pixels += residual[0].size if mask is None else float(mask.sum(dtype=np.float64))
     total = float(np.trace(products))
     variance = max(total / (3 * pixels), ROUNDING_VARIANCE)
     together = float(products.sum()) / total if total > 0 else 1.0
     return variance, 3 * pixels, min(max(together, 1.0), 3.0)
+
+
+def channel_products(residual: Array, mask: Any) -> Array:
+    """[3, 3] the sums over the pixels, weighted by mask [H, W] if there is one, of the products of
+    the channels of residual [3, H, W]."""
+    import numpy as np
+
+    sums, pair = np.empty((3, 3)), np.empty_like(residual[0])
+    for i in range(3):
+        for j in range(i, 3):
+            np.multiply(residual[i], residual[j], out=pair)
+            if mask is not None:
+                pair *= mask
+            sums[i, j] = sums[j, i] = pair.sum()
+    return sums
 
 
 def description_cost(gaussians: Gaussians, information: FisherInformation, noise: float) -> Array:
