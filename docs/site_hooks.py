@@ -43,7 +43,7 @@ OUTSIDE = {  # pages of the repository outside docs/
     "CHANGELOG.md": "changelog.md",
     "SECURITY.md": "security.md",
 }
-FOLDERS = ("benchmarks/results", "reports/committed")  # whose pages and pictures are in the site as well
+FOLDERS = ("benchmarks/results", "reports/committed")  # whose pages and pictures are in it too
 LINK = re.compile(r"(?<=\]\()([^)\s#]+)(#[^)\s]*)?(?=\))")
 TEXT_LINK = re.compile(r"(?<!!)\[([^\[\]]+)\]\(([^)\s#]+)\)")
 MATHS = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
@@ -110,7 +110,8 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         """The text alone where a link leads to source code or to a run, which the site lacks."""
         inside = posixpath.normpath(posixpath.join(posixpath.dirname(source), match[2]))
         code = inside.endswith((".py", ".yaml")) and (ROOT / inside).is_file()
-        return match[1] if code or re.match(r"reports/(committed/)?[^/]+/runs/", inside) else match[0]
+        run = re.match(r"reports/(committed/)?[^/]+/runs/", inside)
+        return match[1] if code or run else match[0]
 
     return LINK.sub(turned, TEXT_LINK.sub(shown, markdown))
 
