@@ -18,7 +18,7 @@ from pathlib import Path
 import pandas as pd
 from scipy.stats import spearmanr
 
-BOUNDS = (0, 18, 20, 22, 24, 26, 28, 100)  # dB
+BOUNDS = (0, 22, 26, 100)  # dB
 
 
 def views(study: Path) -> pd.DataFrame:

@@ -225,7 +225,8 @@ def _check_chosen_twice(arguments: Sequence[str]) -> None:
             continue
         if group in given:
             both = f"{given[group]},{name}"
-            joined = f"{group}=[{both}] for both in one run, " if group in JOINABLE else ""
+            single = group in JOINABLE and both.count(",") == 1 and JOINED_BY not in both
+            joined = f"{group}=[{both}] for both in one run, " if single else ""
             raise UserError(
                 f"{group}: expected one choice, got two words ({group}={given[group]} and"
                 f" {argument}); write {joined}{group}={both} -m for a run of each"

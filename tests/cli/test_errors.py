@@ -40,7 +40,7 @@ CASES = {
         "reg: expected one choice, got two words",
         "reg=[uar,uniform] for both",
     ],
-    "+reg=uar,none reg=uniform -m": ["write reg=[uar,none,uniform] for both in one run"],
+    "+reg=uar,none reg=uniform -m": ["uniform); write reg=uar,none,uniform -m for a run"],
     "preset=fast preset=best": ["got two words (preset=fast and preset=best); write preset=fast,"],
     "augment=null": ["augment: expected a choice, got 'null'; available: dba,"],
     "augment=": ["augment: expected a choice, got ''"],
@@ -82,11 +82,12 @@ CASES = {
     "threads=1,2 -m": ["multirun: expected a folder for each run", "study=NAME"],
     "hydra.sweep.subdir=x seed=0,1 -m": ["expected a folder for each run", "hydra.sweep.subdir"],
     "seed=0,1": ["seed"],
-    "scene=embedded,llff scene.path=nowhere -m": ["scene.path: unknown option of scene=embedded"],
     "scene=llff scene.path=/nowhere seed=0,1 -m": [
         "scene=llff: expected a file or folder at '/nowhere', found nothing; correct scene.path"
     ],
-    "depth=plane_sweep,file depth.path=/nowhere -m": ["depth.path: unknown option of depth=plane_"],
+    "depth=file depth.path=/nowhere seed=0,1 -m": [
+        "depth=file: expected a file or folder at '/nowhere', found nothing; correct depth.path"
+    ],
     "method=baseline,fsgs -m": [
         "depth=depth_anything_3: expected the package depth_anything_3, got none; install it with:",
         "or take the plane sweep instead of a network: method=fsgs_sweep",
