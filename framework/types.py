@@ -117,7 +117,7 @@ class TrainingSet:
     near: float
     far: float
 
-    @property
+    @cached_property  # asked for in every step
     def extent(self) -> float:
         """1.1 x the largest distance of a training camera to their centroid (3DGS); for a single
         camera, where that is zero, a tenth of the near bound."""

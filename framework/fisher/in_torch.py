@@ -101,12 +101,13 @@ def _conics(cov2d: Tensor) -> Tensor:
 
 def _rows_of_gradient(outputs: Tensor, inputs: list[Tensor]) -> Tensor:
     """[N, D, P]: the derivative of every Gaussian's D outputs in its own P inputs, beside each
-    other; no output depends on another Gaussian's."""
-    rows = []
-    for column in outputs.unbind(1):
-        parts = torch.autograd.grad(column.sum(), inputs, retain_graph=True, materialize_grads=True)
-        rows.append(torch.cat(parts, 1))
-    return torch.stack(rows, 1)
+    other; no output depends on another Gaussian's. All outputs in one pass."""
+    n, d = outputs.shape
+    each = torch.eye(d).to(outputs)[:, None].expand(d, n, d)
+    parts = torch.autograd.grad(
+        outputs, inputs, each, retain_graph=True, is_grads_batched=True, materialize_grads=True
+    )
+    return torch.cat(parts, 2).transpose(0, 1)
 
 
 def _lists(seen: Footprints, camera: Camera) -> _Lists:

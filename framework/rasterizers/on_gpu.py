@@ -56,6 +56,7 @@ class Gsplat(ByAutograd):
             " first use with nvcc of the CUDA toolkit, which is missing; install that, or use"
             " rasterizer=numba",
         )
+        torch.backends.cudnn.allow_tf32 = False  # SSIM's windows have float32's 24 bits, not 11
 
     def facts(self) -> dict[str, Any]:
         import torch

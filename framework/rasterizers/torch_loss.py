@@ -49,9 +49,9 @@ def photometric_loss(rgb: Tensor, target: TorchTarget, ssim_weight: float) -> Te
             f"photometric_loss: expected a render {list(target.image.shape)}, got {list(rgb.shape)}"
         )
     seen = rgb if target.mask is None else rgb * target.mask
-    mean = _blurred(seen)
-    variance = _blurred(seen * seen) - mean * mean
-    covariance = _blurred(seen * target.image) - mean * target.mean
+    planes = torch.cat([seen, seen * seen, seen * target.image])
+    mean, square, product = _blurred(planes).split(len(seen))
+    variance, covariance = square - mean * mean, product - mean * target.mean
     above = (2 * mean * target.mean + C1) * (2 * covariance + C2)
     below = (mean**2 + target.mean**2 + C1) * (variance + target.variance + C2)
     l1 = (seen - target.image).abs().mean()
@@ -124,7 +124,7 @@ def _disparities(alpha: Tensor, depth: Tensor) -> Tensor:
 
 
 def _blurred(image: Tensor) -> Tensor:
-    """[3, H, W] weighted means over the window of every pixel, rows first."""
+    """[C, H, W] weighted means over the window of every pixel, rows first."""
     across, down = _taps(image.dtype, str(image.device))
     rows = conv2d(image[:, None], across, padding=(0, RADIUS))
     return conv2d(rows, down, padding=(RADIUS, 0))[:, 0]

@@ -14,8 +14,6 @@ from framework.train.adam_kernels import BETA1, BETA2, EPS, LOWEST_LOGIT
 from framework.train.optim import Adam, AdamState
 from framework.types import Gaussians, edited
 
-TINY = 1e-30  # a first moment below it is none, as in `adam_kernels`
-
 
 class Optimizer(Protocol):
     """What a training asks of Adam; `optim.Adam` tells what each of it does."""
@@ -63,25 +61,31 @@ class TorchAdam:
         opacity_decay: float = 1.0,
     ) -> tuple[str, ...]:
         """Update `params` in place, see `optim.Adam.step`."""
-        gradients = dict(grads.items())
-        finite: dict[str, Tensor] = {}
-        for name, parameter in params.items():
-            gradient = gradients.get(name)
-            if gradient is None:
-                continue
-            first, second = getattr(self._first, name), getattr(self._second, name)
-            _check(name, gradient, parameter, first)
+        given = {name: gradient for name, gradient in grads.items() if gradient is not None}
+        if not given:
+            return ()
+        names, pull = list(given), list(given.values())
+        at, first, second = (
+            [getattr(of, name) for name in names] for of in (params, self._first, self._second)
+        )
+        for name, gradient, parameter, moment in zip(names, pull, at, first, strict=True):
+            _check(name, gradient, parameter, moment)
             self._steps[name] += 1
-            rate = rates[name] / (1 - BETA1 ** self._steps[name])
-            correction = 1 / math.sqrt(1 - BETA2 ** self._steps[name])
-            first.mul_(BETA1).add_(gradient, alpha=1 - BETA1)
-            first[first.abs() < TINY] = 0
-            second.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
-            parameter.sub_(rate * first / (second.sqrt() * correction + EPS))
-            finite[name] = (parameter.abs() + second).isfinite().all()
-        # asked at once: every question waits for the device
-        whole = torch.stack(list(finite.values())).tolist() if finite else []
-        broken = tuple(name for name, fine in zip(finite, whole, strict=True) if not fine)
+        rate = [-rates[name] / (1 - BETA1 ** self._steps[name]) for name in names]
+        correction = [1 / math.sqrt(1 - BETA2 ** self._steps[name]) for name in names]
+        # all tensors at once: what a GPU is given costs more time here than its arithmetic
+        torch._foreach_mul_(first, BETA1)
+        torch._foreach_add_(first, pull, alpha=1 - BETA1)
+        torch._foreach_mul_(second, BETA2)
+        torch._foreach_addcmul_(second, pull, pull, value=1 - BETA2)
+        width = torch._foreach_sqrt(second)
+        torch._foreach_mul_(width, correction)
+        torch._foreach_add_(width, EPS)
+        torch._foreach_addcdiv_(at, first, width, rate)
+        # the sum of sizes is finite only where all are; asked at once, as a question waits
+        sizes = torch.stack(torch._foreach_norm([*at, *second], 1)).isfinite().tolist()
+        whole = [a and b for a, b in zip(sizes, sizes[len(names) :], strict=False)]
+        broken = tuple(name for name, fine in zip(names, whole, strict=True) if not fine)
         if opacity_decay < 1 and not broken:
             _fade(params.opacity_logits, opacity_decay)
         return broken
