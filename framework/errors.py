@@ -79,7 +79,8 @@ def os_line(error: OSError, path: Path | str | None = None) -> str:
     if isinstance(where, bytes):
         where = where.decode("utf-8", "replace")
     if error.errno == errno.ENOENT:
-        return f"{where}: expected a file or folder, found none; correct the path"
+        found = "expected a file or folder, found none"
+        return f"{where}: {found}; correct the path, or choose a place that takes new ones"
     if error.errno == errno.EEXIST:
         return f"{where}: expected a folder or nothing yet, got a file; choose another place"
     expected = "what may be opened"

@@ -13,11 +13,14 @@ from framework.errors import UserError
 from framework.records.record import SceneInfo, write_failed
 from framework.report.figures import tradeoff
 from framework.report.study.collect import collect
-from framework.report.study.labels import USUAL, method_labels, scene_labels
+from framework.report.study.labels import USUAL, VARIANTS, method_labels, scene_labels
 from framework.report.text import budgets
 from framework.report.text.capacities import contests, evidence, sentences
+from framework.report.verdict.points import MEANING
 from tests.cli.conftest import composed
 from tests.record.fakes import fake_run, make_config
+
+VARIANT_FILES = sorted((Path(__file__).parents[2] / "conf/reg").glob("*.yaml"))
 
 
 def names(configs: list[dict[str, Any]]) -> list[str]:
@@ -27,6 +30,22 @@ def names(configs: list[dict[str, Any]]) -> list[str]:
 def test_methods_are_named_by_augmenter_and_regularizer() -> None:
     configs = [make_config(), make_config("safi", "uar"), make_config("safi", "uar", seed=5)]
     assert names(configs) == ["none + none", "safi + uar", "safi + uar"]
+
+
+@pytest.mark.parametrize("file", VARIANT_FILES, ids=lambda f: f.stem)
+def test_a_variant_is_named_as_users_call_it(file: Path) -> None:
+    """Beside its plugin and alone; a study of dropgaussian alone told of `none + uniform`."""
+    told = yaml.safe_load(file.read_text(encoding="utf-8"))
+    plugin = told.pop("defaults")[0]
+    variant = make_config() | {"reg": {"name": plugin, **told}}
+    (key,) = (key for name, key, _ in VARIANTS if name == plugin)
+    plain = make_config() | {"reg": {"name": plugin, key.partition(".")[2]: "another"}}
+    assert names([variant]) == [f"none + {file.stem}"] and file.stem in MEANING
+    assert [name.partition(",")[0] for name in names([variant, plain])] == [
+        f"none + {file.stem}",
+        f"none + {plugin}",
+    ]
+    assert not any(key.partition(".")[2] in name for name in names([variant, plain]))
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,10 @@ USUAL = {  # unnamed
     **{"capacity.name": "fixed", "init.name": "stereo", "depth.name": "plane_sweep"},
     RASTERIZER: NUMBA,
 }
+VARIANTS = {  # plugins that one option makes another method, as `conf/reg/` names it
+    ("uniform", "reg.compensate", True): "dropgaussian",
+    ("uar", "reg.mode", "hard"): "uar_hard",
+}
 NO_METHOD = ("seed", "scene", "metrics", *NEUTRAL_KEYS)
 WATCHING = ("trainer.evaluations",)  # changes what is told, not what comes out
 UNKNOWN_SCENE = "unknown scene"
@@ -94,7 +98,10 @@ def flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def method_labels(configs: Sequence[Mapping[str, Any]]) -> list[MethodLabel]:
     """The name of each run's method among `configs`; equal configs have equal names."""
-    flat = [{RASTERIZER: NUMBA, **_without_idle_tuning(flatten(config))} for config in configs]
+    flat = [
+        {RASTERIZER: NUMBA, **_by_variant(_without_idle_tuning(flatten(config)))}
+        for config in configs
+    ]
     keys = [key for key in _keys(flat) if _may_name_a_method(key)]
     keys = _without_followers(keys, flat)
     where = {key: _varying(key, flat) for key in keys}
@@ -224,6 +231,15 @@ def _without_idle_tuning(config: Flat) -> Flat:
     if config.get("trainer.members", 1) != 1:
         return config
     return {key: value for key, value in config.items() if key != "trainer.tuning"}
+
+
+def _by_variant(config: Flat) -> Flat:
+    """The config with its regularizer as users call it, without the option that says the same."""
+    for (plugin, key, value), name in VARIANTS.items():
+        if config.get("reg.name") == plugin and key in config:
+            rest = {k: v for k, v in config.items() if k != key}
+            return {**rest, "reg.name": name} if config[key] == value else rest
+    return config
 
 
 def _without_followers(keys: Sequence[str], configs: Sequence[Flat]) -> list[str]:
