@@ -32,6 +32,7 @@ ACTING = {"augment": "safi", "reg": "uar", "capacity": "adc"}
 EAGER: dict[str, dict[str, Any]] = {
     "adc": {"from_step": 4, "every": 4, "grad_threshold": 1e-6},
     "safi": {"refresh_epochs": 2},
+    "sh_dropout": {"each": 1.0},
     "uar": {"refresh": 4, "schedule": "constant"},
 }
 

@@ -1,0 +1,104 @@
+"""Dropout of SH bands, against numbers worked by hand and a mask within autograd's chain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from framework.compute.rng import stream
+from framework.errors import UserError
+from framework.plugin import StepContext
+from framework.rasterize import rasterize
+from framework.types import Gaussians
+from plugins.regularize.sh_dropout import ShDropout
+from tests.plugins.fakes import context, wall_of_gaussians
+
+
+def coloured(n: int, bands: int) -> Gaussians:
+    """n Gaussians, the first `bands` of them with all 15 coefficients, 1 to 15 in each channel."""
+    values = torch.arange(1.0, 16).view(1, 15, 1).expand(bands, 15, 3)
+    return wall_of_gaussians(n).replace(sh0=torch.ones(n, 1, 3), shN=values.contiguous())
+
+
+def at_step(step: int, degree: int, gaussians: Gaussians, seed: int = 0) -> StepContext:
+    return replace(context(gaussians=gaussians, step=step, seed=seed), sh_degree=degree)
+
+
+def squares(gaussians: Gaussians) -> dict[str, Tensor]:
+    """The gradient of half the square of each Gaussian's sum of coefficients, by hand: the sum."""
+    total = gaussians.sh0.sum(1, keepdim=True).clone()
+    total[: len(gaussians.shN)] += gaussians.shN.sum(1, keepdim=True)
+    return {"sh0": total, "shN": total[: len(gaussians.shN)].expand_as(gaussians.shN).contiguous()}
+
+
+@pytest.mark.parametrize(
+    ("step", "spared", "total"),
+    [(0, 0, 1), (19, 0, 1), (20, 3, 7), (39, 3, 7), (40, 8, 37), (59, 8, 37)],
+)
+def test_dropped_bands_are_not_seen_and_get_no_gradient(step: int, spared: int, total: int) -> None:
+    """The loss' residual by hand: 1 of sh0, with band 1 also 1 + 2 + 3, with band 2 also 4 to 8."""
+    gaussians = coloured(4, 3)
+    before = gaussians.clone()
+    there = ShDropout(p=1.0).gradient(at_step(step, 3, gaussians), None, {}, squares)
+    assert there is not None
+    assert there["sh0"][:3].eq(total).all() and there["sh0"][3].eq(1).all()  # it has no bands
+    assert there["shN"][:, :spared].eq(total).all() and there["shN"][:, spared:].eq(0).all()
+    assert torch.equal(gaussians.shN, before.shN)
+
+
+@pytest.mark.parametrize(("step", "degree"), [(60, 3), (99, 3), (40, 2), (20, 1), (0, 0)])
+def test_where_no_active_band_is_due_nothing_is_rendered_again(step: int, degree: int) -> None:
+    def refuse(_: Gaussians) -> Mapping[str, Tensor]:
+        raise AssertionError("no second pass is expected")
+
+    ctx = at_step(step, degree, coloured(4, 4))
+    assert ShDropout(p=1.0).gradient(ctx, None, {}, refuse) is None
+
+
+def test_a_fifth_of_the_gaussians_is_drawn_anew_in_every_step() -> None:
+    def lacking(step: int) -> Tensor:
+        there = ShDropout().gradient(at_step(step, 3, coloured(5000, 5000)), None, {}, squares)
+        assert there is not None
+        none = there["shN"].eq(0)
+        assert torch.equal(none.any(1), none.all(1))  # a Gaussian's due bands go together
+        return none[:, 0, 0].float()
+
+    one, other = lacking(3), lacking(4)
+    assert float(one.mean()) == pytest.approx(0.2, abs=0.02)  # three and a half sigma
+    assert float((one * other).mean()) == pytest.approx(0.04, abs=0.01)  # independent
+
+
+def test_it_is_the_gradient_through_a_masked_render() -> None:
+    draws = torch.from_numpy(stream(5, "bands").random((400, 8, 3))).float()
+    gaussians = wall_of_gaussians().replace(shN=draws - 0.5)
+    ctx = at_step(25, 2, gaussians)
+    view = ctx.views[0]
+
+    def loss(of: Gaussians) -> Tensor:
+        return (rasterize(of, view.camera, background=torch.zeros(3)).rgb - view.image).square()
+
+    def at(of: Gaussians) -> dict[str, Tensor]:
+        leaves = of.map(lambda t: t.clone().requires_grad_())
+        loss(leaves).sum().backward()
+        return {name: tensor.grad for name, tensor in leaves.items() if tensor.grad is not None}
+
+    mask = torch.ones(400, 8, 1)
+    mask[torch.from_numpy(ctx.rng("lacking").random(400)) < 0.2, 3:] = 0
+    leaves = gaussians.map(lambda t: t.clone().requires_grad_())
+    loss(leaves.replace(shN=leaves.shN * mask)).sum().backward()
+    there = ShDropout().gradient(ctx, None, at(gaussians), at)
+    assert there is not None and set(there) == {name for name, _ in gaussians.items()}
+    for name, tensor in leaves.items():
+        assert tensor.grad is not None
+        assert torch.allclose(there[name], tensor.grad, rtol=1e-5, atol=1e-6), name
+    assert not torch.allclose(there["sh0"], at(gaussians)["sh0"], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("wrong", [{"p": 0.0}, {"p": 1.1}, {"each": 0.0}, {"each": 1.1}])
+def test_shares_out_of_range_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(UserError, match=r"reg\.(p|each)"):
+        ShDropout(**wrong)
