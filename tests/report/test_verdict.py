@@ -136,3 +136,13 @@ def test_a_method_that_hardly_acted_is_told(tmp_path: Path) -> None:
     assert idle_sentence(collect(tmp_path)).startswith(
         "Hardly tested, for it acted on less than half of its occasions: safi + none (12 % on"
     )
+
+
+def test_a_single_run_has_no_worst_seed(tmp_path: Path) -> None:
+    """Nor is there a rate of failures of one."""
+    fake_run(tmp_path)
+    alone = told(tmp_path)[1]
+    assert "its worst view is" in alone and "worst seed" not in alone and "failed" not in alone
+    fake_run(tmp_path, seed=1)
+    both = told(tmp_path)[1]
+    assert "its worst seed" in both and "0 of 2 runs failed" in both

@@ -176,17 +176,17 @@ def weakest(study: Study, found: Outcomes) -> str:
     }
     scene = min(means, key=lambda scene: means[scene])
     told = [f"{scene} ({means[scene]:.2f} dB on average)"] if len(means) > 1 else []
-    case = worst_case(study.of(scene, best))
+    runs = study.of(scene, best)
+    case, several = worst_case(runs), len({run.seed for run in runs}) > 1
     if case is not None:
-        told.append(
-            f"its worst view is {outside(case.view)} with {case.view_psnr:.2f} dB (seed"
-            f" {case.view_seed}), its worst seed {case.run_seed} with {case.run_psnr:.2f} dB"
+        view = f"its worst view is {outside(case.view)} with {case.view_psnr:.2f} dB"
+        seed = (
+            f" (seed {case.view_seed}), its worst seed {case.run_seed} with {case.run_psnr:.2f} dB"
         )
-    elif values := [
-        (psnr, run.seed) for run in study.of(scene, best) if (psnr := run.mean("psnr"))
-    ]:
+        told.append(view + (seed if several else ""))
+    elif several and (values := [(psnr, r.seed) for r in runs if (psnr := r.mean("psnr"))]):
         told.append(f"its worst seed is {min(values)[1]} with {min(values)[0]:.2f} dB")
     rate = None if study.tabled else failure_rate(study, best)
-    told += [f"{rate.failed} of {rate.n} runs failed"] if rate else []
+    told += [f"{rate.failed} of {rate.n} runs failed"] if rate and rate.n > 1 else []
     place = "" if len(means) > 1 else f" on {scene}"
     return f"Where {best} is weakest{place}: {'; '.join(told)}." if told else ""
