@@ -188,8 +188,9 @@ class Regularizer(Plugin):
         self, ctx: StepContext, state: Any, found: Mapping[str, Tensor], at: GradientAt
     ) -> Mapping[str, Tensor] | None:
         """What the optimizer gets in place of `found`, the gradient of the step's loss by parameter
-        name, or None for `found` itself. at(gaussians): the same loss' gradient at other values of
-        the parameters, for one more pass over the step's views."""
+        name, or None for `found` itself. at(gaussians): the same at other values of the parameters,
+        for one more pass over the step's views. Of several, each gets in both what those before
+        it made of it."""
         return None
 
     def evaluated(self, gaussians: Gaussians, state: Any) -> Gaussians:

@@ -301,19 +301,29 @@ class PluginsAtWork:
         found: Mapping[str, Tensor],
         at: GradientAt,
     ) -> Mapping[str, Tensor]:
-        """The gradient that the optimizer gets, as one regularizer after the other changes it."""
+        """The gradient that the optimizer gets, as one regularizer after the other changes it: each
+        sees those before it in what it is given, and in what it asks for elsewhere."""
         device = found["means"].device
-        found = _brought(found, CPU)
 
-        def there(gaussians: Gaussians) -> Mapping[str, Tensor]:
-            return _brought(at(gaussians.to(device)), CPU)
+        def through(
+            count: int, gaussians: Gaussians | None, found: Mapping[str, Tensor]
+        ) -> Mapping[str, Tensor]:
+            """`found` as the first `count` leave it; gaussians: elsewhere, None for the step's own
+            place, where it is noted who acted."""
+            for before, (running, context) in enumerate(asked[:count]):
+                inside = context if gaussians is None else replace(context, gaussians=gaussians)
+                there = functools.partial(elsewhere, before)
+                plugin = running.plugged.plugin
+                own = plugin.gradient(inside, running.state, found, there)
+                if gaussians is None:
+                    self._note_act(running, own is not None)
+                found = found if own is None else hooks.gradient(plugin, own, found)
+            return found
 
-        for running, context in asked:
-            plugin = running.plugged.plugin
-            own = plugin.gradient(context, running.state, found, there)
-            self._note_act(running, own is not None)
-            found = found if own is None else hooks.gradient(plugin, own, found)
-        return _brought(found, device)
+        def elsewhere(count: int, gaussians: Gaussians) -> Mapping[str, Tensor]:
+            return through(count, gaussians, _brought(at(gaussians.to(device)), CPU))
+
+        return _brought(through(len(asked), None, _brought(found, CPU)), device)
 
     def _follow(self, editor: _Running, rows: Tensor) -> None:
         """Tell the other capacities that one changed the set."""

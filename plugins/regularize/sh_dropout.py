@@ -5,8 +5,7 @@ its SH bands above degree d zeroed, c' = m c with m = 0 there and 1 elsewhere, a
 dL/dc = m dL/dc' = 0 for these. d is 0 in the first fifth of the training, 1 in the second, 2 in the
 third; nothing is dropped later, nor in an evaluation. Only bands that are active already can be
 dropped: `trainer.sh_every` has to open them early enough (the paper: every 1,000 of 10,000 steps).
-Steps in which any can take a second pass. It replaces the gradient, so that of several
-regularizers which change it, it has to be named first.
+Steps in which any can take a second pass.
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 import torch
@@ -19,7 +19,15 @@ from torch import Tensor
 
 from framework import registry
 from framework.options import TrainerOptions
-from framework.plugin import Augmenter, Capacity, Edits, Regularizer, StepContext, StepStats
+from framework.plugin import (
+    Augmenter,
+    Capacity,
+    Edits,
+    GradientAt,
+    Regularizer,
+    StepContext,
+    StepStats,
+)
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
 from framework.run.warmup import _plane
@@ -66,19 +74,20 @@ def content_sha256(value: Any) -> str:
 def train(**names: str) -> tuple[Trained, bool]:
     """A training with the named plugins, all active throughout, and whether its input is intact."""
     chosen = {**NEUTRAL, **names}
-    plugins = Plugins(
-        *(
-            registry.build(group, {"name": name, **EAGER.get(name, {}), "start": 0.0, "stop": 1.0})
-            for group, name in chosen.items()
-        )
-    )
+
+    def options_of(name: str) -> dict[str, Any]:
+        if "+" in name:
+            return {"name": name, **{part: options_of(part) for part in name.split("+")}}
+        return {"name": name, **EAGER.get(name, {}), "start": 0.0, "stop": 1.0}
+
+    built = [registry.build(group, options_of(name)) for group, name in chosen.items()]
     training, depth, gaussians = _plane(1)
     tilt = torch.linspace(0.99, 1.01, depth[0].depth.shape[1])  # of a flat one nothing correlates
     depth = tuple(dataclasses.replace(each, depth=each.depth * tilt) for each in depth)
     given = training, depth, gaussians
     before = content_sha256(given)
     options = TrainerOptions(steps=20, sh_degree=1, sh_every=8, evaluations=1)
-    trained = Trainer(*given, options, plugins, 0, Silent()).run()
+    trained = Trainer(*given, options, Plugins(*built), 0, Silent()).run()
     return trained, content_sha256(given) == before
 
 
@@ -177,6 +186,44 @@ def test_one_more_plugin_moves_no_other_draw(
 ) -> None:
     plain = bits(**{**others, group: NEUTRAL[group]})
     assert bits(**{**others, group: "drawing"}) == plain
+
+
+class Home(Regularizer):
+    """Pulls the means to the origin, whatever the photos say."""
+
+    sign: ClassVar[float] = 1.0
+
+    def gradient(
+        self, ctx: StepContext, state: Any, found: Mapping[str, Tensor], at: GradientAt
+    ) -> Mapping[str, Tensor]:
+        return {**found, "means": self.sign * ctx.gaussians.means.detach()}
+
+
+class Away(Home):
+    """Pushes them away from it."""
+
+    sign: ClassVar[float] = -1.0
+
+
+class Mirrored(Regularizer):
+    """The means' gradient as it is where they are mirrored at the origin."""
+
+    def gradient(
+        self, ctx: StepContext, state: Any, found: Mapping[str, Tensor], at: GradientAt
+    ) -> Mapping[str, Tensor]:
+        mirrored = ctx.gaussians.replace(means=-ctx.gaussians.means.detach())
+        return {**found, "means": at(mirrored)["means"]}
+
+
+def test_a_gradient_elsewhere_holds_what_the_regularizers_before_made_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(registry._classes, "reg", dict(registry._classes["reg"]))
+    for each in (Home, Away, Mirrored):
+        registry.register("reg", each.__name__.lower())(dataclass(frozen=True)(each))
+    away = bits(reg="away")
+    assert bits(reg="home+mirrored") == away
+    assert away not in (bits(reg="home"), bits(reg="mirrored"))
 
 
 def test_a_regularizer_that_ended_has_no_word_in_what_is_evaluated() -> None:
