@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -204,7 +205,21 @@ def _studies(entries: Sequence[Entry], out_dir: Path) -> list[Block]:
         }
         rows.append(row)
     text = "PSNR, Gaussians and seconds: of what to use, over the scenes or strengths of the study."
-    return [Heading(2, "Studies"), table(rows, WORDS), Text(text)] if rows else []
+    blocks = [Heading(2, "Studies"), table(rows, WORDS), Text(text)]
+    return [*blocks, *_shared(entries)] if rows else []
+
+
+def _shared(entries: Sequence[Entry]) -> list[Block]:
+    """Which studies have trainings in common, by the bits of their parameters."""
+    bits = [{run.record.parameters_sha256 for run in entry.study.runs} - {""} for entry in entries]
+    told = [
+        f"{one.name} and {other.name} ({len(both)})"
+        for (one, mine), (other, theirs) in itertools.combinations(zip(entries, bits), 2)
+        if (both := mine & theirs)
+    ]
+    if not told:
+        return []
+    return [Text(f"Trainings that are in two studies count in both: {listed(told, 'and')}.")]
 
 
 def _used(study: Study, found: Outcomes) -> str:
