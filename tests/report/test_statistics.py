@@ -90,8 +90,8 @@ def test_correction_is_for_what_can_be_tested() -> None:
     assert told["c"].joint.low < two.interval.low
 
 
-def test_an_interval_that_excludes_zero_is_not_rounded_to_it() -> None:
+def test_an_end_beside_zero_is_not_rounded_to_it() -> None:
     assert interval_text(Interval(-0.21, -0.0041)) == "-0.21 to -0.004"
-    assert interval_text(Interval(-0.21, 0.0041)) == "-0.21 to 0.00"
+    assert interval_text(Interval(-0.21, 0.0041)) == "-0.21 to 0.004"
     assert interval_text(Interval(0.0, 0.0)) == "0.00 to 0.00"
     assert interval_text(Interval(0.12, 0.48)) == "0.12 to 0.48"

@@ -61,15 +61,12 @@ def spanned(interval: Interval) -> str:
 
 def interval_text(interval: Interval, most: int = 2) -> str:
     """`0.21 to 0.60`, rounded by its own width, at most to `most` decimals; an end that rounds to
-    zero gets more where the interval excludes zero."""
+    zero and is none gets more, so that its side is seen."""
     places = decimals((interval.high - interval.low) / 2, most)
-    ends = (interval.low, interval.high)
-    if interval.low * interval.high > 0:
-        low, high = (
-            significant(e, 1) if round(e, places) == 0 else f"{e:.{places}f}" for e in ends
-        )
-    else:
-        low, high = (_zero(e, places) for e in ends)
+    low, high = (
+        f"{end:.{places}f}" if end == 0 or round(end, places) != 0 else significant(end, 1)
+        for end in (interval.low, interval.high)
+    )
     return f"{low} to {high}"
 
 
@@ -88,8 +85,3 @@ def average(values: Sequence[float | None]) -> float | None:
     """The mean; None unless there are values and none is missing."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known and len(known) == len(values) else None
-
-
-def _zero(value: float, places: int) -> str:
-    text = f"{value:.{places}f}"
-    return text.removeprefix("-") if float(text) == 0 else text
