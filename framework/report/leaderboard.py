@@ -205,17 +205,20 @@ def _studies(entries: Sequence[Entry], out_dir: Path) -> list[Block]:
         }
         rows.append(row)
     text = "PSNR, Gaussians and seconds: of what to use, over the scenes or strengths of the study."
-    blocks = [Heading(2, "Studies"), table(rows, WORDS), Text(text)]
-    return [*blocks, *_shared(entries)] if rows else []
+    blocks = [Heading(2, "Studies"), table(rows, WORDS), Text(text), *_shared(entries)]
+    return blocks if rows else []
 
 
 def _shared(entries: Sequence[Entry]) -> list[Block]:
     """Which studies have trainings in common, by the bits of their parameters."""
-    bits = [{run.record.parameters_sha256 for run in entry.study.runs} - {""} for entry in entries]
+    bits = {
+        entry.name: {run.record.parameters_sha256 for run in entry.study.runs} - {""}
+        for entry in entries
+    }
     told = [
-        f"{one.name} and {other.name} ({len(both)})"
-        for (one, mine), (other, theirs) in itertools.combinations(zip(entries, bits), 2)
-        if (both := mine & theirs)
+        f"{one} and {other} ({len(both)})"
+        for one, other in itertools.combinations(bits, 2)
+        if (both := bits[one] & bits[other])
     ]
     if not told:
         return []

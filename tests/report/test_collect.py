@@ -261,6 +261,14 @@ def test_a_repetition_that_failed_is_told(tmp_path: Path) -> None:
     assert "was repeated and failed (no memory)" in study.notes[0]
 
 
+def test_a_run_that_was_begun_and_left_nothing_is_told(tmp_path: Path) -> None:
+    fake_run(tmp_path, run_name="whole")
+    (tmp_path / "runs" / "killed" / "checkpoints").mkdir(parents=True)
+    (tmp_path / "runs" / ".trash").mkdir()
+    (told,) = (note for note in collect(tmp_path).notes if "begun" in note)
+    assert told.startswith("1 run was begun and has no result: still going, or killed (`killed`).")
+
+
 def test_missing_runs_of_a_cross(tmp_path: Path) -> None:
     for augment, seed in (("none", 0), ("none", 1), ("safi", 0)):
         fake_run(tmp_path, augment, seed=seed)

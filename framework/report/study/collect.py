@@ -17,7 +17,7 @@ from framework.records.record import RECORD, Run, read_run
 from framework.records.search import read_search
 from framework.report.study.folders import RUN_FOLDERS, run_dirs
 from framework.report.study.labels import MethodLabel, code, method_labels, scene_labels
-from framework.report.study.notes import notes, table_notes, within
+from framework.report.study.notes import begun_notes, notes, table_notes, within
 from framework.report.study.order import method_order, natural
 from framework.report.study.recipes import NOTE, by_recipe
 from framework.report.study.runs import DAMAGED, FailedRun, ReportRun, Study
@@ -58,7 +58,13 @@ def collect(
         out_dir or folders[0],
         tuple(unique),
         tuple(named),
-        (*table_notes(told), *shortened_notes, *repeated, *notes(unique, runs)),
+        (
+            *table_notes(told),
+            *shortened_notes,
+            *repeated,
+            *notes(unique, runs),
+            *begun_notes(folders),
+        ),
         tuple(missing),
         linked=not tabled,
         tabled=tuple(tabled),

@@ -25,6 +25,14 @@ def run_dirs(folder: Path) -> list[Path]:
     return sorted(found)
 
 
+def begun_dirs(folder: Path) -> list[Path]:
+    """The folders of a study's runs in which there is neither: of a run that was killed before its
+    end, or is still going. Sorted."""
+    _, names = _listed(folder / RUN_FOLDERS)
+    begun = (folder / RUN_FOLDERS / name for name in sorted(names) if not name.startswith("."))
+    return [path for path in begun if not run_dirs(path)]
+
+
 def _listed(folder: Path) -> tuple[set[str], list[str]]:
     """(all names, those of folders); nothing where it cannot be read, or is none."""
     try:

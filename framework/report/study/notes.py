@@ -11,9 +11,12 @@ from pathlib import Path
 from framework.errors import UserError, printable_line
 from framework.records.failure import FAILED, read_failure
 from framework.records.record import Run
+from framework.report.study.folders import begun_dirs
 from framework.report.study.labels import code, listed, outside
 from framework.report.study.runs import BUSY, ReportRun
 from framework.report.study.tabled import TABLE, TOLD
+
+MOST_NAMED = 5
 
 
 def notes(unique: Sequence[ReportRun], runs: Sequence[Run]) -> list[str]:
@@ -23,6 +26,22 @@ def notes(unique: Sequence[ReportRun], runs: Sequence[Run]) -> list[str]:
         *_equal_notes(unique),
         *_code_notes(runs),
         *_busy_notes(unique),
+    ]
+
+
+def begun_notes(folders: Sequence[Path]) -> list[str]:
+    """Runs of these studies that left neither a result nor why there is none."""
+    begun = [path.name for folder in folders for path in begun_dirs(folder)]
+    if not begun:
+        return []
+    said = (
+        "1 run was begun and has" if len(begun) == 1 else f"{len(begun)} runs were begun and have"
+    )
+    more = [f"{len(begun) - MOST_NAMED} more"] if len(begun) > MOST_NAMED else []
+    named = listed([*(code(name) for name in begun[:MOST_NAMED]), *more], "and")
+    return [
+        f"{said} no result: still going, or killed ({named}). The study's command goes on with what"
+        " was killed."
     ]
 
 
