@@ -51,9 +51,9 @@ class DepthTerms:
         in_alpha, in_depth, in_rgb = self._rasterizer.binocular_gradient(
             alpha, depth, render, self._item.target, beside.moves, beside.tolerance, beside.weight
         )
-        found = torch.autograd.grad(
-            render.rgb, list(tensors.values()), torch.as_tensor(in_rgb), materialize_grads=True
-        )
+        # the same bits as with in_rgb given as the gradient, for which torch would import sympy
+        along = (render.rgb * torch.as_tensor(in_rgb)).sum()
+        found = torch.autograd.grad(along, list(tensors.values()), materialize_grads=True)
         self.elsewhere = dict(zip(tensors, found, strict=True))
         return in_alpha, in_depth
 
