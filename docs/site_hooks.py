@@ -32,8 +32,11 @@ NAV = {
         "compare.md",
         *("exports.md", "launchers.md", "rasterizers.md", "trackers.md", "runs.md"),
     ],
-    "Explanation": ["methods.md", "statistics.md", "bits.md", "paper.md", "literature.md"],
-    "Measured": ["findings.md", "benchmarks.md"],
+    "Explanation": [
+        *("methods.md", "statistics.md", "bits.md", "paper.md"),
+        *("literature.md", "literature-evidence.md"),
+    ],
+    "Measured": ["findings.md", "findings-evidence.md", "benchmarks.md"],
     "Reference": ["reference/options.md", "reference/api.md"],
     "Project": ["contributing.md", "architecture.md", "security.md", "changelog.md"],
 }

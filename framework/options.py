@@ -29,6 +29,7 @@ class TrainerOptions:
     visits: int = 0  # of every training view at least: many photos get more steps; 0 = as steps say
     sh_degree: int = 0  # stored degree; the active one grows by one every `sh_every` steps
     sh_every: int = 0  # 0 = evenly over the first half of the training (3DGS: 1000 of 30k steps)
+    exposure: bool = True  # photos that were exposed differently are made equal first
     ssim_weight: float = 0.4  # loss = (1 - w) L1 + w (1 - SSIM); 0.4 is sharper at the same PSNR
     depth_smoothness: float = 0.01  # weight of depth's steps where the photo has none; 0 = off
     binocular: float = 1.0  # weight of a photo seen again from beside it, by its depth; 0 = off

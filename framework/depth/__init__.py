@@ -4,6 +4,7 @@ Every provider is a frozen dataclass whose fields are its options, derived from
 `framework.depth.provider.DepthProvider`: it implements `measure(training)`, which gives one
 `framework.types.DepthMap` per training view, in their order, and `fingerprint(training)`, which
 tells the files that were read. Importing this package loads neither torch nor numba.
+`exposure` tells from photos and depth how the photos were exposed.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ __all__ = [
     "DepthProvider",
     "build_provider",
     "consistency",
+    "exposure",
     "matching",
     "options",
     "transfer",

@@ -11,22 +11,27 @@ the pictures the run worked with: undistorted, reduced.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from framework.files.whole import write_whole
 
 if TYPE_CHECKING:
-    from framework.types import View
+    from framework.types import Camera, View
 
 CAMERAS, TRANSFORMS = "cameras.json", "transforms.json"
 
 
 def write_cameras(
-    folder: Path, training: Sequence[View], test: Sequence[View], near: float | None = None
+    folder: Path,
+    training: Sequence[View],
+    test: Sequence[View],
+    near: float | None = None,
+    exposure: Callable[[Camera], list[float]] | None = None,
 ) -> None:
-    """Write both files into `folder`. near: depth in scene units, where the renders begin."""
+    """Write both files into `folder`. near: depth in scene units, where the renders begin.
+    exposure: of a camera, the factors [3] of its photo's colours to those of the model."""
     listed = [_listed(number, view) for number, view in enumerate([*test, *training])]
     write_whole(folder / CAMERAS, json.dumps(listed))
     transforms: dict[str, Any] = {
@@ -35,6 +40,9 @@ def write_cameras(
         "test_filenames": [view.name for view in test],
         "frames": [_frame(view) for view in [*training, *test]],
     }
+    if exposure is not None:
+        for frame, view in zip(transforms["frames"], [*training, *test], strict=True):
+            frame["exposure"] = exposure(view.camera)
     if near is not None:
         transforms["near_plane"] = near
     write_whole(folder / TRANSFORMS, json.dumps(transforms))

@@ -83,6 +83,7 @@ __all__ = [
 ]
 
 TRAIN_STAGE = "train"  # the stage whose wall time the report calls train seconds
+EXPOSURE = "exposure_rms"  # in the provenance: of the photos' log gains, where they were evened
 LPIPS = "lpips"  # in the provenance: the network that LPIPS was measured with, None for none
 METHOD_GROUPS = ("augment", "reg", "capacity", "depth", "init")
 RECORD, PLY = "record.json", "point_cloud.ply"

@@ -23,6 +23,7 @@ from framework import registry
 from framework.compute import parallel, rng
 from framework.compute.stopwatch import Stopwatch
 from framework.depth import build_provider
+from framework.depth.exposure import find_exposures
 from framework.files.locks import locked, remove_stale
 from framework.files.whole import following, remove_temporaries
 from framework.metrics.coadaptation import with_average, with_coadaptation
@@ -31,7 +32,7 @@ from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
 from framework.metrics.values import COADAPTATION, MEASURES, Missing, ViewMetrics, measures
 from framework.options import TrainerOptions
-from framework.rasterizers import Rasterizer, build_rasterizer
+from framework.rasterizers import build_rasterizer
 from framework.records.cameras import write_cameras
 from framework.records.first_view import write_settings
 from framework.records.notices import noted
@@ -45,6 +46,7 @@ from framework.records.provenance import (
     reset_peak_memory,
 )
 from framework.records.record import (
+    EXPOSURE,
     LPIPS,
     TRAIN_STAGE,
     RunRecord,
@@ -160,12 +162,22 @@ def _trained(
     """The record with the result of its run, as written; `timings` are those it holds."""
     config = record.config
     rasterizer = build_rasterizer(config)
+    photos, exposures, told_of_scene = scene.training.views, None, {}
+    if TrainerOptions(**config["trainer"]).exposure:
+        with _timed(timings, "exposure"):
+            exposures = find_exposures(photos, depth)
+    if exposures is not None:
+        progress.note(exposures.told())
+        told_of_scene = {EXPOSURE: exposures.size}
+        evened = dataclasses.replace(scene.training, views=exposures.evened(photos))
+        scene = dataclasses.replace(scene, training=evened)
 
     def start(seed: int) -> Gaussians:
         with _timed(timings, "init"):
             return initial(config, scene, depth, TrainerOptions(**config["trainer"]), seed)
 
-    run = Run(scene, depth, start, run_dir, record.identity, config["force"], rasterizer)
+    identity, force = record.identity, config["force"]
+    run = Run(scene, depth, start, run_dir, identity, force, rasterizer, exposures)
     options, told_of_budget = _steps_for_its_seconds(run, config, progress)
     config = {**config, "trainer": dataclasses.asdict(options)}
     trained = train(run, config, progress)
@@ -173,19 +185,20 @@ def _trained(
     progress.stage("evaluation")
     near = options.near_plane * scene.training.near
     with _timed(timings, "evaluate"):
-        metrics, renders = _measured(config, trained, near, scene, network, rasterizer)
+        metrics, renders = _measured(config, trained, near, scene.test, network, run)
     record = dataclasses.replace(
         record,
-        provenance={**record.provenance, **told_of_budget},
+        provenance={**record.provenance, **told_of_budget, **told_of_scene},
         peak_memory_bytes=peak_memory_bytes(),
         resumed=trained.resumed,
         dose=told(trained.dose),
     )
     with following(run_dir) as before:
-        write_cameras(run_dir, scene.training.views, scene.test, near)
+        factors = None if exposures is None else exposures.factors
+        write_cameras(run_dir, photos, scene.test, near, factors)
         means, background = trained.gaussians.means, trained.background
-        write_settings(run_dir, scene.training.views, means, background, near)
-        write_photos(run_dir, scene.training.views)
+        write_settings(run_dir, photos, means, background, near)
+        write_photos(run_dir, photos)
     record = write_run(
         run_dir,
         record,
@@ -226,19 +239,19 @@ def _measured(
     config: Mapping[str, Any],
     trained: Trained,
     near: float,
-    scene: Scene,
+    test: Sequence[View],
     network: Lpips | None,
-    rasterizer: Rasterizer,
+    run: Run,
 ) -> tuple[list[ViewMetrics], list[tuple[View, Tensor]]]:
     """What the test views say of a trained model, and its renders of them."""
     seen = trained.gaussians, trained.background, trained.sh_degree
-    render = renderer(*seen, near, rasterizer)
+    render = renderer(*seen, near, run.rasterizer, run.exposures)
     also = {name: MEASURES[name]() for name in measures(config["metrics"].get("also"))}
-    metrics, renders = evaluate(render, scene.test, network, also)
+    metrics, renders = evaluate(render, test, network, also)
     metrics = with_average(metrics)
     if config["metrics"].get(COADAPTATION):
-        half = thinned(*seen, near, rasterizer)
-        cameras = [view.camera for view in scene.test]
+        half = thinned(*seen, near, run.rasterizer)
+        cameras = [view.camera for view in test]
         draws = rng.stream(config["seed"], COADAPTATION)
         metrics = with_coadaptation(metrics, half, len(trained.gaussians), cameras, draws)
     return metrics, renders

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from framework import registry
 from framework.compute.parallel import run_tasks, run_together, threads
+from framework.depth.exposure import Exposures
 from framework.files.whole import write_whole
 from framework.initialize import INITIALIZERS
 from framework.metrics.evaluate import psnr
@@ -89,8 +90,9 @@ class _Opened:
 class Run:
     """What the parts of a run have in common.
 
-    start(seed) makes the Gaussians to begin with, which nobody else keeps then. force: go on with
-    nothing that an interrupted process left in `folder` under this identity.
+    scene: its training photos are evened by `exposures`, if there are any. start(seed) makes the
+    Gaussians to begin with, which nobody else keeps then. force: go on with nothing that an
+    interrupted process left in `folder` under this identity.
     """
 
     scene: Scene
@@ -100,6 +102,7 @@ class Run:
     identity: str
     force: bool
     rasterizer: Rasterizer = NUMBA
+    exposures: Exposures | None = None
 
 
 def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
@@ -266,7 +269,8 @@ def _evaluation(run: Run, options: TrainerOptions) -> Evaluate | None:
     near = options.near_plane * scene.training.near
 
     def test_psnr(current: Gaussians, background: Tensor, sh_degree: int) -> float | None:
-        render = renderer(current, background, sh_degree, near, run.rasterizer)
+        seen = current, background, sh_degree
+        render = renderer(*seen, near, run.rasterizer, run.exposures)
         images = [render(view.camera) for view in scene.test]
         pairs = zip(images, scene.test, strict=True)
         values = run_tasks([partial(psnr, image, view.image, view.mask) for image, view in pairs])
@@ -282,11 +286,14 @@ def renderer(
     sh_degree: int,
     near: float,
     rasterizer: Rasterizer = NUMBA,
+    exposures: Exposures | None = None,
 ) -> Callable[[Camera], Tensor]:
-    """What evaluation sees: the Gaussians alone, without plugins or gradients. Images are on the
-    CPU."""
+    """What evaluation sees: the Gaussians alone, without plugins or gradients, exposed as photos
+    around were. Images are on the CPU."""
     draw = thinned(gaussians, background, sh_degree, near, rasterizer)
-    return lambda camera: draw(camera, None).rgb
+    if exposures is None:
+        return lambda camera: draw(camera, None).rgb
+    return lambda camera: exposures.applied(draw(camera, None).rgb, camera)
 
 
 def thinned(

@@ -25,12 +25,14 @@ LARGEST = 1e12  # of a number in the file; far beyond any camera
 @dataclass(frozen=True)
 class RunCamera:
     """name: of the view. tests: whether it tested, and did not train. viewmat: [4, 4] OpenCV
-    world-to-camera. lens: pixels of the pictures that the run worked with."""
+    world-to-camera. lens: pixels of the pictures that the run worked with. exposure: [3] factors of
+    the photo's colours to those of the model."""
 
     name: str
     tests: bool
     viewmat: NDArray[np.float64]
     lens: Lens
+    exposure: tuple[float, ...] = (1.0, 1.0, 1.0)
 
     @property
     def center(self) -> NDArray[np.float64]:
@@ -76,7 +78,11 @@ def _camera(path: Path, number: int, frame: Any, test: Sequence[Any]) -> RunCame
     viewmat[:3, :3] = to_world[:3, :3].T
     viewmat[:3, 3] = -to_world[:3, :3].T @ to_world[:3, 3]
     lens = checked_lens(Lens(int(width), int(height), fx, fy, cx, cy), where)
-    return RunCamera(name, name in test, checked_pose(viewmat, where), lens)
+    exposure = frame.get("exposure", [1.0, 1.0, 1.0])
+    fits = isinstance(exposure, list) and len(exposure) == 3 and all(map(_is_number, exposure))
+    _check(where, fits and min(exposure) > 0, "3 positive numbers as exposure", exposure)
+    pose = checked_pose(viewmat, where)
+    return RunCamera(name, name in test, pose, lens, tuple(map(float, exposure)))
 
 
 def upward(cameras: Sequence[RunCamera]) -> list[float]:

@@ -109,6 +109,7 @@ def _run(run: ViewedRun, model: Packed, name: str) -> dict[str, Any]:
 
 def _camera(camera: RunCamera, runs: Sequence[ViewedRun], places: dict[str, int]) -> dict[str, Any]:
     lens = camera.lens
+    exposures = [{own.name: own.exposure for own in run.cameras} for run in runs]
     return {
         "name": printable_line(camera.name),
         "role": "test" if camera.tests else "train",
@@ -117,6 +118,7 @@ def _camera(camera: RunCamera, runs: Sequence[ViewedRun], places: dict[str, int]
         **{"fx": lens.fx, "fy": lens.fy, "cx": lens.cx, "cy": lens.cy},
         **{"w": lens.width, "h": lens.height},
         "photo": places.get(camera.name),
+        "exposure": [of.get(camera.name, (1.0, 1.0, 1.0)) for of in exposures],
         "psnr": [run.psnr.get(camera.name) for run in runs],
     }
 

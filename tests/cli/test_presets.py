@@ -51,7 +51,7 @@ def test_the_paper_s_conditions() -> None:
     )
     assert last == pytest.approx({**first, "means": 3.2e-6})
     assert (options.opacity_decay, options.coarse_factor, options.pseudo_factor) == (1.0, 1, 1)
-    assert options.depth_smoothness == options.binocular == 0
+    assert options.depth_smoothness == options.binocular == 0 and not options.exposure
     assert config["init"]["completion"] == 0
     assert [config[group]["name"] for group in ("init", "augment", "reg", "capacity")] == [
         *("stereo", "none", "none", "adc")

@@ -48,3 +48,15 @@ def test_both_files_give_the_cameras_back(tmp_path: Path) -> None:
     assert told["train_filenames"] == [view.name for view in scene.training.views]
     assert told["test_filenames"] == [view.name for view in scene.test]
     assert told["near_plane"] == 0.25
+    assert "exposure" not in told["frames"][0]
+    test = scene.test[0].camera
+    write_cameras(
+        tmp_path,
+        scene.training.views,
+        scene.test,
+        exposure=lambda camera: [1.5 if camera is test else 1.0] * 3,
+    )
+    frames_told = json.loads((tmp_path / TRANSFORMS).read_text())["frames"]
+    lit = {frame["file_path"]: frame["exposure"] for frame in frames_told}
+    assert lit.pop(scene.test[0].name) == [1.5] * 3
+    assert all(factors == [1.0] * 3 for factors in lit.values())

@@ -261,6 +261,16 @@ def test_a_repetition_that_failed_is_told(tmp_path: Path) -> None:
     assert "was repeated and failed (no memory)" in study.notes[0]
 
 
+def test_evened_exposures_are_told(tmp_path: Path) -> None:
+    runs = [fake_run(tmp_path, run_name=name, seed=i) for i, name in enumerate(("even", "not"))]
+    assert not any("exposed" in note for note in collect(tmp_path).notes)
+    record = json.loads((runs[0] / "record.json").read_text(encoding="utf-8"))
+    record["provenance"]["exposure_rms"] = 0.094
+    (runs[0] / "record.json").write_text(json.dumps(record), encoding="utf-8")
+    (told,) = (note for note in collect(tmp_path).notes if "exposed" in note)
+    assert told.startswith("Photos were exposed differently (") and " by 9 %, root" in told
+
+
 def test_a_run_that_was_begun_and_left_nothing_is_told(tmp_path: Path) -> None:
     fake_run(tmp_path, run_name="whole")
     (tmp_path / "runs" / "killed" / "checkpoints").mkdir(parents=True)

@@ -162,6 +162,14 @@ FORGED: dict[str, tuple[Callable[[Path], object], str]] = {
     "size": (_transforms(lambda t: t["frames"][0].update(w=1e9)), "expected sides of"),
     "half": (_transforms(lambda t: t["frames"][0].update(w=10.5)), "whole pixels"),
     "text": (_transforms(lambda t: t["frames"][0].update(cx="<b>")), "expected numbers"),
+    "dark": (
+        _transforms(lambda t: t["frames"][0].update(exposure=[1, 0, 1])),
+        "3 positive numbers as exposure",
+    ),
+    "bright": (
+        _transforms(lambda t: t["frames"][0].update(exposure=2)),
+        "3 positive numbers as exposure",
+    ),
     "twice": (_transforms(lambda t: t["frames"].append(t["frames"][0])), "each camera once"),
     "near": (_transforms(lambda t: t.update(near_plane=-1)), "a positive near_plane"),
 }
@@ -199,6 +207,16 @@ def test_a_study_stands_for_its_only_run(tmp_path: Path) -> None:
     assert other.name in str(caught.value)
     with pytest.raises(UserError, match=r"neither record\.json nor runs"):
         find_run(tmp_path / "runs")
+
+
+def test_each_run_has_its_own_exposure_of_a_camera(tmp_path: Path) -> None:
+    first, other = (seen_run(tmp_path, augment=augment) for augment in ("none", "safi"))
+    _transforms(lambda t: t["frames"][0].update(exposure=[1.25, 1, 0.5]))(other)
+    name = json.loads((other / "transforms.json").read_text())["frames"][0]["file_path"]
+    page = view_page([read_viewed(first), read_viewed(other)])
+    cameras = {c["name"]: c["exposure"] for c in data_of(page)["cameras"]}
+    assert cameras.pop(name) == [[1, 1, 1], [1.25, 1, 0.5]]
+    assert all(exposure == [[1, 1, 1]] * 2 for exposure in cameras.values())
 
 
 def test_two_runs_are_told_apart_and_share_cameras(tmp_path: Path) -> None:

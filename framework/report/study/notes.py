@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections import defaultdict
 from collections.abc import Sequence
@@ -10,7 +11,7 @@ from pathlib import Path
 
 from framework.errors import UserError, printable_line
 from framework.records.failure import FAILED, read_failure
-from framework.records.record import Run
+from framework.records.record import EXPOSURE, Run
 from framework.report.study.folders import begun_dirs
 from framework.report.study.labels import code, listed, outside
 from framework.report.study.runs import BUSY, ReportRun
@@ -26,6 +27,7 @@ def notes(unique: Sequence[ReportRun], runs: Sequence[Run]) -> list[str]:
         *_equal_notes(unique),
         *_code_notes(runs),
         *_busy_notes(unique),
+        *_exposure_notes(unique),
     ]
 
 
@@ -118,6 +120,25 @@ def _code_notes(runs: Sequence[Run]) -> list[str]:
     return [
         f"The runs were made with {len(versions)} versions of the code, which may explain a"
         " difference; the study's command repeats the outdated ones."
+    ]
+
+
+def _exposure_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """Test views of such scenes are rendered as the photos around them were exposed."""
+    sizes = dict[str, float]()
+    for run in runs:
+        size = run.record.provenance.get(EXPOSURE)
+        if isinstance(size, int | float) and math.isfinite(size):
+            sizes[run.scene] = size
+    if not sizes:
+        return []
+    told = listed(
+        [f"{scene} by {100 * size:.0f} %" for scene, size in sorted(sizes.items())], "and"
+    )
+    return [
+        f"Photos were exposed differently ({told}, root mean square). They were made equal before"
+        " the training, and test views are rendered as the photos around them were exposed, for"
+        " every method alike (trainer.exposure)."
     ]
 
 

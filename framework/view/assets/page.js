@@ -15,6 +15,7 @@ function say(text, bad = false) {
   find("status").classList.toggle("bad", bad);
 }
 
+const exposureOf = (index, run) => index === null ? [1, 1, 1] : cameras[index].exposure[run]; // of the photo there
 const photoOf = (index) => index === null || cameras[index].photo === null ? null : data.photos[cameras[index].photo];
 const besidePhoto = () => state.beside === "photo" && photoOf(eye.at) !== null;
 const besideRun = () => state.beside === "run" && data.runs.length > 1;
@@ -93,7 +94,7 @@ function draw(share) {
     const columns = (across, round) => cut === null ? [0, across] : i ? [round(cut * across), across] : [0, Math.ceil(cut * across)];
     const sums = renderer.sum(model, view, state.mode, `run${i}`, columns(view.width, Math.floor));
     const region = [Math.round(pane.left * ratio), height - Math.round(pane.top * ratio) - h, w, h];
-    renderer.show(sums, model, state.mode, null, region, columns(w, Math.ceil));
+    renderer.show(sums, model, state.mode, null, region, columns(w, Math.ceil), exposureOf(eye.at, i));
   });
   if (!whole && besidePhoto()) {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
@@ -238,7 +239,7 @@ function choose(group, value) {
 function save() {
   const camera = eye.at === null ? null : cameras[eye.at], scale = window.devicePixelRatio || 1;
   const view = camera ? { ...camera, width: camera.w, height: camera.h, detail: 1 } : eye.view(stage.getBoundingClientRect(), Math.round(stage.clientWidth * scale), Math.round(stage.clientHeight * scale));
-  const picture = renderer.picture(models[0], { ...view, pose: eye.pose }, state.mode), page = document.createElement("canvas");
+  const picture = renderer.picture(models[0], { ...view, pose: eye.pose }, state.mode, exposureOf(eye.at, 0)), page = document.createElement("canvas");
   Object.assign(page, { width: picture.width, height: picture.height });
   page.getContext("2d").putImageData(picture, 0, 0);
   page.toBlob((blob) => {
@@ -316,7 +317,7 @@ async function start() {
   /* for the console and tests: pixels of a camera's picture, row by row from the top, RGBA */
   window.fishersplat = {
     cameras: cameras.map((camera) => camera.name),
-    picture: (index, run = 0, mode = COLOUR) => renderer.picture(models[run], { ...cameras[index], width: cameras[index].w, height: cameras[index].h, detail: 1 }, mode),
+    picture: (index, run = 0, mode = COLOUR) => renderer.picture(models[run], { ...cameras[index], width: cameras[index].w, height: cameras[index].h, detail: 1 }, mode, exposureOf(index, run)),
     eye, state, shares: () => [still, quality],
   };
 }

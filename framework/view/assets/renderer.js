@@ -6,6 +6,7 @@ const DILATION = 0.3, PIXEL_VARIANCE = 1 / 12; // pixels^2: framework/rasterize/
 const TEXELS = 3; // of a projected Gaussian
 const CHUNK = 1024; // Gaussians that are drawn as one instance: one each is slow on many a driver
 const MOST_COUNT = 1023; // of the colours of the count view
+const UNCHANGED = [1, 1, 1]; // factors of colours
 
 class Renderer {
   constructor(canvas) {
@@ -188,8 +189,8 @@ class Renderer {
   }
 
   /* Sums as colours, into a region [x, y, width, height] (from the bottom) of a frame, or the canvas
-     (null); only its columns `part`. */
-  show(target, model, mode, frame, region, part = [0, region[2]]) {
+     (null); only its columns `part`. exposure: factors of the colours, as the photo there was taken. */
+  show(target, model, mode, frame, region, part = [0, region[2]], exposure = UNCHANGED) {
     const gl = this.gl, at = this.resolve.places;
     gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
     gl.viewport(...region);
@@ -202,6 +203,7 @@ class Renderer {
     gl.uniform1i(at.mode, mode);
     gl.uniform1i(at.exact, target.width === region[2] && target.height === region[3] ? 1 : 0);
     gl.uniform3fv(at.background, model.background);
+    gl.uniform3fv(at.exposure, exposure);
     gl.uniform4f(at.region, ...region);
     gl.uniform2f(at.range, ...(mode === COUNT ? [0, MOST_COUNT] : this.range));
     gl.uniform3fv(at.ramp, RAMP.flatMap((hex) => [0, 2, 4].map((k) => parseInt(hex.slice(k, k + 2), 16) / 255)));
@@ -212,10 +214,10 @@ class Renderer {
   }
 
   /* The picture of a view as ImageData, at its own size. */
-  picture(model, view, mode) {
+  picture(model, view, mode, exposure = UNCHANGED) {
     const gl = this.gl, { width, height } = view;
     const sums = this.sum(model, view, mode, "picture"), made = this.target("pixels", width, height, gl.RGBA8);
-    this.show(sums, model, mode, made.frame, [0, 0, width, height]);
+    this.show(sums, model, mode, made.frame, [0, 0, width, height], [0, width], exposure);
     const upsideDown = new Uint8Array(4 * width * height), picture = new ImageData(width, height);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, upsideDown);
     for (let y = 0; y < height; y++) {

@@ -125,7 +125,7 @@ void main() { gl_Position = vec4(4.0 * float(gl_VertexID & 1) - 1.0, 2.0 * float
 const RESOLVE = `#version 300 es
 precision highp float;
 uniform highp sampler2D sums;
-uniform vec3 background, ramp[9];
+uniform vec3 background, exposure, ramp[9];
 uniform vec4 region; // of the target, pixels
 uniform vec2 range;
 uniform int mode;
@@ -139,7 +139,7 @@ vec3 ramped(float t) {
 void main() {
   vec2 spot = gl_FragCoord.xy - region.xy;
   vec4 sum = exact ? texelFetch(sums, ivec2(spot), 0) : texture(sums, spot / region.zw);
-  vec3 rgb = sum.rgb + (1.0 - sum.a) * background;
+  vec3 rgb = exposure * (sum.rgb + (1.0 - sum.a) * background);
   if (mode == 1) {
     float depth = sum.r / max(sum.a, 1e-6);
     rgb = mix(vec3(0.5), ramped((1.0 / depth - 1.0 / range.y) / (1.0 / range.x - 1.0 / range.y)), min(1.0, 2.0 * sum.a));

@@ -1,0 +1,197 @@
+"""Photos of one scene that were exposed differently, made equal.
+
+A camera that chooses exposure and white balance anew for every photo gives one surface other
+colours in each. Gaussians can explain that only by being several where one would do. Where stereo
+finds a surface in two photos i and j, their colours differ by about (g_i - g_j) times their mean,
+g the log gains of the photos. For every pair of neighbours, each quarter of the shared pixels by
+brightness k has a median difference e and a median mean l, which highlights, shading and wrong
+depth hardly move; in each colour channel the gains minimise
+
+    sum_ijk (e_ijk - (g_i - g_j) l_ijk)^2 + PRIOR sum_i g_i^2,
+
+whose last term puts their mean at 0 and decides for photos that nothing connects. Differences and
+no ratios, as stray light and tone curves lift the dark ones: it is the bright ones that tell. Where
+the gains are below `LEAST`, photos count as equal and nothing is changed.
+
+A new view is seen as the photos around it were exposed: its log gain is the mean of those of the
+nearest cameras, weighted by 1 / distance^2 (Shepard 1968). Test photos are not looked at.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from framework.compute.portable import exp
+from framework.depth.transfer import pixel_transfer
+from framework.geometry import distance
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from torch import Tensor
+
+    from framework.types import Camera, DepthMap, View
+
+    Floats = NDArray[np.float64]
+
+NEAREST = 8  # photos that one is compared with, and that a new view is exposed like
+STRIDE = 2  # pixels along each axis from one that is compared to the next
+TOLERANCE = 0.02  # relative difference of depths that are of one surface
+DARK, BRIGHT = 0.02, 0.98  # colours between these are not clipped
+FEWEST = 200  # pixels that make a pair
+PARTS = 4  # by brightness
+PRIOR = 0.01
+LEAST = 0.01  # root mean square of the log gains
+
+
+@dataclass(frozen=True)
+class Exposures:
+    """log_gains: [n, 3] of every photo's colours, 0 in the mean. cameras: theirs."""
+
+    cameras: tuple[Camera, ...]
+    log_gains: Floats
+
+    def evened(self, views: Sequence[View]) -> tuple[View, ...]:
+        """The photos as if exposed alike."""
+        return tuple(
+            replace(view, image=view.image / _channels(gains))
+            for view, gains in zip(views, self.log_gains, strict=True)
+        )
+
+    @property
+    def size(self) -> float:
+        """The root mean square of the log gains."""
+        return _size(self.log_gains)
+
+    def told(self) -> str:
+        """For the screen."""
+        return (
+            f"the photos were exposed differently (root mean square {100 * self.size:.0f} %), which"
+            " is evened; trainer.exposure=false leaves them as they are"
+        )
+
+    def factors(self, camera: Camera) -> list[float]:
+        """[3] what a render of the evened scene is multiplied by for this camera."""
+        return [float(factor) for factor in exp(self.at(camera))]
+
+    def applied(self, rgb: Tensor, camera: Camera) -> Tensor:
+        """A render [3, H, W] of the evened scene, exposed as the photos around `camera` were."""
+        return rgb * _channels(self.at(camera))
+
+    def at(self, camera: Camera) -> Floats:
+        """[3] the log gains of a new view."""
+        away = np.array([distance(camera, other) for other in self.cameras])
+        near = np.argsort(away, kind="stable")[:NEAREST]
+        scale = max(float(away[near[-1]]), 1e-12)
+        weights = 1 / ((away[near] / scale) ** 2 + 1e-6)  # finite where a photo was taken
+        weights /= math.fsum(weights)
+        return np.array([math.fsum(weights * gains) for gains in self.log_gains[near].T])
+
+
+def find_exposures(views: Sequence[View], depth: Sequence[DepthMap]) -> Exposures | None:
+    """Of training views with their depth; None where they are exposed alike, or nothing tells."""
+    n = len(views)
+    systems, right = np.repeat(PRIOR * np.eye(n)[None], 3, axis=0), np.zeros((3, n))
+    for i, j, levels, differences in _compared(views, depth):
+        for c in range(3):
+            weight = math.fsum(levels[c] ** 2)
+            pull = math.fsum(levels[c] * differences[c])
+            systems[c][[i, j], [i, j]] += weight
+            systems[c][[i, j], [j, i]] -= weight
+            right[c][[i, j]] += pull, -pull
+    gains = np.stack([_solved(*of) for of in zip(systems, right, strict=True)], axis=1)
+    if _size(gains) < LEAST:
+        return None
+    return Exposures(tuple(view.camera for view in views), gains)
+
+
+def _compared(
+    views: Sequence[View], depth: Sequence[DepthMap]
+) -> Iterator[tuple[int, int, Floats, Floats]]:
+    """(i, j, [3, PARTS] mean colours, [3, PARTS] differences of photo i to j) of neighbours."""
+    colours = [_smoothed(view.image.numpy()) for view in views]
+    known = [np.where(d.confidence.numpy() > 0, d.depth.numpy(), 0) for d in depth]
+    for i, view in enumerate(views):
+        away = [distance(view.camera, other.camera) for other in views]
+        order = np.argsort(away, kind="stable")
+        for j in [int(k) for k in order if k != i][:NEAREST]:
+            pixels, others = _shared(known[i], known[j], view.camera, views[j].camera)
+            here, there = colours[i][:, pixels], colours[j][:, others]
+            lowest = np.minimum(here, there).min(0, initial=1)
+            highest = np.maximum(here, there).max(0, initial=0)
+            clean = (lowest > DARK) & (highest < BRIGHT)
+            if clean.sum() >= FEWEST:
+                yield i, j, *_by_brightness(here[:, clean], there[:, clean])
+
+
+def _by_brightness(here: Floats, there: Floats) -> tuple[Floats, Floats]:
+    """Medians of the means and of the differences of two [3, M], both [3, PARTS]."""
+    order = np.argsort(here + there, axis=1, kind="stable")
+
+    def medians(values: Floats) -> Floats:
+        parts = np.array_split(np.take_along_axis(values, order, axis=1), PARTS, axis=1)
+        return np.stack([np.median(part, axis=1) for part in parts], axis=1)
+
+    return medians(0.5 * (here + there)), medians(here - there)
+
+
+def _shared(
+    depth: NDArray[np.float32], other: NDArray[np.float32], a: Camera, b: Camera
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pixels of `a`, row after row, and those where `b` sees the same surface."""
+    rows, columns = np.mgrid[0 : a.height : STRIDE, 0 : a.width : STRIDE].reshape(2, -1)
+    z = depth[rows, columns].astype(np.float64)
+    rows, columns, z = rows[z > 0], columns[z > 0], z[z > 0]
+    A, t = pixel_transfer(a, b)
+    x, y = columns + 0.5, rows + 0.5
+    u, v, w = (z * (A[k, 0] * x + A[k, 1] * y + A[k, 2]) + t[k] for k in range(3))
+    front = w > 0
+    safe = np.where(front, w, 1.0)
+    u, v = u / safe, v / safe
+    inside = front & (u >= 0) & (v >= 0) & (u < b.width) & (v < b.height)
+    here = (rows * a.width + columns)[inside]
+    there = v[inside].astype(np.int64) * b.width + u[inside].astype(np.int64)
+    seen = other.reshape(-1)[there].astype(np.float64)
+    same = np.abs(w[inside] - seen) < TOLERANCE * seen
+    return here[same], there[same]
+
+
+def _smoothed(image: NDArray[np.float32]) -> Floats:
+    """[3, H W] means over 5 x 5 pixels, summed in one order; fewer at the border."""
+    total = np.pad(image.astype(np.float64), ((0, 0), (2, 2), (2, 2)))
+    count = np.pad(np.ones(image.shape[1:]), 2)[None]
+    for axis in (1, 2):
+        n = total.shape[axis] - 4
+        cut = [np.take(total, range(k, k + n), axis) for k in range(5)]
+        counted = [np.take(count, range(k, k + n), axis) for k in range(5)]
+        total, count = sum(cut[1:], cut[0]), sum(counted[1:], counted[0])
+    return np.asarray(total / count).reshape(3, -1)
+
+
+def _solved(system: Floats, right: Floats) -> Floats:
+    """x of system x = right, [n, n] and [n], by elimination in one order on every processor; the
+    diagonal outweighs its row, so that no pivot is small."""
+    system, x = system.copy(), right.copy()
+    for k in range(len(x)):
+        factors = system[k + 1 :, k] / system[k, k]
+        system[k + 1 :] -= factors[:, None] * system[k]
+        x[k + 1 :] -= factors * x[k]
+    for k in reversed(range(len(x))):
+        x[k] = (x[k] - math.fsum(system[k, k + 1 :] * x[k + 1 :])) / system[k, k]
+    return x
+
+
+def _size(log_gains: Floats) -> float:
+    """Their root mean square."""
+    return math.sqrt(math.fsum(log_gains.ravel() ** 2) / log_gains.size)
+
+
+def _channels(log_gains: Floats) -> Tensor:
+    """[3, 1, 1] float32 factors."""
+    import torch
+
+    return torch.from_numpy(exp(log_gains)).float()[:, None, None]
