@@ -2,16 +2,19 @@
 
 A camera that chooses exposure and white balance anew for every photo gives one surface other
 colours in each. Gaussians can explain that only by being several where one would do. Where stereo
-finds a surface in two photos i and j, their colours differ by about (g_i - g_j) times their mean,
-g the log gains of the photos. For every pair of neighbours, each quarter of the shared pixels by
-brightness k has a median difference e and a median mean l, which highlights, shading and wrong
-depth hardly move; in each colour channel the gains minimise
+finds a surface in two photos i and j, the ratio of their colours is exp(g_i - g_j), g the log gains
+of the photos. For every pair of neighbours, each quarter k of the shared pixels by brightness has a
+median difference e and a median mean l of the two colours, which highlights, shading and wrong
+depth hardly move, and so a log ratio r = log((l + e/2) / (l - e/2)); in each colour channel the
+gains minimise
 
-    sum_ijk (e_ijk - (g_i - g_j) l_ijk)^2 + PRIOR sum_i g_i^2,
+    sum_ijk l_ijk^2 (r_ijk - (g_i - g_j))^2 + prior sum_i g_i^2,
 
-whose last term puts their mean at 0 and decides for photos that nothing connects. Differences and
-no ratios, as stray light and tone curves lift the dark ones: it is the bright ones that tell. Where
-the gains are below `LEAST`, photos count as equal and nothing is changed.
+whose last term, `PRIOR` of the pairs' mean weight, puts their mean at 0 and decides for photos that
+nothing connects. Weighted by l, as stray light and tone curves lift the dark ones: it is the bright
+ones that tell. Where the gains are below `LEAST`, photos count as equal and nothing is changed; nor
+are fewer than `ENOUGH` photos, in which exposure is not told from a surface that shines to one
+side.
 
 A new view is seen as the photos around it were exposed: its log gain is the mean of those of the
 nearest cameras, weighted by 1 / distance^2 (Shepard 1968). Test photos are not looked at.
@@ -26,7 +29,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from framework.compute.portable import exp
+from framework.compute.portable import exp, log
 from framework.depth.transfer import pixel_transfer
 from framework.geometry import distance
 
@@ -38,13 +41,14 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+ENOUGH = 6  # photos
 NEAREST = 8  # photos that one is compared with, and that a new view is exposed like
-STRIDE = 2  # pixels along each axis from one that is compared to the next
+COMPARED = 30_000  # pixels of a photo at most, evenly over it
 TOLERANCE = 0.02  # relative difference of depths that are of one surface
 DARK, BRIGHT = 0.02, 0.98  # colours between these are not clipped
 FEWEST = 200  # pixels that make a pair
 PARTS = 4  # by brightness
-PRIOR = 0.01
+PRIOR = 1e-6
 LEAST = 0.01  # root mean square of the log gains
 
 
@@ -83,7 +87,10 @@ class Exposures:
         return rgb * _channels(self.at(camera))
 
     def at(self, camera: Camera) -> Floats:
-        """[3] the log gains of a new view."""
+        """[3] the log gains of a new view, or of one of the photos."""
+        for own, gains in zip(self.cameras, self.log_gains, strict=True):
+            if own is camera:
+                return gains
         away = np.array([distance(camera, other) for other in self.cameras])
         near = np.argsort(away, kind="stable")[:NEAREST]
         scale = max(float(away[near[-1]]), 1e-12)
@@ -95,14 +102,19 @@ class Exposures:
 def find_exposures(views: Sequence[View], depth: Sequence[DepthMap]) -> Exposures | None:
     """Of training views with their depth; None where they are exposed alike, or nothing tells."""
     n = len(views)
-    systems, right = np.repeat(PRIOR * np.eye(n)[None], 3, axis=0), np.zeros((3, n))
-    for i, j, levels, differences in _compared(views, depth):
+    if n < ENOUGH:
+        return None
+    systems, right = np.zeros((3, n, n)), np.zeros((3, n))
+    for i, j, levels, ratios in _compared(views, depth):
         for c in range(3):
             weight = math.fsum(levels[c] ** 2)
-            pull = math.fsum(levels[c] * differences[c])
+            pull = math.fsum(levels[c] ** 2 * ratios[c])
             systems[c][[i, j], [i, j]] += weight
             systems[c][[i, j], [j, i]] -= weight
             right[c][[i, j]] += pull, -pull
+    for system in systems:
+        prior = PRIOR * math.fsum(np.diagonal(system)) / n
+        system[range(n), range(n)] += prior if prior > 0 else 1.0
     gains = np.stack([_solved(*of) for of in zip(systems, right, strict=True)], axis=1)
     if _size(gains) < LEAST:
         return None
@@ -112,15 +124,16 @@ def find_exposures(views: Sequence[View], depth: Sequence[DepthMap]) -> Exposure
 def _compared(
     views: Sequence[View], depth: Sequence[DepthMap]
 ) -> Iterator[tuple[int, int, Floats, Floats]]:
-    """(i, j, [3, PARTS] mean colours, [3, PARTS] differences of photo i to j) of neighbours."""
+    """(i, j, [3, PARTS] mean colours, [3, PARTS] log ratios of photo i to j) of neighbours."""
     colours = [_smoothed(view.image.numpy()) for view in views]
-    known = [np.where(d.confidence.numpy() > 0, d.depth.numpy(), 0) for d in depth]
+    known = [_known(view, of) for view, of in zip(views, depth, strict=True)]
     for i, view in enumerate(views):
         away = [distance(view.camera, other.camera) for other in views]
         order = np.argsort(away, kind="stable")
         for j in [int(k) for k in order if k != i][:NEAREST]:
             pixels, others = _shared(known[i], known[j], view.camera, views[j].camera)
-            here, there = colours[i][:, pixels], colours[j][:, others]
+            here = colours[i][:, pixels].astype(np.float64)
+            there = colours[j][:, others].astype(np.float64)
             lowest = np.minimum(here, there).min(0, initial=1)
             highest = np.maximum(here, there).max(0, initial=0)
             clean = (lowest > DARK) & (highest < BRIGHT)
@@ -129,21 +142,33 @@ def _compared(
 
 
 def _by_brightness(here: Floats, there: Floats) -> tuple[Floats, Floats]:
-    """Medians of the means and of the differences of two [3, M], both [3, PARTS]."""
+    """Medians of the means, and log ratios, of colours [3, M] in two photos, both [3, PARTS]."""
     order = np.argsort(here + there, axis=1, kind="stable")
 
     def medians(values: Floats) -> Floats:
         parts = np.array_split(np.take_along_axis(values, order, axis=1), PARTS, axis=1)
         return np.stack([np.median(part, axis=1) for part in parts], axis=1)
 
-    return medians(0.5 * (here + there)), medians(here - there)
+    levels, differences = medians(0.5 * (here + there)), medians(here - there)
+    halves = np.clip(0.5 * differences / levels, -0.9, 0.9)
+    return levels, log((1 + halves) / (1 - halves))
+
+
+def _known(view: View, depth: DepthMap) -> NDArray[np.float32]:
+    """[H, W] the depth of what the photo shows, 0 = unknown or a guess."""
+    known = depth.confidence.numpy() > 0
+    if view.mask is not None:
+        known &= view.mask.numpy() > 0.5
+    return np.where(known, depth.depth.numpy(), np.float32(0))
 
 
 def _shared(
     depth: NDArray[np.float32], other: NDArray[np.float32], a: Camera, b: Camera
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pixels of `a`, row after row, and those where `b` sees the same surface."""
-    rows, columns = np.mgrid[0 : a.height : STRIDE, 0 : a.width : STRIDE].reshape(2, -1)
+    """Pixels of `a`, row after row, and those where `b` sees the same surface. depth, other: [H, W]
+    of the two, 0 = unknown."""
+    stride = max(1, math.ceil(math.sqrt(a.height * a.width / COMPARED)))
+    rows, columns = np.mgrid[0 : a.height : stride, 0 : a.width : stride].reshape(2, -1)
     z = depth[rows, columns].astype(np.float64)
     rows, columns, z = rows[z > 0], columns[z > 0], z[z > 0]
     A, t = pixel_transfer(a, b)
@@ -160,16 +185,13 @@ def _shared(
     return here[same], there[same]
 
 
-def _smoothed(image: NDArray[np.float32]) -> Floats:
+def _smoothed(image: NDArray[np.float32]) -> NDArray[np.float32]:
     """[3, H W] means over 5 x 5 pixels, summed in one order; fewer at the border."""
-    total = np.pad(image.astype(np.float64), ((0, 0), (2, 2), (2, 2)))
-    count = np.pad(np.ones(image.shape[1:]), 2)[None]
-    for axis in (1, 2):
-        n = total.shape[axis] - 4
-        cut = [np.take(total, range(k, k + n), axis) for k in range(5)]
-        counted = [np.take(count, range(k, k + n), axis) for k in range(5)]
-        total, count = sum(cut[1:], cut[0]), sum(counted[1:], counted[0])
-    return np.asarray(total / count).reshape(3, -1)
+    height, width = image.shape[1:]
+    total = np.pad(np.concatenate([image, np.ones_like(image[:1])]), ((0, 0), (2, 2), (2, 2)))
+    down = sum((total[:, k : k + height] for k in range(1, 5)), total[:, :height])
+    across = sum((down[:, :, k : k + width] for k in range(1, 5)), down[:, :, :width])
+    return np.asarray(across[:3] / across[3]).reshape(3, -1)
 
 
 def _solved(system: Floats, right: Floats) -> Floats:
@@ -186,12 +208,12 @@ def _solved(system: Floats, right: Floats) -> Floats:
 
 
 def _size(log_gains: Floats) -> float:
-    """Their root mean square."""
+    """The root mean square of [n, 3]."""
     return math.sqrt(math.fsum(log_gains.ravel() ** 2) / log_gains.size)
 
 
 def _channels(log_gains: Floats) -> Tensor:
-    """[3, 1, 1] float32 factors."""
+    """[3, 1, 1] float32 factors of log gains [3]."""
     import torch
 
     return torch.from_numpy(exp(log_gains)).float()[:, None, None]

@@ -23,7 +23,7 @@ from framework import registry
 from framework.compute import parallel, rng
 from framework.compute.stopwatch import Stopwatch
 from framework.depth import build_provider
-from framework.depth.exposure import find_exposures
+from framework.depth.exposure import Exposures, find_exposures
 from framework.files.locks import locked, remove_stale
 from framework.files.whole import following, remove_temporaries
 from framework.metrics.coadaptation import with_average, with_coadaptation
@@ -136,7 +136,10 @@ def _experiment(
                 LPIPS: None if network is None else network.name,
             },
         )
-        record = _trained(record, timings, run_dir, scene, depth, network, progress)
+        exposures = None
+        if TrainerOptions(**config["trainer"]).exposure:
+            exposures, timings["exposure"] = _exposures(*keys, files["depth"])
+        record = _trained(record, timings, run_dir, scene, depth, exposures, network, progress)
     progress.done(_result(record))
     return record
 
@@ -156,16 +159,14 @@ def _trained(
     run_dir: Path,
     scene: Scene,
     depth: tuple[DepthMap, ...],
+    exposures: Exposures | None,
     network: Lpips | None,
     progress: Progress,
 ) -> RunRecord:
     """The record with the result of its run, as written; `timings` are those it holds."""
     config = record.config
     rasterizer = build_rasterizer(config)
-    photos, exposures, told_of_scene = scene.training.views, None, {}
-    if TrainerOptions(**config["trainer"]).exposure:
-        with _timed(timings, "exposure"):
-            exposures = find_exposures(photos, depth)
+    photos, told_of_scene = scene.training.views, {}
     if exposures is not None:
         progress.note(exposures.told())
         told_of_scene = {EXPOSURE: exposures.size}
@@ -294,6 +295,18 @@ def _depth(scene_key: str, key: str, fingerprint: str) -> tuple[tuple[DepthMap, 
         training, provider = _scene(scene_key)[0].training, build_provider(name, options)
         depth = answers.depth(name, type(provider), provider.estimate(training), training)
     return depth, timings["depth"]
+
+
+@functools.lru_cache(maxsize=2)
+def _exposures(
+    scene_key: str, depth_key: str, fingerprint: str
+) -> tuple[Exposures | None, StageTime]:
+    """As `_depth`, which the same arguments give."""
+    views, depth = _scene(scene_key)[0].training.views, _depth(scene_key, depth_key, fingerprint)[0]
+    timings: dict[str, StageTime] = {}
+    with _timed(timings, "exposure"):
+        found = find_exposures(views, depth)
+    return found, timings["exposure"]
 
 
 def _info(scene: Scene) -> SceneInfo:

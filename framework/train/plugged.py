@@ -311,7 +311,9 @@ class PluginsAtWork:
             """`found` as the first `count` leave it; gaussians: elsewhere, None for the step's own
             place, where it is noted who acted."""
             for before, (running, context) in enumerate(asked[:count]):
-                inside = context if gaussians is None else replace(context, gaussians=gaussians)
+                inside = context
+                if gaussians is not None:
+                    inside = replace(context, gaussians=gaussians, log=_unheard)
                 there = functools.partial(elsewhere, before)
                 plugin = running.plugged.plugin
                 own = plugin.gradient(inside, running.state, found, there)
@@ -343,6 +345,10 @@ def _running(group: str, plugged: Plugged) -> tuple[_Running, ...]:
     """The plugins of a group at their start."""
     each = plugged.each(group).items()
     return tuple(_Running(key, key if i else group, one) for i, (key, one) in enumerate(each))
+
+
+def _unheard(name: str, value: float) -> None:
+    """What a plugin logs where it is asked a second time in a step."""
 
 
 def _followed(stats: StepStats, rows: Tensor) -> StepStats:

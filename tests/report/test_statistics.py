@@ -94,4 +94,6 @@ def test_an_end_beside_zero_is_not_rounded_to_it() -> None:
     assert interval_text(Interval(-0.21, -0.0041)) == "-0.21 to -0.004"
     assert interval_text(Interval(-0.21, 0.0041)) == "-0.21 to 0.004"
     assert interval_text(Interval(0.0, 0.0)) == "0.00 to 0.00"
+    assert interval_text(Interval(-1e-16, 2e-16)) == "0.00 to 0.00"
+    assert interval_text(Interval(-0.0, 0.5)) == "0.00 to 0.50"
     assert interval_text(Interval(0.12, 0.48)) == "0.12 to 0.48"

@@ -11,6 +11,7 @@ import numpy as np
 from framework.report.statistics.estimates import Interval, spread
 
 ABSENT = "–"
+NOUGHT = 1e-9  # what rounding leaves of a zero
 
 
 def decimals(uncertainty: float, most: int) -> int:
@@ -63,9 +64,10 @@ def interval_text(interval: Interval, most: int = 2) -> str:
     """`0.21 to 0.60`, rounded by its own width, at most to `most` decimals; an end that rounds to
     zero and is none gets more, so that its side is seen."""
     places = decimals((interval.high - interval.low) / 2, most)
+    ends = (0.0 if abs(end) < NOUGHT else end for end in (interval.low, interval.high))
     low, high = (
         f"{end:.{places}f}" if end == 0 or round(end, places) != 0 else significant(end, 1)
-        for end in (interval.low, interval.high)
+        for end in ends
     )
     return f"{low} to {high}"
 

@@ -137,8 +137,8 @@ def _exposure_notes(runs: Sequence[ReportRun]) -> list[str]:
     )
     return [
         f"Photos were exposed differently ({told}, root mean square). They were made equal before"
-        " the training, and test views are rendered as the photos around them were exposed, for"
-        " every method alike (trainer.exposure)."
+        " the training, and test views are rendered as the photos around them were exposed"
+        " (trainer.exposure)."
     ]
 
 
