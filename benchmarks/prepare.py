@@ -59,7 +59,8 @@ class Prepared:
         )
 
     def trained(self) -> Trained:
-        """What a run trains, all its members, without a look at the test views."""
+        """What a run trains, all its members, without a look at the test views; photos are as they
+        were exposed (`trainer.exposure` is the run's)."""
         options, scene = TrainerOptions(**self.config["trainer"]), replace(self.scene, test=())
 
         def start(seed: int) -> Gaussians:
