@@ -14,6 +14,20 @@ from framework.train.epoch import Item
 from framework.types import Gaussians
 
 
+class _Pulled(torch.autograd.Function):
+    """A scalar whose gradient in an image [3, H, W] is the given one of that shape. Given to
+    `torch.autograd.grad` itself, it would make torch import sympy."""
+
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, gradient: Tensor) -> Tensor:
+        ctx.gradient = gradient
+        return image.new_zeros(())
+
+    @staticmethod
+    def backward(ctx: Any, _: Tensor) -> tuple[Tensor, None]:  # type: ignore[override]
+        return ctx.gradient, None
+
+
 class DepthTerms:
     """Their gradient, on one view of `params`. rendered: how, see `Rasterizer.render`.
 
@@ -51,9 +65,8 @@ class DepthTerms:
         in_alpha, in_depth, in_rgb = self._rasterizer.binocular_gradient(
             alpha, depth, render, self._item.target, beside.moves, beside.tolerance, beside.weight
         )
-        # the same bits as with in_rgb given as the gradient, for which torch would import sympy
-        along = (render.rgb * torch.as_tensor(in_rgb)).sum()
-        found = torch.autograd.grad(along, list(tensors.values()), materialize_grads=True)
+        pulled = _Pulled.apply(render.rgb, torch.as_tensor(in_rgb))
+        found = torch.autograd.grad(pulled, list(tensors.values()), materialize_grads=True)
         self.elsewhere = dict(zip(tensors, found, strict=True))
         return in_alpha, in_depth
 
