@@ -12,9 +12,15 @@ gains minimise
 
 whose last term, `PRIOR` of the pairs' mean weight, puts their mean at 0 and decides for photos that
 nothing connects. Weighted by l, as stray light and tone curves lift the dark ones: it is the bright
-ones that tell. Where the gains are below `LEAST`, photos count as equal and nothing is changed; nor
-are fewer than `ENOUGH` photos, in which exposure is not told from a surface that shines to one
-side.
+ones that tell. Far views match little, and wrongly: of a pair's ratios only the share
+
+    sum_k l_ijk^2 / (sum_k l_ijk^2 + (s / `USUAL`)^2)
+
+is believed, s the spread of the pixels' differences about the median of their quarter (1.4826 times
+their median absolute deviation). It is the posterior mean if every quarter is one measurement of
+the difference with error s, and two photos' log exposures differ by `USUAL` before any is made.
+Where the gains are below `LEAST`, photos count as equal and nothing is changed; nor are fewer than
+`ENOUGH` photos, in which exposure is not told from a surface that shines to one side.
 
 A new view is seen as the photos around it were exposed: its log gain is the mean of those of the
 nearest cameras, weighted by 1 / distance^2 (Shepard 1968). Test photos are not looked at.
@@ -49,6 +55,8 @@ DARK, BRIGHT = 0.02, 0.98  # colours between these are not clipped
 FEWEST = 200  # pixels that make a pair
 PARTS = 4  # by brightness
 PRIOR = 1e-6
+USUAL = math.log(2) / 3  # a third of a stop, by which cameras step
+TO_DEVIATION = 1.4826  # from the median absolute deviation to the standard one, of a normal error
 LEAST = 0.01  # root mean square of the log gains
 
 
@@ -105,10 +113,11 @@ def find_exposures(views: Sequence[View], depth: Sequence[DepthMap]) -> Exposure
     if n < ENOUGH:
         return None
     systems, right = np.zeros((3, n, n)), np.zeros((3, n))
-    for i, j, levels, ratios in _compared(views, depth):
+    for i, j, levels, ratios, spreads in _compared(views, depth):
         for c in range(3):
             weight = math.fsum(levels[c] ** 2)
-            pull = math.fsum(levels[c] ** 2 * ratios[c])
+            believed = weight / (weight + (spreads[c] / USUAL) ** 2)
+            pull = believed * math.fsum(levels[c] ** 2 * ratios[c])
             systems[c][[i, j], [i, j]] += weight
             systems[c][[i, j], [j, i]] -= weight
             right[c][[i, j]] += pull, -pull
@@ -123,8 +132,9 @@ def find_exposures(views: Sequence[View], depth: Sequence[DepthMap]) -> Exposure
 
 def _compared(
     views: Sequence[View], depth: Sequence[DepthMap]
-) -> Iterator[tuple[int, int, Floats, Floats]]:
-    """(i, j, [3, PARTS] mean colours, [3, PARTS] log ratios of photo i to j) of neighbours."""
+) -> Iterator[tuple[int, int, Floats, Floats, Floats]]:
+    """(i, j, [3, PARTS] mean colours, [3, PARTS] log ratios of photo i to j, [3] the spread of
+    differences) of neighbours."""
     colours = [_smoothed(view.image.numpy()) for view in views]
     known = [_known(view, of) for view, of in zip(views, depth, strict=True)]
     for i, view in enumerate(views):
@@ -141,17 +151,23 @@ def _compared(
                 yield i, j, *_by_brightness(here[:, clean], there[:, clean])
 
 
-def _by_brightness(here: Floats, there: Floats) -> tuple[Floats, Floats]:
-    """Medians of the means, and log ratios, of colours [3, M] in two photos, both [3, PARTS]."""
+def _by_brightness(here: Floats, there: Floats) -> tuple[Floats, Floats, Floats]:
+    """Medians of the means, and log ratios, of colours [3, M] in two photos, both [3, PARTS]; and
+    [3] the spread of their differences."""
     order = np.argsort(here + there, axis=1, kind="stable")
 
-    def medians(values: Floats) -> Floats:
-        parts = np.array_split(np.take_along_axis(values, order, axis=1), PARTS, axis=1)
-        return np.stack([np.median(part, axis=1) for part in parts], axis=1)
+    def parts(values: Floats) -> list[Floats]:
+        return np.array_split(np.take_along_axis(values, order, axis=1), PARTS, axis=1)
 
-    levels, differences = medians(0.5 * (here + there)), medians(here - there)
+    def medians(each: list[Floats]) -> Floats:
+        return np.stack([np.median(part, axis=1) for part in each], axis=1)
+
+    levels, apart = medians(parts(0.5 * (here + there))), parts(here - there)
+    differences = medians(apart)
+    about = [abs(part - middle[:, None]) for part, middle in zip(apart, differences.T, strict=True)]
     halves = np.clip(0.5 * differences / levels, -0.9, 0.9)
-    return levels, log((1 + halves) / (1 - halves))
+    spreads = TO_DEVIATION * np.median(medians(about), axis=1)
+    return levels, log((1 + halves) / (1 - halves)), spreads
 
 
 def _known(view: View, depth: DepthMap) -> NDArray[np.float32]:

@@ -72,6 +72,20 @@ def test_wrong_depth_in_places_and_highlights_hardly_matter() -> None:
     assert found.log_gains == pytest.approx(GAINS - GAINS.mean(0), abs=0.03)
 
 
+def test_colours_that_scatter_are_believed_less() -> None:
+    """As where far views match wrongly: blue gets a random pattern in each photo."""
+    photos, draws = exposed(views(), GAINS), np.random.default_rng(0)
+    for view in photos:
+        blocks = draws.uniform(-0.25, 0.25, (view.image.shape[1] // 6 + 1, 17))
+        pattern = np.kron(blocks, np.ones((6, 6)))[: view.image.shape[1], : view.image.shape[2]]
+        view.image[2] = (view.image[2] + torch.from_numpy(pattern).float()).clamp(0.05, 0.95)
+    found = find_exposures(photos, depths(photos))
+    assert found is not None
+    exact = GAINS - GAINS.mean(0)
+    assert found.log_gains[:, :2] == pytest.approx(exact[:, :2], abs=0.01)
+    assert 0.3 < (found.log_gains[:, 2] * exact[:, 2]).sum() / (exact[:, 2] ** 2).sum() < 0.8
+
+
 def test_nothing_is_changed_where_there_is_nothing_to_mend_or_to_see() -> None:
     photos = views()
     assert find_exposures(exposed(photos, 0.05 * GAINS), depths(photos)) is None
