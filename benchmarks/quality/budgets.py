@@ -6,11 +6,12 @@
 
 DIR of --data holds the scenes of `SCENES` by name. With --run every study is done by `run.py`, one
 process and thread, into the folder of --studies; what is complete there is kept, so a second call
-goes on, with more seeds if they are given. Without it, what is there is put in tables, and for the
-presets in a chart beside FILE.md. Time and views are asked at half the photos' size. Seconds are
-CPU seconds of the training, as other programs disturb them less than the clock; memory is the peak
-of the process. --lpips: of the presets' runs LPIPS (VGG) is measured too, by the weights that
-`fishersplat fetch lpips` fetched.
+goes on, with more seeds if they are given. Means over seeds go to FILE.csv, where what was not
+measured again keeps its row and its code; from there come the tables, which replace those of
+FILE.md from "## Time" on, and the chart FILE.png. Time and views are asked at half the photos'
+size. Seconds are CPU seconds of the training, as other programs disturb them less than the clock;
+memory is the peak of the process. --lpips: of the presets' runs LPIPS (VGG) is measured too, by the
+weights that `fishersplat fetch lpips` fetched.
 """
 
 from __future__ import annotations
@@ -24,24 +25,18 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-import matplotlib
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 
+from benchmarks.quality.budgets_chart import FORWARD, chart
 from framework.report.study.roles import CHOSE, role
 
 ROOT = Path(__file__).resolve().parents[2]
 PRESETS = ("fast", "balanced", "best", "long")
 STEPS = {"fast": 75, "balanced": 600, "best": 2400, "long": 12000}  # conf/preset
 TOLERANCE_DB = 0.1  # by which a longer training may be below a shorter one
-FORWARD = ("fern", "horns", "fortress", "room")
-OPENSPLAT = (1293.0, 20.07)  # CPU seconds, dB: fern, 3 photos, 2,000 steps, flags that densify
-# LLFF, 3 photos, the mean of fern, horns, fortress and room as reruns published them (ReDI-GS's
-# ablation notes; FSGS, Binocular3DGS and ReDI-GS with their seconds on an NVIDIA A4000)
-PUBLISHED = {"FSGS": (2724.0, 21.79), "Binocular3DGS": (1483.0, 22.84), "ReDI-GS": (676.0, 23.36)}
+KEY = ["ask", "scene", "views", "of"]
+NUMBERS = ["train_cpu_s", "gaussians", "parameters"]  # means over the seeds
 
 
 @dataclass(frozen=True)
@@ -103,17 +98,38 @@ def commands(
     return [[*words, *usual, "-m"] for words in made]
 
 
+def measured(studies: Path) -> pd.DataFrame:
+    """A row for every question, scene, number of views and length or preset ("of"), over its seeds:
+    psnr and sd in dB, lpips_01, the most memory in MB, seeds, code, and means of `NUMBERS`."""
+    rows: list[dict[str, object]] = []
+    names = [
+        (ask, scene, str(place.views))
+        for ask in ("time", "presets")
+        for scene, place in SCENES.items()
+    ]
+    names += [("views", name, "") for name in VIEWS]
+    for ask, name, usual in names:
+        table = runs(studies, f"{ask}_{name}")
+        if not len(table):
+            continue
+        table["views"] = usual or table["overrides"].str.extract(r"scene\.n_views=(\S+)")[0]
+        option = r"trainer\.steps=(\d+)" if ask == "time" else r"preset=(\w+)"
+        table["of"] = table["overrides"].str.extract(option)[0]
+        for (views, of), g in table.groupby(["views", "of"], sort=False):
+            row = {"ask": ask, "scene": name, "views": views, "of": of, "psnr": g["psnr"].mean()}
+            row |= {"sd": g["psnr"].std(), "lpips_01": g["lpips_01"].mean()}
+            row |= {column: g[column].mean() for column in NUMBERS}
+            row |= {"memory_mb": g["memory_mb"].max(), "seeds": g["seed"].nunique()}
+            rows.append({**row, "code": " ".join(sorted(set(g["code"].astype(str))))})
+    return pd.DataFrame(rows)
+
+
 def runs(studies: Path, study: str) -> pd.DataFrame:
     """The complete runs of a study, an empty table where there is none."""
     file = studies / study / "runs.csv"
     if not file.exists():
         return pd.DataFrame()
     table = pd.read_csv(file)
-    for option in ("n_views", "downscale"):
-        found = table["overrides"].str.extract(rf"scene\.{option}=(\S+)")[0]
-        table[option] = found
-    table["preset"] = table["overrides"].str.extract(r"preset=(\w+)")[0]
-    table["steps"] = table["overrides"].str.extract(r"trainer\.steps=(\d+)")[0].astype(float)
     folder = studies / study / "runs"
     table["memory_mb"] = [memory_mb(folder / str(run) / "record.json") for run in table["run"]]
     return table.dropna(subset=["psnr"])
@@ -124,206 +140,115 @@ def memory_mb(record: Path) -> float:
     return json.loads(record.read_text())["peak_memory_bytes"] / 1e6 if record.exists() else np.nan
 
 
-def told(values: pd.Series, digits: int = 2) -> str:
+def kept(new: pd.DataFrame, file: Path) -> pd.DataFrame:
+    """The rows of before that were not measured again, and the new ones, in one order; written to
+    `file`."""
+    known = pd.read_csv(file, dtype={"views": str, "of": str}) if file.exists() else new
+    both = pd.concat([known, new]).drop_duplicates(KEY, keep="last", ignore_index=True)
+    lengths = [*PRESETS, *sorted({of for of in both["of"] if of.isdigit()}, key=int)]
+    order = pd.DataFrame(
+        {
+            "ask": both["ask"].map(list(TABLES).index),
+            "scene": both["scene"].map([*SCENES, *VIEWS].index),
+            "views": both["views"].replace("all", "999").astype(int),
+            "of": both["of"].map(lengths.index),
+        }
+    )
+    both = both.loc[order.sort_values(KEY).index]
+    both.round(4).to_csv(file, index=False)
+    return both
+
+
+def told(row: pd.Series, digits: int = 2) -> str:
     """Mean and, of several seeds, their standard deviation."""
-    if values.empty:
-        return "-"
-    spread = f" ± {values.std():.2f}" if len(values) > 1 else ""
-    return f"{values.mean():.{digits}f}{spread}"
+    spread = f" ± {row['sd']:.2f}" if row["seeds"] > 1 else ""
+    return f"{row['psnr']:.{digits}f}{spread}"
 
 
-def named(scene: str) -> str:
-    return SCENES[scene].bold(scene)
+def seeds_of(rows: pd.DataFrame) -> str:
+    low, high = int(rows["seeds"].min()), int(rows["seeds"].max())
+    return f"{low}" if low == high else f"{low} to {high}"
 
 
-def time_table(studies: Path) -> list[str]:
-    tables = {scene: runs(studies, f"time_{scene}") for scene in SCENES}
-    counts = sorted({int(n) for t in tables.values() if len(t) for n in t["steps"]})
+def time_table(every: pd.DataFrame) -> list[str]:
+    asked = every[every["ask"] == "time"]
+    counts = sorted(set(asked["of"].astype(int)))
     lines = [
         "| scene, views | "
         + " | ".join(f"{n:,}" for n in counts)
         + " | seeds | Gaussians, MB, of the longest | worst step back, dB |",
         "|---|" + "---:|" * (len(counts) + 3),
     ]
-    for scene, table in tables.items():
-        if not len(table):
-            continue
-        groups = {n: table[table["steps"] == n] for n in counts}
-        cells = [
-            f"{told(g['psnr'])}, {g['train_cpu_s'].mean():.0f} s" if len(g) else "-"
-            for g in groups.values()
-        ]
-        means = [g["psnr"].mean() for g in groups.values() if len(g)]
+    for scene, rows in asked.groupby("scene", sort=False):
+        by = {int(row["of"]): row for _, row in rows.iterrows()}
+        cells = [f"{told(by[n])}, {by[n]['train_cpu_s']:.0f} s" if n in by else "-" for n in counts]
+        means = [by[n]["psnr"] for n in counts if n in by]
         back = min((b - a for i, a in enumerate(means) for b in means[i + 1 :]), default=0.0)
         shown = f"{back:.2f}" if back < -TOLERANCE_DB else "none"
-        n = table.groupby("steps")["seed"].nunique()
-        seeds = f"{n.min()}" if n.min() == n.max() else f"{n.min()} to {n.max()}"
-        longest = table[table["steps"] == table["steps"].max()]
-        size = f"{longest['gaussians'].mean():,.0f}, {longest['memory_mb'].max():,.0f}"
-        name = f"{named(scene)}, {SCENES[scene].views}"
-        lines.append(f"| {name} | {' | '.join(cells)} | {seeds} | {size} | {shown} |")
+        longest = by[max(by)]
+        size = f"{longest['gaussians']:,.0f}, {longest['memory_mb']:,.0f}"
+        name = f"{SCENES[scene].bold(scene)}, {SCENES[scene].views}"
+        lines.append(f"| {name} | {' | '.join(cells)} | {seeds_of(rows)} | {size} | {shown} |")
     return lines
 
 
-def views_table(studies: Path) -> list[str]:
+def views_table(every: pd.DataFrame) -> list[str]:
     lines = [
         "| scene, views | " + " | ".join(PRESETS[:3]) + " | seeds |",
         "|---|---:|---:|---:|---:|",
     ]
-    for name, (scene, numbers) in VIEWS.items():
-        table = runs(studies, f"views_{name}")
-        for number in numbers:
-            rows = table[table["n_views"] == number] if len(table) else table
-            if not len(rows):
-                continue
-            cells = []
-            for preset in PRESETS[:3]:
-                g = rows[rows["preset"] == preset]
-                cells.append(
-                    f"{told(g['psnr'])}, {g['train_cpu_s'].mean():.0f} s" if len(g) else "-"
-                )
-            seeds = rows["seed"].nunique()
-            lines.append(
-                f"| {SCENES[scene].bold(name)}, {number} | {' | '.join(cells)} | {seeds} |"
-            )
+    asked = every[every["ask"] == "views"]
+    for (name, views), rows in asked.groupby(["scene", "views"], sort=False):
+        by = {row["of"]: row for _, row in rows.iterrows()}
+        cells = [
+            f"{told(by[p])}, {by[p]['train_cpu_s']:.0f} s" if p in by else "-" for p in PRESETS[:3]
+        ]
+        bold = SCENES[VIEWS[name][0]].bold(name)
+        lines.append(f"| {bold}, {views} | {' | '.join(cells)} | {seeds_of(rows)} |")
     return lines
 
 
-def presets_table(studies: Path) -> tuple[list[str], pd.DataFrame]:
-    """The lines, and (scene, preset, psnr, train_cpu_s, parameters, ...) by mean over seeds."""
-    parts = []
-    for scene in SCENES:
-        table = runs(studies, f"presets_{scene}")
-        if len(table):
-            parts.append(table.assign(place=scene))
-    if not parts:
-        return [], pd.DataFrame()
-    every = pd.concat(parts)
-    have = [p for p in PRESETS if p in set(every["preset"])]
+def presets_table(every: pd.DataFrame) -> list[str]:
+    asked = every[every["ask"] == "presets"]
+    have = [p for p in PRESETS if p in set(asked["of"])]
     lines = [
         "| scene, views | "
         + " | ".join(f"`{p}` ({STEPS[p]:,} steps)" for p in have)
         + " | seeds | MB |",
         "|---|" + "---|" * len(have) + "---:|---:|",
     ]
-    for scene, table in every.groupby("place", sort=False):
-        cells = []
-        for preset in have:
-            g = table[table["preset"] == preset]
-            cost = f"{sharpness(g)}{g['train_cpu_s'].mean():.0f} s, {g['gaussians'].mean():,.0f}"
-            cells.append(f"{told(g['psnr'])} dB, {cost}" if len(g) else "-")
-        seeds = table["seed"].nunique()
-        size = f"{seeds} | {table['memory_mb'].max():,.0f}"
-        lines.append(f"| {named(scene)}, {SCENES[scene].views} | {' | '.join(cells)} | {size} |")
-    columns = ["psnr", "ssim", "lpips_01", "train_cpu_s", "gaussians", "parameters"]
-    means = every.groupby(["place", "preset"], sort=False)[columns].mean().reset_index()
-    complete = means.groupby("place")["preset"].nunique() == len(have)
-    both = means[means["place"].isin(complete[complete].index)]
-    over = both.groupby("preset")[columns].mean().reindex(have)
-    n = both["place"].nunique()
-    cells = [
-        f"{r.psnr:.2f} dB, {r.lpips_01:.3f}, {r.train_cpu_s:.0f} s, {r.gaussians:,.0f}"
-        for r in over.itertuples()
-    ]
-    lines.append(f"| mean of {n} scenes | {' | '.join(cells)} | | |")
-    llff = both[both["place"].isin(FORWARD)].groupby("preset")[columns].mean().reindex(have)
-    cells = [f"{r.psnr:.2f} dB, {r.lpips_01:.3f}, {r.train_cpu_s:.0f} s" for r in llff.itertuples()]
-    lines.append(f"| mean of {', '.join(FORWARD)} | {' | '.join(cells)} | | |")
-    return lines, both
+    for scene, rows in asked.groupby("scene", sort=False):
+        by = {row["of"]: row for _, row in rows.iterrows()}
+        cells = [
+            f"{told(by[p])} dB, {sharpness(by[p])}{costs(by[p])}" if p in by else "-" for p in have
+        ]
+        size = f"{seeds_of(rows)} | {rows['memory_mb'].max():,.0f}"
+        name = f"{SCENES[scene].bold(scene)}, {SCENES[scene].views}"
+        lines.append(f"| {name} | {' | '.join(cells)} | {size} |")
+    for what, scenes in (("ten scenes", tuple(SCENES)), (", ".join(FORWARD), FORWARD)):
+        among = asked[asked["scene"].isin(scenes)].groupby("of")
+        columns = ["psnr", "lpips_01", *NUMBERS]
+        means = {p: rows[columns].mean() for p, rows in among if len(rows) == len(scenes)}
+        cells = [
+            f"{means[p]['psnr']:.2f} dB, {sharpness(means[p])}{costs(means[p])}"
+            if p in means
+            else "-"
+            for p in have
+        ]
+        lines.append(f"| mean of {what} | {' | '.join(cells)} | | |")
+    return lines
 
 
-def sharpness(group: pd.DataFrame) -> str:
-    """LPIPS as papers feed it, images in [0, 1], of the runs that have it."""
-    return f"{group['lpips_01'].mean():.3f}, " if group["lpips_01"].notna().any() else ""
+def costs(row: pd.Series) -> str:
+    return f"{row['train_cpu_s']:.0f} s, {row['gaussians']:,.0f}"
 
 
-def chart(points: pd.DataFrame) -> Figure:
-    """PSNR against CPU seconds and against parameters: scenes faint, their mean strong; on the
-    right the forward-facing four beside what was published, which GPUs made."""
-    with matplotlib.rc_context({"font.size": 9, "svg.hashsalt": "fishersplat"}):
-        figure = Figure(figsize=(12, 4), layout="constrained")
-        panels = figure.subplots(1, 3)
-        for axes, column, name in (
-            (panels[0], "train_cpu_s", "CPU seconds of the training"),
-            (panels[1], "parameters", "parameters"),
-        ):
-            for scene, rows in points.groupby("place", sort=False):
-                rows = rows.sort_values("train_cpu_s")  # in the order of the presets
-                axes.plot(rows[column], rows["psnr"], color="0.75", lw=1)
-                last = rows.iloc[-1]
-                axes.annotate(
-                    scene,
-                    (last[column], last["psnr"]),
-                    fontsize=7,
-                    color="0.4",
-                    xytext=(3, 0),
-                    textcoords="offset points",
-                    va="center",
-                )
-            _strong(axes, points, column, "mean")
-            axes.set(xscale="log", xlabel=name, ylabel="test PSNR, dB")
-            axes.xaxis.set_minor_formatter(NullFormatter())
-            axes.margins(x=0.25)
-        _against_published(panels[2], points[points["place"].isin(FORWARD)])
-    return figure
+def sharpness(row: pd.Series) -> str:
+    """LPIPS as papers feed it, images in [0, 1], where it was measured."""
+    return f"{row['lpips_01']:.3f}, " if np.isfinite(row["lpips_01"]) else ""
 
 
-def _strong(axes: Axes, points: pd.DataFrame, column: str, name: str) -> None:
-    mean = points.groupby("preset")[[column, "psnr"]].mean().sort_values(column)
-    axes.plot(mean[column], mean["psnr"], "o-", color="#1f6fb4", lw=2, label=name)
-    for preset, row in mean.iterrows():
-        axes.annotate(
-            preset,
-            (row[column], row["psnr"]),
-            fontsize=8,
-            color="#1f6fb4",
-            xytext=(0, 6),
-            textcoords="offset points",
-            ha="center",
-        )
-
-
-def _against_published(axes: Axes, points: pd.DataFrame) -> None:
-    _strong(axes, points, "train_cpu_s", "here")
-    for name, (seconds, psnr) in PUBLISHED.items():
-        axes.plot(seconds, psnr, "s", color="#b4531f", ms=5)
-        axes.annotate(
-            f"{name}, GPU",
-            (seconds, psnr),
-            fontsize=8,
-            color="#b4531f",
-            xytext=(0, -11),
-            textcoords="offset points",
-            ha="center",
-        )
-    fern = points[points["place"] == "fern"].sort_values("train_cpu_s")
-    axes.plot(fern["train_cpu_s"], fern["psnr"], color="0.6", lw=1)
-    last = fern.iloc[-1]
-    axes.annotate(
-        "fern alone",
-        (last["train_cpu_s"], last["psnr"]),
-        fontsize=7,
-        color="0.4",
-        xytext=(3, 2),
-        textcoords="offset points",
-    )
-    axes.plot(*OPENSPLAT, "^", color="0.3", ms=6)
-    axes.annotate(
-        "OpenSplat, CPU, fern",
-        OPENSPLAT,
-        fontsize=8,
-        color="0.3",
-        xytext=(0, 7),
-        textcoords="offset points",
-        ha="center",
-    )
-    axes.set(
-        xscale="log",
-        xlabel="seconds: CPU (blue, grey), GPU (squares)",
-        ylabel="test PSNR, dB",
-        title="fern, horns, fortress, room; 3 photos",
-    )
-    axes.margins(x=0.18, y=0.12)
+TABLES = {"time": time_table, "views": views_table, "presets": presets_table}
 
 
 def main() -> None:
@@ -346,23 +271,23 @@ def main() -> None:
                 where = f"hydra.sweep.dir={given.studies}"
                 command = [sys.executable, str(ROOT / "run.py"), *words[:-1], where, "-m"]
                 subprocess.run(command, check=False)  # what failed is told there, and missing here
-    if not list(given.studies.glob("*/runs.csv")):
+    found = measured(given.studies)
+    if not len(found):
         parser.error(f"--studies {given.studies}: expected studies made with --run, found none")
-    lines: list[str] = []
-    for ask in given.ask:
-        lines += ["", f"## {ask.capitalize()}", ""]
-        if ask == "presets":
-            table, points = presets_table(given.studies)
-            lines += table
-            if given.output and len(points):
-                picture = given.output.with_suffix(".png")
-                chart(points).savefig(picture, dpi=110, metadata={"Software": None})
-        else:
-            lines += time_table(given.studies) if ask == "time" else views_table(given.studies)
-    text = "\n".join(lines[1:]) + "\n"
+    if given.output:
+        found = kept(found, given.output.with_suffix(".csv"))
+    asked = [ask for ask in TABLES if ask in set(found["ask"])]
+    text = "".join(
+        f"## {ask.capitalize()}\n\n" + "\n".join(TABLES[ask](found)) + "\n\n" for ask in asked
+    )
     print(text)
     if given.output:
-        given.output.write_text(text)
+        old = given.output.read_text(encoding="utf-8") if given.output.exists() else ""
+        before = old.partition("## Time\n")[0]  # what people wrote stays
+        given.output.write_text(before + text.rstrip() + "\n", encoding="utf-8")
+        points = found[found["ask"] == "presets"].rename(columns={"scene": "place", "of": "preset"})
+        picture = given.output.with_suffix(".png")
+        chart(points).savefig(picture, dpi=110, metadata={"Software": None})
 
 
 if __name__ == "__main__":
