@@ -84,6 +84,17 @@ def test_options_only_count_among_runs_of_one_plugin() -> None:
     ]
 
 
+def test_an_option_with_the_value_of_the_seed_needs_no_name() -> None:
+    def draw(seed: int, of: int) -> dict[str, Any]:
+        return make_config(seed=seed) | {"depth": {"name": "plane_sweep", "corruption_seed": of}}
+
+    assert names([draw(seed, seed) for seed in (0, 1, 2)]) == ["none + none"] * 3
+    fixed = [draw(seed, of) for seed in (0, 1) for of in (0, 1)]
+    assert len(set(names(fixed))) == 2
+    assert len(set(names([draw(0, 0), draw(0, 1)]))) == 2
+    assert names([draw(7, 7), make_config(seed=7)]) == ["none + none"] * 2
+
+
 def test_an_option_that_two_plugins_share_is_named_where_it_differs() -> None:
     def capacity(name: str, **options: Any) -> dict[str, Any]:
         return make_config() | {"capacity": {"name": name, "weight": 1.0, **options}}

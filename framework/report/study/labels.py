@@ -3,9 +3,10 @@
 A method is what a user compares: augmenter and regularizer, plus every other option that differs
 between the runs: another capacity plugin, depth provider or initializer, an option of a plugin
 that differs between runs of the same plugin, `trainer.steps`, and so on; the default choices of
-these groups (`USUAL`, of capacities the one that changes nothing) need no name. The seed, the
-scene, the stresses of `framework.report.study.axes` and keys that cannot change a result
-(`NEUTRAL_KEYS`) are no part of it.
+these groups (`USUAL`, of capacities the one that changes nothing) need no name. The seed, what has
+its value (`depth.corruption_seed=${seed}`), the scene, the stresses of
+`framework.report.study.axes` and keys that cannot change a result (`NEUTRAL_KEYS`) are no part of
+it.
 """
 
 from __future__ import annotations
@@ -244,10 +245,11 @@ def _by_variant(config: Flat) -> Flat:
 
 def _without_followers(keys: Sequence[str], configs: Sequence[Flat]) -> list[str]:
     """`keys` but those that others determine, as where presets set them: the steps what goes with
-    them, both the rates."""
+    them, both the rates; the seed what was given as `${seed}`."""
     followers = {key for key in WITH_STEPS if _follows(key, ["trainer.steps"], configs)}
     told = ["trainer.steps", *(key for key in WITH_STEPS if key not in followers)]
     followers |= {key for key in RATES if _follows(key, told, configs)}
+    followers |= {key for key in keys if _is_the_seed(key, configs)}
     return [key for key in keys if key not in followers]
 
 
@@ -257,6 +259,13 @@ def _follows(key: str, others: Sequence[str], configs: Sequence[Flat]) -> bool:
     for config in configs:
         seen[tuple(text_of(config.get(o)) for o in others)].add(text_of(config.get(key)))
     return len(seen) > 1 and all(len(values) == 1 for values in seen.values())
+
+
+def _is_the_seed(key: str, configs: Sequence[Flat]) -> bool:
+    """Whether `key` has the seed as its value in every run that has it, as `${seed}` does."""
+    own = [config for config in configs if key in config]
+    seeds = {config.get("seed") for config in own}
+    return len(seeds) > 1 and all(config[key] == config.get("seed") for config in own)
 
 
 def _method_label(config: Flat, told: Sequence[str]) -> MethodLabel:
