@@ -36,7 +36,7 @@ NAV = {
         *("methods.md", "statistics.md", "bits.md", "paper.md"),
         *("literature.md", "literature-evidence.md"),
     ],
-    "Measured": ["findings.md", "findings-evidence.md", "benchmarks.md"],
+    "Measured": ["findings.md", "findings-evidence.md", "benchmarks.md", "scenes.md"],
     "Reference": ["reference/options.md", "reference/api.md"],
     "Project": ["contributing.md", "architecture.md", "security.md", "changelog.md"],
 }
