@@ -228,7 +228,9 @@ def presets_table(every: pd.DataFrame) -> list[str]:
     for what, scenes in (("ten scenes", tuple(SCENES)), (", ".join(FORWARD), FORWARD)):
         among = asked[asked["scene"].isin(scenes)].groupby("of")
         columns = ["psnr", "lpips_01", *NUMBERS]
-        means = {p: rows[columns].mean() for p, rows in among if len(rows) == len(scenes)}
+        means = {
+            p: rows[columns].mean(skipna=False) for p, rows in among if len(rows) == len(scenes)
+        }
         cells = [
             f"{means[p]['psnr']:.2f} dB, {sharpness(means[p])}{costs(means[p])}"
             if p in means
@@ -255,7 +257,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path)
     parser.add_argument("--studies", type=Path, required=True)
-    parser.add_argument("--ask", nargs="+", default=["time", "views", "presets"])
+    parser.add_argument("--ask", nargs="+", choices=TABLES, default=list(TABLES))
     parser.add_argument("--seeds", default="0,1,2")
     parser.add_argument("--steps", default="100,300,1000,3000,10000")
     parser.add_argument("--presets", default="fast,balanced,best")
@@ -263,6 +265,8 @@ def main() -> None:
     parser.add_argument("--run", action="store_true")
     parser.add_argument("--output", type=Path)
     given = parser.parse_args()
+    if given.run and given.data is None:
+        parser.error("--run: expected --data DIR, the folder of the scenes")
     if given.run:
         for ask in given.ask:
             for words in commands(
@@ -283,11 +287,12 @@ def main() -> None:
     print(text)
     if given.output:
         old = given.output.read_text(encoding="utf-8") if given.output.exists() else ""
-        before = old.partition("## Time\n")[0]  # what people wrote stays
+        before = min((old.partition(f"## {ask.capitalize()}\n")[0] for ask in TABLES), key=len)
         given.output.write_text(before + text.rstrip() + "\n", encoding="utf-8")
         points = found[found["ask"] == "presets"].rename(columns={"scene": "place", "of": "preset"})
         picture = given.output.with_suffix(".png")
-        chart(points).savefig(picture, dpi=110, metadata={"Software": None})
+        if len(points):
+            chart(points).savefig(picture, dpi=110, metadata={"Software": None})
 
 
 if __name__ == "__main__":

@@ -77,17 +77,7 @@ def _against_published(axes: Axes, points: pd.DataFrame) -> None:
             textcoords="offset points",
             ha="center",
         )
-    fern = points[points["place"] == "fern"].sort_values("train_cpu_s")
-    axes.plot(fern["train_cpu_s"], fern["psnr"], color="0.6", lw=1)
-    last = fern.iloc[-1]
-    axes.annotate(
-        "fern alone",
-        (last["train_cpu_s"], last["psnr"]),
-        fontsize=7,
-        color="0.4",
-        xytext=(3, 2),
-        textcoords="offset points",
-    )
+    _fern_alone(axes, points)
     axes.plot(*OPENSPLAT, "^", color="0.3", ms=6)
     axes.annotate(
         "OpenSplat, CPU, fern",
@@ -105,3 +95,19 @@ def _against_published(axes: Axes, points: pd.DataFrame) -> None:
         title="fern, horns, fortress, room; 3 photos",
     )
     axes.margins(x=0.18, y=0.12)
+
+
+def _fern_alone(axes: Axes, points: pd.DataFrame) -> None:
+    fern = points[points["place"] == "fern"].sort_values("train_cpu_s")
+    if not len(fern):
+        return
+    axes.plot(fern["train_cpu_s"], fern["psnr"], color="0.6", lw=1)
+    last = fern.iloc[-1]
+    axes.annotate(
+        "fern alone",
+        (last["train_cpu_s"], last["psnr"]),
+        fontsize=7,
+        color="0.4",
+        xytext=(3, 2),
+        textcoords="offset points",
+    )

@@ -135,7 +135,7 @@ def _compared(
 ) -> Iterator[tuple[int, int, Floats, Floats, Floats]]:
     """(i, j, [3, PARTS] mean colours, [3, PARTS] log ratios of photo i to j, [3] the spread of
     differences) of neighbours."""
-    colours = [_smoothed(view.image.numpy()) for view in views]
+    colours = [_smoothed(view) for view in views]
     known = [_known(view, of) for view, of in zip(views, depth, strict=True)]
     for i, view in enumerate(views):
         away = [distance(view.camera, other.camera) for other in views]
@@ -201,13 +201,18 @@ def _shared(
     return here[same], there[same]
 
 
-def _smoothed(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """[3, H W] means over 5 x 5 pixels, summed in one order; fewer at the border."""
+def _smoothed(view: View) -> NDArray[np.float32]:
+    """[3, H W] means over 5 x 5 pixels, summed in one order; of fewer at the border and beside what
+    a mask hides, of which there is none."""
+    image = view.image.numpy()
+    shown = np.ones_like(image[:1])
+    if view.mask is not None:
+        shown[0] = view.mask.numpy() > 0.5
     height, width = image.shape[1:]
-    total = np.pad(np.concatenate([image, np.ones_like(image[:1])]), ((0, 0), (2, 2), (2, 2)))
+    total = np.pad(np.concatenate([image * shown, shown]), ((0, 0), (2, 2), (2, 2)))
     down = sum((total[:, k : k + height] for k in range(1, 5)), total[:, :height])
     across = sum((down[:, :, k : k + width] for k in range(1, 5)), down[:, :, :width])
-    return np.asarray(across[:3] / across[3]).reshape(3, -1)
+    return np.asarray(across[:3] / np.maximum(across[3], 1)).reshape(3, -1)
 
 
 def _solved(system: Floats, right: Floats) -> Floats:

@@ -16,14 +16,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from framework import registry
 from framework.compute import parallel, rng
 from framework.compute.stopwatch import Stopwatch
 from framework.depth import build_provider
-from framework.depth.exposure import Exposures, find_exposures
+from framework.depth.exposure import ENOUGH, Exposures, find_exposures
+from framework.depth.provider import NONE as NO_CORRUPTION
 from framework.files.locks import locked, remove_stale
 from framework.files.whole import following, remove_temporaries
 from framework.metrics.coadaptation import with_average, with_coadaptation
@@ -138,7 +141,10 @@ def _experiment(
         )
         exposures = None
         if TrainerOptions(**config["trainer"]).exposure:
-            exposures, timings["exposure"] = _exposures(*keys, files["depth"])
+            gains, timings["exposure"] = _log_gains(*keys, files["depth"])
+            if gains is not None:
+                cameras = tuple(view.camera for view in scene.training.views)
+                exposures = Exposures(cameras, gains)
         record = _trained(record, timings, run_dir, scene, depth, exposures, network, progress)
     progress.done(_result(record))
     return record
@@ -298,15 +304,28 @@ def _depth(scene_key: str, key: str, fingerprint: str) -> tuple[tuple[DepthMap, 
 
 
 @functools.lru_cache(maxsize=2)
-def _exposures(
+def _log_gains(
     scene_key: str, depth_key: str, fingerprint: str
-) -> tuple[Exposures | None, StageTime]:
-    """As `_depth`, which the same arguments give."""
-    views, depth = _scene(scene_key)[0].training.views, _depth(scene_key, depth_key, fingerprint)[0]
-    timings: dict[str, StageTime] = {}
+) -> tuple[NDArray[np.float64] | None, StageTime]:
+    """Of the photos' exposures, None where they are alike; by `_depth` of the same arguments, but
+    as it was before a stress study spoiled it."""
+    views = _scene(scene_key)[0].training.views
+    timings = {"exposure": StageTime(0.0, 0.0)}
+    if len(views) < ENOUGH:
+        return None, timings["exposure"]
+    depth = _depth(scene_key, _unspoiled(depth_key), fingerprint)[0]
     with _timed(timings, "exposure"):
         found = find_exposures(views, depth)
-    return found, timings["exposure"]
+    return None if found is None else found.log_gains, timings["exposure"]
+
+
+def _unspoiled(depth_key: str) -> str:
+    """The key of the same depth provider without its corruption."""
+    options = json.loads(depth_key)
+    if options.get("corruption", NO_CORRUPTION) == NO_CORRUPTION:
+        return depth_key
+    spoils = ("corruption", "strength", "corruption_seed")
+    return _key({name: value for name, value in options.items() if name not in spoils})
 
 
 def _info(scene: Scene) -> SceneInfo:

@@ -128,6 +128,35 @@ def test_what_a_mask_hides_does_not_count() -> None:
     assert found.log_gains == pytest.approx(GAINS - GAINS.mean(0), abs=0.02)
 
 
+@pytest.mark.parametrize("hidden", [0.0, 1.0])
+def test_beside_a_mask_its_colours_do_not_count_either(hidden: float) -> None:
+    """Colours are means over 5 x 5 pixels, of which stripes hide half everywhere."""
+    photos = exposed(views(), GAINS)
+    for k, view in enumerate(photos):
+        mask = torch.ones_like(view.image[0])
+        for first in range(0, mask.shape[0], 12):
+            mask[first : first + 6] = 0
+        image = torch.where(mask > 0.5, view.image, torch.tensor(hidden))
+        photos[k] = replace(view, image=image, mask=mask)
+    found = find_exposures(photos, depths(photos))
+    assert found is not None
+    assert found.log_gains == pytest.approx(GAINS - GAINS.mean(0), abs=0.01)
+
+
+def test_spoiled_depth_does_not_change_the_photos(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stress study spoils the depth alone."""
+    asked: list[Sequence[DepthMap]] = []
+    monkeypatch.setattr(experiment, "find_exposures", lambda _, depth: asked.append(depth))
+    words = ("scene.width=64", "scene.height=48", "scene.n_views=6")
+    for spoil in ((), ("depth.corruption=bias", "depth.strength=0.5")):
+        config = composed(*words, *spoil)
+        keys = experiment._key(config["scene"]), experiment._key(config["depth"])
+        experiment._log_gains(*keys, "")
+        maps = experiment._depth(*keys, "")[0]
+        assert (maps is asked[-1]) == (not spoil)
+    assert all(torch.equal(a.depth, b.depth) for a, b in zip(*asked, strict=True))
+
+
 def test_a_photo_keeps_its_own_exposure_where_another_was_taken_too() -> None:
     place = plane.camera((0, 0, 0), (8, 6), 10.0)
     same = plane.camera((0, 0, 0), (8, 6), 10.0)
@@ -170,7 +199,7 @@ def test_a_run_evens_the_photos_and_tests_as_they_were_exposed(
         "trainer.steps=40",
         "metrics.lpips_weights=none",
     )
-    for cached in (experiment._scene, experiment._depth, experiment._exposures):
+    for cached in (experiment._scene, experiment._depth, experiment._log_gains):
         cached.cache_clear()
     monkeypatch.setattr(experiment, "load_scene", uneven)
     for evened in ("true", "false"):
@@ -189,6 +218,6 @@ def test_a_run_evens_the_photos_and_tests_as_they_were_exposed(
         factors = [frame["exposure"] for frame in frames[:6] if "exposure" in frame]
         if factors:
             assert np.log(factors) == pytest.approx(gains - gains.mean(0), abs=0.03)
-    for cached in (experiment._scene, experiment._depth, experiment._exposures):
+    for cached in (experiment._scene, experiment._depth, experiment._log_gains):
         cached.cache_clear()
     assert results["true"] > results["false"] + 0.3

@@ -84,15 +84,24 @@ def test_options_only_count_among_runs_of_one_plugin() -> None:
     ]
 
 
-def test_an_option_with_the_value_of_the_seed_needs_no_name() -> None:
-    def draw(seed: int, of: int) -> dict[str, Any]:
-        return make_config(seed=seed) | {"depth": {"name": "plane_sweep", "corruption_seed": of}}
+def test_a_draw_with_the_value_of_the_seed_needs_no_name() -> None:
+    def draw(seed: int, of: int, corruption: str = "noise") -> dict[str, Any]:
+        depth = {"name": "plane_sweep", "corruption": corruption, "corruption_seed": of}
+        return make_config(seed=seed) | {"depth": depth}
 
-    assert names([draw(seed, seed) for seed in (0, 1, 2)]) == ["none + none"] * 3
-    fixed = [draw(seed, of) for seed in (0, 1) for of in (0, 1)]
-    assert len(set(names(fixed))) == 2
+    drawn = [draw(seed, seed) for seed in (0, 1, 2)]
+    assert names(drawn) == ["none + none"] * 3
+    clean = [draw(seed, 0, "none") for seed in (0, 1, 2)]
+    assert names([*clean, *drawn]) == ["none + none"] * 6
+    crossed = [draw(seed, of) for seed in (0, 1) for of in (0, 1)]
+    assert len(set(names(crossed))) == 2
     assert len(set(names([draw(0, 0), draw(0, 1)]))) == 2
     assert names([draw(7, 7), make_config(seed=7)]) == ["none + none"] * 2
+
+
+def test_an_option_is_named_even_where_it_happens_to_equal_the_seed() -> None:
+    steps = [make_config(seed=k, trainer={"steps": 300, "sh_degree": k}) for k in (0, 1)]
+    assert len(set(names(steps))) == 2
 
 
 def test_an_option_that_two_plugins_share_is_named_where_it_differs() -> None:
@@ -279,7 +288,10 @@ def test_evened_exposures_are_told(tmp_path: Path) -> None:
     record["provenance"]["exposure_rms"] = 0.094
     (runs[0] / "record.json").write_text(json.dumps(record), encoding="utf-8")
     (told,) = (note for note in collect(tmp_path).notes if "exposed" in note)
-    assert told.startswith("Photos were exposed differently (") and " by 9 %, root" in told
+    assert (
+        told.startswith("Photos were exposed differently (")
+        and " by 9 % in 1 of 2 runs, root" in told
+    )
 
 
 def test_a_run_that_was_begun_and_left_nothing_is_told(tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ def flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def method_labels(configs: Sequence[Mapping[str, Any]]) -> list[MethodLabel]:
     """The name of each run's method among `configs`; equal configs have equal names."""
     flat = [
-        {RASTERIZER: NUMBA, **_by_variant(_without_idle_tuning(flatten(config)))}
+        {RASTERIZER: NUMBA, **_by_variant(_without_idle_options(flatten(config)))}
         for config in configs
     ]
     keys = [key for key in _keys(flat) if _may_name_a_method(key)]
@@ -227,11 +227,14 @@ def _plugin(key: str, config: Flat) -> str | None:
     return str(config.get(f"{group}.name"))
 
 
-def _without_idle_tuning(config: Flat) -> Flat:
-    """A training without other members has nothing to tune."""
-    if config.get("trainer.members", 1) != 1:
-        return config
-    return {key: value for key, value in config.items() if key != "trainer.tuning"}
+def _without_idle_options(config: Flat) -> Flat:
+    """A training without other members has nothing to tune, depth that is not spoiled no draw."""
+    idle = set[str]()
+    if config.get("trainer.members", 1) == 1:
+        idle.add("trainer.tuning")
+    if config.get("depth.corruption", "none") == "none" or config.get("depth.strength") == 0:
+        idle.add("depth.corruption_seed")
+    return {key: value for key, value in config.items() if key not in idle}
 
 
 def _by_variant(config: Flat) -> Flat:
@@ -262,10 +265,11 @@ def _follows(key: str, others: Sequence[str], configs: Sequence[Flat]) -> bool:
 
 
 def _is_the_seed(key: str, configs: Sequence[Flat]) -> bool:
-    """Whether `key` has the seed as its value in every run that has it, as `${seed}` does."""
+    """Whether `key`, another seed, is the run's own in every run that has it, as `${seed}` is."""
     own = [config for config in configs if key in config]
     seeds = {config.get("seed") for config in own}
-    return len(seeds) > 1 and all(config[key] == config.get("seed") for config in own)
+    alike = all(config[key] == config.get("seed") for config in own)
+    return key.endswith("_seed") and len(seeds) > 1 and alike
 
 
 def _method_label(config: Flat, told: Sequence[str]) -> MethodLabel:

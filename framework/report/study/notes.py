@@ -125,21 +125,27 @@ def _code_notes(runs: Sequence[Run]) -> list[str]:
 
 def _exposure_notes(runs: Sequence[ReportRun]) -> list[str]:
     """Test views of such scenes are rendered as the photos around them were exposed."""
-    sizes = dict[str, float]()
+    sizes: dict[str, list[float]] = defaultdict(list)
     for run in runs:
         size = run.record.provenance.get(EXPOSURE)
         if isinstance(size, int | float) and math.isfinite(size):
-            sizes[run.scene] = size
+            sizes[run.scene].append(100 * size)
     if not sizes:
         return []
-    told = listed(
-        [f"{scene} by {100 * size:.0f} %" for scene, size in sorted(sizes.items())], "and"
-    )
+    of = {scene: sum(run.scene == scene for run in runs) for scene in sizes}
+    told = listed([_exposed(s, found, of[s]) for s, found in sorted(sizes.items())], "and")
     return [
         f"Photos were exposed differently ({told}, root mean square). They were made equal before"
         " the training, and test views are rendered as the photos around them were exposed"
         " (trainer.exposure)."
     ]
+
+
+def _exposed(scene: str, percent: Sequence[float], n_runs: int) -> str:
+    """By how much, and in how many of the scene's runs if not in all."""
+    low, high = f"{min(percent):.0f}", f"{max(percent):.0f}"
+    by = f"{scene} by {low if low == high else f'{low} to {high}'} %"
+    return by if len(percent) == n_runs else f"{by} in {len(percent)} of {n_runs} runs"
 
 
 def _busy_notes(runs: Sequence[ReportRun]) -> list[str]:
