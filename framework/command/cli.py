@@ -28,7 +28,7 @@ from framework.command import own_plugins, runner
 from framework.command.complaints import USER_ERRORS, one_line, with_variant
 from framework.command.config.check import check
 from framework.command.config.help import help_text
-from framework.command.config.naming import plain, register_resolvers, study_name
+from framework.command.config.naming import NOT_HASHED, plain, register_resolvers, study_name
 from framework.command.config.schema import (
     CONF_DIR,
     GROUPS,
@@ -60,6 +60,8 @@ from framework.registry import JOINABLE, JOINED_BY, parts_of
 register_resolvers()
 
 MULTIRUN_FLAGS = ("-m", "--multirun")
+SWEEP = "sweep"  # the group of the studies' files
+ONE_STUDY = f"run them one after the other, each as {SWEEP}=NAME"
 LISTED = r"\[([^\[\]]*)\]"  # `[uar,depth_rank]`
 
 
@@ -149,8 +151,10 @@ def normalise(argv: Sequence[str]) -> list[str]:
     arguments = [quoted(_joined_choices(argument)) for argument in arguments]
     _check_multirun_flag(arguments)
     _check_empty_choices(arguments)
-    _check_chosen_twice(arguments)
+    _check_given_twice(arguments)
     flags = _parse(arguments)
+    if not flags.shell_completion:  # whose words are no overrides
+        _check_one_study(flags.overrides)
     if flags.multirun and _only_informs(flags):
         raise UserError("command line: expected -m or a flag that only informs, got both; drop one")
     if flags.resolve and not flags.cfg:
@@ -216,22 +220,46 @@ def _check_empty_choices(arguments: Sequence[str]) -> None:
             raise UserError(f"{group}: expected a choice, got {name!r}; available: {known}")
 
 
-def _check_chosen_twice(arguments: Sequence[str]) -> None:
-    """Of `reg=uar reg=uniform` Hydra takes the last without a word, where many mean both."""
+def _check_given_twice(arguments: Sequence[str]) -> None:
+    """Of `seed=1 seed=2` Hydra takes the last without a word. Those of a sweep's file are not
+    words of the command line, which replaces them."""
     given: dict[str, str] = {}
     for argument in arguments:
-        group, equals, name = argument.partition("=")
-        if not equals or group not in GROUPS:
+        key, equals, _ = argument.partition("=")
+        key = key.lstrip("+")
+        if not equals or key.startswith(("-", "~")):
             continue
-        if group in given:
-            both = f"{given[group]},{name}"
-            single = group in JOINABLE and both.count(",") == 1 and JOINED_BY not in both
-            joined = f"{group}=[{both}] for both in one run, " if single else ""
+        if key in given:
+            expected = "choice" if key in GROUPS else "value"
             raise UserError(
-                f"{group}: expected one choice, got two words ({group}={given[group]} and"
-                f" {argument}); write {joined}{group}={both} -m for a run of each"
+                f"{key}: expected one {expected}, got two words ({given[key]} and {argument});"
+                f" {_in_place_of_two(key, given[key], argument)}"
             )
-        given[group] = name
+        given[key] = argument
+
+
+def _in_place_of_two(key: str, first: str, second: str) -> str:
+    """What to write where two words have one key: many mean both values."""
+    both = f"{first.partition('=')[2]},{second.partition('=')[2]}"
+    if key == SWEEP:
+        return ONE_STUDY
+    if key.startswith("hydra") or (key in NOT_HASHED and key != "seed"):  # no values to compare
+        return "leave one out"
+    single = key in JOINABLE and both.count(",") == 1 and JOINED_BY not in both
+    joined = f"{key}=[{both}] for both in one run, " if single else ""
+    alone = "" if key in GROUPS else "leave one out, or "
+    return f"{alone}write {joined}{key}={both} -m for a run of each"
+
+
+def _check_one_study(overrides: Sequence[str]) -> None:
+    """A study's file says what its runs are: of several, with or without -m, Hydra would mix one's
+    options into another's runs."""
+    for override in parsed(overrides):
+        several = override.is_sweep_override() or isinstance(override.value(), list)
+        if override.key_or_group == SWEEP and several:
+            raise UserError(
+                f"{SWEEP}: expected one study, got several ({override.input_line}); {ONE_STUDY}"
+            )
 
 
 def _parse(arguments: Sequence[str]) -> Any:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
+import shlex
 import typing
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -31,7 +32,11 @@ from framework.files.paths import OWN_VARIABLE
 from framework.registry import SWEPT
 
 USER_ERRORS = (UserError, HydraException, OmegaConfBaseException)
-SEVERAL = re.compile(r"Ambiguous value for argument '(.*?)'\s+1\. To use it as a list", re.S)
+SEVERAL = re.compile(  # `seed=0,1`, and `seed=range(3)` or another word of the grammar
+    r"Ambiguous value for argument '(.*?)'\s+1\. To use it as a list"
+    r"|Sweep parameters '(.*)' requires --multirun",
+    re.S,
+)
 KINDS = {
     **{int: "an integer", float: "a number", bool: "true or false", str: "a text"},
     type(None): "null",
@@ -106,10 +111,11 @@ def _told(error: BaseException) -> str | None:
             " a value with spaces or special characters: \"key='a b'\""
         )
     if isinstance(error, HydraException) and (several := SEVERAL.search(str(error))):
-        key, _, values = several[1].partition("=")
+        word = several[1] or several[2]
+        key, _, values = word.partition("=")
         return (
             f"{key}: expected one value, got several ({values}); add -m to make a run of each:"
-            f" {program()} {several[1]} -m"
+            f" {program()} {shlex.quote(word)} -m"
         )
     if isinstance(error, ConfigKeyError | ConfigAttributeError):
         return _unknown_key(error)

@@ -14,6 +14,11 @@ from framework.command.config.trust import quoted
     ("words", "told"),
     [
         (["seed=0,1"], "seed: expected one value, got several (0,1); add -m to make a run of each"),
+        (
+            ["seed=range(3)"],
+            "seed: expected one value, got several (range(3)); add -m to make a run of each: ",
+        ),
+        (["seed=range(3)"], " 'seed=range(3)' -m"),
         (["method=safi,dba"], "method: expected one value, got several (safi,dba); add -m"),
         (["~reg"], "~reg: expected a choice of reg, got none; write reg=NAME"),
         (["reg="], "available: anchor_dropout, binocular, co_register"),
