@@ -22,7 +22,7 @@ from framework.files.limits import check_address_space
 
 
 def main(arguments: list[str] | None = None, prog: str = "python -m framework.report") -> int:
-    """Exit status: 0, or 2 with one line on stderr for bad input."""
+    """Exit status: 0, or 2 with one line on stderr for bad input, or where no run has finished."""
     parser = Arguments(prog=prog, description=__doc__)
     parser.add_argument(
         "study_dirs", type=Path, nargs="+", metavar="DIR", help="folder of a study, as reports/demo"
@@ -43,9 +43,10 @@ def main(arguments: list[str] | None = None, prog: str = "python -m framework.re
             " none; add --out DIR",
         )
         check_address_space()
-        from framework.report.build import build_report
+        _check_place(options.out or options.study_dirs[0])
+        from framework.report.build import built
 
-        path = build_report(
+        path, study = built(
             options.study_dirs, options.title, options.out, not options.without_photos
         )
     except UserError as error:
@@ -60,7 +61,26 @@ def main(arguments: list[str] | None = None, prog: str = "python -m framework.re
         print(f"error: {printable_line(memory_line(error))}", file=sys.stderr)
         return 2
     print(f"report: {printable_line(str(path))}")
+    if not study.runs:
+        line = f"{path.parent}: expected a finished run, got {len(study.failed)} failed or damaged"
+        print(f"error: {printable_line(line)}; the report tells why", file=sys.stderr)
+        return 2
     return 0
+
+
+def _check_place(out_dir: Path) -> None:
+    """Raise UserError for a report inside a study, in the folder of a run or of all runs."""
+    from framework.report.study.folders import RUN_FOLDERS, run_dirs
+
+    place = out_dir.resolve()
+    if RUN_FOLDERS not in place.parts:  # nor is a large folder searched
+        return
+    studies = {run.parent.parent for run in run_dirs(place) if run.parent.name == RUN_FOLDERS}
+    for study in studies.intersection(place.parents):
+        raise UserError(
+            f"{out_dir}: expected the folder of a study for its report, got one of its runs; give"
+            f" {study}, or --out DIR"
+        )
 
 
 if __name__ == "__main__":

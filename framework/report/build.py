@@ -36,12 +36,22 @@ def build_report(
     report in that folder go. A run whose files are not what a run writes counts among the failed
     ones. Raises UserError when there is no run.
     """
+    return built(study_dirs, title, out_dir, photos)[0]
+
+
+def built(
+    study_dirs: Path | Sequence[Path],
+    title: str | None = None,
+    out_dir: Path | None = None,
+    photos: bool = True,
+) -> tuple[Path, Study]:
+    """As `build_report`, with the study that the report is of."""
     broken: dict[Path, str] = {}
     while True:  # each time without another run; with forged sizes aside, twice at most
         study = collect(study_dirs, out_dir, broken)
         study = replace(study, linked=study.linked and photos)
         try:
-            return _build(study, title, photos)
+            return _build(study, title, photos), study
         except DamagedRun as error:
             broken |= damaged_pictures(study) or {error.run_dir: str(error)}
 

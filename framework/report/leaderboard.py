@@ -78,6 +78,11 @@ class Match:
 def leaderboard(folder: Path, out_dir: Path) -> Path:
     """Write the leaderboard of all studies below the folder; returns its path. Raises UserError
     where there is none. Studies that cannot be read are told."""
+    return _written(folder, out_dir)[0]
+
+
+def _written(folder: Path, out_dir: Path) -> tuple[Path, int]:
+    """The path of the leaderboard, and how many studies are in it."""
     entries, broken = _entries(folder, out_dir)
     require(
         bool(entries or broken),
@@ -96,7 +101,7 @@ def leaderboard(folder: Path, out_dir: Path) -> Path:
     write_whole(out_dir / PAGE, page.render(made, Gallery(), out_dir))
     write_whole(out_dir / TABLE, _csv(matches))
     write_whole(out_dir / REPORT, markdown.render(made))
-    return out_dir / REPORT
+    return out_dir / REPORT, len(entries)
 
 
 def _entries(folder: Path, out_dir: Path) -> tuple[list[Entry], dict[str, str]]:
@@ -310,12 +315,18 @@ def _csv(matches: Sequence[Match]) -> str:
 
 
 def main(arguments: list[str], prog: str) -> int:
-    """The subcommand; exit status 0. Raises UserError for bad input."""
+    """The subcommand; exit status 0. Raises UserError for bad input, also where the leaderboard,
+    which is written all the same, has no study."""
     text = "What all studies of a folder say about every method, from their runs or their runs.csv."
     parser = Arguments(prog=prog, description=text)
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of studies, as reports")
     parser.add_argument("--out", type=Path, help="folder of the leaderboard (default: DIR)")
     options = parser.parse_args(arguments)
-    path = leaderboard(options.folder, options.out or options.folder)
+    path, studies = _written(options.folder, options.out or options.folder)
     print(f"leaderboard: {printable_line(str(path))}")
+    require(
+        studies > 0,
+        f"{options.folder}: expected a study with a finished run, got none; the leaderboard tells"
+        " why each is not read",
+    )
     return 0

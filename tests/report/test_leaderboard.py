@@ -61,3 +61,16 @@ def test_a_folder_without_studies_and_a_broken_table(tmp_path: Path) -> None:
     (tmp_path / "odd" / "runs.csv").write_text("a,b\n1,2\n", encoding="utf-8")
     text = leaderboard(tmp_path, tmp_path / "out").read_text(encoding="utf-8")
     assert "## Not read" in text and "it lacks scene" in text
+
+
+def test_a_leaderboard_of_no_study_is_written_and_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = tmp_path / "odd" / "runs" / "x" / "record.json"
+    record.parent.mkdir(parents=True)
+    record.write_text("{}", encoding="utf-8")
+    assert command(["leaderboard", str(tmp_path)]) == 2
+    said = capsys.readouterr()
+    assert said.out.startswith("leaderboard: ") and said.err.count("\n") == 1
+    assert f"{tmp_path}: expected a study with a finished run, got none" in said.err
+    assert "no run of it finished" in (tmp_path / "leaderboard.md").read_text(encoding="utf-8")

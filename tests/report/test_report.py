@@ -256,3 +256,28 @@ def test_the_curve_of_several_members_is_explained(tmp_path: Path, members: int)
     fake_run(tmp_path, trainer={"steps": 800, "sh_degree": 0, "members": members})
     text = build_report(tmp_path).read_text()
     assert ("that of the joined Gaussians" in text) == (members > 1)
+
+
+def test_a_report_without_a_finished_run_is_written_and_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "runs" / "x").mkdir(parents=True)
+    (tmp_path / "runs" / "x" / "record.json").write_text("{}", encoding="utf-8")
+    assert main([str(tmp_path)]) == 2
+    said = capsys.readouterr()
+    assert said.out.startswith("report: ") and said.err.count("\n") == 1
+    assert f"{tmp_path}: expected a finished run, got 1 failed or damaged" in said.err
+    assert (tmp_path / "report.md").is_file()
+
+
+@pytest.mark.parametrize("place", ["runs/x", "runs"])
+def test_no_report_goes_into_the_folder_of_a_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], place: str
+) -> None:
+    run = tmp_path / "runs" / "x"
+    write_failed(run, make_config(seed=9), ["seed=9"], "depth: bad")
+    assert main([str(tmp_path / place)]) == 2
+    said = capsys.readouterr().err
+    assert "expected the folder of a study for its report, got one of its runs" in said
+    assert f"give {tmp_path}, or --out DIR" in said
+    assert said.count("\n") == 1 and not list(tmp_path.rglob("report.*"))
