@@ -64,11 +64,13 @@ class Dtu:
         """The scene. Raises UserError where the folder does not hold what the layout asks for."""
         from framework.scenes.assemble import assemble
         from framework.scenes.dtu_cameras import read_cameras
+        from framework.scenes.images import photo_folder
         from framework.scenes.photo import check_memory
         from framework.scenes.points import colmap_tracks
 
         folder = scan_folder(self.path, self.scan)
-        files = _numbered(inside(folder, self._images(folder)))
+        beside = "mask/ and cameras_sphere.npz"
+        files = _numbered(photo_folder("dtu", folder, self.images, ("images", "image"), beside))
         masks = _numbered(inside(folder, "mask"))
         require(
             len(masks) == len(files),
@@ -89,11 +91,6 @@ class Dtu:
         tracks = colmap_tracks(folder, "the cameras' file", names, viewmats)
         points = tracks.for_training(split.train)
         return assemble(folder.name, self.split, train, test, points, NEAR_MM, FAR_MM)
-
-    def _images(self, folder: Path) -> str:
-        if self.images != "auto":
-            return self.images
-        return "images" if (folder / "images").is_dir() else "image"
 
     def _downscale(self, file: Path) -> int:
         """The factor that was asked for, or that which makes photos 400 pixels wide."""

@@ -8,7 +8,7 @@ import io
 import re
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from PIL import Image
 
 AUTO = "auto"
+# of photos: the usual size of the sparse-view benchmarks, an eighth, and the full one
+EIGHTH_OR_FULL = ("images_8", "images")
 SUFFIXES = {".png", ".jpg", ".jpeg"}
 FORMATS = ("PNG", "JPEG")  # whatever the suffix says; Pillow knows many more, some run programs
 _FILTERS = threading.Lock()  # of warnings are the process's, and threads read images
@@ -59,12 +61,18 @@ def list_images(folder: Path) -> list[Path]:
     return images
 
 
-def photo_folder(folder: Path, images: str) -> Path:
-    """The folder of the photos inside a scene's: `images`, or for "auto" the usual size of the
-    sparse-view benchmarks, an eighth: `images_8` where there is one, else `images`."""
+def photo_folder(loader: str, folder: Path, images: str, names: Sequence[str], beside: str) -> Path:
+    """The folder of the photos inside a scene's: `images`, or for "auto" the first of `names` that
+    is there. Raises UserError if none is, with the layout: beside is what else belongs to it."""
     if images != AUTO:
         return inside(folder, images)
-    return inside(folder, "images_8" if (folder / "images_8").is_dir() else "images")
+    for name in names:
+        if (folder / name).is_dir():
+            return inside(folder, name)
+    raise UserError(
+        f"scene={loader}: expected {'/ or '.join(names)}/ with the photos, and {beside}, in"
+        f" '{folder}', found no folder of photos; correct scene.path, or set scene.images"
+    )
 
 
 DAMAGED = (OSError, SyntaxError, ValueError, EOFError)  # what Pillow raises; the last for HEIC

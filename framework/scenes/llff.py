@@ -52,12 +52,14 @@ class Llff:
     def load(self) -> Scene:
         """The scene. Raises UserError where the folder does not hold what the layout asks for."""
         from framework.scenes.assemble import assemble
-        from framework.scenes.images import list_images, photo_folder, scene_folder
+        from framework.scenes.images import EIGHTH_OR_FULL, list_images, photo_folder, scene_folder
         from framework.scenes.photo import check_memory, photo_shot
         from framework.scenes.points import colmap_tracks
 
         folder = scene_folder("llff", self.path)
-        files = list_images(photo_folder(folder, self.images))
+        beside = "poses_bounds.npy"
+        photos = photo_folder("llff", folder, self.images, EIGHTH_OR_FULL, beside)
+        files = list_images(photos)
         rows = _read_poses(folder / "poses_bounds.npy", files)
         source = folder / "poses_bounds.npy"
         places = [f"{source}: row {i}" for i in range(len(rows))]

@@ -31,7 +31,8 @@ class Mip360(Colmap):
 
     def load(self) -> Scene:
         """The scene. Raises UserError where folder, model and photos do not fit together."""
-        from framework.scenes.images import photo_folder, scene_folder
+        from framework.scenes.images import EIGHTH_OR_FULL, photo_folder, scene_folder
 
         folder = scene_folder("mip360", self.path)
-        return load_colmap("mip360", folder, photo_folder(folder, self.images), self)
+        photos = photo_folder("mip360", folder, self.images, EIGHTH_OR_FULL, "sparse/0/")
+        return load_colmap("mip360", folder, photos, self)

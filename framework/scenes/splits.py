@@ -66,7 +66,7 @@ class Protocol:
         require(list(names) == sorted(names), f"{where}: split protocols need sorted names")
         require(
             self.images in (None, len(names)),
-            f"{where}: expected {self.images} images for split={self.name}, got {len(names)};"
+            f"{where}: expected {self.images} images for scene.split={self.name}, got {len(names)};"
             " restore the missing ones or choose another scene.split",
         )
         pool, test = self.divide(len(names))
@@ -74,7 +74,8 @@ class Protocol:
         if count > len(pool):
             raise UserError(
                 f"{where}: expected n_views of at most {len(pool)} ({len(names)} images, of which"
-                f" split={self.name} keeps {len(test)} for testing), got {n_views}; lower n_views"
+                f" scene.split={self.name} keeps {len(test)} for testing), got {n_views}; lower"
+                " n_views"
             )
         train = sorted(self.pick(pool, count))
         if self.held_out:
@@ -82,7 +83,7 @@ class Protocol:
             require(
                 len(others) > 0,
                 f"{where}: expected a view that is neither trained on nor tested on for"
-                f" split={self.name}, got none of {len(names)}; lower n_views",
+                f" scene.split={self.name}, got none of {len(names)}; lower n_views",
             )
             test = others[:: max(1, len(others) // MOST_HELD_OUT)][:MOST_HELD_OUT]
         return Split(tuple(train), tuple(test))
@@ -154,5 +155,5 @@ PROTOCOLS |= {
 def protocol(name: str) -> Protocol:
     """The protocol of that name. Raises UserError listing the known ones."""
     if name not in PROTOCOLS:
-        raise UserError(f"split={name}: unknown protocol; {nearest_hint(name, PROTOCOLS)}")
+        raise UserError(f"scene.split={name}: unknown protocol; {nearest_hint(name, PROTOCOLS)}")
     return PROTOCOLS[name]

@@ -200,6 +200,10 @@ def test_damaged_folders(tmp_path: Path, damage: Callable[[Path], None], message
 def test_missing_folder_and_factor(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"expected a folder at .*, found nothing"):
         load(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    layout = "scene=llff: expected images_8/ or images/ with the photos, and poses_bounds.npy, in "
+    with pytest.raises(UserError, match=layout):
+        load(tmp_path / "empty")
     with pytest.raises(UserError, match=r"images_4: expected a folder of .*, got no such folder"):
         load(write_llff(tmp_path), images="images_4")
     with pytest.raises(UserError, match="n_views of at most 8"):

@@ -43,6 +43,10 @@ def test_errors_name_the_loader(tmp_path: Path) -> None:
         load(write_scene(tmp_path), n_views=24)
     with pytest.raises(UserError, match="scene=mip360: expected a folder at"):
         load(tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    layout = "scene=mip360: expected images_8/ or images/ with the photos, and sparse/0/, in "
+    with pytest.raises(UserError, match=layout):
+        load(tmp_path / "empty")
 
 
 def test_kitchen_views_are_all_around() -> None:

@@ -133,7 +133,7 @@ def test_photos_in_a_folder_of_their_own(tmp_path: Path) -> None:
         ({"frames": 2}, "scene.frames: expected 3 to 1000, got 2"),
         ({"n_views": -1}, "expected n_views to be an integer >= 1 or all, got -1"),
         ({"downscale": -2}, "expected downscale to be an integer >= 1, got -2"),
-        ({"split": "odd"}, "split=odd: unknown protocol"),
+        ({"split": "odd"}, "^scene.split=odd: unknown protocol"),
         ({"path": ""}, "give scene.path=DIR"),
     ],
 )

@@ -47,7 +47,7 @@ def test_dtu_is_the_published_list(views: int) -> None:
 
 
 def test_dtu_needs_the_whole_rig_and_has_nine_views_to_give() -> None:
-    with pytest.raises(UserError, match="expected 49 images for split=dtu, got 48"):
+    with pytest.raises(UserError, match=r"expected 49 images for scene\.split=dtu, got 48"):
         protocol("dtu").split(names(48), 3, "here")
     with pytest.raises(UserError, match="n_views of at most 9"):
         protocol("dtu").split(names(49), 10, "here")
