@@ -124,6 +124,7 @@ class Arguments(argparse.ArgumentParser):
     """Raises UserError for arguments that it refuses, with the usage as the way to mend them."""
 
     def error(self, message: str) -> NoReturn:
+        message = self._with_choices(message)
         for theirs, ours in REWORDED:
             found, count = re.subn(f"^{theirs}$", ours, message)
             if count:
@@ -131,3 +132,11 @@ class Arguments(argparse.ArgumentParser):
                 break
         usage = " ".join(self.format_usage().split())
         raise UserError(f"{self.prog}: {message}; {usage}")
+
+    def _with_choices(self, message: str) -> str:
+        """`message` of missing words with the choices of those that have some, in place of a name
+        that nobody types."""
+        opening, required, names = message.partition("arguments are required: ")
+        choices = {a.dest: " or ".join(map(str, a.choices)) for a in self._actions if a.choices}
+        told = [choices.get(name, name) for name in names.split(", ")]
+        return f"{opening}{required}{', '.join(told)}"

@@ -22,6 +22,11 @@ def main(arguments: list[str], prog: str) -> int:
     """Exit status 0. Raises UserError for bad input."""
     options = _parser(prog).parse_args(arguments)
     check_side(options.size)
+    require(
+        options.cameras.exists() and not options.cameras.is_dir(),
+        f"--cameras: expected a cameras.json as 3DGS writes it or a transforms.json, got"
+        f" '{options.cameras}', which is no file; a run's folder has both",
+    )
     from framework.exports.given import read_given
     from framework.exports.opened import open_run
     from framework.exports.pictures import painter

@@ -58,14 +58,17 @@ def measures(chosen: str | None) -> list[str]:
     """The names in `metrics.also`, in their order. UserError for an unknown or repeated one."""
     names = [] if chosen is None else chosen.split("+")
     for name in names:
-        require(
-            name in MEASURES,
-            f"metrics.also: unknown metric '{name}'; "
-            + (nearest_hint(name, MEASURES) if MEASURES else "no plugin has one")
-            + ", several are joined by +",
-        )
+        require(name in MEASURES, f"metrics.also: unknown metric '{name}'; {_available(name)}")
         require(
             names.count(name) == 1,
             f"metrics.also: expected each metric once, got {name} twice; drop one",
         )
     return names
+
+
+def _available(name: str) -> str:
+    """What there is to measure; `name` is none of it, or needs no asking for."""
+    measured = f"every run measures {', '.join(METRICS)}"
+    if not MEASURES:
+        return f"{measured}, and no plugin more; leave it out"
+    return f"{nearest_hint(name, MEASURES)}, several are joined by +; {measured} anyway"

@@ -145,7 +145,8 @@ def _asked(command: list[str]) -> str | None:
 def _named(sweep_dir: Path, name: str | None) -> Path:
     known = plans(sweep_dir)
     if not known:
-        raise UserError(f"{sweep_dir}: expected a submitted study, found none; add --dir DIR")
+        wanted = "a submitted study" if name is None else f"the submission '{name}'"
+        raise UserError(f"{sweep_dir}: expected {wanted}, found none; add --dir DIR")
     if name is None:
         return known[-1]
     found = [folder for folder in known if folder.name == name]
