@@ -25,7 +25,7 @@ from omegaconf.errors import (
 
 from framework.command.config.check import hint
 from framework.command.config.schema import CONF_DIR
-from framework.command.launchers.known import missing_extra
+from framework.command.launchers.known import LAUNCHERS, missing_extra, package_of
 from framework.command.program import program
 from framework.errors import UserError, mendable, nearest_hint, os_line, printable_line
 from framework.files.paths import OWN_VARIABLE
@@ -150,12 +150,13 @@ def _missing_choice(error: MissingConfigException) -> str | None:
     extra = missing_extra(name) if group == "hydra/launcher" else None
     if extra is not None:
         return (
-            f"{group}={name}: expected what it needs to be installed, found it missing; pip install"
-            f" 'fishersplat[{extra}]'"
+            f"{group}={name}: expected {package_of(name)} to be installed, found it missing; pip"
+            f" install 'fishersplat[{extra}]'"
         )
+    options = {*error.options, *(LAUNCHERS if group == "hydra/launcher" else ())}
     own = os.environ.get(OWN_VARIABLE)
     searched = f"; --plugins {own} was searched, too" if own else ""
-    return f"{group}={name}: unknown {group}; {nearest_hint(name, error.options)}{searched}"
+    return f"{group}={name}: unknown {group}; {nearest_hint(name, options)}{searched}"
 
 
 def _unknown_key(error: OmegaConfBaseException) -> str | None:

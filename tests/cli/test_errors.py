@@ -77,6 +77,11 @@ CASES = {
     "augment=safi augment.weight=inf": ["augment=safi: weight must be a finite number >= 0, got"],
     "threads=-1": ["threads: expected an integer >= 0, got -1"],
     "study=../elsewhere": ["study: expected a folder name", "'../elsewhere'"],
+    "study=a//b": ["study: expected a folder name", "or several joined by /, got 'a//b'; rename"],
+    "metrics.also=nope": [
+        "metrics.also: unknown metric 'nope'; every run measures psnr, ssim, flip, lpips, lpips_01",
+    ],
+    "hydra/launcher=nope": ["unknown hydra/launcher; available: basic, joblib, ray, submitit_loc"],
     "scene=llff": ["scene.path: required by scene=llff, got nothing; add scene.path=VALUE"],
     "scene=colmap,embedded -m": ["scene.path: required by scene=colmap"],
     "scene=llff scene.path=x scene.n_views=each": [
@@ -87,7 +92,9 @@ CASES = {
         "scene.n_views: expected an integer or a text, got 2.5"
     ],
     "scene=transforms scene.path=x scene.n_views=null": ["scene.n_views: expected an integer or a"],
-    "scene=mip360 scene.path=x scene.split=non": ["split=non: unknown protocol; did you mean"],
+    "scene=mip360 scene.path=x scene.split=non": [
+        "scene.split=non: unknown protocol; did you mean"
+    ],
     "scene.n_views=all": ["scene.n_views: expected an integer, got 'all'"],
     "augment=safi -m seed=1,2": ["expected -m first or last", "after 'augment=safi'"],
     "threads=1,2 -m": ["multirun: expected a folder for each run", "study=NAME"],

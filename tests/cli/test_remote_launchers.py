@@ -180,6 +180,15 @@ def test_a_missing_extra_is_named(
     assert "pip install 'fishersplat[submitit]'" in capsys.readouterr().err
 
 
+@pytest.mark.skipif(known._installed(RAY), reason="ray is installed")
+def test_the_package_of_a_missing_launcher_is_named(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["hydra/launcher=ray", "seed=0,1", "-m"]) == 2
+    told = "expected hydra-ray-launcher to be installed, found it missing; pip install 'fishersplat"
+    assert f"hydra/launcher=ray: {told}[ray]'" in capsys.readouterr().err
+
+
 # plans, without processes
 
 

@@ -73,7 +73,8 @@ def _check_scalars(seed: int, threads: int, study: str | None) -> None:
     )
     require(
         study is None or re.fullmatch(r"\w[\w.-]*(/\w[\w.-]*)*", study) is not None,
-        f"study: expected a folder name of letters, digits, _ . and -, got {study!r}; rename it",
+        f"study: expected a folder name of letters, digits, _ . and -, or several joined by /, got"
+        f" {study!r}; rename it",
     )
 
 

@@ -105,6 +105,11 @@ def missing_extra(name: str) -> str | None:
     )
 
 
+def package_of(name: str) -> str:
+    """The package that a remote launcher comes with."""
+    return LAUNCHERS[name].needs.rpartition(".")[2].replace("_", "-")
+
+
 def _installed(module: str) -> bool:
     try:
         return importlib.util.find_spec(module) is not None
