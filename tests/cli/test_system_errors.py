@@ -188,7 +188,7 @@ def test_a_report_without_memory(
     def fail(*_: object) -> None:
         raise MemoryError("Unable to allocate 9 GiB")
 
-    monkeypatch.setattr("framework.report.build.build_report", fail)
+    monkeypatch.setattr("framework.report.build.built", fail)
     assert report([str(tmp_path)]) == 2
     assert capsys.readouterr().err.startswith("error: memory: expected room")
 
