@@ -17,7 +17,7 @@ from framework.depth.depth_anything_3 import DepthAnything3
 from framework.depth.from_file import DepthFile
 from framework.depth.ground_truth import GroundTruth
 from framework.depth.plane_sweep import PlaneSweep
-from framework.depth.provider import DepthProvider
+from framework.depth.provider import DepthProvider, unspoiled
 from framework.errors import UserError, nearest_hint
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "matching",
     "options",
     "transfer",
+    "unspoiled",
 ]
 
 PROVIDERS: dict[str, type] = {

@@ -6,8 +6,9 @@ loads neither torch nor numba.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from framework.errors import check_option, nearest_hint, require
 
@@ -77,3 +78,11 @@ class DepthProvider:
         """What beside the options and the training set determines the maps: SHA-256 hex of the
         files that `measure` reads, "" if it reads none."""
         return ""
+
+
+def unspoiled(options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of the same provider without its corruption; the same where it has none."""
+    if options.get("corruption", NONE) == NONE:
+        return dict(options)
+    spoils = ("corruption", "strength", "corruption_seed")
+    return {name: value for name, value in options.items() if name not in spoils}

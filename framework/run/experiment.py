@@ -24,9 +24,8 @@ from torch import Tensor
 from framework import registry
 from framework.compute import parallel, rng
 from framework.compute.stopwatch import Stopwatch
-from framework.depth import build_provider
+from framework.depth import build_provider, unspoiled
 from framework.depth.exposure import ENOUGH, Exposures, find_exposures
-from framework.depth.provider import NONE as NO_CORRUPTION
 from framework.files.locks import locked, remove_stale
 from framework.files.whole import following, remove_temporaries
 from framework.metrics.coadaptation import with_average, with_coadaptation
@@ -313,19 +312,11 @@ def _log_gains(
     timings = {"exposure": StageTime(0.0, 0.0)}
     if len(views) < ENOUGH:
         return None, timings["exposure"]
-    depth = _depth(scene_key, _unspoiled(depth_key), fingerprint)[0]
+    clean = _key(unspoiled(json.loads(depth_key)))
+    depth = _depth(scene_key, clean, fingerprint)[0]
     with _timed(timings, "exposure"):
         found = find_exposures(views, depth)
     return None if found is None else found.log_gains, timings["exposure"]
-
-
-def _unspoiled(depth_key: str) -> str:
-    """The key of the same depth provider without its corruption."""
-    options = json.loads(depth_key)
-    if options.get("corruption", NO_CORRUPTION) == NO_CORRUPTION:
-        return depth_key
-    spoils = ("corruption", "strength", "corruption_seed")
-    return _key({name: value for name, value in options.items() if name not in spoils})
 
 
 def _info(scene: Scene) -> SceneInfo:
