@@ -153,8 +153,9 @@ def test_a_named_study_can_be_changed(runs: FakeRuns) -> None:
 def test_every_sweep_starts(runs: FakeRuns, path: Path, end: int) -> None:
     """With the first and with the last value of all its axes: the whole cross takes minutes."""
     params = OmegaConf.load(path).hydra.sweeper.params
-    ends = [f"{key}={str(values).split(',')[end]}" for key, values in params.items()]
-    assert main([f"sweep={path.stem}", *ends, "seed=7"]) == 0
+    ends = {key: str(values).split(",")[end] for key, values in params.items()} | {"seed": "7"}
+    words = [f"{key}={value}" for key, value in ends.items()]
+    assert main([f"sweep={path.stem}", *words]) == 0
     assert [seed for _, _, seed in runs.methods] == [7]
 
 
