@@ -13,9 +13,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hydra.errors import MissingConfigException
 
 from benchmarks.studies import digests, leftovers
 from framework.command import cli
+from framework.command.complaints import one_line
 from framework.command.config.schema import ROOT
 from framework.command.launchers import known, page, plan
 from framework.command.launchers.plan import Plan, new_plan, read_plan, work
@@ -180,13 +182,26 @@ def test_a_missing_extra_is_named(
     assert "pip install 'fishersplat[submitit]'" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(known._installed(RAY), reason="ray is installed")
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        (
+            "ray",
+            "hydra-ray-launcher to be installed, found it missing; pip install 'fishersplat[ray",
+        ),
+        (
+            "submitit_slurm",
+            "hydra-submitit-launcher to be installed, found it missing; pip install",
+        ),
+        ("rya", "unknown hydra/launcher; available: basic, joblib, ray, submitit_local, "),
+    ],
+)
 def test_the_package_of_a_missing_launcher_is_named(
-    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, name: str, told: str
 ) -> None:
-    assert cli.main(["hydra/launcher=ray", "seed=0,1", "-m"]) == 2
-    told = "expected hydra-ray-launcher to be installed, found it missing; pip install 'fishersplat"
-    assert f"hydra/launcher=ray: {told}[ray]'" in capsys.readouterr().err
+    monkeypatch.setattr(known, "_installed", lambda module: False)
+    error = MissingConfigException("", f"hydra/launcher/{name}", ["basic", "joblib"])
+    assert told in one_line(error)
 
 
 # plans, without processes

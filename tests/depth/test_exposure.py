@@ -155,6 +155,7 @@ def test_spoiled_depth_does_not_change_the_photos(monkeypatch: pytest.MonkeyPatc
         maps = experiment._depth(*keys, "")[0]
         assert (maps is asked[-1]) == (not spoil)
     assert all(torch.equal(a.depth, b.depth) for a, b in zip(*asked, strict=True))
+    experiment._log_gains.cache_clear()  # what the stand-in answered
 
 
 def test_a_photo_keeps_its_own_exposure_where_another_was_taken_too() -> None:
