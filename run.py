@@ -1,8 +1,24 @@
 """The entry point: `python run.py +augment=safi +reg=uar seed=0,1,2 -m`; `--help` tells more."""
 
 import sys
+from importlib.util import find_spec
 
-from framework.command.entry import command
+NEEDED = "torch", "numba", "hydra", "omegaconf", "cv2", "scipy", "pandas", "matplotlib"
+
+
+def check_python() -> None:
+    """End in one line where this Python cannot run the project, before a traceback says so."""
+    lacking = "" if sys.version_info >= (3, 11) else "Python 3.11 or newer"
+    lacking = lacking or ", ".join(name for name in NEEDED if find_spec(name) is None)
+    if lacking:
+        found = "{} (Python {}.{})".format(sys.executable, *sys.version_info)
+        how = "`make setup && . .venv/bin/activate`, or `pip install -e .`"
+        print(f"error: {found} lacks {lacking}: {how} in the project's folder", file=sys.stderr)
+        sys.exit(2)
+
 
 if __name__ == "__main__":
+    check_python()
+    from framework.command.entry import command
+
     command(sys.argv[1:])

@@ -35,6 +35,19 @@ def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+def test_a_python_without_our_packages_is_told_in_a_line(tmp_path: Path) -> None:
+    told = subprocess.run(
+        [sys.executable, "-S", str(ROOT / "run.py"), "seed=1"],
+        cwd=tmp_path,
+        env={k: v for k, v in os.environ.items() if k != "PYTHONPATH"},
+        capture_output=True,
+        text=True,
+    )
+    assert told.returncode == 2 and told.stdout == ""
+    assert told.stderr.startswith(f"error: {sys.executable} ") and told.stderr.count("\n") == 1
+    assert "lacks torch, numba, hydra" in told.stderr and "pip install -e ." in told.stderr
+
+
 def test_the_version_is_ours(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"fishersplat {framework.__version__}\n"
