@@ -15,7 +15,8 @@ def test_the_parser_has_the_flags_that_are_read() -> None:
     flags = vars(argument_parser().parse_args(["a=1", "-m"]))
     assert flags["multirun"] and flags["overrides"] == ["a=1"]
     missing = [name for name in (*READ, *REFUSED_FLAGS) if name not in flags]
-    assert not missing, f"Hydra's parser lost {missing}: cli._parse and trust.check_command read it"
+    told = "framework/command/words.py and trust.check_command read it"
+    assert not missing, f"Hydra's parser lost {missing}: {told}"
 
 
 def test_a_sweep_is_split_as_the_runs_will_be() -> None:

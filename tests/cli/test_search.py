@@ -19,6 +19,11 @@ from framework.records.search import SEARCH, read_search
 from framework.scenes.splits import HELD_OUT, PROTOCOLS, UNTESTED, protocol
 
 
+def test_an_option_given_twice_is_refused() -> None:
+    with pytest.raises(UserError, match=r"seed: expected one value, got two words \(seed=1 and"):
+        space_of(["seed=1", "seed=2", "trainer.lr_scale=interval(1.0,2.0)"])
+
+
 def test_the_grammar_of_a_space() -> None:
     fixed, space = space_of(
         [

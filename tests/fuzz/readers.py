@@ -14,10 +14,10 @@ import torch
 import yaml
 from PIL import Image
 
-from framework.command import cli
 from framework.command.complaints import USER_ERRORS, one_line
 from framework.command.config.schema import register_config
 from framework.command.config.trust import check_command, check_config_files
+from framework.command.words import normalise, parse
 from framework.depth.from_file import DepthFile
 from framework.depth.read import load_map
 from framework.errors import UserError, mendable
@@ -176,7 +176,7 @@ def _commanded(folder: Path) -> None:
     words = os.fsdecode(read_bytes(folder / "words.line", 1 << 20)).split("\n")
     try:
         register_config()
-        check_command(cli._parse(cli.normalise(words)))
+        check_command(parse(normalise(words)))
     except USER_ERRORS as error:
         raise UserError(one_line(error)) from None
     except OSError as error:

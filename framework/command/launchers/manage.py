@@ -56,7 +56,8 @@ def main(arguments: Sequence[str], prog: str) -> int:
 
 def _submit(words: list[str], prog: str) -> int:
     """The usual way of a study, but that its launcher only starts workers."""
-    from framework.command import cli
+    from framework.command.cli import main as command_line
+    from framework.command.words import MULTIRUN_FLAGS
 
     if "-h" in words or "--help" in words:
         print(__doc__)
@@ -74,11 +75,11 @@ def _submit(words: list[str], prog: str) -> int:
         f"{prog}: expected submitit to be installed, found it missing; pip install"
         f" 'fishersplat[{extra}]'",
     )
-    flags = [word for word in words if word not in cli.MULTIRUN_FLAGS]
+    flags = [word for word in words if word not in MULTIRUN_FLAGS]
     command = [*([] if chosen else [LAUNCHER + ENGINES[0]]), *flags, "-m"]
     detach(f"{prog} {shlex.join(words)}")
     try:
-        code = cli.main(command)
+        code = command_line(command)
     finally:
         detach(None)
     if code == 0:

@@ -16,6 +16,7 @@ from typing import Any, Protocol
 from hydra.core.override_parser.types import IntervalSweep, Override
 
 from framework.command.config.trust import parsed
+from framework.command.words import check_given_twice
 from framework.errors import require
 
 MOST_CHOICES = 1000
@@ -63,6 +64,7 @@ class Dimension:
 
 def space_of(words: Sequence[str]) -> tuple[list[str], list[Dimension]]:
     """The words that stay, and the options that vary. Raises UserError where none does."""
+    check_given_twice(words)
     fixed, varied = [], []
     for override in parsed(words):
         if override.is_sweep_override():
