@@ -37,6 +37,11 @@ class Pull:
 class PullCapacity(Capacity):
     """The common part of capacities whose state is the `Pull`."""
 
+    def counts_dropped(self) -> bool:
+        """Whether a step that drops Gaussians counts as having seen them, with a gradient of 0. It
+        is not known which of them it would have seen: it counts by the share that it kept."""
+        return False
+
     def init_state(self, ctx: StepContext) -> Pull:
         return self.unmeasured(len(ctx.gaussians))
 
@@ -76,4 +81,7 @@ class PullCapacity(Capacity):
         half_size = gradient.new_tensor([stats.width / 2, stats.height / 2])
         u, v = (gradient * half_size).square().unbind(1)
         norm = root(u + v)
-        return Pull(state.total + norm * visible, state.seen + visible)
+        seen = visible.float()
+        if self.counts_dropped() and stats.factors is not None:
+            seen /= (stats.factors > 0).float().mean().clamp(min=1 / n)
+        return Pull(state.total + norm * visible, state.seen + seen)

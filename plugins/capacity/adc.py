@@ -37,8 +37,9 @@ class AdaptiveDensityControl(PullCapacity):
     in scene extents. min_opacity: below it a Gaussian is removed. reset_every: steps between
     lowering all opacities to `reset_opacity`; 0 = never. reset_from: step of the first time; 0 =
     `reset_every`. reset_opacity: the highest opacity after that. absolute: pull by the sums of
-    absolute gradients, as AbsGS (Ye et al. 2024). A step then takes longer. max_gaussians:
-    0 = no limit; otherwise the strongest pulled are served first.
+    absolute gradients, as AbsGS (Ye et al. 2024). A step then takes longer. count_dropped: what a
+    step drops counts as seen and not pulled, as in DropGaussian's code, and not as unseen.
+    max_gaussians: 0 = no limit; otherwise the strongest pulled are served first.
     """
 
     defaults: ClassVar[dict[str, float]] = {"stop": 0.9}
@@ -54,6 +55,7 @@ class AdaptiveDensityControl(PullCapacity):
     reset_opacity: float = 0.01
     max_gaussians: int = 0
     absolute: bool = False
+    count_dropped: bool = False
 
     def __post_init__(self) -> None:
         self.check("of_steps", self.of_steps >= 0, "an integer >= 0")
@@ -73,6 +75,9 @@ class AdaptiveDensityControl(PullCapacity):
 
     def wants_absolute(self) -> bool:
         return self.absolute
+
+    def counts_dropped(self) -> bool:
+        return self.count_dropped
 
     def update(self, ctx: StepContext, state: Pull, stats: StepStats) -> tuple[Edits | None, Pull]:
         """Measure; at every `every`-th step also clone, split and prune; then perhaps reset.

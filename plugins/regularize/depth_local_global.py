@@ -4,7 +4,8 @@ DNGaussian (Li et al. 2024, arXiv 2403.06912): before the update on the photo, o
 optimizer moves the centres alone, with all opacities at 0.95 ("hard" depth), and one the opacities
 alone ("soft" depth). Rendered and known depth are compared in patches of a random size, after the
 patch's mean is taken off and they are divided by the patch's deviation (local) or the image's
-(global): 0.1 local + 1 global, mean over residuals above a margin of their squares. Known depth is
+(global): 0.1 local + 1 global, mean over residuals above a margin of their squares (its code for a
+start from dense points: a margin of 0.01, in DropoutGS 0.1 global). Known depth is
 what `depth=` gives, so only its order of magnitude in a patch has to be right.
 """
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from framework.types import View
 
 HARD = 0.95  # opacity of all in the hard render
-LOCAL, GLOBAL = 0.1, 1.0
+LOCAL = 0.1
 SHARE = 0.01  # of the image's deviation that a patch's is kept above
 
 
@@ -32,19 +33,22 @@ SHARE = 0.01  # of the image's deviation that a patch's is kept above
 @dataclass(frozen=True)
 class DepthLocalGlobal(Regularizer):
     """smallest, largest: edge of a patch in pixels, uniform between them. margin: residuals below
-    it do not count. soft_from: share of the training before which only centres move."""
+    it do not count. whole: weight of the loss divided by the image's deviation. soft_from: share of
+    the training before which only centres move."""
 
     defaults: ClassVar[dict[str, float]] = {"weight": 1.0}
 
     smallest: int = 5
     largest: int = 17
     margin: float = 2.5e-4
+    whole: float = 1.0
     soft_from: float = 0.167
 
     def __post_init__(self) -> None:
         self.check("smallest", self.smallest >= 2, "an integer >= 2")
         self.check("largest", self.largest >= self.smallest, "an integer >= smallest")
         self.check("margin", self.margin >= 0, "a number >= 0")
+        self.check("whole", self.whole >= 0, "a number >= 0")
         self.check("soft_from", 0 <= self.soft_from <= 1, "a share in [0, 1]")
 
     def substeps(self, ctx: StepContext, state: Any, view: View) -> Iterator[SubStep]:
@@ -73,14 +77,14 @@ class DepthLocalGlobal(Regularizer):
             gaussians = gaussians.replace(opacity_logits=opaque)
         seen = ctx.render(view.camera, gaussians)
         valid = known[1] & (seen.alpha.detach() > SEEN)
-        return compared(seen.expected_depth, known[0], valid, patch, self.margin)
+        return compared(seen.expected_depth, known[0], valid, patch, self.margin, self.whole)
 
 
 def compared(
-    rendered: Tensor, known: Tensor, valid: Tensor, patch: int, margin: float
+    rendered: Tensor, known: Tensor, valid: Tensor, patch: int, margin: float, whole: float
 ) -> Tensor | None:
-    """0.1 local + 1 global loss of two depth maps [H, W] over whole patches of `valid` pixels; None
-    without any such patch."""
+    """0.1 local + `whole` global loss of two depth maps [H, W] over whole patches of `valid`
+    pixels; None without any such patch."""
     rows, columns = (n // patch for n in rendered.shape)
     if rows == 0 or columns == 0:
         return None
@@ -89,13 +93,13 @@ def compared(
         cut = values[: rows * patch, : columns * patch]
         return cut.reshape(rows, patch, columns, patch).transpose(1, 2).reshape(-1, patch**2)
 
-    whole = tiles(valid).all(1)
-    if not whole.any():
+    inside = tiles(valid).all(1)
+    if not inside.any():
         return None
     loss = rendered.new_zeros(())
-    pair = [tiles(values)[whole] for values in (rendered, known)]
+    pair = [tiles(values)[inside] for values in (rendered, known)]
     spread = [values.std().detach() for values in pair]
-    for weight, local in ((LOCAL, True), (GLOBAL, False)):
+    for weight, local in ((LOCAL, True), (whole, False)):
         normal = []
         for values, deviation in zip(pair, spread, strict=True):
             centred = values - values.mean(1, keepdim=True)

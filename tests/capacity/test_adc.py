@@ -146,6 +146,22 @@ def test_pull_is_the_mean_over_the_steps_that_saw_it_in_ndc() -> None:
     torch.testing.assert_close(state.mean, torch.tensor([expected, 0.0]))
 
 
+def test_what_is_dropped_may_count_as_seen() -> None:
+    """As in DropGaussian's code, where it has a radius and no gradient."""
+    step = StepStats(
+        means2d_grad=torch.tensor([[0.03, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]),
+        radii=torch.tensor([1.0, 1.0, 1.0, 0.0]),
+        width=WIDTH,
+        height=HEIGHT,
+        factors=torch.tensor([1.25, 1.25, 0.3, 0.0]),
+    )
+    for counted, seen in ((False, 1.0), (True, 4 / 3)):
+        plugin = AdaptiveDensityControl(count_dropped=counted)
+        pull = plugin.measured(plugin.unmeasured(4), step)
+        assert torch.allclose(pull.seen, torch.tensor([seen, seen, seen, 0.0]))
+        assert float(pull.mean[0]) == pytest.approx(0.03 * WIDTH / 2 / seen)
+
+
 def test_pull_does_not_depend_on_the_resolution() -> None:
     """A loss of the same image at half the size has twice the gradient per pixel."""
     subject, adc = gaussians((SMALL, OPAQUE)), AdaptiveDensityControl()

@@ -83,7 +83,8 @@ def test_edge_scores_are_means_under_the_blend_weights() -> None:
 
 
 def test_the_second_field_is_shaken_where_its_renders_differ() -> None:
-    ctx = replace(at_work(step=4), gaussians=wall_of_gaussians(), second=True)
+    model = wall_of_gaussians(seed=5)
+    ctx = replace(at_work(step=4), gaussians=wall_of_gaussians(), second=True, other=model)
     plugin = SelfEnsemble(every=0.05, cameras=1, first=0.1, last=0.1)
     state = plugin.init_state(ctx)
     assert plugin.update(replace(ctx, second=False), state, stats(ctx)) == (None, state)
@@ -92,14 +93,21 @@ def test_the_second_field_is_shaken_where_its_renders_differ() -> None:
         assert edits is None
     looks = state.looks[0].clone()
     assert looks.shape[0] == 2
+    assert torch.equal(looks[0], ctx.render(state.cameras[0], model).rgb)  # not of the shaken one
     looks[:, :, :, :8] += torch.tensor([0.5, -0.5]).view(2, 1, 1, 1)  # uncertain on the left
     edits, state = plugin.update(
         replace(ctx, step=14), Watched(state.cameras, (looks,)), stats(ctx)
     )
     assert edits is not None and set(edits.values) == {"means", "log_scales", "opacity_logits"}
     shaken = (edits.values["means"] != ctx.gaussians.means).any(1)
-    assert torch.equal(shaken, in_uncertain_pixels(ctx.gaussians.means, state, 0.05))
+    assert torch.equal(shaken, in_uncertain_pixels(ctx.gaussians.means, state, 0.05, 0.01))
     assert 0 < int(shaken.sum()) < len(shaken)
+    moved = (edits.values["means"] - ctx.gaussians.means)[shaken]
+    assert float(moved.std()) == pytest.approx(0.1 * ctx.extent, rel=0.3)
+    calm = looks.clone()
+    calm[:, :, :, :8] = looks.mean(0)[:, :, :8] + torch.tensor([4e-3, -4e-3]).view(2, 1, 1, 1)
+    still, _ = plugin.update(replace(ctx, step=14), Watched(state.cameras, (calm,)), stats(ctx))
+    assert still is not None and torch.equal(still.values["means"], ctx.gaussians.means)
     plugin.check_state(state, ctx.gaussians, 0, ())
 
 

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from framework.methods.elsewhere import (
-    unseen_camera,
-)
+from framework.methods.elsewhere import known_depth, unseen_camera
 from framework.types import Render
 from plugins.augment.mvs_warp import MvsWarp
 from plugins.regularize.depth_local_global import DepthLocalGlobal, compared
@@ -114,9 +112,9 @@ def test_patches_are_compared_by_their_form() -> None:
         return total
 
     tensors = [torch.from_numpy(x).float().requires_grad_() for x in (rendered, known)]
-    found = compared(tensors[0], tensors[1].detach(), torch.from_numpy(valid), 4, 0.05)
+    found = compared(tensors[0], tensors[1].detach(), torch.from_numpy(valid), 4, 0.05, 1.0)
     assert found is not None and float(found) == pytest.approx(by_hand(4, 0.05), rel=1e-4)
-    assert compared(tensors[0], tensors[1], torch.from_numpy(valid), 20, 0.0) is None
+    assert compared(tensors[0], tensors[1], torch.from_numpy(valid), 20, 0.0, 1.0) is None
 
 
 def test_hard_depth_moves_places_and_soft_depth_opacities() -> None:
@@ -132,6 +130,15 @@ def test_hard_depth_moves_places_and_soft_depth_opacities() -> None:
             n for (n, _), g in zip(ctx.gaussians.items(), found, strict=True) if g is not None
         }
         assert moved_by == {name}
+    patch = int(ctx.rng("patches").integers(5, 18))
+    logits = torch.full_like(ctx.gaussians.opacity_logits, math.log(0.95 / 0.05))
+    opaque = ctx.gaussians.detach().replace(opacity_logits=logits)
+    seen, found = ctx.render(view.camera, opaque), known_depth(ctx, view)
+    assert found is not None
+    valid = found[1] & (seen.alpha > 1e-6)
+    rendered = seen.expected_depth.detach().requires_grad_()
+    hard = compared(rendered, found[0], valid, patch, 2.5e-4, 1.0)
+    assert hard is not None and float(hard) == pytest.approx(float(steps[0][0]), rel=1e-5)
     early = list(DepthLocalGlobal().substeps(replace(ctx, step=0), None, view))
     assert [names for _, names in early] == [("means",)]
 

@@ -44,6 +44,24 @@ def test_a_camera_beside_sees_points_where_the_disparity_says() -> None:
     assert float(disparity_roughness(disparities, image)) == pytest.approx(expected)
 
 
+def test_what_does_not_return_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wall at 4 and, for the other camera alone, something before its left half."""
+    ctx = at_work()
+    view = ctx.views[0]
+    own = ctx.render(view.camera, ctx.gaussians)
+    flat = replace(own, depth=torch.full_like(own.depth, 4.0), alpha=torch.ones_like(own.alpha))
+    hidden = flat.depth.clone()
+    hidden[:, : hidden.shape[1] // 2] = 3.5
+    other = replace(flat, rgb=1 - view.image, depth=hidden)
+    monkeypatch.setattr("plugins.regularize.cycle_warp.unseen_camera", lambda *_: view.camera)
+    shares: dict[str, float] = {}
+    looking = replace(ctx, render=lambda *_, **__: other, log=shares.__setitem__)
+    for tolerance, expected in ((0.01, 0.5), (0.2, 1.0)):
+        loss = CycleWarp(tolerance=tolerance).loss(looking, None, view, flat)
+        assert loss is not None
+        assert shares["cycle_warp_share"] == pytest.approx(expected, abs=0.03)
+
+
 @pytest.mark.parametrize("plugin", [Binocular(), CycleWarp(tolerance=1.0)])
 def test_a_scene_that_is_right_has_a_small_warping_loss(plugin: Any) -> None:
     """Views of the current Gaussians themselves, against the same of others."""
