@@ -74,7 +74,8 @@ class View:
     weight: factor of this view's photometric loss. depth: [H, W] float32 exact depth (0 = unknown)
     where a scene has it; only `depth=ground_truth` and diagnostics read it. tags:
     ("interpolating",) or ("extrapolating",) on test views (`framework.scenes.placement`),
-    (PSEUDO,) on augmented ones.
+    (PSEUDO,) on augmented ones. lens: (k1, k2, p1, p2, k3) of the distortion that was taken out of
+    the stored photo (`framework.scenes.lens.Distortion`), () for none.
     """
 
     name: str
@@ -84,6 +85,7 @@ class View:
     weight: float = 1.0
     depth: Tensor | None = None
     tags: tuple[str, ...] = ()
+    lens: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,7 @@ class DepthFileOptions(DepthProvider):
     align: str = "scale"  # to the sparse points: scale, scale_shift or none (already scene units)
     invalid: str = "error"  # NaN, infinity and negative values: error, or mask (unknown)
     png_scale: float = 1000.0  # png values are divided by it
+    straight: bool = False  # maps are of the photos without their lens, not of the stored ones
     tolerance: float = 0.0  # relative, of a cross-view check as in plane_sweep; 0 = trust all
 
     def __post_init__(self) -> None:

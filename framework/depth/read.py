@@ -19,7 +19,7 @@ from framework.files.opened import is_file, read_bytes
 from framework.files.paths import inside
 from framework.files.whole import file_sha256
 from framework.scenes.images import image_size
-from framework.types import DepthMap, TrainingSet
+from framework.types import DepthMap, TrainingSet, View
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -160,6 +160,18 @@ def resample(values: NDArray[np.float64], width: int, height: int) -> NDArray[np
     return np.where(smooth, (weights * corners).sum(0), nearest)
 
 
+def straightened(values: NDArray[np.float64], view: View) -> NDArray[np.float64]:
+    """The map [H, W] of the stored photo as the view, whose lens was taken out, has it: the nearest
+    value, 0 beside the photo."""
+    from framework.scenes.lens import Distortion, distorted_pixels
+
+    height, width = values.shape
+    u, v, single = distorted_pixels(height, width, view.camera.K.numpy(), Distortion(*view.lens))
+    i, j = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
+    there = single & (i >= 0) & (i < width) & (j >= 0) & (j < height)
+    return np.where(there, values[j.clip(0, height - 1), i.clip(0, width - 1)], 0.0)
+
+
 def read_view(
     training: TrainingSet, index: int, file: Path, options: DepthFileOptions
 ) -> NDArray[np.float32]:
@@ -174,6 +186,8 @@ def read_view(
         f" {w}x{h}; crop the depth map like the image",
     )
     sized = resample(values, width, height)
+    if view.lens and not options.straight:
+        sized = straightened(sized, view)
     return align(training, index, sized, options.kind == "inverse_depth", options.align).astype(
         np.float32
     )

@@ -37,6 +37,8 @@ Y0 = 0.28209479177387814  # the harmonic of degree 0: 1 / (2 sqrt(pi))
 SPZ_VERSION = 3
 SPZ_BITS = 24  # of a coordinate, signed; how many are behind the point is for the file to say
 SPZ_FRACTION = (4, 14)  # least and most of these; readers shift by them
+SPZ_LOG_SCALES = (-10.0, 5.94)  # of a byte that counts sixteenths
+SPZ_LOST = 0.01  # share of the Gaussians that may be changed in size or place
 TURNED = np.diag([1.0, -1.0, -1.0, 1.0])  # right, down, forward to right, up, back
 
 SUFFIXES = {
@@ -101,6 +103,15 @@ def _spz(gaussians: Gaussians, background: Tensor) -> bytes:
         fraction >= least,
         f"spz: expected Gaussians within {2 ** (SPZ_BITS - 1 - least):,} of the middle, got one at"
         f" {farthest:.4g}; use another format",
+    )
+    largest = turned.log_scales.max(1).values
+    low = max(-fraction * math.log(2), SPZ_LOG_SCALES[0])  # means are rounded to a grid, too
+    high = SPZ_LOG_SCALES[1]
+    lost = float(((largest < low) | (largest > high)).float().mean())
+    require(
+        lost <= SPZ_LOST,
+        f"spz: expected Gaussians of {math.exp(low):.2g} to {math.exp(high):.3g} scene units, which"
+        f" it can hold, got {lost:.0%} of other sizes; use another format",
     )
     data = _for_gsply(turned)
     return _written(

@@ -37,6 +37,7 @@ def write_cameras(
     transforms: dict[str, Any] = {
         "camera_model": "PINHOLE",
         "train_filenames": [view.name for view in training],
+        "val_filenames": [view.name for view in test],  # nerfstudio wants both
         "test_filenames": [view.name for view in test],
         "frames": [_frame(view) for view in [*training, *test]],
     }

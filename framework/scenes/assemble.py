@@ -27,7 +27,7 @@ class Shot:
     """One image with its camera as arrays.
 
     viewmat: [4, 4] world-to-camera (OpenCV axes). K: [3, 3] pixels. image: [H, W, 3] uint8.
-    depth: [H, W] float32 or None. mask: [H, W] float32 or None (all valid).
+    depth: [H, W] float32 or None. mask: [H, W] float32 or None (all valid). lens: see `View`.
     """
 
     name: str
@@ -37,6 +37,7 @@ class Shot:
     depth: NDArray[np.float32] | None = None
     mask: NDArray[np.float32] | None = None
     tags: tuple[str, ...] = ()
+    lens: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def _view(shot: Shot) -> View:
     image = torch.from_numpy(np.ascontiguousarray(shot.image.transpose(2, 0, 1))).float() / 255
     depth = None if shot.depth is None else torch.from_numpy(shot.depth)
     mask = None if shot.mask is None else torch.from_numpy(shot.mask)
-    return View(shot.name, camera, image, mask=mask, depth=depth, tags=shot.tags)
+    return View(shot.name, camera, image, mask=mask, depth=depth, tags=shot.tags, lens=shot.lens)
 
 
 def _points(tracks: Tracks) -> SparsePoints:
@@ -91,8 +92,14 @@ def _centers(shots: Sequence[Shot]) -> NDArray[np.float64]:
     return np.array(centers).reshape(-1, 3)
 
 
-def _fingerprint(protocol: str, train: Sequence[Shot], test: Sequence[Shot], points: Tracks) -> str:
-    """SHA-256 over split, names, cameras, pixels, masks, depths and points."""
+def _fingerprint(
+    protocol: str,
+    train: Sequence[Shot],
+    test: Sequence[Shot],
+    points: Tracks,
+    bounds: tuple[float, float],
+) -> str:
+    """SHA-256 over split, names, cameras, pixels, masks, depths, points, near and far."""
     digest = hashlib.sha256()
 
     def add(value: str | NDArray | None) -> None:
@@ -107,6 +114,9 @@ def _fingerprint(protocol: str, train: Sequence[Shot], test: Sequence[Shot], poi
         for s in shots:
             for item in (role, s.name, s.viewmat, s.K, s.image, s.mask, s.depth):
                 add(item)
+            if s.lens:
+                add(repr(s.lens))
+    add(repr(bounds))
     add(points.xyz)
     add(points.rgb)
     add(points.seen)
@@ -131,7 +141,7 @@ def assemble(
     check_bounds(near, far, where)
     check_places(_centers(both), [shot.name for shot in both], far, where)
     training = TrainingSet(name, tuple(map(_view, train)), _points(points), near, far)
-    fingerprint = _fingerprint(protocol, train, test, points)
+    fingerprint = _fingerprint(protocol, train, test, points, (float(near), float(far)))
     found = placement(_centers(test), _centers(train))
     tagged = [s if s.tags else replace(s, tags=t) for s, t in zip(test, found, strict=True)]
     return Scene(name, protocol, training, tuple(map(_view, tagged)), fingerprint)

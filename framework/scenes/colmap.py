@@ -53,11 +53,14 @@ def load_colmap(
     called `name`, or as the folder."""
     from framework.scenes.assemble import assemble
     from framework.scenes.colmap_model import find_model, read_model
-    from framework.scenes.images import list_images
     from framework.scenes.photo import check_memory, photo_shot
     from framework.scenes.points import depth_bounds
 
-    list_images(photos)
+    require(
+        photos.is_dir(),
+        f"{photos}: expected a folder of the model's photos, got no such folder; correct"
+        " scene.images",
+    )
     model = read_model(find_model(folder))
     where = f"scene={loader}: {folder}"
     split = protocol(options.split).split(model.names, options.n_views, where)

@@ -19,7 +19,7 @@ from framework.files.paths import inside
 from framework.scenes.cameras import check_quaternion
 from framework.scenes.colmap_text import check_text
 
-PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 10, 8, 8)  # by COLMAP's camera model id
+PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4)  # by COLMAP's camera model id
 STEMS = ("cameras", "images", "points3D")
 
 

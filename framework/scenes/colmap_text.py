@@ -88,7 +88,7 @@ def _records(path: Path, noun: str, pairs: bool = False) -> Iterator[tuple[int, 
     records = -(-found // 2) if pairs else found
     expected = int(said.group(1)) if said else records
     require(
-        text.endswith("\n") and records == expected,
+        (not text or text.endswith("\n")) and records == expected,
         f"{path}: expected {expected} records and an ended last line, got {records} whole"
         " records; the file is truncated or damaged; copy it again or rebuild the model",
     )

@@ -113,6 +113,14 @@ def image_size(path: Path) -> tuple[int, int]:
         return image.size
 
 
+def bits(image: Image.Image) -> str:
+    """Pillow's mode of an image that is not loaded yet, or of what is stored where that has 16 bits
+    per channel: Pillow cuts them off without a word."""
+    stored = [str(tile[3]) for tile in getattr(image, "tile", ()) if len(tile) > 3]
+    deep = [name for name in stored if ";16" in name]
+    return deep[0] if deep and image.mode in EIGHT_BIT else image.mode
+
+
 def read_image(path: Path, paper: int | None = None) -> NDArray[np.uint8]:
     """[H, W, 3] uint8. paper: grey value 0 to 255 to lay a transparent image on, alpha blending the
     stored (sRGB) values as the NeRF synthetic data set is used; None refuses transparency.
@@ -122,10 +130,10 @@ def read_image(path: Path, paper: int | None = None) -> NDArray[np.uint8]:
     import numpy as np
 
     with opened(path) as image:
+        kind = bits(image)
         image.load()
-        mode = image.mode
         require(
-            mode in EIGHT_BIT, f"{path}: expected 8 bits per channel, got mode {mode}; convert it"
+            kind in EIGHT_BIT, f"{path}: expected 8 bits per channel, got mode {kind}; convert it"
         )
         clear = image.has_transparency_data
         pixels = np.asarray(image.convert("RGBA" if clear else "RGB"), dtype=np.uint8)

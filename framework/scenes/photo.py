@@ -7,7 +7,7 @@ reduced views; what those need is checked from the file headers before the first
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,7 +68,8 @@ def pinhole_shot(
     if not distortion.none:
         assert mask is None, "a mask would have to be undistorted too"
         image, mask = undistort(image, K, distortion)
-        return downscaled(Shot(name, viewmat, K, image, mask=mask), downscale, share=1.0)
+        shot = Shot(name, viewmat, K, image, mask=mask, lens=astuple(distortion))
+        return downscaled(shot, downscale, share=1.0)
     return downscaled(Shot(name, viewmat, K, image, mask=mask), downscale)
 
 

@@ -6,6 +6,7 @@ Points of a COLMAP model have tracks, so those that too few training views suppo
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,8 +25,11 @@ if TYPE_CHECKING:
 
     from framework.scenes.assemble import Shot
 
+log = logging.getLogger(__name__)
+
 SAME_POSE = 0.01  # distance between two models' camera centres, of the rig's size
 COLUMNS = ("x", "y", "z", "red", "green", "blue")  # of a PLY file
+FEWEST = 20  # points to know bounds from
 PERCENTILES = (0.1, 99.9)  # of the depths, as LLFF's poses_bounds.npy has them
 
 
@@ -111,10 +115,23 @@ def _in_image(shot: Shot, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
 def depth_bounds(
     tracks: Tracks, viewmats: Sequence[NDArray[np.float64]], train: Sequence[int], where: str
 ) -> tuple[float, float]:
-    """(near, far): 0.1 and 99.9 percentiles of the depths at which the training views see points.
+    """(near, far): 0.1 and 99.9 percentiles of the depths at which the training views see points
+    that at least two of them see.
 
-    Every point with a training view in its track counts. Raises UserError if there is none.
+    What a single one sees was found with the help of test photos: such points count only where the
+    training views share fewer than `FEWEST`, and that is told. Raises UserError without any.
     """
+    shared = tracks.for_training(train)
+    counted = int(tracks.seen[:, list(train)].any(1).sum())
+    if len(shared.xyz) >= min(FEWEST, counted) > 0:
+        tracks, viewmats, train = shared, [viewmats[i] for i in train], range(len(train))
+    else:
+        log.warning(
+            "%s: the training photos share %d sparse points, too few to know near and far from;"
+            " points that they share with test photos count too",
+            where,
+            len(shared.xyz),
+        )
     depths = []
     for i in train:
         xyz, viewmat = tracks.xyz[tracks.seen[:, i]], viewmats[i]

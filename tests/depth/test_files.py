@@ -75,6 +75,29 @@ def test_maps_of_another_size_are_resampled(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.depth.numpy(), exact(scene)[0], rtol=1e-6)
 
 
+def test_maps_of_stored_photos_lose_the_lens_too(tmp_path: Path) -> None:
+    scene, lens = plane_scene(), (-0.2, 0.0, 0.0, 0.0, 0.0)
+    bent = replace(scene, views=tuple(replace(view, lens=lens) for view in scene.views))
+    maps = []
+    for view in scene.views:
+        height, width = view.image.shape[1:]
+        rows, columns = np.mgrid[:height, :width]
+        maps.append(1.0 + columns + 1000.0 * rows)  # a value tells where it was stored
+    write(tmp_path, scene, maps, ".npy")
+    options = {"path": str(tmp_path), "align": "none"}
+    view, found = bent.views[0], build_provider("file", options).estimate(bent)[0].depth.numpy()
+    K, (height, width) = view.camera.K.numpy(), view.image.shape[1:]
+    row, column = height // 8, width // 8
+    x, y = (column + 0.5 - K[0, 2]) / K[0, 0], (row + 0.5 - K[1, 2]) / K[1, 1]
+    factor = 1 - 0.2 * (x * x + y * y)
+    u, v = K[0, 0] * x * factor + K[0, 2], K[1, 1] * y * factor + K[1, 2]
+    assert (int(u), int(v)) != (column, row)
+    assert found[row, column] == maps[0][int(v), int(u)]
+    assert found[height // 2, width // 2] == maps[0][height // 2, width // 2]
+    straight = build_provider("file", {**options, "straight": True}).estimate(bent)[0]
+    assert straight.depth[row, column] == maps[0][row, column]
+
+
 def test_resampling_keeps_edges_and_holes_sharp() -> None:
     values = np.array([[1.0, 1.02, 5.0, 0.0]])
     larger = resample(values, 16, 4)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -120,6 +121,17 @@ def test_sog_is_a_zip_of_pictures() -> None:
     pytest.importorskip("gaussforge", reason="an extra")
     content = packed(some_gaussians(300), BLACK, "sog")
     assert content[:2] == b"PK" and b"meta.json" in content
+
+
+@pytest.mark.parametrize("factor", [1e-5, 1e5])
+def test_sizes_that_spz_cannot_hold_are_refused(factor: float) -> None:
+    """In units of kilometres or of micrometres."""
+    gaussians = some_gaussians(50)
+    scaled = gaussians.replace(
+        means=gaussians.means * factor, log_scales=gaussians.log_scales + math.log(factor)
+    )
+    with pytest.raises(UserError, match="spz: expected Gaussians"):
+        packed(scaled, BLACK, "spz")
 
 
 def test_positions_beyond_spz_are_refused() -> None:

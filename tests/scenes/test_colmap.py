@@ -17,11 +17,21 @@ from framework.compute.rng import stream
 from framework.errors import UserError
 from framework.scenes import load_scene
 from framework.scenes.assemble import intrinsics
+from framework.scenes.colmap_files import PARAMETERS
 from framework.scenes.images import resize_ratio
 from framework.scenes.lens import Distortion, undistort
+from framework.scenes.points import FEWEST
 from framework.types import Scene
 from tests.data import open_scene
-from tests.scenes.synthetic import FOCAL, HEIGHT, WIDTH, write_images, write_model, write_scene
+from tests.scenes.synthetic import (
+    FOCAL,
+    HEIGHT,
+    WIDTH,
+    Point,
+    write_images,
+    write_model,
+    write_scene,
+)
 
 
 def load(folder: Path, **options: object) -> Scene:
@@ -84,6 +94,43 @@ def test_points_of_test_tracks_never_reach_training(tmp_path: Path) -> None:
     scene = load(write_scene(tmp_path, points=points))  # training: 1, 5, 9
     assert scene.training.points.xyz[:, 2].tolist() == [7.0, 8.0, 9.0]
     assert (scene.training.points.visible.sum(1) >= 2).all()
+
+
+def test_what_test_photos_found_says_nothing_about_near_and_far(tmp_path: Path) -> None:
+    """Training: 1, 5, 9. Points of one of them and a test photo may lie anywhere."""
+    shared: list[Point] = [((0.01 * k, 0.0, 4.0 + 0.1 * k), (1, 5)) for k in range(FEWEST)]
+    scenes = []
+    for name, away in (("a", 5.0), ("b", 900.0)):
+        points = [*shared, ((0.0, 0.0, away), (0, 1))]
+        scenes.append(load(write_scene(tmp_path / name, points=points)).training)
+    assert (scenes[0].near, scenes[0].far) == (scenes[1].near, scenes[1].far)
+    assert 4.0 <= scenes[0].near < scenes[0].far <= 5.9
+
+
+def test_too_few_shared_points_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    points: list[Point] = [((0.0, 0.0, 4.0), (1, 5)), ((0.0, 0.0, 9.0), (0, 1))]
+    scene = load(write_scene(tmp_path, points=points)).training
+    assert scene.far > 8 and "share 1 sparse points" in caplog.text
+
+
+def test_photos_may_lie_in_folders_of_the_folder(tmp_path: Path) -> None:
+    flat, deep = load(write_scene(tmp_path / "flat")), write_scene(tmp_path / "deep")
+    (deep / "images" / "left").mkdir()
+    for file in (deep / "images").glob("*.png"):
+        file.rename(deep / "images" / "left" / file.name)
+    table = deep / "sparse" / "0" / "images.txt"
+    table.write_text(table.read_text().replace(" im", " left/im"))
+    found = load(deep)
+    assert found.training.views[0].name.startswith("left/")
+    assert torch.equal(found.training.views[0].image, flat.training.views[0].image)
+
+
+def test_the_cameras_that_colmap_knows_are_whole_here() -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    for number, parameters in enumerate(PARAMETERS):
+        model = pycolmap.CameraModelId(number)
+        camera = pycolmap.Camera.create_from_model_id(1, model, 100.0, 40, 30)
+        assert len(camera.params) == parameters, model.name
 
 
 def test_rescaled_photos_scale_the_intrinsics(tmp_path: Path) -> None:

@@ -131,6 +131,16 @@ def test_fern_never_offers_points_of_test_tracks_only() -> None:
     assert not given & {tuple(p) for p in forbidden.tolist()}
 
 
+def test_fingerprint_tells_near_and_far(tmp_path: Path) -> None:
+    folder = write_llff(tmp_path)
+    first = load(folder)
+    rows = np.load(folder / "poses_bounds.npy")
+    rows[:, -1] *= 10
+    np.save(folder / "poses_bounds.npy", rows)
+    assert load(folder).training.far == pytest.approx(10 * first.training.far)
+    assert load(folder).fingerprint != first.fingerprint
+
+
 def test_fingerprint_tells_pixels_split_and_poses(tmp_path: Path) -> None:
     write_llff(tmp_path)
     first = load(tmp_path).fingerprint

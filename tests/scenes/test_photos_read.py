@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -13,9 +15,25 @@ from framework.errors import UserError
 from framework.scenes import load_scene
 from framework.scenes.images import read_image
 from framework.scenes.photos import Photos
+from framework.scenes.photos.attempt import Attempt
+from framework.scenes.photos.found import Try
+from framework.scenes.photos.model import store
 from framework.scenes.photos.prepare import prepare
 from tests.scenes.pictures import FOCAL, HEIGHT, WIDTH, exif_of, photograph, rig
 from tests.scenes.unplaced import SIDE, load, noise_photos, source_of
+
+
+def found_model(names: list[str]) -> Any:
+    """What the search would have found of these photos: cameras in a row."""
+    pycolmap = pytest.importorskip("pycolmap")
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 60.0, 64, 48)
+    model.add_camera_with_trivial_rig(camera)
+    for number, name in enumerate(names, start=1):
+        image = pycolmap.Image(name=name, camera_id=1, image_id=number)
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(), np.array([-0.1 * number, 0, 0]))
+        model.add_image_with_trivial_frame(image, pose)
+    return model
 
 
 def test_a_damaged_photo_is_named(tmp_path: Path) -> None:
@@ -63,6 +81,47 @@ def test_focal_length_of_the_sensor(tmp_path: Path) -> None:
     tags[0xA20E] = 0.0
     Image.new("RGB", (160, 120)).save(tmp_path / "a.jpg", exif=exif)
     assert prepare(tmp_path / "a.jpg", tmp_path, 0, SIDE).focal_px is None
+
+
+def test_focal_length_of_a_photo_that_was_turned(tmp_path: Path) -> None:
+    """4,000 pixels of 36 mm behind 50 mm, kept upright with the sides in EXIF exchanged."""
+    exif = exif_of(film_mm=None)
+    tags = exif.get_ifd(0x8769)
+    tags[0x920A], tags[0xA20E], tags[0xA210] = 50.0, 4000 / 3.6, 3
+    focals = []
+    for width, height in ((400, 300), (300, 400)):
+        tags[0xA002], tags[0xA003] = 10 * width, 10 * height
+        Image.new("RGB", (width, height)).save(tmp_path / "a.jpg", exif=exif)
+        focals.append(prepare(tmp_path / "a.jpg", tmp_path, 0, SIDE).focal_px)
+    assert focals[0] == pytest.approx(400 / 36 * 50, rel=1e-3) and focals[1] == focals[0]
+
+
+def test_sixteen_bits_are_not_cut_off_in_silence(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((48, 64, 3), 0x80FF, np.uint16))
+    with pytest.raises(UserError, match="8 bits per channel in RGB or grey, got mode RGB;16B"):
+        prepare(tmp_path / "a.png", tmp_path, 0, SIDE)
+    with pytest.raises(UserError, match="expected 8 bits per channel, got mode RGB;16B"):
+        read_image(tmp_path / "a.png")
+
+
+def test_photos_called_as_the_prepared_ones_keep_their_pixels(tmp_path: Path) -> None:
+    """`000001.png` is also the name under which the second photo is prepared."""
+    images = tmp_path / "images"
+    images.mkdir()
+    photos = []
+    for number in range(4):
+        source = tmp_path / f"{number + 1:06d}.png"
+        Image.new("RGB", (64, 48), (60 * number, 0, 0)).save(source)
+        photos.append(prepare(source, images, number, SIDE))
+    placed = [photo.name for photo in photos if photo.name != "000003.png"]
+    known = dict.fromkeys(placed, 100)
+    model = found_model([photo.stored for photo in photos if photo.name in placed])
+    store(
+        Attempt(model, False, None, known, [], {}, [], Try("", 3, 0.0, 0.0, 0.0)), photos, tmp_path
+    )
+    assert sorted(file.name for file in images.iterdir()) == placed
+    assert [int(read_image(images / name)[0, 0, 0]) for name in placed] == [0, 60, 180]
+    assert not (tmp_path / "prepared").exists()
 
 
 def test_photos_that_are_not_read(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +17,10 @@ if TYPE_CHECKING:
 
 
 def store(chosen: Attempt, photos: Sequence[Photo], folder: Path) -> None:
-    """Write `sparse/0`, and name the files of `images` as the photos are called."""
+    """Write `sparse/0`, and name the files of `images` as the photos are called.
+
+    They move from one folder to another: a photo may be called as the prepared one of another is.
+    """
     import pycolmap
 
     model = chosen.model
@@ -29,12 +33,13 @@ def store(chosen: Attempt, photos: Sequence[Photo], folder: Path) -> None:
     sparse = folder / "sparse" / "0"
     sparse.mkdir(parents=True)
     model.write_binary(sparse)
+    prepared = folder / "prepared"
+    (folder / "images").rename(prepared)
+    (folder / "images").mkdir()
     for stored, name in shown.items():
-        file = folder / "images" / stored
         if name in chosen.placed:
-            file.rename(folder / "images" / name)
-        else:
-            file.unlink()
+            (prepared / stored).rename(folder / "images" / name)
+    shutil.rmtree(prepared)
 
 
 def upright(views: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

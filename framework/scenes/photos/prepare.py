@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from framework.errors import UserError, require
-from framework.scenes.images import EIGHT_BIT, FORMATS, opened
+from framework.scenes.images import EIGHT_BIT, FORMATS, bits, opened
 from framework.scenes.photos.source import HEIC
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 FILM_DIAGONAL_MM = 43.27
 ORIENTATION, MAKE, MODEL, EXIF = 0x0112, 0x010F, 0x0110, 0x8769
-FOCAL_MM, FOCAL_35MM, PLANE_X, PLANE_UNIT, PIXELS_X = 0x920A, 0xA405, 0xA20E, 0xA210, 0xA002
+FOCAL_MM, FOCAL_35MM, PLANE_X, PLANE_UNIT, PIXELS = 0x920A, 0xA405, 0xA20E, 0xA210, (0xA002, 0xA003)
 # Pillow's plugins, no dependencies: their wheels hold libheif (LGPL), the second one's x265 (GPL)
 HEIF_READERS = ("pi_heif", "pillow_heif")
 UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0}  # inch, cm, mm
@@ -49,6 +49,7 @@ class Photo:
 def prepare(file: Path, folder: Path, number: int, side: int) -> Photo:
     """Store the photo in `folder`. Raises UserError for one that cannot be used."""
     with opened(file, _formats(file)) as image:
+        _check_bits(file, bits(image))
         exif = image.getexif()
         turn = exif.get(ORIENTATION, 1)
         size, kind = image.size, image.format
@@ -89,12 +90,15 @@ def _formats(file: Path) -> tuple[str, ...]:
     return ("HEIF",)
 
 
-def _check_plain(file: Path, image: Image.Image) -> None:
+def _check_bits(file: Path, kind: str) -> None:
     require(
-        image.mode in EIGHT_BIT,
-        f"{file}: expected a photo of 8 bits per channel in RGB or grey, got mode {image.mode};"
-        " convert it",
+        kind in EIGHT_BIT,
+        f"{file}: expected a photo of 8 bits per channel in RGB or grey, got mode {kind}; convert"
+        " it",
     )
+
+
+def _check_plain(file: Path, image: Image.Image) -> None:
     alpha: Any = image.convert("RGBA").getchannel("A") if image.has_transparency_data else None
     require(
         alpha is None or alpha.getextrema()[0] == 255,
@@ -133,7 +137,8 @@ def _focal_px(exif: Any, size: tuple[int, int]) -> float | None:
             focal = film / FILM_DIAGONAL_MM * math.hypot(*size)
         else:
             per_mm = float(tags.get(PLANE_X) or 0) / UNIT_MM.get(tags.get(PLANE_UNIT, 2), 25.4)
-            resized = max(size) / float(tags.get(PIXELS_X) or max(size))
+            taken = max(float(tags.get(side) or 0) for side in PIXELS)
+            resized = max(size) / (taken or max(size))  # the longer sides, however it was held
             focal = float(tags.get(FOCAL_MM) or 0) * per_mm * resized
     except (ValueError, TypeError, ZeroDivisionError, KeyError, OSError, SyntaxError) as error:
         log.debug("EXIF without a usable focal length: %s", error)
