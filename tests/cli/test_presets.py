@@ -16,6 +16,7 @@ from framework.command.config.schema import CONF_DIR, ROOT
 from framework.methods.dropout import DropoutRegularizer
 from framework.methods.warping import WarpingAugmenter
 from framework.options import TrainerOptions
+from framework.scenes import LOADERS
 from framework.train import schedule
 from tests.cli.conftest import FakeRuns
 from tests.cli.test_config import composed
@@ -120,6 +121,24 @@ def test_every_warping_augmenter_and_dropout_has_the_paper_s_dose() -> None:
     line = ("preset=paper", "augment=safi", "augment.weight=0.5", "augment.every=3")
     changed = composed(*line)["augment"]
     assert (changed["weight"], changed["every"], changed["roll"]) == (0.5, 3, False)
+
+
+def test_what_recipes_have_of_their_own_on_a_data_set() -> None:
+    """Each file is of a method and a scene that exist, changes what it composes to, and gives way
+    to the command line."""
+    files = sorted((CONF_DIR / "for_scene").glob("*.yaml"))
+    assert files
+    for file in files:
+        method, _, scene = file.stem.rpartition("_")
+        assert (CONF_DIR / "method" / f"{method}.yaml").is_file() and scene in LOADERS, file.name
+        elsewhere, there = (
+            composed("preset=paper", f"method={method}", f"scene={name}", "scene.path=DIR")
+            for name in ("llff", scene)
+        )
+        parts = [part for part in ("capacity", "reg", "trainer") if there[part] != elsewhere[part]]
+        assert parts, f"{file.name} changes nothing"
+    line = ("method=corgs", "scene=dtu", "scene.path=DIR", "reg.start=0.3")
+    assert composed(*line)["reg"]["start"] == 0.3
 
 
 def test_the_page_of_the_paper_names_what_the_preset_sets() -> None:
