@@ -40,9 +40,9 @@ class Watched:
 @dataclass(frozen=True)
 class SelfEnsemble(Capacity):
     """every: share of the training between two perturbations. cameras: from how many it is looked.
-    uncertain: share of the pixels that count as uncertain. least: change (standard deviation of the
-    looks, mean of 5 x 5 pixels and the channels) below which none does. first, last: ratio of the
-    noise, at the beginning and at the end."""
+    uncertain: share of the pixels that count as uncertain. least: change below which none does.
+    It is the standard deviation of the looks, mean of 5 x 5 pixels and the channels. first, last:
+    ratio of the noise, at the beginning and at the end."""
 
     second_field: ClassVar[bool] = True
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.9}

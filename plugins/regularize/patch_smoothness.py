@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 @register("reg", "patch_smoothness")
 @dataclass(frozen=True)
 class PatchSmoothness(Regularizer):
-    """patch: edge of a patch in pixels. initial: weight in the first step, in units of the last;
-    RegNeRF's is 4000 (400 to 0.1), the default 1 lets nothing fall. falling: share of the training
+    """patch: edge of a patch in pixels. initial: weight in the first step, in units of the last.
+    RegNeRF's is 4000 (400 to 0.1); the default 1 lets nothing fall. falling: share of the training
     over which it falls to that, exponentially."""
 
     defaults: ClassVar[dict[str, float]] = {"weight": 0.1}

@@ -42,6 +42,8 @@ LINES = {
     "--config-path own": "--config-path: expected no such flag",
     "--config-name other": "--config-name: expected no such flag",
     "scene=${oc.env:SECRET}": "may not read",
+    "preset=${oc.env:SECRET}": "may not read",
+    "method=${scene}": "method: expected a choice, got 'method=${scene}'; write its name",
     "study=${oc.env:SECRET}": "may not read",
     "+scene._target_=os.mkdir": "scene._target_: unknown option",
     "+reg.weight._target_=os.mkdir": "reg.weight",

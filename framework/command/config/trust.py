@@ -31,7 +31,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from framework.command.complaints import composing
-from framework.command.config.schema import CONF_DIR, OBJECT_GROUPS, SWEEPS_DIR
+from framework.command.config.schema import CONF_DIR, GROUPS, OBJECT_GROUPS, SWEEPS_DIR
 from framework.command.launchers.check import check_launcher
 from framework.command.program import program
 from framework.errors import UserError, printable_line, require
@@ -61,6 +61,7 @@ def check_command(flags: Any) -> None:
             raise UserError(f"--{name.replace('_', '-')}: expected no such flag, got one; {fix}")
     overrides = parsed(flags.overrides)
     check_deleted(overrides)
+    _check_choices(overrides)
     folders = [CONF_DIR, SWEEPS_DIR, *_search_path(overrides)]
     for folder in folders:
         check_config_files(folder)
@@ -75,6 +76,18 @@ def check_command(flags: Any) -> None:
     check_run_count(overrides, params)
     multirun = flags.multirun or composed.hydra.mode is RunMode.MULTIRUN
     check_method(overrides, params if multirun else ())
+
+
+def _check_choices(overrides: Sequence[Override]) -> None:
+    """A choice is a name: Hydra would look up what `${...}` names, or fail in words of its own."""
+    for override in overrides:
+        if override.key_or_group in GROUPS and "${" in str(override.input_line):
+            if "oc.env" in str(override.input_line):
+                refuse_environment()
+            raise UserError(
+                f"{override.key_or_group}: expected a choice, got {override.input_line!r:.120};"
+                " write its name"
+            )
 
 
 def parsed(lines: Sequence[str]) -> list[Override]:
