@@ -62,6 +62,22 @@ def test_a_table_is_read_back_to_the_same_runs(tmp_path: Path) -> None:
     assert after.tabled and not after.linked
 
 
+def test_a_table_goes_on_with_runs_and_nothing_of_either_is_missing(tmp_path: Path) -> None:
+    old = tmp_path / "old"
+    for augment, seeds in (("none", (0, 1)), ("safi", (0,))):
+        for seed in seeds:
+            fake_run(old, augment, seed=seed, run_name=f"{augment}{seed}")
+    table = _table(build_report(old), tmp_path / "table")
+    assert "1 run is missing" in (old / "report.md").read_text(encoding="utf-8")
+    new = tmp_path / "new"
+    fake_run(new, "safi", seed=1, run_name="safi1")
+    fake_run(new, "none", seed=2, run_name="none2")
+    both = collect([table, new], tmp_path / "both")
+    assert len(both.runs) == 5
+    assert both.missing == (("embedded", "safi + none", 2),), "seed 1 of none is in the table"
+    assert any(note.startswith("3 of 5 runs are those of a table") for note in both.notes)
+
+
 def test_a_figure_kept_beside_the_table_is_shown(tmp_path: Path) -> None:
     report = _study(tmp_path / "runs")
     folder = _table(report, tmp_path / "table")

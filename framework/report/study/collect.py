@@ -39,7 +39,7 @@ def collect(
     folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
     runs, failed, origins, told, tabled = _gathered(folders, broken)
     labelled, named = _label(runs, failed)
-    missing = _missing(labelled, named, origins)
+    missing = _missing(labelled, named, origins, told)
     short, shortened_notes = shortened([run.method_label for run in (*labelled, *told)])
     recipes = by_recipe([(run.method_label, run.record.overrides) for run in labelled])
     if recipes and not told:
@@ -59,7 +59,7 @@ def collect(
         tuple(unique),
         tuple(named),
         (
-            *table_notes(told),
+            *table_notes(told, len(labelled)),
             *shortened_notes,
             *repeated,
             *notes(unique, runs),
@@ -166,10 +166,14 @@ def _named(run: FailedRun, method: str, scene: str) -> FailedRun:
 
 
 def _missing(
-    runs: Sequence[ReportRun], failed: Sequence[FailedRun], origins: Sequence[Path]
+    runs: Sequence[ReportRun],
+    failed: Sequence[FailedRun],
+    origins: Sequence[Path],
+    told: Sequence[ReportRun],
 ) -> list[tuple[str, str, int]]:
-    """What each folder lacks to be the full cross of its own scenes, methods and seeds."""
-    there = {(run.scene, run.method, run.seed) for run in runs}
+    """What each folder lacks to be the full cross of its own scenes, methods and seeds, and no
+    table has either."""
+    there = {(run.scene, run.method, run.seed) for run in (*runs, *told)}
     there |= {(run.scene, run.method, run.seed) for run in failed if run.seed is not None}
     by_folder: dict[Path, list[ReportRun]] = defaultdict(list)
     for run, folder in zip(runs, origins, strict=True):

@@ -93,8 +93,9 @@ def _seeds(seeds: Sequence[int]) -> str:
     return f"seed{'s' if len(seeds) > 1 else ''} {listed(seeds, 'and')}"
 
 
-def table_notes(runs: Sequence[ReportRun]) -> list[str]:
-    """What a report from a table does not know, and of which code its runs are."""
+def table_notes(runs: Sequence[ReportRun], whole: int) -> list[str]:
+    """What a report from a table does not know, and of which code its runs are. whole: runs beside
+    them whose folders are there."""
     if not runs:
         return []
     told = [str(run.record.provenance[TOLD]).split(" or ") for run in runs]
@@ -106,8 +107,13 @@ def table_notes(runs: Sequence[ReportRun]) -> list[str]:
         if codes
         else ""
     )
+    built = (
+        f"{len(runs)} of {len(runs) + whole} runs are those of a table `{TABLE}`"
+        if whole
+        else f"Built from the table `{TABLE}` alone"
+    )
     return [
-        f"Built from the table `{TABLE}` alone, as the folders of the runs were not kept: nothing"
+        f"{built}, as the folders of the runs were not kept: nothing"
         " is said about single views, the course of a training or failed runs, and the pictures"
         f" are those that were drawn when the runs were made.{of}"
     ]
