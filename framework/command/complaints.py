@@ -11,7 +11,7 @@ import os
 import re
 import shlex
 import typing
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -37,6 +37,7 @@ SEVERAL = re.compile(  # `seed=0,1`, and `seed=range(3)` or another word of the 
     r"|Sweep parameters '(.*)' requires --multirun",
     re.S,
 )
+EACH = "add -m to make a run of each"
 KINDS = {
     **{int: "an integer", float: "a number", bool: "true or false", str: "a text"},
     type(None): "null",
@@ -78,9 +79,12 @@ def one_line(error: BaseException) -> str:
     return next(filter(None, texts), f"refused without a reason ({type(chain[0]).__name__})")
 
 
-def with_variant(message: str, words: Iterable[str]) -> str:
-    """`message` of a missing depth, and the method that the `words` of the command line could name
-    instead: recipes whose depth is a network's have a variant NAME_sweep without one."""
+def with_variant(message: str, words: Sequence[str]) -> str:
+    """`message`, and what the `words` of the command line could be instead: with -m, where it asks
+    for that; for a missing depth, recipes whose depth is a network's have a variant NAME_sweep
+    without one."""
+    if message.endswith(EACH):
+        return f"{message}: {program()} {shlex.join(words)} -m"
     if not message.startswith(("depth=", "depth.")):
         return message
     chosen = [word.lstrip("+").removeprefix("method=") for word in words if "method=" in word]
@@ -113,10 +117,7 @@ def _told(error: BaseException) -> str | None:
     if isinstance(error, HydraException) and (several := SEVERAL.search(str(error))):
         word = several[1] or several[2]
         key, _, values = word.partition("=")
-        return (
-            f"{key}: expected one value, got several ({values}); add -m to make a run of each:"
-            f" {program()} {shlex.quote(word)} -m"
-        )
+        return f"{key}: expected one value, got several ({values}); {EACH}"
     if isinstance(error, ConfigKeyError | ConfigAttributeError):
         return _unknown_key(error)
     if isinstance(error, ValidationError) and error.full_key:

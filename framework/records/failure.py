@@ -18,13 +18,14 @@ FAILED, COMPOSED = "failed.json", ".hydra/config.yaml"
 
 @dataclass(frozen=True)
 class Failure:
-    """error: one line. kind: of it, a word or two, "" where that was not kept. config: as composed,
-    empty where it was not kept."""
+    """error: one line. kind: of it, a word or two; again: the command that does the run alone; ""
+    where they were not kept. config: as composed, empty where it was not kept."""
 
     error: str
     kind: str
     overrides: tuple[str, ...]
     config: Mapping[str, Any]
+    again: str = ""
 
 
 def read_failure(run_dir: Path) -> Failure:
@@ -40,4 +41,5 @@ def read_failure(run_dir: Path) -> Failure:
             f"{path}: expected the error of a failed run, got a damaged file"
             f" ({type(error).__name__}: {error}); delete that folder and run again"
         ) from error
-    return Failure(told["error"], told.get("kind", ""), tuple(told["overrides"]), config or {})
+    kind, again = told.get("kind", ""), told.get("again", "")
+    return Failure(told["error"], kind, tuple(told["overrides"]), config or {}, again)

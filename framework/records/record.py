@@ -246,15 +246,16 @@ def write_failed(
     error: str,
     scene: SceneInfo | None = None,
     kind: str = "bug",
+    again: str = "",
 ) -> RunRecord:
     """Record a run that ended with `error` (one line) of this kind, so that a study's report can
-    tell it.
+    tell it, with the command that does it again.
 
     `failed.json` tells it of the last attempt; the record too, unless it is of a complete run,
     which is kept.
     """
     error = printable_line(" ".join(error.split()))
-    told = {"error": error, "kind": kind, "overrides": list(overrides)}
+    told = {"error": error, "kind": kind, "overrides": list(overrides), "again": again}
     write_whole(run_dir / FAILED, strict_json(told, indent=2) + "\n")
     record = RunRecord(
         identity="",

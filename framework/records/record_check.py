@@ -62,6 +62,7 @@ def check_failure(content: Any) -> None:
     _check("error", content["error"], isinstance(content["error"], str))
     _check("kind", content.get("kind", ""), isinstance(content.get("kind", ""), str))
     _check("overrides", content["overrides"], are_texts(content["overrides"]))
+    _check("again", content.get("again", ""), isinstance(content.get("again", ""), str))
 
 
 def check_config(config: Any, complete: bool) -> None:

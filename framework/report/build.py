@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+from framework.errors import require
 from framework.files.whole import make_folder, write_whole
 from framework.report.export import LATEX, TABLE, comparisons_tex, runs_csv
 from framework.report.figures.images import remove_pictures
@@ -17,7 +18,9 @@ from framework.report.page.gallery import gallery
 from framework.report.sections import document
 from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
+from framework.report.study.folders import run_dirs
 from framework.report.study.runs import Study
+from framework.report.study.tabled import is_tabled, read_tabled
 
 REPORT, PAGE = "report.md", "report.html"
 
@@ -56,8 +59,26 @@ def built(
             broken |= damaged_pictures(study) or {error.run_dir: str(error)}
 
 
+def _keep_other_table(study: Study) -> None:
+    """Raises UserError where the report would overwrite the table of runs that are not in it, as
+    that may be all that is left of them."""
+    if not is_tabled(study.out_dir) or run_dirs(study.out_dir):
+        return
+    there = {run.run_dir.name for run, _, _ in read_tabled(study.out_dir)}
+    lost = sorted(there - {run.run.run_dir.name for run in study.runs})
+    require(
+        not lost,
+        f"{study.out_dir / TABLE}: expected a table of runs of this report, got one with"
+        f" {len(lost)} others (as {lost[0] if lost else ''}), whose folders are not beside it;"
+        " write the report to another --out DIR, or delete the table",
+    )
+
+
 def _build(study: Study, title: str | None, photos: bool) -> Path:
     """The report of a study. Raises DamagedRun for a run with a picture that is none."""
+    reads = study.out_dir.resolve() in {folder.resolve() for folder in study.tabled}
+    if not reads:
+        _keep_other_table(study)
     make_folder(study.out_dir)
     shown = study.scenes if photos else own_scenes(study)
     remove_pictures(study, [scene for scene in study.scenes if scene not in shown])
@@ -66,7 +87,7 @@ def _build(study: Study, title: str | None, photos: bool) -> Path:
         made = document(study, title or study.out_dir.resolve().name, shown)
         write_whole(study.out_dir / PAGE, page.render(made, shots.result(), study.out_dir))
     if study.runs:
-        if study.out_dir not in study.tabled:  # else it is what was read
+        if not reads:  # else it is what was read
             write_whole(study.out_dir / TABLE, runs_csv(study))
         found = outcomes(study)
         if found.comparisons:

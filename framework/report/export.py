@@ -10,6 +10,7 @@ from framework.report.statistics.compare import Comparison
 from framework.report.statistics.estimates import Interval
 from framework.report.statistics.numbers import interval_text, p_text, signed
 from framework.report.statistics.outcomes import Outcomes
+from framework.report.study.axes import VIEWS
 from framework.report.study.labels import outside
 from framework.report.study.runs import ReportRun, Study
 from framework.report.study.tabled import ALSO, CODE, TABLE
@@ -37,6 +38,11 @@ def runs_csv(study: Study) -> str:
         errors="ignore",
     )
     # an option that only some methods have differs too
+    if VIEWS in options:  # `all` of them by their number, as a table has no scene to count in
+        counted = [run.scene_label.data.get(VIEWS) for run in study.runs]
+        options[VIEWS] = [
+            n if n is not None else v for n, v in zip(counted, options[VIEWS], strict=True)
+        ]
     differs = [name for name in options if options[name].map(repr).nunique() > 1]
     labels = ["scene", "method", "seed"]
     # one column stays one column: `method` is a label here, never an option
@@ -60,7 +66,7 @@ def _measured(run: ReportRun) -> dict[str, Any]:
         "ply_bytes": record.ply_bytes,
         "parameters_sha256": record.parameters_sha256[:12],
         CODE: code_of(record.provenance),
-        "cpu": outside(f"{record.provenance.get('cpu')}, {record.provenance.get('cores')} cores"),
+        "cpu": run.machine,
         "overrides": outside(" ".join(w for w in record.overrides if not w.startswith("seed="))),
         "run": outside(run.run.run_dir.name),
     }

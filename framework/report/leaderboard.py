@@ -35,7 +35,7 @@ from framework.report.study.labels import listed, outside
 from framework.report.study.order import method_order, natural
 from framework.report.study.runs import Study
 from framework.report.study.tabled import is_tabled
-from framework.report.verdict.lead import best_method, has_budgets
+from framework.report.verdict.lead import has_budgets
 
 REPORT, PAGE, TABLE = "leaderboard.md", "leaderboard.html", "leaderboard.csv"
 WORDS = ("Study", "Use", "Method", "Scenes", "Against", "Why", "Told")
@@ -232,7 +232,7 @@ def _shared(entries: Sequence[Entry]) -> list[Block]:
 
 def _used(study: Study, found: Outcomes) -> str:
     """What the verdict advises; of the baseline with several budgets, the highest."""
-    best = best_method(study, found)
+    best = found.best
     if best != study.baseline_of(best) or not has_budgets(study):
         return best
     own = {run.method for run in study.runs if run.method_label.family == study.families[0]}
@@ -289,7 +289,7 @@ def _rows(matches: Sequence[Match]) -> list[dict[str, str]]:
                 "Study": match.entry.name,
                 "Method": c.method,
                 "Against": c.baseline,
-                "Scenes": str(c.scenes),
+                "Scenes": str(len(c.scenes)),
                 "Seeds": str(c.n),
                 "ΔPSNR (dB)": signed(c.difference, c.joint),
                 "95 %, corrected": interval_text(c.joint),
@@ -309,7 +309,7 @@ def _csv(matches: Sequence[Match]) -> str:
     for match in matches:
         c = match.comparison
         ends = (None, None) if c.joint is None else (c.joint.low, c.joint.high)
-        told = (match.entry.name, c.method, c.baseline, c.scenes, c.n)
+        told = (match.entry.name, c.method, c.baseline, len(c.scenes), c.n)
         writer.writerow([*told, c.difference, *ends, c.p_joint])
     return buffer.getvalue()
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from framework.report.figures import modelsize, stress, tradeoff
 from framework.report.figures.files import chart_picture, forest_picture
 from framework.report.figures.forest import forest
-from framework.report.parts.document import Block, Bullets, Picture, Text, table
+from framework.report.parts.document import Block, Bullets, Heading, Picture, Text, table
 from framework.report.statistics.outcomes import Outcomes
 from framework.report.study.roles import roles_sentence
 from framework.report.study.runs import Study
@@ -87,20 +87,40 @@ def along_stress(study: Study, panels: Sequence[stress.Panel], outcomes: Outcome
     ends = [limits.weakest(panel, study.baseline, points.cost_of) for panel in panels]
     told = [text for text in (*behind, *ends) if text]
     blocks += [Bullets(tuple(told))] if told else []
+    said_of, details = _courses(study, panels, found)
+    blocks += said_of
+    beside = [text for text in (idle_sentence(study), _roles(study)) if text]
+    blocks += [Text(text) for text in beside]
+    return [*blocks, *gaps.gap_notes(study, pooled=False), *details, Text(STRESS_TEXT)]
+
+
+def stress_beside(study: Study) -> list[Block]:
+    """The stresses of a study that has other scenes too, as a section of its own."""
+    panels = stress.panels_beside(study)
+    if not panels:
+        return []
+    said_of, details = _courses(study, panels, stress.limits(study, panels))
+    return [Heading(2, "Along a stress"), *said_of, *details, Text(STRESS_TEXT)]
+
+
+def _courses(
+    study: Study, panels: Sequence[stress.Panel], found: Sequence[stress.Limit]
+) -> tuple[list[Block], list[Block]]:
+    """Of every panel what is said of it, and its chart and table."""
+    blocks: list[Block] = []
     details: list[Block] = []
+    against = stress.compared_with(study, found)
     for panel in panels:
         courses = tuple(limits.sentence(limit) for limit in found if limit.panel is panel)
         if courses:
-            title = f"{panel.title}, along {panel.axis.label}, against {study.baseline}:"
+            title = f"{panel.title}, along {panel.axis.label}, against {against}:"
             blocks += [Text(title, "finding"), Bullets(courses)]
         sizes = modelsize.told(panel)
         if sizes:
             title = f"Size of the model on {panel.title}, along {panel.axis.label}:"
             blocks += [Text(title, "finding"), Bullets(tuple(sizes))]
         details += [_stress_picture(study, panel, found), table(stress.rows(panel), ("Method",))]
-    beside = [text for text in (idle_sentence(study), _roles(study)) if text]
-    blocks += [Text(text) for text in beside]
-    return [*blocks, *gaps.gap_notes(study, pooled=False), *details, Text(STRESS_TEXT)]
+    return blocks, details
 
 
 def _verdict(study: Study, found: Outcomes, budget: str = "", beside: str = "") -> list[Block]:

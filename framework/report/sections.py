@@ -22,7 +22,7 @@ from framework.report.text.dose import dose
 from framework.report.text.literature import literature
 from framework.report.text.provenance import provenance_blocks
 from framework.report.text.published import published
-from framework.report.verdict.lead import best_method, has_budgets
+from framework.report.verdict.lead import has_budgets
 
 BEST_BUDGETS = "Of each method, the budget with the highest mean PSNR on the scene."
 HIDDEN = "No pictures of {scenes}: this report was built without photos, to be passed on."
@@ -50,7 +50,7 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
     if not panels:  # the strengths of a stress share their seeds: no independent pairs
         blocks += details.main_table(study)
         blocks += [*details.compared(found), *details.between_capacities(between)]
-        blocks += details.stability(found)
+        blocks += [*details.stability(found), *opening.stress_beside(study)]
     blocks += [*gaps.failures(study), *gaps.missing_runs(study)]
     blocks += [*details.worst(study), *details.by_tag(study, shown), *_courses(study, shown, seen)]
     if study.tested:
@@ -98,8 +98,8 @@ def shown_pair(study: Study, found: Outcomes) -> tuple[str, ...]:
     if not study.runs:
         return ()
     families = {run.method: run.method_label.family for run in study.runs}
-    best = families[best_method(study, found)]
-    base = families[study.baseline_of(best_method(study, found))]
+    best = families[found.best]
+    base = families[study.baseline_of(found.best)]
     others = [m for m in found.psnr if families[m] != best]
     if best != base or not others:
         return tuple(dict.fromkeys((best, base)))

@@ -19,6 +19,10 @@ from framework.command.config.trust import quoted
             "seed: expected one value, got several (range(3)); add -m to make a run of each: ",
         ),
         (["seed=range(3)"], " 'seed=range(3)' -m"),
+        (
+            ["scene.width=64", "seed=0,1", "study=x"],
+            ": python run.py scene.width=64 seed=0,1 study=x -m",
+        ),
         (["method=safi,dba"], "method: expected one value, got several (safi,dba); add -m"),
         (["~reg"], "~reg: expected a choice of reg, got none; write reg=NAME"),
         (["reg="], "available: anchor_dropout, binocular, co_register"),

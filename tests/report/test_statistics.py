@@ -68,7 +68,7 @@ def test_seeds_and_scenes_are_averaged_over_the_other_first() -> None:
     values = {("x", 0): 1.0, ("x", 1): 2.0, ("y", 0): 3.0, ("y", 1): 6.0, ("y", 2): 99.0}
     found = compare("a", values, "b", dict.fromkeys(values, 0.0))
     assert found is not None and found.like is not None
-    assert (found.scenes, found.pairs) == (2, 5)
+    assert found.scenes == ("x", "y")
     assert (found.n, found.difference) == (2, 3.0)  # of (1 + 3) / 2 and (2 + 6) / 2; seed 2 lacks x
     assert found.like.n == 2 and found.like.mean == pytest.approx((1.5 + 36) / 2)
 

@@ -156,7 +156,9 @@ def _recorded(job: Job, message: str, kind: str) -> str:
     from framework.records.record import write_failed
 
     try:
-        write_failed(Path(job.run_dir), job.config, job.overrides, message, kind=kind)
+        write_failed(
+            Path(job.run_dir), job.config, job.overrides, message, kind=kind, again=job.again
+        )
     except UserError as error:
         return message if str(error) in message else f"{message}; {error}"
     return message

@@ -2,7 +2,7 @@
 each method stops helping.
 
 A panel is a scene with all its other conditions fixed, along one stress with at least
-`FEWEST_LEVELS` tested strengths (two, where no panel has so many).
+`FEWEST_LEVELS` tested strengths (two, where some run is in no such panel).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from framework.report.parts.chart import MIN_SPAN_DB, Chart, Point, Series
 from framework.report.parts.palette import looks
 from framework.report.statistics.breakdown import Breakdown, break_down, gains_of_levels
+from framework.report.statistics.compare import block
 from framework.report.statistics.estimates import Interval, spread
 from framework.report.statistics.numbers import mean_text
 from framework.report.study.axes import STRESSES, Axis
@@ -40,7 +41,7 @@ class Panel:
 class Limit:
     """Where a method stops helping on a panel. levels: the strengths that were compared. ends:
     strength and mean gain (dB), of the weakest and of the strongest of them. gains: at every one
-    the mean and the interval that is drawn there."""
+    the mean and the interval that is drawn there. against: the baseline, "" for the study's."""
 
     panel: Panel
     method: str
@@ -48,13 +49,36 @@ class Limit:
     levels: tuple[float, ...]
     ends: tuple[tuple[float, float], tuple[float, float]]
     gains: tuple[tuple[float, Interval | None], ...] = ()
+    against: str = ""
 
 
 def panels(study: Study) -> list[Panel]:
-    """The panels of a study; none where no stress varies between tested runs."""
+    """The panels of a study of stresses; none where one of its tested runs is in no panel."""
+    found, rich = _found(study)
+    return next((some for some in (rich, found) if _holds(some, study)), [])
+
+
+def panels_beside(study: Study) -> list[Panel]:
+    """Those of a study that has other scenes too, which no stress is told of."""
+    return [] if panels(study) else _found(study)[1]
+
+
+def _found(study: Study) -> tuple[list[Panel], list[Panel]]:
+    """All panels, and those with `FEWEST_LEVELS`."""
     found = [p for axis in STRESSES for p in _panels_along(study, axis)]
-    rich = [panel for panel in found if len(panel.levels) >= FEWEST_LEVELS]
-    return rich or found
+    return found, [panel for panel in found if len(panel.levels) >= FEWEST_LEVELS]
+
+
+def _holds(some: Sequence[Panel], study: Study) -> bool:
+    """Whether each tested run is in one of the panels."""
+    shown = {
+        run.run.run_dir
+        for panel in some
+        for by_level in panel.runs.values()
+        for runs in by_level.values()
+        for run in runs
+    }
+    return all(run.run.run_dir in shown for run in study.runs if run.tested)
 
 
 def limits(study: Study, shown: Sequence[Panel]) -> list[Limit]:
@@ -74,8 +98,16 @@ def limits(study: Study, shown: Sequence[Panel]) -> list[Limit]:
         levels = tuple(level for level, _ in means)
         drawn = tuple(gains_of_levels(values, tests))
         broken = break_down(strengths, values, tests)
-        found.append(Limit(panel, method, broken, levels, (means[0], means[-1]), drawn))
+        base = study.baseline_of(method)
+        against = "" if base == study.baseline else base
+        found.append(Limit(panel, method, broken, levels, (means[0], means[-1]), drawn, against))
     return found
+
+
+def compared_with(study: Study, found: Sequence[Limit]) -> str:
+    """What the gains are over, in a title or on an axis."""
+    several = any(limit.against for limit in found)
+    return "the baseline of the same options" if several else study.baseline
 
 
 def shown_scenes(study: Study, shown: Sequence[Panel]) -> list[str]:
@@ -121,7 +153,7 @@ def charts(study: Study, panel: Panel, found: Sequence[Limit]) -> tuple[Chart, .
         )
     ]
     if gain:
-        y_label = f"gain over {study.baseline} (dB)"
+        y_label = f"gain over {compared_with(study, found)} (dB)"
         made.append(
             Chart(
                 name,
@@ -197,7 +229,8 @@ def _seed_values(runs: Sequence[ReportRun]) -> dict[int, float]:
 
 
 def _gains(study: Study, panel: Panel, method: str) -> tuple[np.ndarray, np.ndarray] | None:
-    """Levels [L] and gains [L, n] over the baseline, for the seeds both have at all levels."""
+    """Levels [L] and gains [L, n] over the baseline, for the seeds both have at all levels, or at
+    those that `block` keeps."""
     base = study.baseline_of(method)
     if base == method or base not in panel.runs:
         return None
@@ -205,11 +238,9 @@ def _gains(study: Study, panel: Panel, method: str) -> tuple[np.ndarray, np.ndar
         (_seed_values(panel.runs[method].get(v, [])), _seed_values(panel.runs[base].get(v, [])))
         for v in panel.levels
     ]
-    used = [k for k, (a, b) in enumerate(pairs) if a.keys() & b.keys()]
-    if len(used) < 2:
-        return None
-    seeds = sorted(set.intersection(*({*pairs[k][0]} & {*pairs[k][1]} for k in used)))
-    if not seeds:
+    keys = [(k, seed) for k, (a, b) in enumerate(pairs) for seed in a.keys() & b.keys()]
+    used, seeds = block(keys) if keys else ([], [])
+    if len(used) < 2 or not seeds:
         return None
     gains = [[pairs[k][0][seed] - pairs[k][1][seed] for seed in seeds] for k in used]
     return np.array([panel.levels[k] for k in used]), np.array(gains)

@@ -23,7 +23,7 @@ DEGENERATE = 1e-6  # of the sample's deviation: a resample of (nearly) one value
 
 
 def sd_interval(values: Sequence[float]) -> Interval | None:
-    """None below `FEWEST` values, or where they do not vary."""
+    """None below `FEWEST` values, or where all of them, or all but one, are equal."""
     x = np.asarray(values, dtype=np.float64)
     n = len(x)
     if n < FEWEST:
@@ -37,8 +37,10 @@ def sd_interval(values: Sequence[float]) -> Interval | None:
     errors = _standard_errors(drawn)
     usable = (sds > DEGENERATE * sd) & (errors > 0) & np.isfinite(errors)
     t = (np.log(sds[usable]) - math.log(sd)) / errors[usable]
-    low, high = np.quantile(t, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     own = float(_standard_errors(x[None])[0])
+    if not (own > 0 and math.isfinite(own)) or len(t) == 0:
+        return None
+    low, high = np.quantile(t, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return Interval(sd * math.exp(-float(high) * own), sd * math.exp(-float(low) * own))
 
 

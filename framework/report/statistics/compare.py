@@ -3,7 +3,7 @@
 *These scenes*: what another draw of the seeds would give on them. The same seed on several scenes
 shares its draws, so pairs of one seed are not independent: the differences of a seed are averaged
 over the scenes first, and the t interval is over the seeds, one value each. Seeds that lack a scene
-are left out.
+are left out; where fewer than two would stay, scenes with few seeds are (`block`).
 
 *Scenes like these*: what other scenes of their kind would give. The differences of a scene are
 averaged over its seeds first, and the t interval is over the scenes, one value each: with few
@@ -12,26 +12,28 @@ scenes it is wide, as it should be.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from framework.report.statistics.estimates import Estimate, Interval, estimate
 
 Pairs = Mapping[tuple[str, int], float]  # (scene, seed) -> PSNR in dB
+K = TypeVar("K", str, int)  # a scene, or the place of a strength among those of a stress
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """`method` minus `baseline` in dB. scenes, pairs: how many both have. these: over the seeds, of
-    no seed where none is on all scenes. like: over the scenes, None for a single one. tests: how
-    many comparisons `joint`, `p_joint` and `significant` are corrected for."""
+    """`method` minus `baseline` in dB. scenes: those that `these` is about. these: over the seeds,
+    of no seed where none is on all scenes. like: over all scenes of both, None for a single one.
+    tests: how many comparisons `joint`, `p_joint` and `significant` are corrected for."""
 
     method: str
     baseline: str
-    scenes: int
-    pairs: int
+    scenes: tuple[str, ...]
     these: Estimate
     like: Estimate | None
     tests: int = 1
@@ -90,21 +92,41 @@ def compare(method: str, values: Pairs, baseline: str, others: Pairs) -> Compari
     if not keys:
         return None
     found = {key: values[key] - others[key] for key in keys}
-    scenes = sorted({scene for scene, _ in keys})
+    every = sorted({scene for scene, _ in keys})
     by_scene = [
-        float(np.mean([d for (other, _), d in found.items() if other == scene])) for scene in scenes
+        float(np.mean([d for (other, _), d in found.items() if other == scene])) for scene in every
     ]
-    by_seed = [
-        float(np.mean([found[scene, seed] for scene in scenes]))
-        for seed in sorted({seed for _, seed in keys})
-        if all((scene, seed) in found for scene in scenes)
-    ]
+    scenes, seeds = block(keys)
+    by_seed = [float(np.mean([found[scene, seed] for scene in scenes])) for seed in seeds]
     these = estimate(by_seed) if by_seed else Estimate(0, float(np.mean(by_scene)), None)
-    like = estimate(by_scene) if len(scenes) > 1 else None
-    return Comparison(method, baseline, len(scenes), len(keys), these, like)
+    like = estimate(by_scene) if len(every) > 1 else None
+    return Comparison(method, baseline, tuple(scenes), these, like)
+
+
+def block(keys: Collection[tuple[K, int]]) -> tuple[list[K], list[int]]:
+    """Of pairs (place, seed): all places with the seeds that each has. Where these are fewer than
+    two, the places and seeds, two or more, of the most pairs that lack none, if there are any."""
+    seeds: dict[K, set[int]] = defaultdict(set)
+    for place, seed in keys:
+        seeds[place].add(seed)
+    order = sorted(seeds)
+    common = set.intersection(*seeds.values())
+    if len(common) > 1:
+        return order, sorted(common)
+    size, best = (0, 0), (order, sorted(common))
+    for first in order:  # with it, those places that cost the fewest of its seeds
+        kept = seeds[first]
+        for place in sorted(order, key=lambda p: -len(seeds[p] & seeds[first])):
+            kept = kept & seeds[place]
+            inside = [p for p in order if seeds[p] >= kept]
+            if len(kept) > 1 and (len(kept) * len(inside), len(inside)) > size:
+                size, best = (len(kept) * len(inside), len(inside)), (inside, sorted(kept))
+    return best
 
 
 def corrected(known: Mapping[str, Comparison]) -> dict[str, Comparison]:
-    """With intervals and p that hold for all of those that can be tested at once."""
-    tests = max(1, sum(c.p is not None for c in known.values()))
+    """With intervals and p that hold for all of those that can be tested at once, over seeds or
+    over scenes."""
+    testable = [c for c in known.values() if c.p is not None or (c.like and c.like.p is not None)]
+    tests = max(1, len(testable))
     return {method: replace(c, tests=tests) for method, c in known.items()}

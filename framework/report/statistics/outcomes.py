@@ -6,8 +6,8 @@ Over several scenes, a seed's PSNR is the mean over the scenes, for seeds that f
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,10 +27,12 @@ from framework.report.study.runs import ReportRun, Study
 class Outcomes:
     """By method. psnr, and by seed in seeds: of the mean over all scenes, without methods that have
     no complete seed. scene_sigma: mean over the scenes of their standard deviations, of several
-    scenes. comparisons, sigmas: with the baseline of the same budget, where they share a (scene,
-    seed). by_scene: scene -> the same comparisons on it alone, uncorrected, of several scenes.
-    tested: on those scenes alone where no default was chosen, where there are others too."""
+    scenes. best: the method to use (`_best`). comparisons, sigmas: with the baseline of the same
+    budget, where they share a (scene, seed). by_scene: scene -> the same comparisons on it alone,
+    uncorrected, of several scenes. tested: on those scenes alone where no default was chosen, where
+    there are others too."""
 
+    best: str
     psnr: dict[str, Spread]
     seeds: dict[str, dict[int, float]]
     scene_sigma: dict[str, tuple[float, Interval]]
@@ -49,17 +51,41 @@ def outcomes(study: Study) -> Outcomes:
         for method in study.methods
         if (base := study.baseline_of(method)) != method and (others := values[base])
     }
+    comparisons = corrected(_comparisons(study, study.tested))
     several = len(study.tested) > 1
     untuned = [scene for scene in study.tested if role(study.name_of(scene)) != CHOSE]
     return Outcomes(
+        _best(study, psnr, comparisons),
         psnr,
         {method: found for method, found in values.items() if found},
         _scene_sigmas(study) if several else {},
-        corrected(_comparisons(study, study.tested)),
+        comparisons,
         sigmas_corrected({m: c for m, c in sigmas.items() if c is not None}),
         {scene: _comparisons(study, [scene]) for scene in study.tested} if several else {},
         corrected(_comparisons(study, untuned)) if 0 < len(untuned) < len(study.tested) else {},
     )
+
+
+def _best(study: Study, psnr: Collection[str], found: Mapping[str, Comparison]) -> str:
+    """The highest of those that are shown to be better than their own baseline and than every other
+    method's, which may have another budget or other options; else the study's baseline."""
+    better = [m for m, c in found.items() if c.significant and c.difference > 0 and m in psnr]
+    if not better:
+        return study.methods[0] if study.methods else ""
+    values = {method: by_pair(study.of(method=method)) for method in study.methods}
+    bases = {study.baseline_of(method) for method in study.methods}
+
+    def above(method: str, other: str) -> Comparison | None:
+        own = compare(method, values[method], other, values[other])
+        return own and replace(own, tests=found[method].tests)
+
+    gains: dict[str, float] = {}
+    for method in better:
+        over = {base: c for base in bases if (c := above(method, base)) is not None}
+        if all(c.significant and c.difference > 0 for c in over.values()):
+            # all above one baseline, so that no one gains by the seeds that it has
+            gains[method] = over.get(study.baseline, found[method]).difference
+    return max(gains, key=lambda method: gains[method], default=study.baseline)
 
 
 def seed_means(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from types import MappingProxyType
 
@@ -16,13 +17,15 @@ from framework.records.failure import FAILED, read_failure
 from framework.records.record import RECORD, Run, read_run
 from framework.records.search import read_search
 from framework.report.study.folders import RUN_FOLDERS, run_dirs
-from framework.report.study.labels import MethodLabel, code, method_labels, scene_labels
+from framework.report.study.labels import MethodLabel, code, method_labels, outside, scene_labels
 from framework.report.study.notes import begun_notes, notes, table_notes, within
 from framework.report.study.order import method_order, natural
 from framework.report.study.recipes import NOTE, by_recipe
 from framework.report.study.runs import DAMAGED, FailedRun, ReportRun, Study
 from framework.report.study.shorten import shortened
 from framework.report.study.tabled import is_tabled, read_tabled
+
+DIGEST = re.compile(r"-s\d+-([0-9a-f]{8})$")  # of all options of a run but its seed, in its name
 
 
 def collect(
@@ -39,6 +42,7 @@ def collect(
     folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
     runs, failed, origins, told, tabled = _gathered(folders, broken)
     labelled, named = _label(runs, failed)
+    labelled, told, apart = _told_apart(labelled, origins, told)
     missing = _missing(labelled, named, origins, told)
     short, shortened_notes = shortened([run.method_label for run in (*labelled, *told)])
     recipes = by_recipe([(run.method_label, run.record.overrides) for run in labelled])
@@ -61,6 +65,7 @@ def collect(
         (
             *table_notes(told, len(labelled)),
             *shortened_notes,
+            *apart,
             *repeated,
             *notes(unique, runs),
             *begun_notes(folders),
@@ -129,14 +134,15 @@ def _read_run(path: Path) -> Run | FailedRun:
     """Raises UserError where the files in the folder `path` are not those of a run."""
     if not os.path.lexists(path / RECORD):
         left = read_failure(path)
-        return FailedRun(path, left.error, left.kind, left.overrides, left.config, {})
+        return FailedRun(path, left.error, left.kind, left.overrides, left.config, {}, left.again)
     run = read_run(path)
     record = run.record
     if record.status == "complete":
         return run
-    kind = read_failure(path).kind if os.path.lexists(path / FAILED) else ""
+    last = read_failure(path) if os.path.lexists(path / FAILED) else None
+    kind, again = (last.kind, last.again) if last else ("", "")
     error = record.error or "not told"
-    return FailedRun(path, error, kind, record.overrides, record.config, record.provenance)
+    return FailedRun(path, error, kind, record.overrides, record.config, record.provenance, again)
 
 
 def _label(
@@ -186,6 +192,38 @@ def _missing(
     asked = [(a, b, c) for a, b, c in crosses if len(a) * len(b) * len(c) <= RUNS]
     lacking = {cell for cross in asked for cell in product(*cross)} - there
     return sorted(lacking, key=lambda cell: (natural(cell[0]), method_order(cell[1]), cell[2]))
+
+
+def _told_apart(
+    runs: list[ReportRun], origins: Sequence[Path], told: list[ReportRun]
+) -> tuple[list[ReportRun], list[ReportRun], list[str]]:
+    """`runs` and what is `told` in tables, which do not hold what all runs of a study share. Where
+    one name is of runs with different options in two folders, each gets its folder's name too."""
+    at = [*origins, *(run.run.run_dir.parent.parent for run in told)]
+    every = [*runs, *told]
+    options: dict[tuple[str, str], dict[Path, set[str]]] = defaultdict(lambda: defaultdict(set))
+    for run, folder in zip(every, at, strict=True):
+        digest = DIGEST.search(run.run.run_dir.name)
+        if digest is not None:
+            options[run.scene, run.method][folder].add(digest[1])
+    clash = [
+        key
+        for key, own in options.items()
+        if any(one != two for one, two in pairwise(own.values()))
+    ]
+    if not told or not clash:
+        return runs, told, []
+    marked = []
+    for run, folder in zip(every, at, strict=True):
+        own = ", ".join(filter(None, (run.method_label.options, f"from={outside(folder.name)}")))
+        marked.append(replace(run, method_label=replace(run.method_label, options=own)))
+    scene, method = min(clash)
+    note = (
+        f"{method} on {scene} was run with different options in these folders, which a table of"
+        " runs does not name: methods have the name of their folder (`from=`) and are compared"
+        " within it."
+    )
+    return marked[: len(runs)], marked[len(runs) :], [note]
 
 
 def _without_repeats(runs: list[ReportRun]) -> tuple[list[ReportRun], list[str]]:

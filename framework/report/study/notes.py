@@ -26,6 +26,7 @@ def notes(unique: Sequence[ReportRun], runs: Sequence[Run]) -> list[str]:
         *_repeat_notes(unique),
         *_equal_notes(unique),
         *_code_notes(runs),
+        *_machine_notes(unique),
         *_busy_notes(unique),
         *_exposure_notes(unique),
     ]
@@ -127,6 +128,33 @@ def _code_notes(runs: Sequence[Run]) -> list[str]:
         f"The runs were made with {len(versions)} versions of the code, which may explain a"
         " difference; the study's command repeats the outdated ones."
     ]
+
+
+def _machine_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """Seconds of different machines are no comparison of methods."""
+    scenes = [
+        scene
+        for scene in dict.fromkeys(run.scene for run in runs)
+        if len({run.machine for run in runs if run.scene == scene}) > 1
+    ]
+    if not scenes:
+        return []
+    found: dict[str, list[str]] = defaultdict(list)
+    for run in runs:
+        if run.scene in scenes:
+            found[run.machine].append(run.method)
+    told = [f"{name}: {_some_of(methods)}" for name, methods in found.items()]
+    return [
+        f"Runs of {listed(scenes, 'and')} were made on different machines ({'; '.join(told)}):"
+        " their seconds do not compare, so nothing is advised by time there."
+    ]
+
+
+def _some_of(methods: Sequence[str]) -> str:
+    """`5 runs of dba + none and none + none`, of many methods how many."""
+    names = list(dict.fromkeys(methods))
+    of = listed(names, "and") if len(names) <= MOST_NAMED else f"{len(names)} methods"
+    return f"{len(methods)} run{'s' if len(methods) > 1 else ''} of {of}"
 
 
 def _exposure_notes(runs: Sequence[ReportRun]) -> list[str]:

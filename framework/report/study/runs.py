@@ -13,7 +13,7 @@ from framework.metrics.values import Missing
 from framework.records.record import Run, RunRecord
 from framework.records.search import Searched
 from framework.report.study.axes import Axis
-from framework.report.study.labels import MethodLabel, SceneLabel
+from framework.report.study.labels import MethodLabel, SceneLabel, outside
 from framework.report.study.order import BASELINE, method_order, natural
 
 DAMAGED = "damaged"  # the kind of failure of a folder that no run left
@@ -67,6 +67,12 @@ class ReportRun:
         return dict(zip(table.texts["view"], table.numbers["psnr"].tolist(), strict=True))
 
     @property
+    def machine(self) -> str:
+        """What kind it ran on, `AMD EPYC, 2 cores`."""
+        known = self.record.provenance
+        return outside(f"{known.get('cpu', 'not told')}, {known.get('cores', '?')} cores")
+
+    @property
     def disturbed(self) -> bool:
         """Whether other programs used the cores of the training too: alone it takes no more wall
         time than CPU time."""
@@ -81,8 +87,8 @@ class ReportRun:
 
 @dataclass(frozen=True)
 class FailedRun:
-    """A run that ended with an error. kind: of it, a word or two, "" where that was not kept.
-    method, scene: "" where it left no configuration."""
+    """A run that ended with an error. kind: of it, a word or two; again: the command that does it
+    alone; "" where they were not kept. method, scene: "" where it left no configuration."""
 
     run_dir: Path
     error: str
@@ -90,6 +96,7 @@ class FailedRun:
     overrides: tuple[str, ...]
     config: Mapping[str, Any]
     provenance: Mapping[str, Any]
+    again: str = ""
     method: str = ""
     scene: str = ""
 

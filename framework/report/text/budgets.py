@@ -24,7 +24,7 @@ def advice(study: Study, scene: str) -> list[str]:
     """Which configuration to take at each of `LIMITS_S`, a sentence each; limits
     with the same answer share it."""
     found = entries(study, scene)
-    if len(found) < 2:
+    if len(found) < 2 or not _comparable(found):
         return []
     limits: dict[str, list[str]] = {}
     for limit in LIMITS_S:
@@ -39,16 +39,24 @@ def in_verdict(study: Study) -> str:
     if not any(run.method_label.limits for run in study.runs):  # none of steps and the like
         return ""
     found = entries(study, study.tested[0]) if len(study.tested) == 1 else []
+    found = found if _comparable(found) else []
     limits: dict[str, list[str]] = {}
     for limit in LIMITS_S:
         best = _choice(study, found, limit)
         if best is not None:
-            budget = f"{best.budget} ({best.train_s:.1f} s, {best.gaussians:,.0f} Gaussians)"
+            own = best.family == study.families[0]
+            size = f"({best.train_s:.1f} s, {best.gaussians:,.0f} Gaussians)"
+            budget = f"{best.budget if own else best.method} {size}"
             limits.setdefault(budget, []).append(f"{limit:g}")
     if len(limits) == 1:
         return f" with {next(iter(limits))}"
     told = [f"{budget} within {listed(some, 'or')} s" for budget, some in limits.items()]
     return f" with {'; '.join(told)}" if told else " at the budget that suits you (below)"
+
+
+def _comparable(found: Sequence[Entry]) -> bool:
+    """Whether one kind of machine did all, so that their seconds compare."""
+    return len({run.machine for entry in found for run in entry.runs}) < 2
 
 
 def _choice(study: Study, found: Sequence[Entry], limit_s: float) -> Entry | None:
@@ -161,8 +169,13 @@ def _rival(best: Entry, within: Sequence[Entry]) -> str:
     side = "lower" if lower >= 0 else "higher"
     return (
         f"{quickest.method} takes {quickest.train_s:.1f} s and is {abs(lower):.2f} dB {side} on"
-        " average, which these seeds do not tell from chance"
+        f" average, which is not told from chance {_among(len(others))}"
     )
+
+
+def _among(n: int) -> str:
+    """The family of comparisons that the claim holds for."""
+    return "by these seeds" if n == 1 else f"among the {n + 1} choices within that time"
 
 
 def _alike(best: Entry, other: Entry, tests: int) -> bool:

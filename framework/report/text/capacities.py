@@ -23,13 +23,14 @@ FIXED = "capacity=fixed"  # has no name among methods
 @dataclass(frozen=True)
 class Contest:
     """A capacity against that of `comparison.baseline`. method: what both have in common.
-    parameters, cpu: ratios of the sums over the paired runs; None where a run lacks its time."""
+    parameters, cpu: ratios of the sums over the paired runs; None where a run lacks its time, or
+    what it is compared with has no Gaussian."""
 
     method: str
     capacity: str
     against: str
     comparison: Comparison
-    parameters: float
+    parameters: float | None
     cpu: float | None
 
 
@@ -63,8 +64,7 @@ def in_verdict(found: Sequence[Contest]) -> str:
     told = "; ".join(f"{_bare(c.capacity)} {amount(c.comparison)}" for c in clear) or "nobody"
     rest = [c for c in known if not c.comparison.significant]
     alike = [
-        f"{_bare(c.capacity)} ({significant(c.parameters)} times the parameters)"
-        for c in sorted(rest, key=_difference, reverse=True)
+        f"{_bare(c.capacity)} ({_size(c)})" for c in sorted(rest, key=_difference, reverse=True)
     ]
     hidden = could_hide([c.comparison for c in rest])
     others = f" Not told apart from it: {'; '.join(alike)}.{hidden}" if alike else ""
@@ -99,7 +99,7 @@ def rows(found: Sequence[Contest]) -> list[dict[str, str]]:
             "Capacity": c.capacity,
             "Compared with": c.against,
             **tested_cells(c.comparison),
-            "Parameters, times": significant(c.parameters),
+            "Parameters, times": ABSENT if c.parameters is None else significant(c.parameters),
             "CPU, times": ABSENT if c.cpu is None else significant(c.cpu),
         }
         for c in found
@@ -121,7 +121,7 @@ def _contest(study: Study, label: MethodLabel, first: MethodLabel) -> Contest | 
         label.capacity or FIXED,
         first.capacity or FIXED,
         comparison,
-        sizes[0] / sizes[1],
+        sizes[0] / sizes[1] if sizes[1] else None,
         cpu,
     )
 
@@ -135,8 +135,14 @@ def _cpu(runs: Sequence[ReportRun]) -> float | None:
     return None if None in known else sum(value or 0.0 for value in known)
 
 
+def _size(c: Contest) -> str:
+    if c.parameters is None:
+        return "a model where the other has none"
+    return f"{significant(c.parameters)} times the parameters"
+
+
 def _told(c: Contest) -> str:
-    size = f"{significant(c.parameters)} times the parameters"
+    size = _size(c)
     time = "" if c.cpu is None else f", {significant(c.cpu)} times the CPU time"
     found = c.comparison
     change = f"{signed(found.difference, found.joint)} dB"

@@ -37,7 +37,7 @@ def tested_cells(c: Comparison) -> dict[str, str]:
         "p": p_text(c.p_joint) if c.p_joint is not None else ABSENT,
     }
     if c.like is not None:
-        cells["Scenes"] = str(c.scenes)
+        cells["Scenes"] = str(c.like.n)
         cells["scenes like these, 95 %"] = interval_text(c.like_joint) if c.like_joint else ABSENT
     return cells
 

@@ -64,7 +64,7 @@ def failures(study: Study) -> list[Block]:
 
 
 def _again(run: FailedRun) -> str:
-    return code(shlex.join(["python", "run.py", *run.overrides, "-m"]))
+    return code(run.again or shlex.join(["python", "run.py", *run.overrides, "-m"]))
 
 
 def missing_runs(study: Study) -> list[Block]:

@@ -21,6 +21,9 @@ MOST_NAMED = 8  # of methods that could not be told apart
 AS_GOOD_DB = 0.1  # a mean so much below the best counts as good
 LEAST_DB = 0.005  # a smaller difference reads as 0.00
 NOT_BETTER_EQUAL = ": no other method was shown to be better at an equal budget"
+SOME_GAIN = (
+    ": nothing was shown to be better than it; what gains over a baseline of its own stands below"
+)
 
 UNTESTED = (
     "Nothing was tested: no photo was held out (scene.split=none), so nothing is known of the"
@@ -50,17 +53,19 @@ def compared(found: Outcomes) -> list[Comparison]:
 
 
 def _use(study: Study, found: Outcomes, budget: str) -> str:
-    best = best_method(study, found)
-    if best != study.baseline_of(best):
+    best = found.best
+    if best != study.baseline:
         c = found.comparisons[best]
         less = "; what to use for less time stands below" if has_budgets(study) else ""
-        return f"Use {best}: it {amount(c)} against {plainly(c.baseline)} {where(study)}{less}."
+        return f"Use {best}: it {amount(c)} against {plainly(c.baseline)} {where(study, c)}{less}."
+    gains = any(c.significant and c.difference > 0 for c in found.comparisons.values())
     if has_budgets(study):
         base = plainly(study.families[0])
         # of one family there are only budgets, which the next lines compare
-        other = NOT_BETTER_EQUAL if len(study.families) > 1 else ""
+        other = (SOME_GAIN if gains else NOT_BETTER_EQUAL) if len(study.families) > 1 else ""
         return f"Use {base} {where(study)}{budget}{other}."
-    return f"Use {plainly(best)} {where(study)}: nothing else was shown to be better."
+    nothing = SOME_GAIN if gains else ": nothing else was shown to be better"
+    return f"Use {plainly(best)} {where(study)}{nothing}."
 
 
 def different(study: Study, found: Outcomes) -> str:
@@ -68,13 +73,28 @@ def different(study: Study, found: Outcomes) -> str:
     tested = compared(found)
     if not tested:
         return ""
-    best = best_method(study, found)
-    clear = sorted((c for c in tested if c.significant and c.method != best), key=_difference)
-    than = "" if best == study.baseline_of(best) else f" from {found.comparisons[best].baseline}"
-    than = " at an equal budget" if has_budgets(study) else than
-    told = "; ".join(f"{c.method} {amount(c)}" for c in clear)
-    nobody = "nobody else" if best in found.comparisons else "nobody"
+    clear = sorted((c for c in tested if c.significant and c.method != found.best), key=_difference)
+    than, several = _than(study, tested), len(_base_families(study, tested)) > 1
+    named = [
+        f"{c.method} {amount(c)}" + (f" against {c.baseline}" if several else "") for c in clear
+    ]
+    told = "; ".join(named)
+    nobody = "nobody else" if found.best in found.comparisons else "nobody"
     return f"Really different{than}: {told or nobody}."
+
+
+def _than(study: Study, tested: Sequence[Comparison]) -> str:
+    """` from none + none`, with what `tested` compares."""
+    bases = {c.baseline for c in tested}
+    if len(bases) == 1:
+        return f" from {bases.pop()}"
+    return " at an equal budget" if has_budgets(study) and len(study.families) > 1 else ""
+
+
+def _base_families(study: Study, tested: Sequence[Comparison]) -> set[str]:
+    """The baselines of `tested` without their budgets: several where options of theirs differ."""
+    families = {run.method: run.method_label.family for run in study.runs}
+    return {families[c.baseline] for c in tested}
 
 
 def alike(study: Study, found: Outcomes) -> str:
@@ -84,7 +104,7 @@ def alike(study: Study, found: Outcomes) -> str:
     if has_budgets(study):
         rest = [c for c in tested if not c.significant]
         families = "; ".join(_by_family(study, rest, tested))
-        told = f"Not told apart at an equal budget: {families}.{could_hide(rest)}"
+        told = f"Not told apart{_than(study, tested)}: {families}.{could_hide(rest)}"
         return told if rest else ""
     rest = not_told_apart(study, found, tested) if tested else []
     if not rest:
@@ -118,8 +138,9 @@ def _by_family(study: Study, rest: Sequence[Comparison], tested: Sequence[Compar
 
 def not_told_apart(study: Study, found: Outcomes, tested: Sequence[Comparison]) -> list[Comparison]:
     """What could not be told from what the verdict says to use, the highest first."""
-    best = best_method(study, found)
-    over = tested if best == study.baseline_of(best) else _against(study, found, best)
+    best = found.best
+    own = all(c.baseline == best for c in tested)
+    over = tested if own else _against(study, found, best)
     return sorted((c for c in over if not c.significant), key=lambda c: -c.difference)
 
 
@@ -140,18 +161,6 @@ def has_budgets(study: Study) -> bool:
     return any(run.method_label.budget for run in study.runs)
 
 
-def best_method(study: Study, found: Outcomes) -> str:
-    """The highest of those shown to be better than their baseline, else the baseline."""
-    better = [
-        method
-        for method, c in found.comparisons.items()
-        if c.significant and c.difference > 0 and method in found.psnr
-    ]
-    if not better:
-        return study.baseline
-    return max(better, key=lambda method: found.psnr[method].mean)
-
-
 def plainly(method: str) -> str:
     """A method's name; the plain one says that it is."""
     return f"{method} (plain training)" if method == BASELINE else method
@@ -165,9 +174,13 @@ def amount(c: Comparison) -> str:
     return f"{does} {abs(c.difference):.{places}f} dB ({interval_text(c.joint)})"
 
 
-def where(study: Study) -> str:
-    """`on fern`, `on these 5 scenes`."""
+def where(study: Study, of: Comparison | None = None) -> str:
+    """`on fern`, `on these 5 scenes`; where a comparison is of fewer, `on 3 of these 5 scenes`."""
     scenes = study.tested
+    if of is not None and len(of.scenes) < len(scenes):
+        if len(of.scenes) == 1:
+            return f"on {of.scenes[0]} alone of these {len(scenes)} scenes"
+        return f"on {len(of.scenes)} of these {len(scenes)} scenes"
     return f"on {scenes[0]}" if len(scenes) == 1 else f"on these {len(scenes)} scenes"
 
 

@@ -15,12 +15,14 @@ from framework.report.study.runs import ReportRun
 def verdict(found: Sequence[Limit], baseline: str) -> str:
     """The first line: which method to use, of everything that was tried along the stresses."""
     if not found:
-        return "No advice: no method shares its seeds with the baseline at two strengths."
+        return "No advice: no method shares one seed with the baseline at two strengths."
     if all(limit.found.n < 2 for limit in found):
         return "No advice: single runs cannot tell a method from chance."
-    gaining = list(dict.fromkeys(limit.method for limit in found if limit.found.gains))
+    above = [limit for limit in found if limit.found.gains]
+    gaining = list(dict.fromkeys(limit.method for limit in above if not limit.against))
     if not gaining:
-        return f"Use {baseline}: nothing else was shown to be better at any strength."
+        own = "; what gains over a baseline of its own options stands below" if above else ""
+        return f"Use {baseline}: nothing else was shown to be better at any strength{own}."
     where = "where it helps" if len(gaining) == 1 else "where they help"
     return f"Use {listed(gaining, 'or')} {where} (below), {baseline} elsewhere."
 
@@ -30,7 +32,7 @@ def behind(found: Sequence[Limit], steady: str = "") -> list[str]:
     apart, and what could hide. steady: who is steadier, as a sentence."""
     if all(limit.found.n < 2 for limit in found):
         return []
-    told = [f"{limit.method} {_most(limit, found)}" for limit in found if limit.found.significant]
+    told = [f"{_named(limit)} {_most(limit, found)}" for limit in found if limit.found.significant]
     clear = {limit.method for limit in found if limit.found.significant}
     rest = [limit for limit in found if limit.method not in clear]
     alike = list(dict.fromkeys(limit.method for limit in rest))
@@ -101,9 +103,8 @@ def sentence(limit: Limit) -> str:
     """Where a method helps along a stress, where it costs, and how much at both ends."""
     found, axis = limit.found, limit.panel.axis
     if found.n > 1 and not found.significant:
-        return (
-            f"{limit.method}: not told apart at any strength ({_ends(limit)}; n = {found.n} seeds)."
-        )
+        ends = f"{_ends(limit)}; n = {found.n} seeds"
+        return f"{_named(limit)}: not told apart at any strength ({ends})."
     if found.n < 2:
         said = _single(limit)
     else:
@@ -111,7 +112,12 @@ def sentence(limit: Limit) -> str:
         said = " and ".join(filter(None, parts))
     if found.gains and found.stops is not None:
         said += f", and stops helping at {_at(axis, found.stops)}"
-    return f"{limit.method} {said} ({_evidence(limit)})."
+    return f"{_named(limit)} {said} ({_evidence(limit)})."
+
+
+def _named(limit: Limit) -> str:
+    """The method, and what it is compared with where that is not the study's baseline."""
+    return f"{limit.method}{f' (against {limit.against})' if limit.against else ''}"
 
 
 def _where(limit: Limit, does: str, sign: int) -> str:
@@ -120,9 +126,20 @@ def _where(limit: Limit, does: str, sign: int) -> str:
     if not at:
         return ""
     if len(at) == len(limit.levels):
-        return f"{does} at every tested strength"
-    axis = limit.panel.axis
-    return f"{does} at {axis.at.format(listed([f'{level:g}' for level in at], 'and'))}"
+        return f"{does} at {_every(limit)}"
+    return f"{does} at {_listed(limit.panel.axis, at)}"
+
+
+def _every(limit: Limit) -> str:
+    """All strengths; by number where some have too few seeds in common to be compared."""
+    if len(limit.levels) == len(limit.panel.levels):
+        return "every tested strength"
+    return _listed(limit.panel.axis, limit.levels)
+
+
+def _listed(axis: Axis, levels: Sequence[float]) -> str:
+    """`9 and 6 training views`."""
+    return axis.at.format(listed([f"{level:g}" for level in levels], "and"))
 
 
 def _single(limit: Limit) -> str:
@@ -143,7 +160,7 @@ def _evidence(limit: Limit) -> str:
         return f"{_ends(limit)}; n = 1: nothing can be said about its noise"
     seeds = f"{_ends(limit)}; n = {found.n} seeds"
     if found.interval is None:
-        return f"{seeds}; the sign is beyond doubt at every tested strength"
+        return f"{seeds}; the sign is beyond doubt at {_every(limit)}"
     hardest = limit.panel.levels[-1]
     open_end = hardest in (found.interval.low, found.interval.high)
     beyond = f", open towards {_at(limit.panel.axis, hardest)}" if open_end else ""

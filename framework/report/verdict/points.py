@@ -17,7 +17,6 @@ from framework.report.verdict.lead import (
     AS_GOOD_DB,
     alike,
     amount,
-    best_method,
     compared,
     different,
     has_budgets,
@@ -44,6 +43,7 @@ def points(study: Study, found: Outcomes, beside: str = "") -> list[str]:
     told = [
         different(study, found),
         alike(study, found),
+        _fewer(study, tested),
         beside,
         steady_sentence(found) if tested else "",
         _cost(study, found),
@@ -52,6 +52,13 @@ def points(study: Study, found: Outcomes, beside: str = "") -> list[str]:
         _untuned(study, found),
     ]
     return [text for text in told if text]
+
+
+def _fewer(study: Study, tested: Sequence[Comparison]) -> str:
+    """Who is compared on some of the scenes only, as the others have too few seeds in common."""
+    some = [c for c in tested if len(c.scenes) < len(study.tested)]
+    told = [f"{c.method} on {listed(c.scenes, 'and')}" for c in some]
+    return f"Compared where two seeds or more are common: {'; '.join(told)}." if told else ""
 
 
 def evidence(found: Outcomes) -> str:
@@ -85,7 +92,7 @@ def _elsewhere(tested: Sequence[Comparison]) -> list[str]:
     clear = [c for c in tested if c.significant]
     over = [c for c in tested if c.like_joint is not None]
     if over:
-        scenes = max(c.scenes for c in over)
+        scenes = max(c.like.n for c in over if c.like)
         shown = [c for c in over if c.general]
         said = "; ".join(f"{c.method} {c.difference:+.2f} dB ({inside(c.like_joint)})"
                          for c in (shown or clear))  # fmt: skip
@@ -114,7 +121,7 @@ def _cost(study: Study, found: Outcomes) -> str:
         return ""
     if has_budgets(study):
         return _cost_of_budgets(study, found)
-    best = best_method(study, found)
+    best = found.best
     methods = list(dict.fromkeys([best, study.baseline_of(best)]))
     if len(methods) == 1 and found.comparisons:
         runner = max(found.comparisons, key=lambda m: found.comparisons[m].difference)
@@ -126,7 +133,7 @@ def _cost(study: Study, found: Outcomes) -> str:
 def _cost_of_budgets(study: Study, found: Outcomes) -> str:
     """Of the advised family, what its cheapest and its dearest budget take."""
     families = {run.method: run.method_label.family for run in study.runs}
-    family = families[best_method(study, found)]
+    family = families[found.best]
     own = [method for method in found.psnr if families[method] == family]
     seconds = {
         method: value
@@ -165,7 +172,7 @@ def weakest(study: Study, found: Outcomes) -> str:
     """Where what the verdict advises is worst: scene, seed, view, and how often it failed."""
     if not found.psnr:
         return ""
-    best = best_method(study, found)
+    best = found.best
     if best == study.baseline_of(best) and has_budgets(study):  # its best budget
         own = {run.method for run in study.runs if run.method_label.family == study.families[0]}
         best = _quick_and_good(study, found, own & found.psnr.keys()) or best
@@ -174,6 +181,8 @@ def weakest(study: Study, found: Outcomes) -> str:
         for scene in study.tested
         if (value := average([run.mean("psnr") for run in study.of(scene, best)])) is not None
     }
+    if not means:
+        return ""
     scene = min(means, key=lambda scene: means[scene])
     told = [f"{scene} ({means[scene]:.2f} dB on average)"] if len(means) > 1 else []
     runs = study.of(scene, best)

@@ -1,0 +1,199 @@
+"""What a report advises where runs differ in more than the method, and where pairs are missing."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+
+from framework.errors import UserError
+from framework.report import build_report
+from framework.report.statistics.bootstrap import sd_interval
+from framework.report.statistics.compare import block
+from framework.report.statistics.outcomes import outcomes
+from framework.report.study.collect import collect
+from framework.report.text.capacities import contests
+from tests.record.fakes import fake_run
+
+COLUMNS = ("scene", "method", "seed", "psnr", "gaussians", "parameters", "train_wall_s", "run")
+Row = dict[str, object]
+
+
+def row(scene: str, method: str, seed: int, psnr: float | str, **more: object) -> Row:
+    """A row of a table of runs; PSNR with a noise of 0.01 dB that seed and method decide."""
+    noise = 0.01 * ((seed * 7 + len(method)) % 5 - 2)
+    value = psnr if isinstance(psnr, str) else psnr + noise
+    known = {"scene": scene, "method": method, "seed": seed, "psnr": value}
+    rest = {"gaussians": 100, "parameters": 1400, "train_wall_s": 10, "train_cpu_s": 10}
+    return known | rest | {"run": f"{scene}-{method}-s{seed}".replace(" ", "")} | more
+
+
+def table(folder: Path, rows: Iterable[Row]) -> Path:
+    """A folder of which a table is all that there is."""
+    made = list(rows)
+    names = list(dict.fromkeys([*COLUMNS, *(key for one in made for key in one)]))
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, names, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(made)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "runs.csv").write_text(buffer.getvalue(), encoding="utf-8")
+    return folder
+
+
+def first_lines(folder: Path, out: Path) -> str:
+    return build_report(folder, out_dir=out).read_text(encoding="utf-8").partition("How to read")[0]
+
+
+def study(means: dict[str, float], seeds: int = 5) -> list[Row]:
+    return [row("fern", method, k, mean) for k in range(seeds) for method, mean in means.items()]
+
+
+def test_what_gains_on_a_bad_start_is_not_advised_over_a_good_one(tmp_path: Path) -> None:
+    means = {"none + none": 25.0, "safi + none": 25.0}
+    means |= {"none + none, init=sparse": 20.0, "safi + none, init=sparse": 22.0}
+    text = first_lines(table(tmp_path / "t", study(means)), tmp_path / "out")
+    assert "**Use none + none (plain training) on fern: nothing was shown to be better than" in text
+    assert re.search(r"safi \+ none, init=sparse gains 2\.\S+ dB \([^)]*\) against none", text)
+
+
+def test_what_gains_with_few_steps_is_not_advised_over_many(tmp_path: Path) -> None:
+    means = {"none + none, steps=300": 20.0, "safi + none, steps=300": 21.0}
+    means |= {"none + none, steps=3000": 25.0, "safi + none, steps=3000": 24.0}
+    rows = [one | {"trainer.steps": int(str(one["method"])[-3:]) or 3000} for one in study(means)]
+    found = outcomes(collect(table(tmp_path, rows)))
+    assert found.comparisons["safi + none, steps=300"].significant
+    assert found.best == "none + none, steps=300", "the first of its budgets stands for the family"
+
+
+def test_the_best_is_chosen_by_pairs(tmp_path: Path) -> None:
+    """Seeds 3 to 9 lie lower: a method that has them alone is not worse for it."""
+    low = [row("fern", m, k, v - 1) for k in range(3, 10) for m, v in (("none + none", 20.0),)]
+    low += [row("fern", "dba + none", k, 19.2) for k in range(3, 10)]
+    means = {"none + none": 20.0, "safi + none": 20.1, "dba + none": 20.2}
+    found = outcomes(collect(table(tmp_path, [*study(means, 3), *low])))
+    assert found.psnr["dba + none"].mean < found.psnr["safi + none"].mean
+    assert found.best == "dba + none"
+
+
+def test_pairs_that_lack_none_are_kept() -> None:
+    every = {("a", 0), ("a", 1), ("b", 0), ("b", 1), ("b", 2)}
+    assert block(every) == (["a", "b"], [0, 1])
+    assert block({*every, ("c", 2)}) == (["a", "b"], [0, 1])
+    assert block({("a", 0), ("b", 1)}) == (["a", "b"], [])
+    assert block({("a", 0), ("b", 0), ("b", 1), ("b", 2)}) == (["b"], [0, 1, 2])
+
+
+def test_a_scene_with_one_seed_does_not_take_the_others_away(tmp_path: Path) -> None:
+    means = {"none + none": 20.0, "safi + none": 21.0}
+    rows = [row(s, m, k, v) for s in "abc" for k in range(4) for m, v in means.items()]
+    rows += [row("d", m, 0, v) for m, v in means.items()]
+    text = first_lines(table(tmp_path / "t", rows), tmp_path / "out")
+    assert re.search(r"\*\*Use safi \+ none: it gains 1.* on 3 of these 4 scenes\.\*\*", text)
+    assert "Compared where two seeds or more are common: safi + none on a, b and c." in text
+
+
+def test_single_seeds_on_many_scenes_are_corrected_for_all_methods(tmp_path: Path) -> None:
+    means = {"none + none": 20.0, "safi + none": 20.3, "dba + none": 20.2}
+    rows = [row(s, m, 0, v + len(s) / 9) for s in ("a", "bb", "ccc") for m, v in means.items()]
+    found = outcomes(collect(table(tmp_path, rows))).comparisons
+    assert {c.tests for c in found.values()} == {2} and found["safi + none"].p is None
+
+
+def test_a_stress_on_one_scene_hides_no_other(tmp_path: Path) -> None:
+    for seed in range(3):
+        for augment in ("none", "safi"):
+            for views in (2, 3, 4):
+                condition = {"n_views": views}
+                fake_run(tmp_path, augment, seed=seed, scene="fox", condition=condition,
+                         run_name=f"{augment}{views}-{seed}")  # fmt: skip
+            fake_run(tmp_path, augment, seed=seed, gain=3.0 * (augment == "safi"), scene="fern")
+    text = build_report(tmp_path).read_text(encoding="utf-8")
+    assert "## Comparisons" in text and "## Along a stress" in text
+    assert "on these 4 scenes" in text.split("\n\n")[1] and "fox, along training views" in text
+
+
+def test_a_stress_with_one_seed_at_one_strength_keeps_the_others(tmp_path: Path) -> None:
+    for views, seeds in ((2, 1), (3, 4), (4, 4)):
+        for seed in range(seeds):
+            for augment in ("none", "safi"):
+                fake_run(tmp_path, augment, seed=seed, gain=2.0 * (augment == "safi"),
+                         condition={"n_views": views}, run_name=f"{augment}{views}-{seed}")  # fmt: skip
+    text = build_report(tmp_path).read_text(encoding="utf-8")
+    assert text.split("\n\n")[1].startswith("**Use safi + none where it helps")
+    assert "safi + none helps at 4 and 3 training views (" in text
+
+
+def test_a_method_without_a_psnr_anywhere_is_no_crash(tmp_path: Path) -> None:
+    rows = study({"none + none": 20.0, "safi + none": 21.0})
+    rows[3]["psnr"] = ""
+    text = first_lines(table(tmp_path / "t", rows), tmp_path / "out")
+    assert text.startswith("# out\n\n**")
+
+
+def test_tables_of_other_options_are_told_apart(tmp_path: Path) -> None:
+    def some(name: str, psnr: float, digest: str) -> Path:
+        rows = study({"none + none": psnr, "safi + none": psnr + 1})
+        named = [one | {"run": f"x-s{one['seed']}-{digest}"} for one in rows]
+        return table(tmp_path / name, named)
+
+    best, paper = some("best", 24.0, "0" * 8), some("paper", 21.0, "1" * 8)
+    found = collect([best, paper], tmp_path / "both")
+    assert found.methods[:2] == ["none + none, from=best", "none + none, from=paper"]
+    assert any("was run with different options in these folders" in note for note in found.notes)
+    alike = collect([best, some("again", 24.0, "0" * 8)], tmp_path / "both")
+    assert alike.methods == ["none + none", "safi + none"] and len(alike.runs) == 10
+
+
+def test_the_only_table_of_another_study_is_not_overwritten(tmp_path: Path) -> None:
+    one = table(tmp_path / "one", study({"none + none": 20.0, "safi + none": 21.0}))
+    other = table(tmp_path / "other", study({"none + none": 20.0, "dba + none": 21.0}))
+    before = (other / "runs.csv").read_bytes()
+    with pytest.raises(UserError, match=r"runs\.csv: expected a table of runs of this report"):
+        build_report(one, out_dir=other)
+    assert (other / "runs.csv").read_bytes() == before
+    build_report(one, out_dir=tmp_path / "out")
+    build_report(one, out_dir=tmp_path / "out")  # its own table may be written again
+    build_report(other, out_dir=tmp_path / "one" / ".." / "other")
+    assert (other / "runs.csv").read_bytes() == before
+
+
+def test_no_advice_by_time_across_machines(tmp_path: Path) -> None:
+    rows = study({"none + none": 20.0, "safi + none": 21.0})
+    fast = [
+        one | {"cpu": f"{'new' if one['method'] == 'safi + none' else 'old'}, 2 cores"}
+        for one in rows
+    ]
+    text = build_report(table(tmp_path / "t", fast), out_dir=tmp_path / "out").read_text("utf-8")
+    assert "made on different machines (old, 2 cores: 5 runs of none + none; new" in text
+    assert "Within 15" not in text
+    same = [one | {"cpu": "old, 2 cores"} for one in rows]
+    text = build_report(table(tmp_path / "s", same), out_dir=tmp_path / "out2").read_text("utf-8")
+    assert "Within 15" in text and "different machines" not in text
+
+
+def test_sizes_and_spreads_that_are_no_ratio(tmp_path: Path) -> None:
+    rows = study({"none + none": 20.0, "none + none, capacity=evidence": 21.0})
+    rows = [
+        one | {"capacity.name": "evidence" if "=" in str(one["method"]) else "fixed"}
+        for one in rows
+    ]
+    none = [
+        one | ({"gaussians": 0, "parameters": 0} if "=" not in str(one["method"]) else {})
+        for one in rows
+    ]
+    found = contests(collect(table(tmp_path, none)))
+    assert [contest.parameters for contest in found] == [None]
+    assert sd_interval([20.0] * 4 + [20.1]) is None
+
+
+def test_all_views_are_counted_in_a_table(tmp_path: Path) -> None:
+    for views in (2, "all"):
+        fake_run(tmp_path, condition={"n_views": views}, run_name=f"v{views}")
+    report = build_report(tmp_path)
+    with (report.parent / "runs.csv").open(encoding="utf-8") as file:
+        assert sorted(one["scene.n_views"] for one in csv.DictReader(file)) == ["1", "2"]
