@@ -121,8 +121,9 @@ def test_a_stress_with_one_seed_at_one_strength_keeps_the_others(tmp_path: Path)
     for views, seeds in ((2, 1), (3, 4), (4, 4)):
         for seed in range(seeds):
             for augment in ("none", "safi"):
-                fake_run(tmp_path, augment, seed=seed, gain=2.0 * (augment == "safi"),
-                         condition={"n_views": views}, run_name=f"{augment}{views}-{seed}")  # fmt: skip
+                gain, name = 2.0 * (augment == "safi"), f"{augment}{views}-{seed}"
+                condition = {"n_views": views}
+                fake_run(tmp_path, augment, "none", seed, gain, condition=condition, run_name=name)
     text = build_report(tmp_path).read_text(encoding="utf-8")
     assert text.split("\n\n")[1].startswith("**Use safi + none where it helps")
     assert "safi + none helps at 4 and 3 training views (" in text
