@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from framework.depth import DepthProvider
 from framework.errors import check_option
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     from framework.fisher.information import FisherInformation
     from framework.types import DepthMap, Gaussians, Render, Scene, TrainingSet, View
+    from framework.warp.zbuffer import Support
 
 __all__ = [
     "Augmenter",
@@ -62,10 +63,13 @@ class StepContext:
     gaussians: the current ones, detached but in `Regularizer.loss`; clone what is to be kept, the
     next step changes them in place. version: changes whenever Gaussians were added, removed or
     reordered. sh_degree: the active degree. background: [3]. extent: see `TrainingSet.extent`;
-    near, far: depth bounds of the scene. render(camera): the current Gaussians without any dropout,
-    and without a gradient; render(camera, gaussians, opacity_factors=[N], background=[3]): any
-    others, from any camera, differentiable in both: in `Regularizer.loss` those of `ctx.gaussians`
-    or some with parts detached, `ctx.gaussians.replace(means=ctx.gaussians.means.detach())`.
+    spacing: mean distance of a training camera to its nearest other one (of a single one the
+    extent); near, far: depth bounds of the scene, all in scene units. supports(): the training
+    views, ready to be warped (`framework.warp`), made once. render(camera): the current Gaussians
+    without any dropout, and without a gradient; render(camera, gaussians, opacity_factors=[N],
+    background=[3]): any others, from any camera, differentiable in both: in `Regularizer.loss`
+    those of `ctx.gaussians` or some with parts detached,
+    `ctx.gaussians.replace(means=ctx.gaussians.means.detach())`.
     fisher(camera): their information; fisher(camera, gaussians, sh_degree): that of others, for
     instance a snapshot; fisher(camera, mask=view.mask): that of the pixels which a photo has.
     rng(purpose): this plugin's own stream for this update. log(name, value): into the history, and
@@ -85,8 +89,10 @@ class StepContext:
     sh_degree: int
     background: Tensor
     extent: float
+    spacing: float
     near: float
     far: float
+    supports: Callable[[], tuple[Support, ...]]
     render: Callable[..., Render]
     fisher: Callable[..., FisherInformation]
     rng: Callable[[str], np.random.Generator]
@@ -262,6 +268,11 @@ class Capacity(Plugin):
         """Called after each step; the trainer applies the edits to parameters and optimizer. Of
         several capacities each is asked about what those before it left."""
         raise NotImplementedError
+
+    def shared(self, members: int) -> Self:
+        """The same for one of so many trainings whose Gaussians are joined (`trainer.members`):
+        what limits their number is shared out."""
+        return self
 
     def followed(self, state: Any, rows: Tensor) -> Any:
         """The state after another capacity of the run changed the set. rows: [N'] int64, of every

@@ -21,7 +21,7 @@ import re
 import sys
 import typing
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType, UnionType
@@ -276,6 +276,12 @@ class Plugged:
         if not self.parts:
             return {group: self}
         return {f"{group}.{name}": part for name, part in self.parts}
+
+    def shared(self, members: int) -> Plugged:
+        """A capacity of one of so many trainings whose Gaussians are joined."""
+        if self.parts:
+            return replace(self, parts=tuple((n, part.shared(members)) for n, part in self.parts))
+        return replace(self, plugin=self.plugin.shared(members))
 
     def active(self, progress: float) -> bool:
         return self.start <= progress < self.stop

@@ -47,8 +47,7 @@ def shared_prior(diagonals: Sequence[Tensor], regulariser: float) -> Tensor:
     per parameter. Raises ValueError on a regulariser that is not positive or values not finite.
     """
     _check_positive("shared_prior: regulariser", regulariser)
-    stacked = np.concatenate([_float64(diagonal) for diagonal in diagonals])
-    return from_numpy(_prior(stacked, regulariser))
+    return from_numpy(_prior([_float64(diagonal) for diagonal in diagonals], regulariser))
 
 
 def information_gains(
@@ -176,7 +175,7 @@ def _block_prior(blocks: np.ndarray, regulariser: float) -> np.ndarray:
     """[6]: the same number three times for the means, then for the log-scales."""
     diagonal = np.einsum("nii->ni", blocks)
     groups = np.column_stack([diagonal[:, :3].ravel(), diagonal[:, 3:].ravel()])
-    return np.repeat(_prior(groups, regulariser), 3)
+    return np.repeat(_prior([groups], regulariser), 3)
 
 
 def _floor(blocks: np.ndarray, prior: np.ndarray) -> np.ndarray:
@@ -184,14 +183,22 @@ def _floor(blocks: np.ndarray, prior: np.ndarray) -> np.ndarray:
     return prior + NOISE * np.einsum("nii->ni", blocks)
 
 
-def _prior(diagonal: np.ndarray, regulariser: float) -> np.ndarray:
+def _prior(diagonals: Sequence[np.ndarray], regulariser: float) -> np.ndarray:
     """[P]: regulariser x median of the positive entries per column, at least ROUNDING x the top.
+
+    diagonals: [N, P] each, of which one column after the other is gathered, as all of many views
+    are larger than all else in a training.
 
     The floor matters where a parameter has no effect and float32 derivatives leave noise, as with
     the rotation of isotropic Gaussians. Without any positive entry the prior is 1.
     """
-    positive = [column[column > 0] for column in diagonal.T]
-    medians = np.array([np.median(c) if c.size else 0.0 for c in positive])
+
+    def median(k: int) -> float:
+        column = np.concatenate([diagonal[:, k] for diagonal in diagonals])
+        positive = column[column > 0]
+        return float(np.median(positive)) if positive.size else 0.0
+
+    medians = np.array([median(k) for k in range(diagonals[0].shape[1])])
     floored = np.maximum(medians, ROUNDING * medians.max())
     return np.where(floored > 0, regulariser * floored, 1.0)
 

@@ -21,10 +21,13 @@ SEEN = 1e-6  # alpha from which a pixel shows something
 
 def known_depth(ctx: StepContext, view: View) -> tuple[Tensor, Tensor] | None:
     """(depth [h, w], valid [h, w] bool) of a training view, as large as it is trained on: the mean
-    over a coarse pixel where all it covers is known. None for a pseudo view."""
+    over a coarse pixel where all it covers is known and within the photo's mask. None for a pseudo
+    view."""
     for photo, found in zip(ctx.views, ctx.depth, strict=True):
         if photo.name == view.name:
             known = (found.depth > 0) & (found.confidence > 0)
+            if photo.mask is not None:  # a depth from elsewhere may know what lies behind it
+                known &= photo.mask > 0.5
             size = view.camera.height, view.camera.width
             factor = photo.camera.height // size[0]
             depth, share = (_boxes(t.float(), factor, size) for t in (found.depth, known))

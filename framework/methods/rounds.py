@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 NARROWED, OFFSET = 0.6, 0.8
 SETTLED = 10  # epochs between rounds, as with three views; with fewer, rounds do less
+APART = 2  # epochs from one round to the next at least: a round costs about as much as two
 SH0 = 11  # where the colours begin in a diagonal
 
 
@@ -107,8 +108,9 @@ class RoundsCapacity(PullCapacity):
         return min(1.0, self._interval(ctx) / (SETTLED * len(ctx.views)))
 
     def _interval(self, ctx: StepContext) -> int:
-        """Steps from one round to the next."""
-        return max(1, round(self.every * ctx.n_steps))
+        """Steps from one round to the next: `APART` epochs at least, but so few that one comes."""
+        first = max(1, math.floor(self.until * ctx.n_steps))
+        return max(1, round(self.every * ctx.n_steps), min(APART * len(ctx.views), first))
 
 
 def training_information(ctx: StepContext) -> TrainingInformation:

@@ -24,11 +24,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WarpingState:
-    """supports: the training views, ready to be warped. selection: what `select` keeps between
-    epochs. view: the current pseudo view, None if the last one covered too little. made: the epoch
-    in which it was made, -1 before the first."""
+    """selection: what `select` keeps between epochs. view: the current pseudo view, None if the
+    last one covered too little. made: the epoch in which it was made, -1 before the first."""
 
-    supports: tuple[Support, ...]
     selection: Any = None
     view: View | None = None
     made: int = -1
@@ -73,14 +71,10 @@ class WarpingAugmenter(Augmenter):
         self, state: Any, gaussians: Gaussians, version: int, views: tuple[View, ...]
     ) -> None:
         from framework.shapes import check_kind, check_view
-        from framework.warp.zbuffer import check_support
 
         check_kind(self.name, state, WarpingState, type(None))
         if state is None:
             return
-        check_kind(f"{self.name}.supports", state.supports, tuple)
-        for support, view in zip(state.supports, views, strict=True):
-            check_support(f"{self.name}.supports", support, view.camera)
         if state.view is not None:
             check_view(f"{self.name}.view", state.view)
         check_kind(f"{self.name}.made", state.made, int)
@@ -94,15 +88,10 @@ class WarpingAugmenter(Augmenter):
     def pseudo_views(
         self, ctx: StepContext, state: WarpingState | None
     ) -> tuple[list[View], WarpingState]:
-        state = state or self._first_state(ctx)
+        state = state or WarpingState()
         if state.view is None or ctx.epoch >= state.made + self.every:
             state = self._renewed(ctx, state)
         return [] if state.view is None else [state.view], state
-
-    def _first_state(self, ctx: StepContext) -> WarpingState:
-        from framework.warp.zbuffer import prepare
-
-        return WarpingState(prepare(ctx.views, ctx.depth))
 
     def _renewed(self, ctx: StepContext, state: WarpingState) -> WarpingState:
         """The state with this epoch's pseudo view."""
@@ -111,9 +100,10 @@ class WarpingAugmenter(Augmenter):
 
         camera = self._sample_camera(ctx)
         chosen, selection = self.select(ctx, state.selection, camera)
-        warped = warp([state.supports[i] for i in chosen], camera, temperature=self.temperature)
+        supports = ctx.supports()
+        warped = warp([supports[i] for i in chosen], camera, temperature=self.temperature)
         # against the frame, a scene whose depth covers half of it would have no pseudo view at all
-        possible = known_share(state.supports)
+        possible = known_share(supports)
         covered = warped.coverage / possible if possible > 0 else 0.0
         self._log_supports(ctx, chosen, camera)
         ctx.log(f"{self.name}_coverage", warped.coverage)
@@ -133,13 +123,13 @@ class WarpingAugmenter(Augmenter):
         ctx.log(f"{self.name}_supports", len(chosen))
         if distances:
             mean = sum(distances) / len(distances)
-            ctx.log(f"{self.name}_support_distance", mean / _spacing(ctx))
+            ctx.log(f"{self.name}_support_distance", mean / ctx.spacing)
 
     def _sample_camera(self, ctx: StepContext) -> Camera:
         rng = ctx.rng("camera")  # not by method: all compare on the same cameras
         cameras = [view.camera for view in ctx.views]
         start = cameras[int(rng.integers(len(cameras)))]
-        sigma_center = self.sigma_center * _spacing(ctx)
+        sigma_center = self.sigma_center * ctx.spacing
         return perturbed(start, rng, sigma_center, self.sigma_rotation, roll=self.roll)
 
 
@@ -182,13 +172,6 @@ def known_share(supports: Sequence[Support]) -> float:
     """The share of the frame that confident depth covers, mean over `supports`."""
     shares = [int((s.inverse_depth > 0).sum()) / s.inverse_depth.numel() for s in supports]
     return sum(shares) / len(shares)
-
-
-def _spacing(ctx: StepContext) -> float:
-    """Mean distance between neighbouring training cameras, of a single one the extent."""
-    from framework.geometry import mean_neighbour_distance
-
-    return mean_neighbour_distance([view.camera for view in ctx.views]) or ctx.extent
 
 
 def perturbed(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from bisect import bisect
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,11 +20,13 @@ from framework.files.documents import read_json
 from framework.files.limits import TEXT_BYTES
 from framework.files.whole import write_whole
 from framework.options import MOST_STEPS, TrainerOptions, members_of
+from framework.train import schedule
 
 FILE = "budget.json"
 TRIAL_STEPS, TRIAL_EPOCHS = 40, 2  # of the trial, the more of both
 SHARE, LONGEST_S = 0.15, 20.0  # of the time asked for, and seconds, that a second trial may take
 WARM = 8  # steps of a first trial, which meets cold caches and is not counted
+BESIDE = 12  # steps of a trial with the second camera, which no short training comes to
 SHORT = 150  # steps; a training below it takes more of them at half size, as preset=fast does
 
 # trains with these options; the seconds by the wall clock that its steps took, without its start
@@ -32,7 +35,7 @@ Trial = Callable[[TrainerOptions], float]
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen for `seconds`. step_s: of a step, as measured."""
+    """What was chosen for `seconds`. step_s: of a step before the second camera, as measured."""
 
     identity: str
     seconds: float
@@ -70,7 +73,7 @@ def chosen(
 
     n_views: real training views. Measures for about `TRIAL_STEPS` steps, then for `SHARE` of time:
     the longer a training, the less is it like its beginning, when Gaussians are many and photos are
-    prepared.
+    prepared. A few steps with the second camera (`trainer.binocular`) tell what these take.
     """
     kept = _kept(folder / FILE, identity)
     if kept is not None:
@@ -82,14 +85,31 @@ def chosen(
     longer = int(min(SHARE * options.seconds, LONGEST_S) / step_s)
     if longer > steps:
         step_s = max(1e-5, trial(dataclasses.replace(one, steps=longer)) / longer)
-    choice = choose(identity, options, n_views, step_s)
+    beside = dataclasses.replace(one, steps=BESIDE, binocular_from=0.0, pace_steps=0)
+    without = dataclasses.replace(beside, binocular=0.0)
+    ratio = max(1.0, trial(beside) / trial(without)) if options.binocular > 0 else 1.0
+    choice = choose(identity, options, n_views, step_s, ratio)
     write_whole(folder / FILE, json.dumps(dataclasses.asdict(choice)) + "\n")
     return choice
 
 
-def choose(identity: str, options: TrainerOptions, n_views: int, step_s: float) -> Choice:
-    """Steps of `step_s` seconds for `options.seconds`, shared by as many members as pay."""
-    total = max(1, min(MOST_STEPS, int(options.seconds / step_s)))
+def choose(
+    identity: str, options: TrainerOptions, n_views: int, step_s: float, ratio: float = 1.0
+) -> Choice:
+    """Steps of `step_s` seconds for `options.seconds`, shared by as many members as pay. ratio: how
+    much longer a step with the second camera takes."""
+
+    def fits(total: int) -> bool:
+        members = members_of(options.members, total, n_views)
+        steps = max(1, total // members)
+        one = schedule.paced(dataclasses.replace(options, steps=steps, members=members), n_views)
+        share = 1 - one.binocular_from if one.binocular > 0 else 0.0
+        tuned = options.tuning if members > 1 else 0.0  # of all members' Gaussians together
+        taken = step_s * total * (1 + (ratio - 1) * share) * (1 + tuned)
+        return taken <= options.seconds
+
+    total = bisect(range(1, MOST_STEPS + 1), 0, key=lambda n: not fits(n))
+    total = max(1, total)
     members = members_of(options.members, total, n_views)
     steps = max(1, total // members)
     coarse = options.coarse_until if steps >= SHORT else max(options.coarse_until, 0.5)

@@ -123,11 +123,8 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
             f"{options.steps} steps instead of trainer.steps={asked}: trainer.visits="
             f"{options.visits} of each of {n_views} photos"
         )
-    if options.members == 1 and options.tuning != TrainerOptions.tuning:
-        LOG.warning(
-            f"trainer.tuning={options.tuning:g}: with trainer.members=1 nothing is joined that"
-            " could be tuned, so it changes nothing; set trainer.members=2 or more"
-        )
+    for line in schedule.inert(options):
+        LOG.warning(line)
     parts = _parts(config, options)
     opened = {index: _open(run, part) for index, part in enumerate(parts)}
     kept = [part.kept for part in opened.values() if part.kept is not None]
@@ -212,6 +209,7 @@ def _untuned(run: Run, joined: Trained, options: TrainerOptions) -> Trained:
 def _open(run: Run, part: _Part) -> _Opened:
     """The part with what an earlier process kept of it."""
     plugins = Plugins(*(registry.build(group, part.choices[group]) for group in registry.GROUPS))
+    plugins = replace(plugins, capacity=plugins.capacity.shared(part.options.members))
     chosen: dict[str, Plugin] = {key: one.plugin for key, one in plugins.each().items()}
     checkpoints = Checkpoints(run.folder, run.identity, chosen.values(), part.name)
     check = partial(check_state, training=run.scene.training, options=part.options, plugins=chosen)

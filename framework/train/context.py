@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -12,10 +13,14 @@ from torch import Tensor
 
 from framework.compute.rng import stream
 from framework.fisher.information import FisherInformation
+from framework.geometry import mean_neighbour_distance
 from framework.options import TrainerOptions
 from framework.plugin import StepContext
 from framework.rasterizers import NUMBA, Rasterizer
 from framework.types import Camera, DepthMap, Gaussians, Render, TrainingSet
+
+if TYPE_CHECKING:
+    from framework.warp.zbuffer import Support
 
 CPU = "cpu"
 NAMES = tuple(field.name for field in fields(Gaussians))
@@ -35,6 +40,22 @@ class Conditions:
     seed: int
     rasterizer: Rasterizer = NUMBA
     field: str = ""
+
+    @cached_property  # goes with the square of the number of views
+    def spacing(self) -> float:
+        """Mean distance of a training camera to the next; of a single one the extent."""
+        cameras = [view.camera for view in self.training.views]
+        return mean_neighbour_distance(cameras) or self.training.extent
+
+    @cached_property  # as large as the photos, so made for who asks, and in no checkpoint
+    def _supports(self) -> tuple[Support, ...]:
+        from framework.warp.zbuffer import prepare
+
+        return prepare(self.training.views, self.depth)
+
+    def supports(self) -> tuple[Support, ...]:
+        """The training views, ready to be warped."""
+        return self._supports
 
 
 @dataclass(frozen=True)
@@ -131,8 +152,10 @@ def step_context(
         sh_degree=active,
         background=of.background,
         extent=of.training.extent,
+        spacing=of.spacing,
         near=of.training.near,
         far=of.training.far,
+        supports=of.supports,
         render=render,
         fisher=fisher,
         rng=rng,

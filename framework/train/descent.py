@@ -13,6 +13,7 @@ from torch import Tensor
 from framework.compute import portable
 from framework.plugin import GradientAt, StepStats
 from framework.rasterizers import NUMBA, Rasterizer
+from framework.train.adam_kernels import LOWEST_LOGIT
 from framework.train.epoch import Item
 from framework.train.gradient import Penalty, screen_gradient, step_stats, view_gradient
 from framework.train.guard import check_loss, diverged
@@ -20,6 +21,7 @@ from framework.train.torch_adam import Optimizer
 from framework.types import Gaussians
 
 Gradients = Mapping[str, Tensor]
+TINY = 1e-30  # an opacity that has a logit
 
 
 @dataclass(frozen=True)
@@ -134,9 +136,12 @@ def fade(params: Gaussians, in_logits: Tensor, fading: Fading) -> None:
         relative = pull / max(float(pull.mean()), 1e-30)
         factors = 1 - (1 - fading.decay) * portable.exp(-fading.spare * relative)
         kept = factors < 1  # an opacity of 1 has no logit
-        faded = torch.from_numpy(portable.logit(np.where(kept, opacities * factors, 0.5)))
+        faded = portable.logit(np.where(kept, np.maximum(opacities * factors, TINY), 0.5))
+        faded = np.maximum(faded, LOWEST_LOGIT)
         logits.copy_(
-            torch.where(torch.from_numpy(kept).to(logits.device), faded.to(logits), logits)
+            torch.where(
+                torch.from_numpy(kept).to(logits.device), torch.from_numpy(faded).to(logits), logits
+            )
         )
 
 

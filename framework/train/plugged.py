@@ -198,8 +198,14 @@ class PluginsAtWork:
 
     def _tell_of_capacity(self, running: _Running) -> None:
         capacity = running.plugged.plugin
-        if capacity.second_field:
-            return  # what it does to the second field is not counted here
+        if capacity.second_field:  # what it does there is not counted here
+            if not any(getattr(r.plugged.plugin, "second_field", False) for r in self._regs):
+                LOG.warning(
+                    f"capacity={_name(capacity)}: changes the second field alone, and no"
+                    " regularizer compares the two, so it changed nothing; add one that does, as"
+                    " reg=co_register"
+                )
+            return
         if self._dose[f"{running.owner}.edits"][0] == 0 and not running.idle:
             LOG.warning(
                 f"capacity={_name(capacity)}: no Gaussian was added or removed in"
@@ -210,7 +216,14 @@ class PluginsAtWork:
     def _tell_of_pseudo_views(self) -> None:
         asked, acted = self._dose["augment.asked"]
         name = _name(self._augment.plugged.plugin)
-        if asked == 0 or acted >= HALF * asked:
+        if asked == 0 and not self._augment.idle:
+            LOG.warning(
+                f"augment={name}: was asked in no epoch, so the method changed nothing: none of the"
+                f" {len(self._conditions.training.views)} photos' epochs begins between"
+                f" {_span(self._augment)} of {self._conditions.options.steps} steps; take more"
+                " steps, or another augment.start"
+            )
+        if acted >= HALF * asked:
             return
         if acted == 0:
             LOG.warning(
@@ -227,12 +240,16 @@ class PluginsAtWork:
 
     def _tell_of_regularizer(self, running: _Running) -> None:
         asked, acted = (self._dose[f"{running.owner}.{what}"][0] for what in ("asked", "acted"))
-        plugged = running.plugged
+        name = _name(running.plugged.plugin)
+        if asked == 0 and not running.idle:
+            LOG.warning(
+                f"reg={name}: was asked in none of {self._conditions.options.steps} steps, so the"
+                f" method changed nothing: no step lies between {_span(running)}"
+            )
         if acted < HALF * asked:
             LOG.warning(
-                f"reg={_name(plugged.plugin)}: changed only {acted} of the {asked} training steps"
-                f" between {running.owner}.start={plugged.start:g} and"
-                f" {running.owner}.stop={plugged.stop:g}"
+                f"reg={name}: changed only {acted} of the {asked} training steps between"
+                f" {_span(running)}"
             )
 
     def _note_act(self, running: _Running, acted: bool) -> None:
@@ -385,6 +402,11 @@ def _fetched(stats: StepStats) -> StepStats:
         factors=None if stats.factors is None else stats.factors.cpu(),
         gradients=_brought(stats.gradients, CPU),
     )
+
+
+def _span(running: _Running) -> str:
+    start, stop = running.plugged.start, running.plugged.stop
+    return f"{running.owner}.start={start:g} and {running.owner}.stop={stop:g}"
 
 
 def _name(plugin: Any) -> str:

@@ -6,10 +6,12 @@ Rates are the options' times `lr_scale`: the means' decays exponentially over th
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from framework.compute import portable
-from framework.options import TrainerOptions, enough_steps, members_of
+from framework.errors import require
+from framework.options import MOST_STEPS, TrainerOptions, enough_steps, members_of
 from framework.types import PSEUDO, View
 
 VIEWS_EXPONENT = 0.15  # with 43 views and 300 steps, 0.15 is the best of 0, 0.15, 0.25, 0.5
@@ -23,7 +25,13 @@ def shared(options: TrainerOptions, n_views: int) -> TrainerOptions:
     With `visits` a training has the steps that so many photos need, if they are more. With
     members=0 the steps are those of the whole run, which `members_of` shares out.
     """
-    options = replace(options, steps=max(options.steps, options.visits * n_views))
+    steps = max(options.steps, options.visits * n_views)
+    require(
+        steps <= MOST_STEPS,
+        f"trainer.visits={options.visits}: expected at most {MOST_STEPS:,} steps in all, got"
+        f" {steps:,} for {n_views} photos; lower trainer.visits",
+    )
+    options = replace(options, steps=steps)
     if options.members > 0:
         return options
     members = members_of(options.members, options.steps, n_views)
@@ -58,6 +66,29 @@ def paced(options: TrainerOptions, n_views: int) -> TrainerOptions:
         pace_steps=0,
         pace_views=0,
     )
+
+
+def inert(options: TrainerOptions) -> list[str]:
+    """A line for each of the `paced` options that was set and, with the others, changes nothing."""
+    o, told = options, []
+    if o.members == 1 and o.tuning != TrainerOptions.tuning:
+        told.append(
+            f"trainer.tuning={o.tuning:g}: with trainer.members=1 nothing is joined that could be"
+            " tuned, so it changes nothing; set trainer.members=2 or more"
+        )
+    late = math.ceil(o.binocular_from * o.steps) >= o.steps
+    if late and o.binocular not in (0, TrainerOptions.binocular):
+        told.append(
+            f"trainer.binocular={o.binocular:g}: begins after the steps that the photos pay for,"
+            f" and {o.steps} are no more, so it changes nothing; take more trainer.steps, or"
+            " trainer.pace_steps=0 with trainer.binocular_from=0"
+        )
+    if o.opacity_decay == 1 and o.opacity_spare != TrainerOptions.opacity_spare:
+        told.append(
+            f"trainer.opacity_spare={o.opacity_spare:g}: with trainer.opacity_decay=1 no opacity"
+            " fades, so it changes nothing"
+        )
+    return told
 
 
 def learning_rates(options: TrainerOptions, step: int, extent: float) -> dict[str, float]:

@@ -23,7 +23,6 @@ from torch import Tensor
 
 from framework.compute.stopwatch import Stopwatch
 from framework.errors import require
-from framework.geometry import mean_neighbour_distance
 from framework.initialize import background_color, random_background
 from framework.options import TrainerOptions
 from framework.plugin import Edits, StepStats
@@ -86,10 +85,12 @@ class Trainer:
         self.sh_from = sh_from
         self.tells, self.rasterizer = tells, rasterizer
         self.near, self.extent = options.near_plane * training.near, training.extent
+        if all(view.mask is not None for view in training.views):
+            _mean_color(training)  # which needs a pixel that is left, as the training does
         fixed = background_color(options.background, training)
         self.random_background = fixed is None
         self.background: Tensor = _mean_color(training) if fixed is None else fixed
-        conditions = Conditions(
+        self.conditions = conditions = Conditions(
             training, depth, options, self.background, self.near, seed, rasterizer
         )
         self.dose = Dose()
@@ -251,17 +252,15 @@ class Trainer:
 
     def _smoothness(self) -> DepthSmoothness | None:
         weight = self.options.depth_smoothness
-        return DepthSmoothness(weight, self._spacing()) if weight > 0 else None
+        return DepthSmoothness(weight, self.conditions.spacing) if weight > 0 else None
 
     def _binocular(self) -> Binocular | None:
         weight, since = self.options.binocular, self.options.binocular_from
         if weight == 0:
             return None
-        return Binocular(weight, self._spacing(), math.ceil(since * self.options.steps), self.seed)
-
-    def _spacing(self) -> float:
-        """Mean distance of a training camera to the next; of a single one the extent."""
-        return mean_neighbour_distance([v.camera for v in self.training.views]) or self.extent
+        return Binocular(
+            weight, self.conditions.spacing, math.ceil(since * self.options.steps), self.seed
+        )
 
     def _sh_degree(self) -> int:
         stored = self.field.params.sh_degree

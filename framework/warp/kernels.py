@@ -203,27 +203,29 @@ def resolve(
     n_blocks: int,
     sums: Array,
     min_weight: float,
+    brightest: float,
     image: Array,
     depth: Array,
     weight: Array,
     valid: Array,
 ) -> None:
-    """Divide by the accumulated weight where it is at least `min_weight`; zero elsewhere.
+    """Divide by the accumulated weight where it is at least `min_weight`; zero elsewhere. What is
+    mixed is no brighter than the `brightest`, but for rounding.
 
     image: [3, H, W], depth, weight: [H, W] float32; valid: [H, W] bool.
     """
     height, width = weight.shape
     top, bottom = height * block // n_blocks, height * (block + 1) // n_blocks
-    total, least = sums[block], np.float32(min_weight)
+    total, least, most = sums[block], np.float32(min_weight), np.float32(brightest)
     for row in range(top, bottom):
         for col in range(width):
             k = np.uint64(5 * ((row - top + 1) * (width + 2) + col + 1))
             w = total[k + np.uint64(4)]
             known = w >= least
             inverse = ONE / w if known else ZERO
-            image[0, row, col] = min(total[k] * inverse, ONE)
-            image[1, row, col] = min(total[k + np.uint64(1)] * inverse, ONE)
-            image[2, row, col] = min(total[k + np.uint64(2)] * inverse, ONE)
+            image[0, row, col] = min(total[k] * inverse, most)
+            image[1, row, col] = min(total[k + np.uint64(1)] * inverse, most)
+            image[2, row, col] = min(total[k + np.uint64(2)] * inverse, most)
             depth[row, col] = total[k + np.uint64(3)] * inverse
             weight[row, col] = w
             valid[row, col] = known

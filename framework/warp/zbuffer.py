@@ -27,7 +27,6 @@ from torch import Tensor
 from framework.compute.parallel import BLOCKS, run_blocks
 from framework.compute.portable import inverse, product
 from framework.errors import require
-from framework.shapes import check_camera, check_tensor
 from framework.types import Camera, DepthMap, View
 from framework.warp import kernels as warp_kernels
 
@@ -67,9 +66,9 @@ class Support:
 
 @dataclass(frozen=True)
 class Warped:
-    """What the supports tell about a camera: image [3, H, W] in [0, 1], depth [H, W] in scene units
-    and mask [H, W] in {0, 1}, all float32; image and depth are 0 outside the mask. weight: [H, W],
-    accumulated, about 1 per support that sees the pixel's surface."""
+    """What the supports tell about a camera: image [3, H, W], in [0, 1] where theirs are, depth
+    [H, W] in scene units and mask [H, W] in {0, 1}, all float32; image and depth are 0 outside the
+    mask. weight: [H, W], accumulated, about 1 per support that sees the pixel's surface."""
 
     image: Tensor
     mask: Tensor
@@ -80,19 +79,6 @@ class Warped:
     def coverage(self) -> float:
         """The share of the frame inside the mask."""
         return float(np.mean(self.mask.numpy(), dtype=np.float64))
-
-
-def check_support(where: str, value: object, camera: Camera) -> None:
-    """Raise ValueError unless `value` is a `Support` of the size of `camera`."""
-    if not isinstance(value, Support):
-        raise ValueError(f"{where}: expected a Support, got {type(value).__name__}")
-    size = camera.height, camera.width
-    check_camera(where, value.camera)
-    if (value.camera.height, value.camera.width) != size:
-        raise ValueError(f"{where}: expected {size} pixels, got another size")
-    check_tensor(f"{where}.inverse_depth", value.inverse_depth, *size)
-    check_tensor(f"{where}.paints", value.paints, *size, dtype=torch.bool)
-    check_tensor(f"{where}.color", value.color, *size, 3)
 
 
 def prepare(views: Sequence[View], depth_maps: Sequence[DepthMap]) -> tuple[Support, ...]:
@@ -133,7 +119,9 @@ def warp(
             *(*shape, p.u, p.v, p.depth, p.bounds, p.color, p.inverse_depth),
             *(p.zoom, p.subdivision, float(temperature), z_min, sums),
         )
-    return _resolve(sums, shape, float(min_weight), erode)
+    # photos whose exposures were evened may be brighter than 1
+    brightest = max(1.0, *(float(support.color.max()) for support in supports))
+    return _resolve(sums, shape, float(min_weight), brightest, erode)
 
 
 def warp_views(
@@ -231,11 +219,13 @@ def _magnification(support: Support, target: Camera) -> float:
     return float(target.K[0, 0] / support.camera.K[0, 0] / np.percentile(ratio, 10))
 
 
-def _resolve(sums: np.ndarray, shape: tuple[int, int], min_weight: float, erode: bool) -> Warped:
+def _resolve(
+    sums: np.ndarray, shape: tuple[int, int], min_weight: float, brightest: float, erode: bool
+) -> Warped:
     image = np.empty((3, *shape), np.float32)
     depth, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
     valid = np.empty(shape, np.bool_)
-    run_blocks(warp_kernels.resolve, sums, min_weight, image, depth, weight, valid)
+    run_blocks(warp_kernels.resolve, sums, min_weight, brightest, image, depth, weight, valid)
     if erode:
         valid = _eroded(valid)
     mask = valid.astype(np.float32)

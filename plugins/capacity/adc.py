@@ -8,7 +8,7 @@ now and then all opacities are lowered so that only those the views need come ba
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from framework.methods.pull import Pull, PullCapacity
@@ -39,7 +39,8 @@ class AdaptiveDensityControl(PullCapacity):
     `reset_every`. reset_opacity: the highest opacity after that. absolute: pull by the sums of
     absolute gradients, as AbsGS (Ye et al. 2024). A step then takes longer. count_dropped: what a
     step drops counts as seen and not pulled, as in DropGaussian's code, and not as unseen.
-    max_gaussians: 0 = no limit; otherwise the strongest pulled are served first.
+    max_gaussians: 0 = no limit; otherwise the strongest pulled are served first. Joined members
+    (`trainer.members`) have it together.
     """
 
     defaults: ClassVar[dict[str, float]] = {"stop": 0.9}
@@ -72,6 +73,10 @@ class AdaptiveDensityControl(PullCapacity):
             self.reset_every == 0 or self.min_opacity < self.reset_opacity < 1,
             f"a number in (min_opacity, 1) = ({self.min_opacity}, 1), or all would be removed",
         )
+
+    def shared(self, members: int) -> AdaptiveDensityControl:
+        most = max(1, self.max_gaussians // members) if self.max_gaussians else 0
+        return replace(self, max_gaussians=most)
 
     def wants_absolute(self) -> bool:
         return self.absolute

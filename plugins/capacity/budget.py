@@ -13,7 +13,7 @@ low that growth by at most a quarter per round does not reach it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from framework.errors import require
 from framework.methods.rounds import RoundsCapacity, Selection, TrainingInformation
@@ -25,13 +25,17 @@ GROWTH = 1.25  # largest ratio of the numbers after and before a round
 @register("capacity", "budget")
 @dataclass(frozen=True)
 class Budget(RoundsCapacity):
-    """gaussians: the number from `until` on; before, the initialisation's may be larger."""
+    """gaussians: the number from `until` on; before, the initialisation's may be larger. Joined
+    members (`trainer.members`) have it together."""
 
     gaussians: int = 5000
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.check("gaussians", self.gaussians >= 1, "an integer >= 1")
+
+    def shared(self, members: int) -> Budget:
+        return replace(self, gaussians=max(1, self.gaussians // members))
 
     def check_span(self, start: float, stop: float) -> None:
         super().check_span(start, stop)

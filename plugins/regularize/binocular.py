@@ -44,12 +44,11 @@ class Binocular(Regularizer):
 
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
         """Mean absolute difference of the warped render and the photo, over pixels and channels."""
-        from framework.geometry import mean_neighbour_distance, moved_aside
+        from framework.geometry import moved_aside
 
         if all(view.name != photo.name for photo in ctx.views):
             return None
-        spacing = mean_neighbour_distance([v.camera for v in ctx.views]) or ctx.extent
-        t = self.shift * spacing * float(ctx.rng("shift").uniform(-1, 1))
+        t = self.shift * ctx.spacing * float(ctx.rng("shift").uniform(-1, 1))
         beside = moved_aside(view.camera, t)
         other = ctx.render(beside, ctx.gaussians, background=ctx.behind)
         depth = render.expected_depth

@@ -2,31 +2,50 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import pytest
 
 from framework.options import TrainerOptions
 from framework.run.budget import FILE, Choice, choose, chosen
+from framework.train import schedule
 
 MINUTE = TrainerOptions(seconds=60.0)
 
 
 @pytest.mark.parametrize(
     ("step_s", "n_views", "steps", "members"),
-    [(0.05, 3, 600, 2), (0.2, 3, 300, 1), (0.02, 43, 3000, 1), (0.01, 12, 1200, 5), (99, 3, 1, 1)],
+    [(0.05, 3, 571, 2), (0.2, 3, 300, 1), (0.02, 43, 3000, 1), (0.01, 12, 1428, 4), (99, 3, 1, 1)],
 )
 def test_the_time_is_spent_and_not_more(
     step_s: float, n_views: int, steps: int, members: int
 ) -> None:
     choice = choose("a", MINUTE, n_views, step_s)
     assert (choice.steps, choice.members) == (steps, members)
-    assert choice.steps * choice.members * step_s <= max(60, step_s)
+    tuned = 1 + (MINUTE.tuning if members > 1 else 0)  # of all members' Gaussians
+    assert choice.steps * choice.members * step_s * tuned <= max(60, step_s)
 
 
 def test_a_short_training_takes_more_steps_at_half_size() -> None:
     assert choose("a", MINUTE, 3, 1.0).coarse_until == 0.5
     assert choose("a", MINUTE, 3, 0.1).coarse_until == TrainerOptions.coarse_until
+
+
+def test_the_second_camera_is_in_the_time(tmp_path: Path) -> None:
+    """It acts in the last third of a long training, and in no trial that is not asked for it."""
+
+    def trial(options: TrainerOptions) -> float:
+        paced = schedule.paced(options, 3)
+        return 0.05 * options.steps * (1 + (1 - paced.binocular_from) * (paced.binocular > 0))
+
+    choice = chosen(tmp_path, "mine", MINUTE, 3, trial)
+    assert choice.step_s == pytest.approx(0.05)
+    whole = dataclasses.replace(choice.applied(MINUTE), members=1)
+    taken = choice.members * trial(whole) * (1 + MINUTE.tuning)
+    assert choice.members == 2 and 0.95 * 60 < taken <= 60
+    off = dataclasses.replace(MINUTE, binocular=0.0)
+    assert chosen(tmp_path, "off", off, 3, trial).steps > choice.steps
 
 
 def test_a_choice_is_kept_for_the_same_run_alone(tmp_path: Path) -> None:
@@ -37,9 +56,9 @@ def test_a_choice_is_kept_for_the_same_run_alone(tmp_path: Path) -> None:
         return 0.1 * options.steps * len(asked)
 
     first = chosen(tmp_path, "mine", MINUTE, 30, trial)
-    assert asked == [8, 60] and first.step_s == pytest.approx(0.2)
-    assert chosen(tmp_path, "mine", MINUTE, 30, trial) == first and len(asked) == 2
-    assert chosen(tmp_path, "other", MINUTE, 30, trial) != first and len(asked) == 4
+    assert asked == [8, 60, 12, 12] and first.step_s == pytest.approx(0.2)
+    assert chosen(tmp_path, "mine", MINUTE, 30, trial) == first and len(asked) == 4
+    assert chosen(tmp_path, "other", MINUTE, 30, trial) != first and len(asked) == 8
 
 
 def test_a_long_training_is_tried_for_longer_but_not_for_long(tmp_path: Path) -> None:
@@ -52,7 +71,7 @@ def test_a_long_training_is_tried_for_longer_but_not_for_long(tmp_path: Path) ->
 
     hour = TrainerOptions(seconds=3600.0)
     choice = chosen(tmp_path, "mine", hour, 3, trial)
-    assert asked[:2] == [8, 40] and len(asked) == 3
+    assert asked[:2] == [8, 40] and len(asked) == 5
     assert 3 * 40 < asked[2] <= 20 / 0.02  # at most LONGEST_S at the cost of a step
     assert choice.step_s == pytest.approx(trial(TrainerOptions(steps=asked[2])) / asked[2])
 
@@ -60,7 +79,7 @@ def test_a_long_training_is_tried_for_longer_but_not_for_long(tmp_path: Path) ->
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"steps": "many"}', "[" * 10_000])
 def test_a_damaged_choice_is_made_anew(tmp_path: Path, text: str) -> None:
     (tmp_path / FILE).write_text(text)
-    assert chosen(tmp_path, "mine", MINUTE, 3, lambda o: 0.1 * o.steps).steps == 300
+    assert chosen(tmp_path, "mine", MINUTE, 3, lambda o: 0.1 * o.steps).steps == 599
 
 
 def test_what_was_chosen_is_told_as_it_is_typed() -> None:

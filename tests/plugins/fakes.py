@@ -11,8 +11,10 @@ from torch import Tensor
 
 from framework.compute.rng import stream
 from framework.fisher.information import FisherInformation, fisher_information
+from framework.geometry import mean_neighbour_distance
 from framework.plugin import StepContext
 from framework.types import Camera, DepthMap, Gaussians, Render, View
+from framework.warp.zbuffer import prepare
 from tests.warp.stage import camera, exact, photograph
 
 
@@ -87,8 +89,10 @@ def context(
         sh_degree=0,
         background=torch.zeros(3),
         extent=0.6,
+        spacing=mean_neighbour_distance([view.camera for view in views]) or 0.6,
         near=2.0,
         far=8.0,
+        supports=lambda: prepare(views, depth),
         render=refuse,
         fisher=fisher or snapshot_fisher,
         rng=lambda purpose: stream(seed, f"plugin/{purpose}", step),

@@ -17,6 +17,7 @@ from framework.geometry import mean_neighbour_distance
 from framework.methods.warping import WarpingAugmenter, perturbed, within
 from framework.plugin import StepContext
 from framework.types import Camera, View
+from framework.warp.zbuffer import prepare
 from plugins.augment.dba import Dba
 from plugins.augment.full_set import FullSet
 from plugins.augment.safi import Safi
@@ -81,7 +82,14 @@ def test_selection_does_not_depend_on_the_unit_of_length(form: str, approximatio
     )
     views = tuple(View(v.name, c, v.image) for v, c in zip(now.views, scaled[:-1], strict=True))
     big = StepContext(
-        **{**vars(now), "views": views, "gaussians": gaussians, "extent": 600.0, "near": 2000.0}
+        **{
+            **vars(now),
+            "views": views,
+            "gaussians": gaussians,
+            "extent": 600.0,
+            "spacing": 1000 * now.spacing,
+            "near": 2000.0,
+        }
     )
     assert safi.select(big, None, scaled[-1])[0] == chosen
 
@@ -136,7 +144,8 @@ def test_coverage_counts_against_what_confident_depth_covers() -> None:
     whole, halved = Log({}), Log({})
     dba = Dba(min_coverage=0.6)
     only_view(dba, replace(now, log=whole))
-    view = only_view(dba, replace(now, depth=tuple(half), log=halved))
+    spoiled = replace(now, depth=tuple(half), log=halved)
+    view = only_view(dba, replace(spoiled, supports=lambda: prepare(now.views, half)))
     assert view.mask is not None
     (frame,), (of_depth,) = halved.values["dba_coverage"], halved.values["dba_coverage_of_depth"]
     assert frame == pytest.approx(float(view.mask.mean())) and frame < 0.5

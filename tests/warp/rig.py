@@ -12,12 +12,14 @@ from torch import Tensor
 from framework.compute.parallel import run_blocks
 from framework.compute.rng import stream
 from framework.fisher.information import FisherInformation, fisher_information
+from framework.geometry import mean_neighbour_distance
 from framework.initialize import Stereo
 from framework.plugin import StepContext
 from framework.scenes import Embedded, load_scene
 from framework.scenes.embedded.build import build_world, camera_tiles
 from framework.scenes.embedded.trace import trace_rows
 from framework.types import Camera, DepthMap, Gaussians, Render, Scene, View
+from framework.warp.zbuffer import prepare
 
 SAMPLES = Embedded().supersampling
 
@@ -76,19 +78,22 @@ def context(epoch: int, log: Callable[[str, float], None], unit: float = 1.0) ->
         chosen = larger if others is None else others
         return fisher_information(chosen, camera, sh_degree=sh_degree, near=near, mask=mask)
 
+    depth = tuple(DepthMap(unit * d.depth, d.confidence) for d in depth)
     return StepContext(
         step=3 * epoch,
         n_steps=600,
         epoch=epoch,
         views=views,
-        depth=tuple(DepthMap(unit * d.depth, d.confidence) for d in depth),
+        depth=depth,
         gaussians=larger,
         version=0,
         sh_degree=0,
         background=torch.zeros(3),
         extent=unit * training.extent,
+        spacing=unit * mean_neighbour_distance([view.camera for view in training.views]),
         near=unit * training.near,
         far=unit * training.far,
+        supports=lambda: prepare(views, depth),
         render=render,
         fisher=fisher,
         rng=lambda purpose: stream(0, f"augment/{purpose}", 3 * epoch),

@@ -64,9 +64,9 @@ def idle_sentence(study: Study) -> str:
 
 
 def _acted(runs: Sequence[ReportRun]) -> float | None:
-    shares = [_number(run.record.dose.get(ACTED)) for run in runs]
-    known = [share for share in shares if share is not None]
-    return float(np.mean(known)) if known else None
+    told = [run.record.dose[ACTED] for run in runs if ACTED in run.record.dose]
+    shares = [_number(share) or 0.0 for share in told]  # in words where it was never asked
+    return float(np.mean(shares)) if shares else None
 
 
 def _cells(runs: Sequence[ReportRun]) -> dict[str, str]:

@@ -16,6 +16,7 @@ import dataclasses
 import hashlib
 import json
 import logging
+import math
 import shutil
 import sys
 import time
@@ -129,6 +130,14 @@ class Checkpoints:
     def keep(self, state: TrainerState) -> None:
         started = time.perf_counter()
         data = pack(state, self.classes, self.identity, "plugin state")
+        if len(data) > CHECKPOINT_BYTES:
+            LOG.warning(
+                f"checkpoint: {len(data) / 2**30:.1f} GiB is more than the"
+                f" {CHECKPOINT_BYTES / 2**30:.0f} GiB that may be read again, so none is kept: a"
+                " training that is interrupted begins anew"
+            )
+            self._next = math.inf
+            return
         digest = hashlib.sha256(data).hexdigest()[:32]
         write_whole(self.folder / f"step-{state.step:09d}-{digest}.safetensors", data)
         for path in self._paths()[:-KEPT]:

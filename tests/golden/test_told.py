@@ -1,0 +1,147 @@
+"""What a training tells of choices that change nothing, and limits that hold whatever is set."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from framework import registry
+from framework.errors import UserError
+from framework.methods.elsewhere import known_depth
+from framework.options import TrainerOptions
+from framework.records.progress import Silent
+from framework.registry import build
+from framework.run.warmup import _plane
+from framework.train import schedule
+from framework.train.adam_kernels import LOWEST_LOGIT
+from framework.train.descent import Fading, fade
+from framework.train.resume import checkpoint
+from framework.train.resume.training_state import Plugins
+from framework.train.trainer import Trainer
+from framework.warp.zbuffer import warp_views
+from tests.plugins.fakes import context
+from tests.warp.stage import camera, exact, photograph
+
+
+def trained(steps: int = 12, **chosen: Mapping[str, Any]) -> Trainer:
+    idle = {"augment": {"name": "none"}, "reg": {"name": "none"}, "capacity": {"name": "fixed"}}
+    built = {group: registry.build(group, given) for group, given in {**idle, **chosen}.items()}
+    options = TrainerOptions(steps=steps, evaluations=1, coarse_factor=1)
+    trainer = Trainer(*_plane(0), options, Plugins(**built), 0, Silent())
+    trainer.run()
+    return trainer
+
+
+@pytest.mark.parametrize(
+    ("chosen", "told"),
+    [
+        ({"augment": {"name": "dba", "start": 0.3, "stop": 0.4}}, "augment=dba: was asked in no"),
+        ({"reg": {"name": "uar", "start": 0.5, "stop": 0.5}}, "reg=uar: was asked in none of"),
+        ({"capacity": {"name": "self_ensemble"}}, "capacity=self_ensemble: changes the second"),
+        ({"capacity": {"name": "self_ensemble"}, "reg": {"name": "co_register"}}, ""),
+        ({}, ""),
+    ],
+)
+def test_what_was_never_asked_is_told(
+    chosen: dict[str, Any], told: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING, "framework"):
+        trained(**chosen)
+    said = [r.getMessage() for r in caplog.records if "was asked" in r.getMessage()]
+    said += [r.getMessage() for r in caplog.records if "second field" in r.getMessage()]
+    assert [line[: len(told)] for line in said] == ([told] if told else [])
+
+
+def test_options_that_change_nothing_are_told() -> None:
+    def said(**options: Any) -> list[str]:
+        return schedule.inert(schedule.paced(TrainerOptions(members=1, **options), 3))
+
+    assert said() == said(steps=3000, binocular=0.5) == said(binocular=0.0) == []
+    assert said(binocular=0.5)[0].startswith("trainer.binocular=0.5: begins after the steps that")
+    assert said(opacity_spare=0.5, opacity_decay=1.0)[0].startswith("trainer.opacity_spare=0.5: ")
+    assert said(opacity_spare=0.5) == []
+    assert said(tuning=0.1)[0].startswith("trainer.tuning=0.1: with trainer.members=1")
+
+
+def test_visits_that_are_too_many_are_told_by_their_own_name() -> None:
+    with pytest.raises(UserError, match=r"trainer\.visits=10000: expected at most 1,000,000 steps"):
+        schedule.shared(TrainerOptions(visits=10_000), 101)
+
+
+def test_members_share_a_limit_of_their_number() -> None:
+    budget = build("capacity", {"name": "budget", "gaussians": 5000}).shared(2)
+    assert budget.plugin.gaussians == 2500
+    assert (
+        build("capacity", {"name": "adc", "max_gaussians": 9}).shared(4).plugin.max_gaussians == 2
+    )
+    assert build("capacity", {"name": "adc"}).shared(4).plugin.max_gaussians == 0
+    both = {"name": "adc+budget", "adc": {"name": "adc"}, "budget": {"name": "budget"}}
+    shared = dict(build("capacity", both).shared(5).parts)
+    assert shared["budget"].plugin.gaussians == 1000
+
+
+def test_fading_ends_where_uniform_decay_ends() -> None:
+    subject = _plane(0)[2]
+    for _ in range(200):
+        fade(subject, torch.zeros(len(subject)), Fading(0.5, 0.5))
+    assert float(subject.opacity_logits.max()) == LOWEST_LOGIT
+
+
+def test_no_depth_behind_a_mask_is_known() -> None:
+    now = context()
+    mask = torch.ones(now.views[0].image.shape[1:])
+    mask[:, :7] = 0
+    view = replace(now.views[0], mask=mask)
+    known = known_depth(replace(now, views=(view, *now.views[1:])), view)
+    assert known is not None and not known[1][:, :7].any() and known[1][:, 7:].any()
+
+
+def test_a_photo_that_was_evened_above_one_is_warped_as_bright() -> None:
+    view = photograph(camera(-0.5, 0.0))
+    bright = replace(view, image=view.image * 1.5)
+    found = warp_views([bright], [exact(view)], view.camera)
+    inside = found.mask > 0
+    assert float(bright.image[:, inside].max()) > 1.05
+    worst = (found.image - bright.image).abs()[:, inside].max()
+    assert float(worst) < 0.02
+
+
+def test_photos_without_a_pixel_are_one_line_on_any_background() -> None:
+    training, depth, gaussians = _plane(0)
+    empty = tuple(replace(v, mask=torch.zeros(v.image.shape[1:])) for v in training.views)
+    names = {"augment": "none", "reg": "none", "capacity": "fixed"}
+    idle = Plugins(*(registry.build(group, {"name": name}) for group, name in names.items()))
+    with pytest.raises(UserError, match="expected"):
+        Trainer(
+            replace(training, views=empty), depth, gaussians,
+            TrainerOptions(steps=2, background="black"), idle, 0, Silent(),
+        )  # fmt: skip
+
+
+def test_a_checkpoint_that_could_not_be_read_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    trainer = trained(2)
+    keeper = checkpoint.Checkpoints(tmp_path, "x", ())
+    keeper.begin(0)
+    keeper.keep(trainer.state())
+    (kept,) = (tmp_path / "checkpoints").glob("step-*")
+    kept.unlink()
+    monkeypatch.setattr(checkpoint, "CHECKPOINT_BYTES", 100)
+    with caplog.at_level(logging.WARNING, "framework"):
+        keeper.keep(trainer.state())
+    assert not list((tmp_path / "checkpoints").glob("step-*")) and not keeper.due()
+    assert "begins anew" in caplog.text
+
+
+def test_a_pseudo_view_s_checkpoint_holds_no_photo(tmp_path: Path) -> None:
+    trainer = trained(12, augment={"name": "dba", "stop": 1.0})
+    value = trainer.state().field.plugins["augment"].value
+    size = sum(t.numel() for t in vars(value).values() if isinstance(t, torch.Tensor))
+    assert size == 0 and value.made >= 0
