@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 NARROWED, OFFSET = 0.6, 0.8
 SETTLED = 10  # epochs between rounds, as with three views; with fewer, rounds do less
-APART = 2  # epochs from one round to the next at least: a round costs about as much as two
 SH0 = 11  # where the colours begin in a diagonal
 
 
@@ -57,6 +56,7 @@ class RoundsCapacity(PullCapacity):
     at `stop`."""
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.75}
+    apart: ClassVar[int] = 1  # epochs between rounds at least: a round costs about as much as two
 
     every: float = 0.1
     grow: float = 1.0
@@ -108,9 +108,9 @@ class RoundsCapacity(PullCapacity):
         return min(1.0, self._interval(ctx) / (SETTLED * len(ctx.views)))
 
     def _interval(self, ctx: StepContext) -> int:
-        """Steps from one round to the next: `APART` epochs at least, but so few that one comes."""
+        """Steps from one round to the next: `apart` epochs at least, but so few that one comes."""
         first = max(1, math.floor(self.until * ctx.n_steps))
-        return max(1, round(self.every * ctx.n_steps), min(APART * len(ctx.views), first))
+        return max(1, round(self.every * ctx.n_steps), min(self.apart * len(ctx.views), first))
 
 
 def training_information(ctx: StepContext) -> TrainingInformation:

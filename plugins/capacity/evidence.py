@@ -75,6 +75,7 @@ class Evidence(RoundsCapacity):
     """
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.25, "stop": 0.75}
+    apart: ClassVar[int] = 2
 
     criterion: str = "laplace"
     pace: float = 0.25
