@@ -16,7 +16,7 @@ from framework.errors import UserError
 from framework.geometry import mean_neighbour_distance
 from framework.methods.warping import WarpingAugmenter, perturbed, within
 from framework.plugin import StepContext
-from framework.types import Camera, View
+from framework.types import Camera, DepthMap, View
 from framework.warp.zbuffer import prepare
 from plugins.augment.dba import Dba
 from plugins.augment.full_set import FullSet
@@ -144,8 +144,11 @@ def test_coverage_counts_against_what_confident_depth_covers() -> None:
     whole, halved = Log({}), Log({})
     dba = Dba(min_coverage=0.6)
     only_view(dba, replace(now, log=whole))
-    spoiled = replace(now, depth=tuple(half), log=halved)
-    view = only_view(dba, replace(spoiled, supports=lambda: prepare(now.views, half)))
+
+    def with_depth(depth: tuple[DepthMap, ...], log: Log) -> StepContext:
+        return replace(now, depth=depth, log=log, supports=lambda: prepare(now.views, depth))
+
+    view = only_view(dba, with_depth(tuple(half), halved))
     assert view.mask is not None
     (frame,), (of_depth,) = halved.values["dba_coverage"], halved.values["dba_coverage_of_depth"]
     assert frame == pytest.approx(float(view.mask.mean())) and frame < 0.5
@@ -153,7 +156,7 @@ def test_coverage_counts_against_what_confident_depth_covers() -> None:
     assert whole.values["dba_coverage"] == whole.values["dba_coverage_of_depth"]
     nothing = tuple(replace(d, confidence=0 * d.confidence) for d in now.depth)
     refused = Log({})
-    views, _ = Dba(min_coverage=0.01).pseudo_views(replace(now, depth=nothing, log=refused), None)
+    views, _ = Dba(min_coverage=0.01).pseudo_views(with_depth(nothing, refused), None)
     assert views == [] and refused.values["dba_refused_coverage"] == [1.0]
     assert refused.values["dba_coverage_of_depth"] == [0.0]
 
