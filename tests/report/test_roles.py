@@ -9,7 +9,7 @@ import pytest
 from framework.report import build_report
 from framework.report.parts.document import Table, Text
 from framework.report.study.collect import collect
-from framework.report.study.roles import CHOSE, TESTS, YOURS, marked, role, roles_sentence
+from framework.report.study.roles import CHOSE, HELPED, TESTS, YOURS, marked, role, roles_sentence
 from framework.report.text.published import published
 from tests.record.fakes import fake_run
 
@@ -18,7 +18,8 @@ from tests.record.fakes import fake_run
     ("names", "expected"),
     [
         (("embedded", "llff_fern", "lund_door", "nerf_fox", "dtu_scan24"), CHOSE),
-        (("llff_horns", "llff_fortress", "llff_room", "mip360_kitchen", "dtu_scan65"), TESTS),
+        (("llff_horns", "llff_fortress", "llff_room"), TESTS),
+        (("mip360_kitchen", "dtu_scan65"), HELPED),
         (("kitchen", "my room"), YOURS),
     ],
 )
@@ -42,7 +43,7 @@ def test_scenes_that_chose_nothing_are_told_apart_alone(tmp_path: Path) -> None:
             for seed in range(4):
                 fake_run(tmp_path, augment, seed=seed, gain=own, scene=scene)
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert "On llff_horns alone, where no default was chosen: safi + none costs" in text
+    assert "On llff_horns alone, where no test photo chose a default: safi + none costs" in text
     assert "| llff_fern ° |" in text and "| llff_horns " in text
 
 

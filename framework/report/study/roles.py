@@ -1,7 +1,8 @@
 """Which scenes the project's defaults were chosen on, and which only test them: `scenes.csv`.
 
-A figure on a scene that chose a default flatters that default. Scenes the file does not name are
-the user's own: they chose nothing either.
+A figure on a scene that chose a default flatters that default. Of scenes that helped, training
+photos that were held out took part in a choice, and no test photo did. Scenes the file does not
+name are the user's own: they chose nothing either.
 """
 
 from __future__ import annotations
@@ -13,13 +14,13 @@ from pathlib import Path
 
 from framework.report.study.labels import listed
 
-CHOSE, TESTS, YOURS = "chose", "tests", "yours"
+CHOSE, HELPED, TESTS, YOURS = "chose", "helped", "tests", "yours"
 MARK = "°"  # after the name of a scene that chose defaults
 FILE = Path(__file__).with_name("scenes.csv")
 
 
 def role(name: str) -> str:
-    """`CHOSE`, `TESTS` or `YOURS`, by the name in the scene's record."""
+    """`CHOSE`, `HELPED`, `TESTS` or `YOURS`, by the name in the scene's record."""
     return _roles().get(name, YOURS)
 
 
@@ -31,11 +32,13 @@ def marked(label: str, name: str) -> str:
 def roles_sentence(names: Sequence[str]) -> str:
     """Which of the scenes are which."""
     by_role = {
-        which: [name for name in names if role(name) == which] for which in (CHOSE, TESTS, YOURS)
+        which: [name for name in names if role(name) == which]
+        for which in (CHOSE, HELPED, TESTS, YOURS)
     }
     mark = f" (marked {MARK})" if len(names) > 1 else ""
     told = {
         CHOSE: f"served to choose this project's defaults{mark}, which flatters them there",
+        HELPED: "helped to choose settings by training photos that were held out, by no test photo",
         TESTS: "only tested: no default was chosen there",
         YOURS: "of your own",
     }

@@ -112,7 +112,7 @@ def _untuned(study: Study, found: Outcomes) -> str:
     scenes = [scene for scene in study.tested if role(study.name_of(scene)) != CHOSE]
     own = [f"{c.method} {amount(c)}" for c in alone if c.significant]
     said = "; ".join(own) if own else "nobody is told apart"
-    return f"On {listed(scenes, 'and')} alone, where no default was chosen: {said}."
+    return f"On {listed(scenes, 'and')} alone, where no test photo chose a default: {said}."
 
 
 def _cost(study: Study, found: Outcomes) -> str:
