@@ -20,3 +20,27 @@ def test_methods_are_named_by_their_recipes_if_each_is_one() -> None:
     pairs = [(MethodLabel(name), [f"method={name}"]) for name in ("none + none", "safi + uar")]
     assert by_recipe(pairs) == {}  # pairs tell enough
     assert recipe_of(["preset=paper"]) == ""
+
+
+def test_what_was_typed_beside_a_recipe_is_in_its_name() -> None:
+    run = ["study=x", "seed=0", "scene.n_views=3", "preset=best", "hydra.sweep.dir=y"]
+    spare = MethodLabel("none + cycle_warp", "trainer.binocular=1.0, trainer.opacity_spare=0.5")
+    longer = MethodLabel("none + cycle_warp", "trainer.binocular=1.0", "steps=600")
+    plain = MethodLabel("none + none", "trainer.binocular=1.0")
+    runs = [
+        (plain, ["method=baseline", *run]),
+        (MethodLabel("none + cycle_warp", "trainer.binocular=1.0"), ["method=icogs_here", *run]),
+        (spare, ["method=icogs_here", "trainer.opacity_spare=0.5", *run]),
+        (longer, ["method=icogs_here", *run, "trainer.steps=600"]),
+    ]
+    found = by_recipe(runs)
+    assert found[plain.full] == MethodLabel(BASELINE)
+    assert found[spare.full].full == "icogs_here, trainer.opacity_spare=0.5"
+    assert found[longer.full] == MethodLabel("icogs_here", "", "steps=600")
+    explained = [
+        (MethodLabel("safi + none", f"augment.eta={eta}"), ["method=safi", f"augment.eta={eta}"])
+        for eta in (1, 2)
+    ]
+    assert by_recipe(explained) == {}, "an augmenter, a regularizer and what was typed say it all"
+    presets = [(label, [*words, f"preset={k}"]) for k, (label, words) in enumerate(runs)]
+    assert by_recipe(presets) == {}, "a preset is many options"

@@ -23,6 +23,7 @@ from framework.report.study.labels import slug
 from framework.report.study.runs import ReportRun, Study
 
 SAME_COST = 0.02  # costs that differ by less than this share are not worth a chart
+MOST_PANELS = 6  # charts of methods below each other in one figure
 LOG_FROM = 4  # ratio of costs from which an axis is logarithmic; a lesser one has too few ticks
 
 
@@ -125,13 +126,14 @@ def differs(costs: Sequence[float]) -> bool:
 def _panels(found: Sequence[Entry], scene: str) -> list[tuple[str, dict[int, str]]]:
     """(title, series of the entries in it by their index) of every chart. A series per method and
     capacity where the colours suffice; else a chart per method, its capacities as series; where
-    these are too many as well, a series per method."""
+    methods or capacities are too many for that, a series per method."""
     names = {k: ", ".join(filter(None, (e.family, _capacity(e)))) for k, e in enumerate(found)}
     if len(set(names.values())) <= len(LIGHT):
         return [(scene, names)]
     families = {k: entry.family for k, entry in enumerate(found)}
     kinds = {k: _capacity(entry) or "capacity=fixed" for k, entry in enumerate(found)}
-    if not 1 < len(set(kinds.values())) <= len(LIGHT):
+    several = 1 < len(set(kinds.values())) <= len(LIGHT)
+    if not several or len(set(families.values())) > MOST_PANELS:
         return [(scene, families)]
     return [
         (f"{scene}, {family}", {k: kinds[k] for k in kinds if families[k] == family})

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import matplotlib
@@ -30,6 +31,7 @@ STYLE: Any = {
 }
 WIDTH = 7.2  # inches; 792 pixels at 110 dpi, so that text keeps its size at 800 pixels
 LEGEND_CHARACTERS = 44
+LEGEND_ROW, LEAST_AXES = 0.21, 2.6  # inches: a line of the legend; a chart above a long one
 DODGE = 0.009  # of the range of x, between neighbouring series
 
 
@@ -38,6 +40,7 @@ def draw(charts: Sequence[Chart]) -> Figure:
     with matplotlib.rc_context(STYLE):
         names = {s.name for chart in charts for s in chart.series if not s.faint}
         height = 3.7 * len(charts) + 0.6 + 0.1 * max(0, len(names) - 6)  # room for the legend
+        height = max(height, LEAST_AXES * len(charts) + LEGEND_ROW * _legend_rows(names))
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
         column = figure.subplots(len(charts), squeeze=False)[:, 0]
         for axes, chart in zip(column, charts, strict=True):
@@ -58,16 +61,26 @@ def _draw_legend(figure: Figure) -> None:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             entries.setdefault(label, handle)
     if entries:
-        longest = max(len(line) for label in entries for line in label.splitlines())
-        columns = 1 if longest > 36 else 2 if longest > 22 or len(entries) < 3 else 3
         figure.legend(
             list(entries.values()),
             list(entries),
             loc="outside lower center",
-            ncols=columns,
+            ncols=_legend_columns(list(entries)),
             frameon=False,
             handlelength=3.2,
         )
+
+
+def _legend_columns(labels: Sequence[str]) -> int:
+    longest = max(len(line) for label in labels for line in label.splitlines())
+    return 1 if longest > 36 else 2 if longest > 22 or len(labels) < 3 else 3
+
+
+def _legend_rows(names: Collection[str]) -> int:
+    """Lines of text in the legend's longest column."""
+    labels = [textwrap.fill(name, LEGEND_CHARACTERS) for name in names]
+    lines = sum(label.count("\n") + 1 for label in labels)
+    return math.ceil(lines / _legend_columns(labels)) if labels else 0
 
 
 def _draw_chart(axes: Axes, chart: Chart) -> None:

@@ -199,6 +199,12 @@ def _keys(flat: Sequence[Flat]) -> list[str]:
     return sorted(set().union(*flat))
 
 
+def names_a_method(word: str) -> bool:
+    """Whether an override, KEY=VALUE, is of a method and not of its data, the run or Hydra."""
+    key = word.partition("=")[0]
+    return _may_name_a_method(key) and not key.startswith("hydra/")
+
+
 def _may_name_a_method(key: str) -> bool:
     group = key.partition(".")[0]
     return group not in NO_METHOD and key not in (*DATA_KEYS, *WATCHING)
