@@ -80,6 +80,23 @@ def test_names_of_any_length_stay_inside_the_figure() -> None:
         assert label.get_window_extent().x0 >= 0
 
 
+def test_a_long_legend_leaves_the_chart_its_room() -> None:
+    names = [f"{number} a method with a name of several words" for number in range(30)]
+    own = [Series(n, k, (Point(float(k), 20.0, 19.0, 21.0),)) for k, n in enumerate(names)]
+    figure = draw([Chart("c", "t", "x", "y", tuple(own))])
+    height = figure.axes[0].get_position().height * figure.get_size_inches()[1]
+    assert height > 1.5  # inches
+
+
+def test_many_methods_share_a_chart(tmp_path: Path) -> None:
+    """Of several capacities; a chart for each would be as tall as a house."""
+    for k in range(8):
+        capacity = {"name": "evidence" if k else "fixed", "weight": 1.0}
+        fake_run(tmp_path, "safi", f"reg{k}", run_name=f"r{k}", capacity=capacity)
+    study = collect(tmp_path)
+    assert all(len(panels) == 1 for panels in charts(study, study.scenes[0]))
+
+
 def test_an_axis_does_not_magnify_noise() -> None:
     points = (Point(1, 20.00, 19.999, 20.001), Point(2, 20.004, 20.003, 20.005))
     chart = Chart("c", "t", "x", "y", (Series("s", 0, points),), min_span=1.0,

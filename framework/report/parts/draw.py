@@ -31,7 +31,7 @@ STYLE: Any = {
 }
 WIDTH = 7.2  # inches; 792 pixels at 110 dpi, so that text keeps its size at 800 pixels
 LEGEND_CHARACTERS = 44
-LEGEND_ROW, LEAST_AXES = 0.21, 2.6  # inches: a line of the legend; a chart above a long one
+LEGEND_ROW, LEAST_AXES = 0.21, 3.4  # inches: a line of the legend; a chart above a long one
 DODGE = 0.009  # of the range of x, between neighbouring series
 
 
