@@ -56,7 +56,6 @@ class RoundsCapacity(PullCapacity):
     at `stop`."""
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.75}
-    apart: ClassVar[int] = 1  # epochs between rounds at least: a round costs about as much as two
 
     every: float = 0.1
     grow: float = 1.0
@@ -108,9 +107,8 @@ class RoundsCapacity(PullCapacity):
         return min(1.0, self._interval(ctx) / (SETTLED * len(ctx.views)))
 
     def _interval(self, ctx: StepContext) -> int:
-        """Steps from one round to the next: `apart` epochs at least, but so few that one comes."""
-        first = max(1, math.floor(self.until * ctx.n_steps))
-        return max(1, round(self.every * ctx.n_steps), min(self.apart * len(ctx.views), first))
+        """Steps from one round to the next."""
+        return max(1, round(self.every * ctx.n_steps))
 
 
 def training_information(ctx: StepContext) -> TrainingInformation:

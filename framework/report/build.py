@@ -9,6 +9,8 @@ from pathlib import Path
 
 from framework.errors import require
 from framework.files.whole import make_folder, write_whole
+from framework.metrics.values import Missing
+from framework.records.record import Run
 from framework.report.export import LATEX, TABLE, comparisons_tex, runs_csv
 from framework.report.figures.images import remove_pictures
 from framework.report.figures.views import DamagedRun, damaged_pictures, own_scenes
@@ -64,14 +66,25 @@ def _keep_other_table(study: Study) -> None:
     that may be all that is left of them."""
     if not is_tabled(study.out_dir) or run_dirs(study.out_dir):
         return
-    there = {run.run_dir.name for run, _, _ in read_tabled(study.out_dir)}
-    lost = sorted(there - {run.run.run_dir.name for run in study.runs})
+    known = {run.run.run_dir.name: run.mean("psnr") for run in study.runs}
+    damaged = {run.run_dir.name for run in study.failed}
+    lost = sorted(
+        run.run_dir.name
+        for run, _, _ in read_tabled(study.out_dir)
+        if run.run_dir.name not in damaged
+        and (run.run_dir.name not in known or known[run.run_dir.name] != _psnr(run))
+    )
     require(
         not lost,
         f"{study.out_dir / TABLE}: expected a table of runs of this report, got one with"
         f" {len(lost)} others (as {lost[0] if lost else ''}), whose folders are not beside it;"
         " write the report to another --out DIR, or delete the table",
     )
+
+
+def _psnr(run: Run) -> float | None:
+    value = run.record.summary["psnr"]
+    return None if isinstance(value, Missing) else float(value)
 
 
 def _build(study: Study, title: str | None, photos: bool) -> Path:

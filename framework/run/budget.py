@@ -78,15 +78,16 @@ def chosen(
     kept = _kept(folder / FILE, identity)
     if kept is not None:
         return kept
-    one = dataclasses.replace(options, seconds=0.0, members=1, evaluations=1)
+    # without the second camera, which a longer trial would have too
+    one = dataclasses.replace(options, seconds=0.0, members=1, evaluations=1, binocular=0.0)
     steps = max(TRIAL_STEPS, TRIAL_EPOCHS * n_views)
     trial(dataclasses.replace(one, steps=WARM))
     step_s = max(1e-5, trial(dataclasses.replace(one, steps=steps)) / steps)
     longer = int(min(SHARE * options.seconds, LONGEST_S) / step_s)
     if longer > steps:
         step_s = max(1e-5, trial(dataclasses.replace(one, steps=longer)) / longer)
-    beside = dataclasses.replace(one, steps=BESIDE, binocular_from=0.0, pace_steps=0)
-    without = dataclasses.replace(beside, binocular=0.0)
+    without = dataclasses.replace(one, steps=BESIDE, binocular_from=0.0, pace_steps=0)
+    beside = dataclasses.replace(without, binocular=options.binocular)
     ratio = max(1.0, trial(beside) / trial(without)) if options.binocular > 0 else 1.0
     choice = choose(identity, options, n_views, step_s, ratio)
     write_whole(folder / FILE, json.dumps(dataclasses.asdict(choice)) + "\n")

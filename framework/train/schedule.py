@@ -79,9 +79,10 @@ def inert(options: TrainerOptions) -> list[str]:
     late = math.ceil(o.binocular_from * o.steps) >= o.steps
     if late and o.binocular not in (0, TrainerOptions.binocular):
         told.append(
-            f"trainer.binocular={o.binocular:g}: begins after the steps that the photos pay for,"
-            f" and {o.steps} are no more, so it changes nothing; take more trainer.steps, or"
-            " trainer.pace_steps=0 with trainer.binocular_from=0"
+            f"trainer.binocular={o.binocular:g}: begins after step"
+            f" {math.ceil(o.binocular_from * o.steps)} of {o.steps}, so it changes nothing; it"
+            " begins at trainer.binocular_from, and after the steps that the photos pay for: take"
+            " more trainer.steps, or trainer.pace_steps=0"
         )
     if o.opacity_decay == 1 and o.opacity_spare != TrainerOptions.opacity_spare:
         told.append(

@@ -120,7 +120,7 @@ def warp(
             *(p.zoom, p.subdivision, float(temperature), z_min, sums),
         )
     # photos whose exposures were evened may be brighter than 1
-    brightest = max(1.0, *(float(support.color.max()) for support in supports))
+    brightest = max([1.0, *(float(support.color.max()) for support in supports)])
     return _resolve(sums, shape, float(min_weight), brightest, erode)
 
 

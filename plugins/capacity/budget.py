@@ -61,6 +61,13 @@ class Budget(RoundsCapacity):
         splits = min(wanted - n_kept, n_kept) if self.rounds_left(ctx) > 0 else 0
         return Selection(keep, splits)
 
+    def _interval(self, ctx: StepContext) -> int:
+        """At least about an epoch, as a round costs two, with the last at `until`: many views would
+        else make the rounds dearer than the training."""
+        every, views = super()._interval(ctx), len(ctx.views)
+        until = max(1, math.floor(self.until * ctx.n_steps))
+        return every if every >= views else max(every, until // max(1, until // views))
+
     def _wanted(self, n: int, rounds_left: int) -> int:
         """How many there shall be after this round, of `rounds_left` up to `until`."""
         if n <= self.gaussians:

@@ -32,7 +32,7 @@ too much to go. So
   energies (Cauchy-Schwarz);
 - with many views few epochs lie between rounds: below ten the pace falls with their number, and
   with its square root when nothing grows any more and rates fall, so that the noise is nearly that
-  of the end.
+  of the end; there are at least `APART` (a round costs about as much as two epochs).
 `start`, `pace` and `until` were chosen by trial, see `benchmarks/results/capacity.md`.
 """
 
@@ -59,6 +59,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 CRITERIA = ("laplace", "correlated", "bic")
+APART = 2  # epochs from one round to the next at least, if a round comes at all
 FEWEST, HANDFUL = 8, 16  # are kept even if none pays; is when that is told
 ROUNDING_VARIANCE = (1 / 255) ** 2 / 12  # of 8-bit images
 NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
@@ -75,7 +76,6 @@ class Evidence(RoundsCapacity):
     """
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.25, "stop": 0.75}
-    apart: ClassVar[int] = 2
 
     criterion: str = "laplace"
     pace: float = 0.25
@@ -108,6 +108,10 @@ class Evidence(RoundsCapacity):
         if bands is not None:
             ctx.log("bands_dropped", float((keep & ~bands)[: len(ctx.gaussians.shN)].sum()))
         return Selection(keep, 0, bands, sh0)
+
+    def _interval(self, ctx: StepContext) -> int:
+        first = max(1, math.floor(self.until * ctx.n_steps))
+        return max(super()._interval(ctx), min(APART * len(ctx.views), first))
 
     def _pace(self, ctx: StepContext) -> float:
         """The share that a round may remove, with so many views."""

@@ -61,6 +61,32 @@ def test_what_gains_on_a_bad_start_is_not_advised_over_a_good_one(tmp_path: Path
     assert re.search(r"safi \+ none, init=sparse gains 2\.\S+ dB \([^)]*\) against none", text)
 
 
+def test_a_variant_of_plain_training_that_is_better_is_advised(tmp_path: Path) -> None:
+    means = {"none + none": 20.0, "safi + none": 21.0}
+    means |= {"none + none, init=rich": 25.0, "safi + none, init=rich": 25.0}
+    text = first_lines(table(tmp_path / "t", study(means)), tmp_path / "out")
+    assert "**Use none + none, init=rich: it gains 5.0" in text
+
+
+def test_what_is_better_than_one_plain_training_alone_is_told(tmp_path: Path) -> None:
+    rows = study({"none + none": 20.0, "safi + none": 21.0})
+    for method in ("none + none, init=rich", "safi + none, init=rich"):
+        rows += [row("fern", method, k, 20.5 + 3 * (k - 2)) for k in range(5)]
+    text = first_lines(table(tmp_path / "t", rows), tmp_path / "out")
+    assert (
+        "fern: safi + none is better than it, but is not shown to be better than every plain"
+        in text
+    )
+
+
+def test_a_baseline_without_a_seed_on_all_scenes_is_no_crash(tmp_path: Path) -> None:
+    rows = [row("a", "none + none", 0, 20.0), row("b", "none + none", 1, 20.0)]
+    for extra in ("", ", init=rich"):
+        rows += [row(s, f"safi + none{extra}", k, 21.0) for s in "ab" for k in range(3)]
+    rows += [row(s, "none + none, init=rich", k, 20.0) for s in "ab" for k in range(3)]
+    assert first_lines(table(tmp_path / "t", rows), tmp_path / "out").startswith("# out")
+
+
 def test_what_gains_with_few_steps_is_not_advised_over_many(tmp_path: Path) -> None:
     means = {"none + none, steps=300": 20.0, "safi + none, steps=300": 21.0}
     means |= {"none + none, steps=3000": 25.0, "safi + none, steps=3000": 24.0}
@@ -145,7 +171,12 @@ def test_tables_of_other_options_are_told_apart(tmp_path: Path) -> None:
     best, paper = some("best", 24.0, "0" * 8), some("paper", 21.0, "1" * 8)
     found = collect([best, paper], tmp_path / "both")
     assert found.methods[:2] == ["none + none, from=best", "none + none, from=paper"]
-    assert any("was run with different options in these folders" in note for note in found.notes)
+    assert any("was run with options that are not all the same" in note for note in found.notes)
+    same = [one | {"parameters_sha256": "a" * 12} for one in study({"none + none": 24.0}, 3)]
+    for name, digest in (("here", "2" * 8), ("there", "3" * 8)):
+        table(tmp_path / name, [one | {"run": f"x-s{one['seed']}-{digest}"} for one in same])
+    bits = collect([tmp_path / "here", tmp_path / "there"], tmp_path / "both")
+    assert bits.methods == ["none + none"], "other options with the same bits are the same run"
     alike = collect([best, some("again", 24.0, "0" * 8)], tmp_path / "both")
     assert alike.methods == ["none + none", "safi + none"] and len(alike.runs) == 10
 
@@ -157,6 +188,9 @@ def test_the_only_table_of_another_study_is_not_overwritten(tmp_path: Path) -> N
     with pytest.raises(UserError, match=r"runs\.csv: expected a table of runs of this report"):
         build_report(one, out_dir=other)
     assert (other / "runs.csv").read_bytes() == before
+    same_names = table(tmp_path / "same", study({"none + none": 25.0, "safi + none": 26.0}))
+    with pytest.raises(UserError, match="got one with 10 others"):
+        build_report(one, out_dir=same_names)
     build_report(one, out_dir=tmp_path / "out")
     build_report(one, out_dir=tmp_path / "out")  # its own table may be written again
     build_report(other, out_dir=tmp_path / "one" / ".." / "other")

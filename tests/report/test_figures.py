@@ -81,11 +81,13 @@ def test_names_of_any_length_stay_inside_the_figure() -> None:
 
 
 def test_a_long_legend_leaves_the_chart_its_room() -> None:
-    names = [f"{number} a method with a name of several words" for number in range(30)]
-    own = [Series(n, k, (Point(float(k), 20.0, 19.0, 21.0),)) for k, n in enumerate(names)]
-    figure = draw([Chart("c", "t", "x", "y", tuple(own))])
-    height = figure.axes[0].get_position().height * figure.get_size_inches()[1]
-    assert height > 1.5  # inches
+    band = Band("single runs of none + none (mean ± 2 σ)", 19.0, 21.0)
+    for words, beside in (("a method with a name of several words", None), ("short", band)):
+        names = [f"{number} {words}" for number in range(30)]
+        own = [Series(n, k, (Point(float(k), 20.0, 19.0, 21.0),)) for k, n in enumerate(names)]
+        figure = draw([Chart("c", "t", "x", "y", tuple(own), band=beside)])
+        height = figure.axes[0].get_position().height * figure.get_size_inches()[1]
+        assert height > 1.5  # inches
 
 
 def test_many_methods_share_a_chart(tmp_path: Path) -> None:

@@ -26,17 +26,20 @@ def test_what_was_typed_beside_a_recipe_is_in_its_name() -> None:
     run = ["study=x", "seed=0", "scene.n_views=3", "preset=best", "hydra.sweep.dir=y"]
     spare = MethodLabel("none + cycle_warp", "trainer.binocular=1.0, trainer.opacity_spare=0.5")
     longer = MethodLabel("none + cycle_warp", "trainer.binocular=1.0", "steps=600")
+    coarse = MethodLabel("none + cycle_warp", "trainer.binocular=1.0", "coarse_until=0.5")
     plain = MethodLabel("none + none", "trainer.binocular=1.0")
     runs = [
         (plain, ["method=baseline", *run]),
         (MethodLabel("none + cycle_warp", "trainer.binocular=1.0"), ["method=icogs_here", *run]),
         (spare, ["method=icogs_here", "trainer.opacity_spare=0.5", *run]),
         (longer, ["method=icogs_here", *run, "trainer.steps=600"]),
+        (coarse, ["method=icogs_here", *run, "trainer.coarse_until=0.5"]),
     ]
     found = by_recipe(runs)
     assert found[plain.full] == MethodLabel(BASELINE)
     assert found[spare.full].full == "icogs_here, trainer.opacity_spare=0.5"
     assert found[longer.full] == MethodLabel("icogs_here", "", "steps=600")
+    assert found[coarse.full] == MethodLabel("icogs_here", "", "coarse_until=0.5")
     explained = [
         (MethodLabel("safi + none", f"augment.eta={eta}"), ["method=safi", f"augment.eta={eta}"])
         for eta in (1, 2)

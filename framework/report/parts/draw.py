@@ -40,7 +40,8 @@ def draw(charts: Sequence[Chart]) -> Figure:
     with matplotlib.rc_context(STYLE):
         names = {s.name for chart in charts for s in chart.series if not s.faint}
         height = 3.7 * len(charts) + 0.6 + 0.1 * max(0, len(names) - 6)  # room for the legend
-        height = max(height, LEAST_AXES * len(charts) + LEGEND_ROW * _legend_rows(names))
+        told = names | {chart.band.name for chart in charts if chart.band is not None}
+        height = max(height, LEAST_AXES * len(charts) + LEGEND_ROW * _legend_rows(told))
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
         column = figure.subplots(len(charts), squeeze=False)[:, 0]
         for axes, chart in zip(column, charts, strict=True):

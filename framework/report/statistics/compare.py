@@ -105,7 +105,8 @@ def compare(method: str, values: Pairs, baseline: str, others: Pairs) -> Compari
 
 def block(keys: Collection[tuple[K, int]]) -> tuple[list[K], list[int]]:
     """Of pairs (place, seed): all places with the seeds that each has. Where these are fewer than
-    two, the places and seeds, two or more, of the most pairs that lack none, if there are any."""
+    two, places that share two seeds or more, so that many pairs stay (found place by place, not by
+    trying all), if there are any."""
     seeds: dict[K, set[int]] = defaultdict(set)
     for place, seed in keys:
         seeds[place].add(seed)

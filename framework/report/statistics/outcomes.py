@@ -81,9 +81,9 @@ def _best(study: Study, psnr: Collection[str], found: Mapping[str, Comparison]) 
 
     gains: dict[str, float] = {}
     for method in better:
-        over = {base: c for base in bases if (c := above(method, base)) is not None}
+        over = {base: c for base in bases - {method} if (c := above(method, base)) is not None}
         if all(c.significant and c.difference > 0 for c in over.values()):
-            # all above one baseline, so that no one gains by the seeds that it has
+            # all above the study's baseline, so that no one gains by the seeds that it has
             gains[method] = over.get(study.baseline, found[method]).difference
     return max(gains, key=lambda method: gains[method], default=study.baseline)
 

@@ -7,7 +7,7 @@ import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise, product
+from itertools import combinations, product
 from pathlib import Path
 from types import MappingProxyType
 
@@ -23,7 +23,7 @@ from framework.report.study.order import method_order, natural
 from framework.report.study.recipes import NOTE, by_recipe
 from framework.report.study.runs import DAMAGED, FailedRun, ReportRun, Study
 from framework.report.study.shorten import shortened
-from framework.report.study.tabled import is_tabled, read_tabled
+from framework.report.study.tabled import is_tabled, method_label, read_tabled
 
 DIGEST = re.compile(r"-s\d+-([0-9a-f]{8})$")  # of all options of a run but its seed, in its name
 
@@ -42,7 +42,7 @@ def collect(
     folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
     runs, failed, origins, told, tabled = _gathered(folders, broken)
     labelled, named = _label(runs, failed)
-    labelled, told, apart = _told_apart(labelled, origins, told)
+    labelled, named, told, apart = _told_apart(labelled, named, origins, told)
     missing = _missing(labelled, named, origins, told)
     short, shortened_notes = shortened([run.method_label for run in (*labelled, *told)])
     recipes = by_recipe([(run.method_label, run.record.overrides) for run in labelled])
@@ -194,36 +194,62 @@ def _missing(
     return sorted(lacking, key=lambda cell: (natural(cell[0]), method_order(cell[1]), cell[2]))
 
 
+Ways = dict[int, tuple[str, str]]  # seed -> digest of all options but the seed, and the bits
+
+
 def _told_apart(
-    runs: list[ReportRun], origins: Sequence[Path], told: list[ReportRun]
-) -> tuple[list[ReportRun], list[ReportRun], list[str]]:
-    """`runs` and what is `told` in tables, which do not hold what all runs of a study share. Where
-    one name is of runs with different options in two folders, each gets its folder's name too."""
-    at = [*origins, *(run.run.run_dir.parent.parent for run in told)]
+    runs: list[ReportRun], failed: list[FailedRun], origins: Sequence[Path], told: list[ReportRun]
+) -> tuple[list[ReportRun], list[FailedRun], list[ReportRun], list[str]]:
+    """All runs and what is `told` in tables, which do not hold what all runs of a study share.
+    Where one name is of runs with different options in two folders, each gets its folder's too."""
     every = [*runs, *told]
-    options: dict[tuple[str, str], dict[Path, set[str]]] = defaultdict(lambda: defaultdict(set))
+    at = [*origins, *(run.run.run_dir.parent.parent for run in told)]
+    found: dict[tuple[str, str], dict[Path, Ways]] = defaultdict(lambda: defaultdict(dict))
     for run, folder in zip(every, at, strict=True):
         digest = DIGEST.search(run.run.run_dir.name)
         if digest is not None:
-            options[run.scene, run.method][folder].add(digest[1])
+            own = found[run.scene, run.method][folder]
+            own[run.seed] = digest[1], run.record.parameters_sha256[:12]
     clash = [
         key
-        for key, own in options.items()
-        if any(one != two for one, two in pairwise(own.values()))
+        for key, folders in found.items()
+        if any(_differ(one, two) for one, two in combinations(folders.values(), 2))
     ]
     if not told or not clash:
-        return runs, told, []
-    marked = []
-    for run, folder in zip(every, at, strict=True):
-        own = ", ".join(filter(None, (run.method_label.options, f"from={outside(folder.name)}")))
-        marked.append(replace(run, method_label=replace(run.method_label, options=own)))
+        return runs, failed, told, []
+
+    def marked(label: MethodLabel, folder: Path) -> MethodLabel:
+        source = f"from={outside(folder.resolve().name)}"
+        return replace(label, options=", ".join(filter(None, (label.options, source))))
+
+    named = [
+        replace(run, method_label=marked(run.method_label, folder))
+        for run, folder in zip(every, at, strict=True)
+    ]
+    lost = [
+        replace(run, method=marked(method_label(run.method), run.run_dir.parent.parent).full)
+        if run.method
+        else run
+        for run in failed
+    ]
     scene, method = min(clash)
     note = (
-        f"{method} on {scene} was run with different options in these folders, which a table of"
-        " runs does not name: methods have the name of their folder (`from=`) and are compared"
-        " within it."
+        f"{method} on {scene} was run with options that are not all the same in these folders, and"
+        " a table of runs does not name them: methods have the name of their folder (`from=`)."
     )
-    return marked[: len(runs)], marked[len(runs) :], [note]
+    return named[: len(runs)], lost, named[len(runs) :], [note]
+
+
+def _differ(one: Ways, two: Ways) -> bool:
+    """Whether two folders ran something else: other bits with a seed of both; without one, other
+    options, where the seed is no part of them."""
+    both = one.keys() & two.keys()
+    if both:
+        return any(
+            one[s][0] != two[s][0] and (not one[s][1] or one[s][1] != two[s][1]) for s in both
+        )
+    first, second = ({digest for digest, _ in own.values()} for own in (one, two))
+    return len(first) == len(second) == 1 and first != second
 
 
 def _without_repeats(runs: list[ReportRun]) -> tuple[list[ReportRun], list[str]]:

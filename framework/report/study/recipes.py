@@ -82,7 +82,11 @@ def _explained(label: MethodLabel, words: Sequence[str]) -> bool:
 
 def _named(recipe: str, words: Sequence[str] = ()) -> MethodLabel:
     keys = {word: word.partition("=")[0] for word in words}
-    limits = [word.rpartition(".")[2] for word in words if keys[word] in BUDGETS]
+    limits = [
+        f"{keys[word].rpartition('.')[2]}={word.partition('=')[2]}"
+        for word in words
+        if keys[word] in BUDGETS
+    ]
     options = [word for word in words if keys[word] not in BUDGETS]
     return MethodLabel(
         BASELINE if recipe == PLAIN else recipe, ", ".join(options), ", ".join(limits)

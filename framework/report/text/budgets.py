@@ -14,7 +14,7 @@ from framework.report.statistics.numbers import mean_text
 from framework.report.statistics.outcomes import by_pair
 from framework.report.study.labels import listed
 from framework.report.study.runs import ReportRun, Study
-from framework.report.verdict.lead import AS_GOOD_DB
+from framework.report.verdict.lead import AS_GOOD_DB, comparable, one_machine
 
 LIMITS_S = (15.0, 60.0, 300.0)
 PAYS = "More time pays"
@@ -24,7 +24,7 @@ def advice(study: Study, scene: str) -> list[str]:
     """Which configuration to take at each of `LIMITS_S`, a sentence each; limits
     with the same answer share it."""
     found = entries(study, scene)
-    if len(found) < 2 or not _comparable(found):
+    if len(found) < 2 or not one_machine(study, scene):
         return []
     limits: dict[str, list[str]] = {}
     for limit in LIMITS_S:
@@ -38,8 +38,9 @@ def in_verdict(study: Study) -> str:
     else where to look."""
     if not any(run.method_label.limits for run in study.runs):  # none of steps and the like
         return ""
+    if not comparable(study):
+        return ""
     found = entries(study, study.tested[0]) if len(study.tested) == 1 else []
-    found = found if _comparable(found) else []
     limits: dict[str, list[str]] = {}
     for limit in LIMITS_S:
         best = _choice(study, found, limit)
@@ -52,11 +53,6 @@ def in_verdict(study: Study) -> str:
         return f" with {next(iter(limits))}"
     told = [f"{budget} within {listed(some, 'or')} s" for budget, some in limits.items()]
     return f" with {'; '.join(told)}" if told else " at the budget that suits you (below)"
-
-
-def _comparable(found: Sequence[Entry]) -> bool:
-    """Whether one kind of machine did all, so that their seconds compare."""
-    return len({run.machine for entry in found for run in entry.runs}) < 2
 
 
 def _choice(study: Study, found: Sequence[Entry], limit_s: float) -> Entry | None:

@@ -14,12 +14,14 @@ from framework.report.statistics.compare import Comparison, compare
 from framework.report.statistics.estimates import Interval
 from framework.report.statistics.numbers import decimals, interval_text, significant
 from framework.report.statistics.outcomes import Outcomes, by_pair
+from framework.report.study.labels import listed
 from framework.report.study.order import BASELINE
 from framework.report.study.runs import Study
 
 MOST_NAMED = 8  # of methods that could not be told apart
 AS_GOOD_DB = 0.1  # a mean so much below the best counts as good
 LEAST_DB = 0.005  # a smaller difference reads as 0.00
+NOTHING_BETTER = ": nothing else was shown to be better"
 NOT_BETTER_EQUAL = ": no other method was shown to be better at an equal budget"
 SOME_GAIN = (
     ": nothing was shown to be better than it; what gains over a baseline of its own stands below"
@@ -56,16 +58,26 @@ def _use(study: Study, found: Outcomes, budget: str) -> str:
     best = found.best
     if best != study.baseline:
         c = found.comparisons[best]
-        less = "; what to use for less time stands below" if has_budgets(study) else ""
+        timed = has_budgets(study) and comparable(study)
+        less = "; what to use for less time stands below" if timed else ""
         return f"Use {best}: it {amount(c)} against {plainly(c.baseline)} {where(study, c)}{less}."
-    gains = any(c.significant and c.difference > 0 for c in found.comparisons.values())
     if has_budgets(study):
         base = plainly(study.families[0])
         # of one family there are only budgets, which the next lines compare
-        other = (SOME_GAIN if gains else NOT_BETTER_EQUAL) if len(study.families) > 1 else ""
+        other = _others(study, found, NOT_BETTER_EQUAL) if len(study.families) > 1 else ""
         return f"Use {base} {where(study)}{budget}{other}."
-    nothing = SOME_GAIN if gains else ": nothing else was shown to be better"
-    return f"Use {plainly(best)} {where(study)}{nothing}."
+    return f"Use {plainly(best)} {where(study)}{_others(study, found, NOTHING_BETTER)}."
+
+
+def _others(study: Study, found: Outcomes, nothing: str) -> str:
+    """Why the baseline is advised: what gains, if anything does, and what it is not shown to be
+    better than."""
+    gains = [c for c in found.comparisons.values() if c.significant and c.difference > 0]
+    over = [c.method for c in gains if c.baseline == study.baseline]
+    if over:
+        does = "is better than it, but is" if len(over) == 1 else "are better than it, but are"
+        return f": {listed(over, 'and')} {does} not shown to be better than every plain training"
+    return SOME_GAIN if gains else nothing
 
 
 def different(study: Study, found: Outcomes) -> str:
@@ -146,7 +158,7 @@ def not_told_apart(study: Study, found: Outcomes, tested: Sequence[Comparison]) 
 
 def _against(study: Study, found: Outcomes, best: str) -> list[Comparison]:
     """Every other method against the best one, corrected for all of them."""
-    values = {method: by_pair(study.of(method=method)) for method in found.psnr}
+    values = {method: by_pair(study.of(method=method)) for method in (*found.psnr, best)}
     others = [compare(m, values[m], best, values[best]) for m in found.psnr if m != best]
     known = [c for c in others if c is not None and c.joint is not None]
     return [replace(c, tests=len(known)) for c in known]
@@ -159,6 +171,16 @@ def _difference(c: Comparison) -> float:
 def has_budgets(study: Study) -> bool:
     """Whether methods ran with several budgets, of which time decides."""
     return any(run.method_label.budget for run in study.runs)
+
+
+def one_machine(study: Study, scene: str) -> bool:
+    """Whether one kind of machine did all runs of a scene, so that their seconds compare."""
+    return len({run.machine for run in study.of(scene)}) < 2
+
+
+def comparable(study: Study) -> bool:
+    """Whether something is advised by time on some scene."""
+    return any(one_machine(study, scene) for scene in study.tested)
 
 
 def plainly(method: str) -> str:

@@ -161,7 +161,7 @@ def _evidence(limit: Limit) -> str:
     seeds = f"{_ends(limit)}; n = {found.n} seeds"
     if found.interval is None:
         return f"{seeds}; the sign is beyond doubt at {_every(limit)}"
-    hardest = limit.panel.levels[-1]
+    hardest = limit.levels[-1]
     open_end = hardest in (found.interval.low, found.interval.high)
     beyond = f", open towards {_at(limit.panel.axis, hardest)}" if open_end else ""
     return f"{seeds}; 95 % interval of the turning point {interval_text(found.interval)}{beyond}"

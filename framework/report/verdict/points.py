@@ -94,8 +94,8 @@ def _elsewhere(tested: Sequence[Comparison]) -> list[str]:
     if over:
         scenes = max(c.like.n for c in over if c.like)
         shown = [c for c in over if c.general]
-        said = "; ".join(f"{c.method} {c.difference:+.2f} dB ({inside(c.like_joint)})"
-                         for c in (shown or clear))  # fmt: skip
+        said = "; ".join(f"{c.method} {c.like.mean:+.2f} dB ({inside(c.like_joint)})"
+                         for c in (shown or clear) if c.like)  # fmt: skip
         start = f"To be expected on other scenes, judged by how these {scenes} differ"
         if shown:
             told.append(f"{start}: {said}; nothing is shown about the other methods.")
