@@ -9,8 +9,6 @@ from pathlib import Path
 
 from framework.errors import require
 from framework.files.whole import make_folder, write_whole
-from framework.metrics.values import Missing
-from framework.records.record import Run
 from framework.report.export import LATEX, TABLE, comparisons_tex, runs_csv
 from framework.report.figures.images import remove_pictures
 from framework.report.figures.views import DamagedRun, damaged_pictures, own_scenes
@@ -21,7 +19,7 @@ from framework.report.sections import document
 from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
 from framework.report.study.folders import run_dirs
-from framework.report.study.runs import Study
+from framework.report.study.runs import ReportRun, Study
 from framework.report.study.tabled import is_tabled, read_tabled
 
 REPORT, PAGE = "report.md", "report.html"
@@ -68,11 +66,14 @@ def _keep_other_table(study: Study) -> None:
         return
     known = {run.run.run_dir.name: run.mean("psnr") for run in study.runs}
     damaged = {run.run_dir.name for run in study.failed}
+    there = {
+        run.run.run_dir.name: run.mean("psnr")
+        for run in (ReportRun(*parts) for parts in read_tabled(study.out_dir))
+    }
     lost = sorted(
-        run.run_dir.name
-        for run, _, _ in read_tabled(study.out_dir)
-        if run.run_dir.name not in damaged
-        and (run.run_dir.name not in known or known[run.run_dir.name] != _psnr(run))
+        name
+        for name, psnr in there.items()
+        if name not in damaged and (name not in known or known[name] != psnr)
     )
     require(
         not lost,
@@ -80,11 +81,6 @@ def _keep_other_table(study: Study) -> None:
         f" {len(lost)} others (as {lost[0] if lost else ''}), whose folders are not beside it;"
         " write the report to another --out DIR, or delete the table",
     )
-
-
-def _psnr(run: Run) -> float | None:
-    value = run.record.summary["psnr"]
-    return None if isinstance(value, Missing) else float(value)
 
 
 def _build(study: Study, title: str | None, photos: bool) -> Path:

@@ -85,11 +85,11 @@ class Trainer:
         self.sh_from = sh_from
         self.tells, self.rasterizer = tells, rasterizer
         self.near, self.extent = options.near_plane * training.near, training.extent
-        if all(view.mask is not None for view in training.views):
-            _mean_color(training)  # which needs a pixel that is left, as the training does
         fixed = background_color(options.background, training)
         self.random_background = fixed is None
         self.background: Tensor = _mean_color(training) if fixed is None else fixed
+        if options.background in ("black", "white"):
+            _mean_color(training)  # which needs a pixel that is left, as the training does
         self.conditions = conditions = Conditions(
             training, depth, options, self.background, self.near, seed, rasterizer
         )

@@ -48,6 +48,11 @@ class Support:
     color: Tensor
 
     @cached_property
+    def brightest(self) -> float:
+        """The largest value of a colour: above 1 in photos whose exposures were evened."""
+        return float(self.color.max())
+
+    @cached_property
     def refined(self) -> Support:
         """The same view at twice the resolution: colours and, on smooth surface, 1/z bilinear."""
         color, inverse = self.color.permute(2, 0, 1)[None], self.inverse_depth[None, None]
@@ -119,8 +124,7 @@ def warp(
             *(*shape, p.u, p.v, p.depth, p.bounds, p.color, p.inverse_depth),
             *(p.zoom, p.subdivision, float(temperature), z_min, sums),
         )
-    # photos whose exposures were evened may be brighter than 1
-    brightest = max([1.0, *(float(support.color.max()) for support in supports)])
+    brightest = max([1.0, *(support.brightest for support in supports)])
     return _resolve(sums, shape, float(min_weight), brightest, erode)
 
 

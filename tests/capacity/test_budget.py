@@ -43,6 +43,23 @@ def longer(ctx: StepContext) -> StepContext:
     return replace(ctx, n_steps=ctx.n_steps * views, step=(ctx.step + 1) * views - 1)
 
 
+@pytest.mark.parametrize(
+    ("steps", "views", "interval"), [(300, 3, 30), (300, 43, 45), (75, 64, 45), (300, 100, 180)]
+)
+def test_many_views_have_rounds_an_epoch_apart_and_one_at_until(
+    steps: int, views: int, interval: int
+) -> None:
+    """A round looks at every view, so rounds by share alone would be dearer than the training."""
+    ctx = watched()
+    many = replace(ctx, n_steps=steps, views=(ctx.views * views)[:views])
+    due = [
+        step + 1
+        for step in range(steps)
+        if (step + 1) % Budget()._interval(replace(many, step=step)) == 0
+    ]
+    assert due[0] == interval and 0.6 * steps in due
+
+
 def count_after(n: int, step: int, **options: float) -> int:
     budget, ctx = Budget(**options), watched(wall_of_gaussians(n), step)  # type: ignore[arg-type]
     edits, state = budget.update(ctx, budget.init_state(ctx), pulls(torch.ones(n)))

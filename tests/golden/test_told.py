@@ -118,7 +118,7 @@ def test_photos_without_a_pixel_are_one_line_on_any_background() -> None:
     empty = tuple(replace(v, mask=torch.zeros(v.image.shape[1:])) for v in training.views)
     names = {"augment": "none", "reg": "none", "capacity": "fixed"}
     idle = Plugins(*(registry.build(group, {"name": name}) for group, name in names.items()))
-    with pytest.raises(UserError, match="expected"):
+    with pytest.raises(UserError, match="expected valid pixels in the training views"):
         Trainer(
             replace(training, views=empty), depth, gaussians,
             TrainerOptions(steps=2, background="black"), idle, 0, Silent(),
