@@ -30,7 +30,7 @@ def normalise(argv: Sequence[str]) -> list[str]:
     check_utf8("command line", *argv)
     arguments = [re.sub(rf"^\+(?=({'|'.join(GROUPS)})=)", "", argument) for argument in argv]
     arguments = [quoted(_joined_choices(argument)) for argument in arguments]
-    _check_multirun_flag(arguments)
+    arguments = _multirun_flag_last(arguments)
     _check_empty_choices(arguments)
     check_given_twice(arguments)
     flags = parse(arguments)
@@ -102,15 +102,10 @@ def check_utf8(where: str, *texts: str) -> None:
             ) from None
 
 
-def _check_multirun_flag(arguments: Sequence[str]) -> None:
-    """Hydra's parser takes -m only before or after all overrides."""
-    words = [i for i, argument in enumerate(arguments) if "=" in argument]
-    for flag in MULTIRUN_FLAGS:
-        if flag in arguments and words and words[0] < arguments.index(flag) < words[-1]:
-            raise UserError(
-                f"command line: expected {flag} first or last, got it in the middle, after"
-                f" '{arguments[arguments.index(flag) - 1]}'; move it to the end"
-            )
+def _multirun_flag_last(arguments: Sequence[str]) -> list[str]:
+    """-m may stand anywhere: Hydra's parser takes it only before or after all overrides."""
+    flags = [argument for argument in arguments if argument in MULTIRUN_FLAGS]
+    return [argument for argument in arguments if argument not in MULTIRUN_FLAGS] + flags
 
 
 def _check_empty_choices(arguments: Sequence[str]) -> None:

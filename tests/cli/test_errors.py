@@ -96,7 +96,6 @@ CASES = {
         "scene.split=non: unknown protocol; did you mean"
     ],
     "scene.n_views=all": ["scene.n_views: expected an integer, got 'all'"],
-    "augment=safi -m seed=1,2": ["expected -m first or last", "after 'augment=safi'"],
     "threads=1,2 -m": ["multirun: expected a folder for each run", "study=NAME"],
     "hydra.sweep.subdir=x seed=0,1 -m": ["expected a folder for each run", "hydra.sweep.subdir"],
     "seed=0,1": ["seed"],

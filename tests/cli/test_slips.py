@@ -8,6 +8,7 @@ import pytest
 
 from framework.command.cli import main
 from framework.command.config.trust import quoted
+from tests.cli.conftest import FakeRuns
 
 
 @pytest.mark.parametrize(
@@ -84,3 +85,11 @@ def test_a_file_where_a_folder_goes(tmp_path: Path, capsys: pytest.CaptureFixtur
     (tmp_path / "notes").write_text("")
     assert main(["trainer.steps=1", f"hydra.run.dir={tmp_path / 'notes'}"]) == 2
     assert "notes: expected a folder or nothing yet, got a file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("flag", ["-m", "--multirun"])
+@pytest.mark.parametrize("place", range(4))
+def test_the_flag_of_a_sweep_may_stand_anywhere(flag: str, place: int, runs: FakeRuns) -> None:
+    words = ["reg=uar", "seed=0,1", "trainer.steps=5"]
+    assert main([*words[:place], flag, *words[place:]]) == 0
+    assert [c["seed"] for c in runs.seen] == [0, 1]
