@@ -35,6 +35,13 @@ def main(arguments: list[str] | None = None, prog: str = "python -m framework.re
         help="no pictures but of the embedded scene and no links to the runs: for a report that is"
         " passed on where photos may not be",
     )
+    parser.add_argument(
+        "--baseline",
+        default="",
+        metavar="METHOD",
+        help='what the others are compared with, by its name in the report, as "none +'
+        ' dropgaussian" (default: plain training)',
+    )
     try:
         options = parser.parse_args(arguments)
         require(
@@ -47,7 +54,11 @@ def main(arguments: list[str] | None = None, prog: str = "python -m framework.re
         from framework.report.build import built
 
         path, study = built(
-            options.study_dirs, options.title, options.out, not options.without_photos
+            options.study_dirs,
+            options.title,
+            options.out,
+            not options.without_photos,
+            options.baseline,
         )
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -30,16 +30,18 @@ def build_report(
     title: str | None = None,
     out_dir: Path | None = None,
     photos: bool = True,
+    rival: str = "",
 ) -> Path:
     """Rebuild the report of all runs below the folders; returns the path of `report.md`.
 
     title: the heading, else the name of the report's folder. out_dir: where the report goes, else
     the first folder. photos: show scenes and link to the runs; without, the embedded scene alone
     and no links, for a report that is passed on where photos may not be; pictures of an earlier
-    report in that folder go. A run whose files are not what a run writes counts among the failed
-    ones. Raises UserError when there is no run.
+    report in that folder go. rival: the method that the others are compared with, by its name in
+    the report, in the place of plain training. A run whose files are not what a run writes counts
+    among the failed ones. Raises UserError when there is no run, or none of the rival.
     """
-    return built(study_dirs, title, out_dir, photos)[0]
+    return built(study_dirs, title, out_dir, photos, rival)[0]
 
 
 def built(
@@ -47,11 +49,12 @@ def built(
     title: str | None = None,
     out_dir: Path | None = None,
     photos: bool = True,
+    rival: str = "",
 ) -> tuple[Path, Study]:
     """As `build_report`, with the study that the report is of."""
     broken: dict[Path, str] = {}
     while True:  # each time without another run; with forged sizes aside, twice at most
-        study = collect(study_dirs, out_dir, broken)
+        study = collect(study_dirs, out_dir, broken, rival)
         study = replace(study, linked=study.linked and photos)
         try:
             return _build(study, title, photos), study

@@ -138,7 +138,7 @@ def _study_dirs(folder: Path) -> list[Path]:
 
 
 def _matches(entry: Entry) -> list[Match]:
-    families = {run.method: run.method_label.family for run in entry.study.runs}
+    families = entry.study.family_of
     known = [c for c in entry.found.comparisons.values() if c.joint is not None]
     return [
         Match(entry, families[c.method], c, families[c.method] != families[c.baseline])

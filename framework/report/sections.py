@@ -97,13 +97,12 @@ def shown_pair(study: Study, found: Outcomes) -> tuple[str, ...]:
     the highest other."""
     if not study.runs:
         return ()
-    families = {run.method: run.method_label.family for run in study.runs}
-    best = families[found.best]
-    base = families[study.baseline_of(found.best)]
-    others = [m for m in found.psnr if families[m] != best]
+    best = study.family_of[found.best]
+    base = study.family_of[study.baseline_of(found.best)]
+    others = [m for m in found.psnr if study.family_of[m] != best]
     if best != base or not others:
         return tuple(dict.fromkeys((best, base)))
-    return best, families[max(others, key=lambda method: found.psnr[method].mean)]
+    return best, study.family_of[max(others, key=lambda method: found.psnr[method].mean)]
 
 
 def _courses(study: Study, shown: Sequence[str], seen: Sequence[str]) -> list[Block]:

@@ -34,11 +34,10 @@ def forest(study: Study, found: Outcomes) -> tuple[Forest, str] | None:
     several = bool(found.by_scene)
     of_scenes = sum(len(compared) for compared in found.by_scene.values())
     detailed = several and of_scenes + 2 * len(found.comparisons) <= MOST_ROWS
-    families = {run.method: run.method_label.family for run in study.runs}
     given = looks(study.families)
     rows: list[Row] = []
     for method, c in found.comparisons.items():
-        look = given[families[method]]
+        look = given[study.family_of[method]]
         if detailed:
             for scene, compared in found.by_scene.items():
                 if method in compared:

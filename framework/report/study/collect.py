@@ -32,12 +32,14 @@ def collect(
     study_dirs: Path | Sequence[Path],
     out_dir: Path | None = None,
     broken: Mapping[Path, str] = MappingProxyType({}),
+    rival: str = "",
 ) -> Study:
     """Read every record below the folders. out_dir: where the report goes, else the first folder.
-    broken: folders of runs that turned out damaged, and why.
+    broken: folders of runs that turned out damaged, and why. rival: the method to compare the
+    others with, by its name in the report, else plain training.
 
     A folder without runs is read from its table (`framework.report.study.tabled`). Raises UserError
-    if a folder has neither.
+    if a folder has neither, or no run is the rival's.
     """
     folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
     runs, failed, origins, told, tabled = _gathered(folders, broken)
@@ -55,6 +57,12 @@ def collect(
     missing = [(scene, _short(short, method), seed) for scene, method, seed in missing]
     unique, repeated = _without_repeats([*labelled, *told])
     unique.sort(key=lambda r: (natural(r.scene), method_order(r.method), r.seed))
+    known = sorted({run.method for run in unique}, key=method_order)
+    require(
+        not rival or rival in {*known, *(run.method_label.family for run in unique)},
+        f"--baseline: expected a method of the report, got {rival!r}; give one of"
+        f" {'; '.join(known)}",
+    )
     searched = read_search(folders[0]) if len(folders) == 1 else None
     if searched is not None:
         missing = []  # no full cross: each trial is a method of its own
@@ -74,6 +82,7 @@ def collect(
         linked=not tabled,
         tabled=tuple(tabled),
         searched=searched,
+        rival=rival,
     )
 
 

@@ -110,7 +110,8 @@ class Study:
     """out_dir: where the report goes. runs: complete, sorted by scene, method, seed. notes: what a
     reader must be told. missing: (scene, method, seed) that a full cross would have. linked:
     whether the folders of the runs can be reached from the report. tabled: folders of which only
-    the table of runs is there. searched: the trials, where the runs are those of a search."""
+    the table of runs is there. searched: the trials, where the runs are those of a search. rival:
+    the method, with its budget or without, to compare the others with, where somebody named one."""
 
     out_dir: Path
     runs: tuple[ReportRun, ...]
@@ -120,6 +121,7 @@ class Study:
     linked: bool = True
     tabled: tuple[Path, ...] = ()
     searched: Searched | None = None
+    rival: str = ""
 
     @cached_property
     def scenes(self) -> list[str]:
@@ -134,22 +136,35 @@ class Study:
     @cached_property
     def methods(self) -> list[str]:
         """Method labels: the baseline first, then by name."""
-        return sorted({run.method for run in self.runs}, key=method_order)
+        return sorted({run.method for run in self.runs}, key=self._order)
 
     @property
     def tried(self) -> list[str]:
         """`methods` and those of which every run failed."""
         names = {run.method for run in self.runs} | {run.method for run in self.failed}
-        return sorted(names - {""}, key=method_order)
+        return sorted(names - {""}, key=self._order)
 
     @cached_property
     def families(self) -> list[str]:
         """Method labels without budgets, in the order of `methods`."""
-        return sorted({run.method_label.family for run in self.runs}, key=method_order)
+        rival = self.family_of.get(self.rival, self.rival)
+        return sorted({*self.family_of.values()}, key=lambda f: (f != rival, method_order(f)))
+
+    @cached_property
+    def family_of(self) -> dict[str, str]:
+        """Method label -> that without its budget."""
+        return {run.method: run.method_label.family for run in self.runs}
+
+    def _order(self, method: str) -> tuple[bool, bool, Any]:
+        """Sort key of methods: the rival, its other budgets, then as in every report."""
+        rival = self.family_of.get(self.rival, self.rival)
+        other = not self.rival or self.family_of.get(method) != rival
+        return method != self.rival, other, method_order(method)
 
     @property
     def baseline(self) -> str:
-        """What the others are compared with: `none + none` if it ran, else the first by name."""
+        """What the others are compared with: the `rival`, else `none + none` if it ran, else the
+        first by name."""
         return self.methods[0]
 
     @cached_property

@@ -41,7 +41,9 @@ def gap_notes(study: Study, pooled: bool = True) -> list[Block]:
         )
     if any(run.record.scene.protocol.endswith(HELD_OUT) for run in study.runs if run.record.scene):
         texts.append(searched.HELD_OUT)
-    if study.searched is None and len(study.methods) > 1 and not study.has_plain:
+    if study.rival:
+        texts.append(f"All are compared with {study.rival}, as `--baseline` asks.")
+    elif study.searched is None and len(study.methods) > 1 and not study.has_plain:
         texts.append(f"No run of `none + none`: the others are compared with {study.baseline}.")
     return [Text(text, "note") for text in (*texts, *study.notes)]
 

@@ -105,8 +105,7 @@ def _than(study: Study, tested: Sequence[Comparison]) -> str:
 
 def _base_families(study: Study, tested: Sequence[Comparison]) -> set[str]:
     """The baselines of `tested` without their budgets: several where options of theirs differ."""
-    families = {run.method: run.method_label.family for run in study.runs}
-    return {families[c.baseline] for c in tested}
+    return {study.family_of[c.baseline] for c in tested}
 
 
 def alike(study: Study, found: Outcomes) -> str:
@@ -135,11 +134,10 @@ def could_hide(rest: Sequence[Comparison]) -> str:
 
 def _by_family(study: Study, rest: Sequence[Comparison], tested: Sequence[Comparison]) -> list[str]:
     """Of methods with several budgets, at how many of them, and their differences."""
-    families = {run.method: run.method_label.family for run in study.runs}
-    every = Counter(families[c.method] for c in tested)
+    every = Counter(study.family_of[c.method] for c in tested)
     told = []
-    for family in dict.fromkeys(families[c.method] for c in rest):
-        own = [c.difference for c in rest if families[c.method] == family]
+    for family in dict.fromkeys(study.family_of[c.method] for c in rest):
+        own = [c.difference for c in rest if study.family_of[c.method] == family]
         share = f"{len(own)} of its" if len(own) < every[family] else "all its"
         at = "" if every[family] == 1 else f" at {share} {every[family]} budgets"
         low, high = f"{min(own):+.2f}", f"{max(own):+.2f}"

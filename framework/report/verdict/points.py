@@ -132,9 +132,8 @@ def _cost(study: Study, found: Outcomes) -> str:
 
 def _cost_of_budgets(study: Study, found: Outcomes) -> str:
     """Of the advised family, what its cheapest and its dearest budget take."""
-    families = {run.method: run.method_label.family for run in study.runs}
-    family = families[found.best]
-    own = [method for method in found.psnr if families[method] == family]
+    family = study.family_of[found.best]
+    own = [method for method in found.psnr if study.family_of[method] == family]
     seconds = {
         method: value
         for method in own

@@ -1,0 +1,63 @@
+"""`fishersplat report DIR --baseline METHOD`: all are compared with that method."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from framework.errors import UserError
+from framework.report import build_report
+from framework.report.statistics.outcomes import outcomes
+from framework.report.study.collect import collect
+from tests.record.fakes import fake_run, make_config
+
+GAINS = {("none", "none"): 0.0, ("none", "uar"): 1.0, ("safi", "none"): 1.6}
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    for (augment, reg), gain in GAINS.items():
+        for seed in range(3):
+            fake_run(tmp_path, augment, reg, seed, gain)
+    return tmp_path
+
+
+def test_all_are_compared_with_the_method_that_was_named(study: Path) -> None:
+    found = outcomes(collect(study, rival="none + uar"))
+    assert {c.baseline for c in found.comparisons.values()} == {"none + uar"}
+    plain, uar, safi = (found.psnr[m].mean for m in ("none + none", "none + uar", "safi + none"))
+    gains = {method: c.difference for method, c in found.comparisons.items()}
+    assert gains == pytest.approx({"none + none": plain - uar, "safi + none": safi - uar})
+    assert found.best == "safi + none"
+
+
+def test_the_report_says_so(study: Path) -> None:
+    plain = build_report(study).read_text(encoding="utf-8")
+    text = build_report(study, rival="none + uar").read_text(encoding="utf-8")
+    assert "All are compared with none + uar, as `--baseline` asks." in text
+    assert "against none + uar" in text.partition("## ")[0]
+    assert "--baseline" not in plain and "against none + uar" not in plain
+    assert build_report(study).read_text(encoding="utf-8") == plain
+
+
+def test_an_unknown_method_is_told_with_those_there_are(study: Path) -> None:
+    told = "--baseline: expected a method of the report, got 'uar'; give one of none [+] none; none"
+    with pytest.raises(UserError, match=told):
+        build_report(study, rival="uar")
+
+
+def test_budgets_are_compared_at_equal_budgets(tmp_path: Path) -> None:
+    for (augment, reg), gain in GAINS.items():
+        for steps, seed in product((100, 200), range(3)):
+            name = f"{augment}-{reg}-{steps}-{seed}"
+            trainer = make_config()["trainer"] | {"steps": steps}
+            fake_run(tmp_path, augment, reg, seed, gain, run_name=name, trainer=trainer)
+    study = collect(tmp_path, rival="none + uar")
+    assert study.families == ["none + uar", "none + none", "safi + none"]
+    told = {method: c.baseline for method, c in outcomes(study).comparisons.items()}
+    uar = {"100": "none + uar, steps=100", "200": "none + uar, steps=200"}
+    assert told == {
+        f"{m}, steps={n}": uar[n] for m, n in product(("none + none", "safi + none"), uar)
+    }
