@@ -167,6 +167,7 @@ class Regularizer(Plugin):
     """Acts on a training step; evaluation sees it by `evaluated` alone."""
 
     group: ClassVar[str] = "reg"
+    drops: ClassVar[bool] = True  # whether a factor below 1 counts as a Gaussian that was dropped
 
     @classmethod
     def weighted(cls) -> bool:

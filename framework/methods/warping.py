@@ -118,12 +118,17 @@ class WarpingAugmenter(Augmenter):
         return replace(state, selection=selection, view=view, made=ctx.epoch)
 
     def _log_supports(self, ctx: StepContext, chosen: Sequence[int], camera: Camera) -> None:
-        """How many there are, and how far from the camera, in camera spacings."""
-        distances = center_distances([ctx.views[i] for i in chosen], camera)
+        """How many there are, how far from the camera, in camera spacings, whether the nearest
+        photo is among them, and which they are on average by nearness (1: the nearest)."""
+        distances = center_distances(ctx.views, camera)
+        nearness = sorted(range(len(distances)), key=distances.__getitem__)
         ctx.log(f"{self.name}_supports", len(chosen))
-        if distances:
-            mean = sum(distances) / len(distances)
+        if chosen:
+            mean = sum(distances[i] for i in chosen) / len(chosen)
+            ranks = [nearness.index(i) + 1 for i in chosen]
             ctx.log(f"{self.name}_support_distance", mean / ctx.spacing)
+            ctx.log(f"{self.name}_nearest", float(1 in ranks))
+            ctx.log(f"{self.name}_support_rank", sum(ranks) / len(ranks))
 
     def _sample_camera(self, ctx: StepContext) -> Camera:
         rng = ctx.rng("camera")  # not by method: all compare on the same cameras

@@ -13,7 +13,7 @@ from framework.report.statistics.outcomes import Outcomes
 from framework.report.study.axes import VIEWS
 from framework.report.study.labels import outside
 from framework.report.study.runs import ReportRun, Study
-from framework.report.study.tabled import ALSO, CODE, TABLE
+from framework.report.study.tabled import ALSO, CODE, DOSE, TABLE
 from framework.report.text.provenance import code_of
 
 __all__ = ["LATEX", "TABLE", "comparisons_tex", "runs_csv"]
@@ -59,6 +59,7 @@ def _measured(run: ReportRun) -> dict[str, Any]:
         "seed": run.seed,
         **{metric: run.mean(metric) for metric in METRICS},
         **{f"{ALSO}{name}": run.mean(name) for name in run.record.summary if name not in METRICS},
+        **{f"{DOSE}{outside(name)}": _plain(value) for name, value in record.dose.items()},
         "gaussians": record.gaussians,
         "parameters": record.parameters,
         "train_wall_s": record.train_s,
@@ -70,6 +71,11 @@ def _measured(run: ReportRun) -> dict[str, Any]:
         "overrides": outside(" ".join(w for w in record.overrides if not w.startswith("seed="))),
         "run": outside(run.run.run_dir.name),
     }
+
+
+def _plain(value: object) -> object:
+    """A dose's number or text; None stays None, which is an empty cell."""
+    return outside(value) if isinstance(value, str) else value
 
 
 def comparisons_tex(found: Outcomes) -> str:

@@ -280,7 +280,9 @@ class PluginsAtWork:
         if not running.idle:
             self._dose.add(f"{running.owner}.asked")
         if factors is not None:
-            self._dose.add(f"{running.owner}.dropped", float((factors < 1).double().mean()))
+            if plugin.drops:
+                share = float((factors < 1).double().mean())
+                self._dose.add(f"{running.owner}.dropped", share)
             self._note_act(running, bool((factors != 1).any()))
         return factors
 

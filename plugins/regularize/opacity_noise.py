@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 class OpacityNoise(Regularizer):
     """sigma: standard deviation of the noise, and its largest size."""
 
+    drops: ClassVar[bool] = False
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 
     sigma: float = 0.8

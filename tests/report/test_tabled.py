@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -60,6 +61,20 @@ def test_a_table_is_read_back_to_the_same_runs(tmp_path: Path) -> None:
         assert own.record.parameters == other.record.parameters
         assert own.record.train_s == other.record.train_s
     assert after.tabled and not after.linked
+
+
+def test_doses_are_in_the_table(tmp_path: Path) -> None:
+    dose = {"views_asked": 42, "views_made": 5, "how": "never asked", "acted_share": 0.12}
+    for augment in ("none", "safi"):
+        path = fake_run(tmp_path / "runs", augment) / "record.json"
+        if augment == "safi":
+            path.write_text(json.dumps(json.loads(path.read_text()) | {"dose": dose}))
+    report = build_report(tmp_path / "runs")
+    again = build_report(_table(report, tmp_path / "table"), "runs")
+    assert [run.record.dose for run in collect(again.parent).runs] == [{}, dose]
+    told = _section(report, "What each method did")
+    assert "never asked" in told and _section(again, "What each method did") == told
+    assert "acted on less than half of its occasions: safi + none (12 %" in again.read_text()
 
 
 def test_a_table_goes_on_with_runs_and_nothing_of_either_is_missing(tmp_path: Path) -> None:

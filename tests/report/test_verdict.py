@@ -139,6 +139,14 @@ def test_a_method_that_hardly_acted_is_told(tmp_path: Path) -> None:
     )
 
 
+def test_a_seed_in_which_a_method_hardly_acted_is_told_too(tmp_path: Path) -> None:
+    for seed, share in enumerate((0.0, 1.0, 0.9)):
+        path = fake_run(tmp_path, "safi", seed=seed) / "record.json"
+        content = json.loads(path.read_text())
+        path.write_text(json.dumps(content | {"dose": {"acted_share": share}}))
+    assert "safi + none (0 % on embedded in 1 of 3 runs)." in idle_sentence(collect(tmp_path))
+
+
 def test_a_single_run_has_no_worst_seed(tmp_path: Path) -> None:
     """Nor is there a rate of failures of one."""
     fake_run(tmp_path)

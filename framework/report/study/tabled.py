@@ -28,6 +28,7 @@ from framework.report.study.labels import USUAL, MethodLabel, SceneLabel, outsid
 
 TABLE = "runs.csv"
 ALSO = "also."  # begins the columns of what plugins measured
+DOSE = "dose."  # and those of what the method did while it trained
 CODE = "code"  # the column that tells of which code a run is
 TOLD = "told"  # in the provenance of such a run: that column's text
 NEEDED = ("scene", "method", "seed", "psnr", "gaussians", "parameters", "train_wall_s", "run")
@@ -83,7 +84,7 @@ def _run(folder: Path, row: Row) -> tuple[Run, MethodLabel, SceneLabel]:
         raise ValueError("a run without scene, method or name")
     name = scene.partition(" (")[0]
     flat = {key: _value(cell) for key, cell in row.items() if key not in MEASURED and cell}
-    flat = {key: value for key, value in flat.items() if not key.startswith(ALSO)}
+    flat = {key: value for key, value in flat.items() if not key.startswith((ALSO, DOSE))}
     label = SceneLabel(scene, name, {key: flat[key] for key in DATA_KEYS if key in flat})
     views = Table({key: [] for key in ("view", "file", "tags")}, _empty(*METRICS, "render_s"))
     course = Table({}, _empty("step", "seconds", "test_psnr"))
@@ -108,6 +109,9 @@ def _record(row: Row, flat: Mapping[str, Any]) -> RunRecord:
         if isinstance(named, dict):
             named.setdefault("name", "not told" if named else USUAL.get(f"{group}.name", "none"))
     also = {outside(key.removeprefix(ALSO)): row[key] for key in row if key.startswith(ALSO)}
+    dose = {
+        outside(key.removeprefix(DOSE)): _value(row[key]) for key in row if key.startswith(DOSE)
+    }
     gaussians = _whole(row["gaussians"], 0, MOST_GAUSSIANS)
     degree, banded = _bands(gaussians, _whole(row["parameters"], 0, 60 * MOST_GAUSSIANS))
     wall, cpu = (_number(row.get(name, "")) for name in ("train_wall_s", "train_cpu_s"))
@@ -126,6 +130,7 @@ def _record(row: Row, flat: Mapping[str, Any]) -> RunRecord:
         ply_bytes=_whole(row.get("ply_bytes") or "0", 0, 10**13),
         summary={metric: _measured(row.get(metric, "")) for metric in METRICS}
         | {name: _measured(cell) for name, cell in also.items() if name not in METRICS},
+        dose={name: value for name, value in dose.items() if value != ""},
     )
 
 

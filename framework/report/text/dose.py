@@ -26,6 +26,8 @@ HEADINGS = {
     "refused_other": "Refused for other reasons",
     "coverage_of_depth_mean": "Mean coverage of what depth covers",
     "support_distance_mean": "Mean distance of supports (camera spacings)",
+    "nearest_mean": "Share of views with the nearest photo as a support",
+    "support_rank_mean": "Mean place of supports by nearness (1: the nearest photo)",
     "pseudo_share_of_views": "Pseudo views' share of the renders",
 }
 OWN = ("augment_acted_share", "reg_acted_share")
@@ -50,11 +52,9 @@ def idle_sentence(study: Study) -> str:
     """Which methods acted on less than half of their occasions, and where; "" where none did."""
     told = []
     for method in study.methods:
-        shares = {scene: _acted(study.of(scene, method)) for scene in study.scenes}
-        idle = {scene: s for scene, s in shares.items() if s is not None and s < ENOUGH}
-        if idle:
-            listed = ", ".join(f"{100 * share:.0f} % on {scene}" for scene, share in idle.items())
-            told.append(f"{method} ({listed})")
+        idle = [_idle(study.of(scene, method), scene) for scene in study.scenes]
+        if any(idle):
+            told.append(f"{method} ({', '.join(filter(None, idle))})")
     if not told:
         return ""
     return (
@@ -63,10 +63,13 @@ def idle_sentence(study: Study) -> str:
     )
 
 
-def _acted(runs: Sequence[ReportRun]) -> float | None:
+def _idle(runs: Sequence[ReportRun], scene: str) -> str:
+    """`12 % on SCENE`, of the runs that hardly acted; "" where none did."""
     told = [run.record.dose[ACTED] for run in runs if ACTED in run.record.dose]
     shares = [_number(share) or 0.0 for share in told]  # in words where it was never asked
-    return float(np.mean(shares)) if shares else None
+    few = [share for share in shares if share < ENOUGH]
+    some = f" in {len(few)} of {len(shares)} runs" if len(few) < len(shares) else ""
+    return f"{100 * float(np.mean(few)):.0f} % on {scene}{some}" if few else ""
 
 
 def _cells(runs: Sequence[ReportRun]) -> dict[str, str]:
