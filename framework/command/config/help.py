@@ -45,7 +45,7 @@ fishersplat: sparse-view 3D Gaussian Splatting studies on a CPU
   own plugins   {program} --plugins DIR reg=NAME
 {subcommands}
 
--m (a run for every combination of the values) goes first or last on the line.
+-m makes a run for every combination of the values.
 The report is written to reports/STUDY/report.md, each run to reports/STUDY/runs/NAME/.
 """
 
