@@ -93,6 +93,16 @@ def test_a_table_goes_on_with_runs_and_nothing_of_either_is_missing(tmp_path: Pa
     assert any(note.startswith("3 of 5 runs are those of a table") for note in both.notes)
 
 
+def test_a_run_in_a_table_and_in_a_folder_is_one(tmp_path: Path) -> None:
+    report = _study(tmp_path / "runs")
+    table = _table(report, tmp_path / "table")
+    shutil.rmtree(report.parent / "runs" / "safi2")
+    both = collect([report.parent, table], tmp_path / "both")
+    assert [run.run.run_dir.parent.parent.name for run in both.runs] == ["runs"] * 5 + ["table"]
+    assert not [note for note in both.notes if "twice" in note]
+    assert any(note.startswith("1 of 6 runs are those of a table") for note in both.notes)
+
+
 def test_a_figure_kept_beside_the_table_is_shown(tmp_path: Path) -> None:
     report = _study(tmp_path / "runs")
     folder = _table(report, tmp_path / "table")

@@ -90,7 +90,8 @@ def _gathered(
     folders: Sequence[Path], broken: Mapping[Path, str]
 ) -> tuple[list[Run], list[FailedRun], list[Path], list[ReportRun], list[Path]]:
     """Complete runs, failed ones, the folder that each complete one is of; what is told of those
-    that are in a table alone, and the folders of such tables."""
+    that are in a table alone, and the folders of such tables. A run that is in both is the
+    folder's."""
     runs, failed, origins = [], [], []
     told: list[ReportRun] = []
     tabled = []
@@ -108,7 +109,14 @@ def _gathered(
         runs += complete
         failed += lost
         origins += [folder] * len(complete)
+    there = {_bits(run) for run in runs}
+    told = [run for run in told if "" in _bits(run.run) or _bits(run.run) not in there]
     return runs, failed, origins, told, tabled
+
+
+def _bits(run: Run) -> tuple[str, str]:
+    """By which the same run is known in a folder and in a table; the second may be ""."""
+    return run.run_dir.name, run.record.parameters_sha256[:12]
 
 
 def _read(folder: Path, broken: Mapping[Path, str]) -> tuple[list[Run], list[FailedRun]]:
