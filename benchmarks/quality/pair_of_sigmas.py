@@ -30,7 +30,9 @@ def main() -> None:
     given = parser.parse_args()
     runs = pd.read_csv(given.study / "runs.csv")
     by_seed = runs.pivot(index="seed", columns="method", values="psnr")
-    a, b = (by_seed[name].dropna() for name in (given.method, given.other))
+    names = [given.method, given.other]
+    shared = by_seed[names].dropna()  # what a pair's ratio is of
+    a, b = (shared[name] if len(shared) > 2 else by_seed[name].dropna() for name in names)
     found = compare_sigmas(given.method, dict(a), given.other, dict(b))
     if found is None or found.interval is None:
         sys.exit(f"{given.study}: expected three seeds or more of both, got {len(a)} and {len(b)}")
