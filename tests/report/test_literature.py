@@ -8,7 +8,17 @@ from pathlib import Path
 from framework.command.config.schema import CONF_DIR
 from framework.report.parts.document import Table
 from framework.report.study.collect import collect
-from framework.report.text.literature import HERE, OF_SCENE, PUBLISHED, REPEATED, literature
+from framework.report.text.literature import (
+    AVGE_HERE,
+    AVGE_THERE,
+    HERE,
+    OF_SCENE,
+    OVER,
+    PUBLISHED,
+    REPEATED,
+    REVERSED,
+    literature,
+)
 from framework.report.text.published import read
 from tests.record.fakes import fake_run
 
@@ -28,14 +38,20 @@ def test_recipes_stand_beside_published_and_repeated_figures(tmp_path: Path) -> 
     for seed in (0, 1):
         _recipe(tmp_path, "corgs", seed)
         _recipe(tmp_path, "fsgs_sweep", seed, gain=1.0)
-    (found,) = (b for b in literature(collect(tmp_path)) if isinstance(b, Table))
+    found, reversals = (b for b in literature(collect(tmp_path)) if isinstance(b, Table))
     columns = dict(zip(found.columns, range(20), strict=False))
     rows = {row[columns["Method"]]: row for row in found.rows}
     assert set(rows) == {"CoR-GS", "FSGS", "ReconFusion", "MuRF"}
     corgs = rows["CoR-GS"]
     assert corgs[columns[PUBLISHED.format(set="LLFF")]] == "20.45" and corgs[columns["Runs"]] == "2"
-    assert corgs[columns[REPEATED.format(set="LLFF")]] == "20.19 ± 0.14 (10 runs)"
+    assert corgs[columns[REPEATED.format(set="LLFF")]] == (
+        "20.19 ± 0.14 (10 runs), 20.17, 20.11, 20.47"
+    )
     assert corgs[columns[OF_SCENE]] == "22.29"
+    assert corgs[columns[AVGE_THERE]] == "0.0862, 0.0806 ± 0.0008"
+    assert AVGE_HERE not in columns, "no run has LPIPS"
+    ((above, below),) = reversals.rows
+    assert above == "CoR-GS" and below.startswith("FSGS (+0.14, ")
     assert rows["FSGS"][columns["Recipe"]] == "fsgs_sweep"
     assert rows["MuRF"][columns["Recipe"]] == "published only"
     assert rows["MuRF"][columns[HERE]] == "–" and rows["FSGS"][columns[HERE]] != "–"
@@ -43,7 +59,7 @@ def test_recipes_stand_beside_published_and_repeated_figures(tmp_path: Path) -> 
 
 def test_scenes_of_dtu_stand_beside_figures_of_dtu(tmp_path: Path) -> None:
     for name in ("binocular_sweep", "stereogs_sweep", "segs"):
-        _recipe(tmp_path, name, 0, loader="dtu")
+        _recipe(tmp_path, name, 0, loader="dtu", gain=float(name == "stereogs_sweep"))
     (found,) = (b for b in literature(collect(tmp_path)) if isinstance(b, Table))
     columns = dict(zip(found.columns, range(20), strict=False))
     printed = {
@@ -55,6 +71,18 @@ def test_scenes_of_dtu_stand_beside_figures_of_dtu(tmp_path: Path) -> None:
     }
     assert printed["Binocular3DGS"] == ("20.71", "20.83") and printed["SE-GS"] == ("–", "–")
     assert printed["StereoGS"] == ("21.46", "–") and printed["MuRF"] == ("21.31", "–")
+
+
+def test_a_reversal_that_seeds_confirm_is_in_bold(tmp_path: Path) -> None:
+    for seed, gain in enumerate((2.0, 2.2, 2.1)):
+        _recipe(tmp_path, "stereogs_sweep", seed)  # published the highest of the three
+        _recipe(tmp_path, "binocular_sweep", seed, gain=gain)
+        _recipe(tmp_path, "segs", seed, gain=(-5.0, -1.0, -3.0)[seed])
+    tables = [b for b in literature(collect(tmp_path)) if isinstance(b, Table)]
+    (told,) = (t for t in tables if t.columns == (REVERSED, OVER))
+    ((above, below),) = told.rows
+    assert above == "StereoGS" and below.startswith("Binocular3DGS (+0.47, **-1.")
+    assert below.endswith("**)"), "SE-GS is published below it, and is"
 
 
 def test_a_study_without_recipes_has_no_such_table(tmp_path: Path) -> None:

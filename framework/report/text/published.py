@@ -8,6 +8,7 @@ import csv
 from pathlib import Path
 
 from framework.report.parts.document import Block, Heading, Table, Text, table
+from framework.report.statistics.numbers import ABSENT
 from framework.report.study.runs import Study
 
 FOLDER = Path(__file__).parent
@@ -21,8 +22,9 @@ MEANS = (
     " training, and without the number of runs. Sources: {sources}."
 )
 BY_SCENE = (
-    "The scenes of this report, as a third party trained them: single runs on a GPU, LLFF's"
-    " protocol. Sources: {sources}."
+    "The scenes of this report, as others trained them on a GPU with the protocol of their data"
+    " set. AVGE is the geometric mean of the squared error, of the root of 1 - SSIM and of LPIPS:"
+    " lower is better. Sources: {sources}."
 )
 
 
@@ -38,7 +40,8 @@ def published(study: Study) -> list[Block]:
                 "Scene": row["scene"],
                 "Method": row["method"],
                 "Training views": row["views"],
-                "PSNR / SSIM / LPIPS (size)": _cell(row),
+                "PSNR / SSIM / LPIPS (size)": _cell(row) if row["psnr"] else ABSENT,
+                "AVGE (size)": f"{row['avge']} ({row['size']})",
             }
             for row in own
         ]
@@ -77,7 +80,7 @@ def scene_rows(names: set[str]) -> list[dict[str, str]]:
     return [
         row
         for row in read("published_scenes.csv")
-        if row["scene"] in names or row["scene"].removeprefix("llff_") in names
+        if row["scene"] in names or row["scene"].partition("_")[2] in names
     ]
 
 
