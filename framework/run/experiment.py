@@ -32,6 +32,7 @@ from framework.metrics.coadaptation import with_average, with_coadaptation
 from framework.metrics.evaluate import evaluate
 from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
+from framework.metrics.rank import with_rank
 from framework.metrics.values import COADAPTATION, MEASURES, Missing, ViewMetrics, measures
 from framework.options import TrainerOptions
 from framework.rasterizers import build_rasterizer
@@ -260,6 +261,7 @@ def _measured(
         cameras = [view.camera for view in test]
         draws = rng.stream(config["seed"], COADAPTATION)
         metrics = with_coadaptation(metrics, half, len(trained.gaussians), cameras, draws)
+        metrics = with_rank(metrics, trained.gaussians.log_scales)
     return metrics, renders
 
 
