@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
+from framework.compute.rng import stream
 from framework.plugin import StepContext, StepStats
 from framework.types import View
 from plugins.capacity.co_prune import CoPrune
@@ -52,6 +54,10 @@ def test_unpooling_puts_new_ones_between_far_neighbours() -> None:
     few = ProximityUnpool(far=4.5, every=0.1, at_most=0.75).update(ctx, None, stats(ctx))[0]
     assert few is not None and few.append is not None and len(few.append) == 3  # the farthest
     assert torch.allclose(few.append.means[0], (means[3] + means[0]) / 2)
+    # standard deviations e^2, e^5, e^8 and e^11; above 2 x 100 are the last two
+    wide = ProximityUnpool(far=2.25, large=100.0, every=0.1, at_most=10)
+    edits, _ = wide.update(replace(ctx, extent=2.0), None, stats(ctx))
+    assert edits is not None and edits.append is not None and len(edits.append) == 6
 
 
 def test_edge_scores_are_means_under_the_blend_weights() -> None:
@@ -82,6 +88,18 @@ def test_edge_scores_are_means_under_the_blend_weights() -> None:
     )
 
 
+def test_only_large_ones_on_edges_are_split() -> None:
+    ctx = at_work(gaussians=wall_of_gaussians(60), step=4)
+    seen = replace(ctx, gaussians=ctx.gaussians.detach(), extent=2.0)
+    score = edge_scores(seen, ctx.views[0])
+    sharp, large = score >= score.median(), seen.gaussians.scales.amax(1) > 2 * 0.048
+    assert all(0 < int((sharp & size).sum()) < 30 for size in (large, ~large))
+    plugin = EdgeSplit(score=float(score.median()), large=0.048, every=0.05, at_most=1.0)
+    edits, _ = plugin.update(seen, None, stats(seen, ctx.views[0]))
+    assert edits is not None and edits.keep is not None
+    assert torch.equal(~edits.keep, sharp & large)
+
+
 def test_the_second_field_is_shaken_where_its_renders_differ() -> None:
     model = wall_of_gaussians(seed=5)
     ctx = replace(at_work(step=4), gaussians=wall_of_gaussians(), second=True, other=model)
@@ -109,6 +127,27 @@ def test_the_second_field_is_shaken_where_its_renders_differ() -> None:
     still, _ = plugin.update(replace(ctx, step=14), Watched(state.cameras, (calm,)), stats(ctx))
     assert still is not None and torch.equal(still.values["means"], ctx.gaussians.means)
     plugin.check_state(state, ctx.gaussians, 0, ())
+
+
+def test_the_noise_falls_exponentially_and_has_the_size_of_what_it_shakes() -> None:
+    """Half-way from 0.16 to 0.01 it is their geometric mean, 0.04."""
+    gaussians = wall_of_gaussians().replace(opacity_logits=torch.linspace(-2, 3, 400))
+    ctx = replace(at_work(), gaussians=gaussians, second=True, other=wall_of_gaussians(seed=5))
+    ctx = replace(ctx, step=4, n_steps=8, extent=2.0)
+    plugin = SelfEnsemble(cameras=1, uncertain=1.0, least=0.0, first=0.16, last=0.01)
+    (camera,) = plugin.init_state(ctx).cameras
+    looks = stream(0, "looks").random((2, 3, camera.height, camera.width))
+    watched = Watched((camera,), (torch.from_numpy(looks).float(),))
+    edits, watched = plugin.update(ctx, watched, stats(ctx))
+    chosen = in_uncertain_pixels(gaussians.means, watched, 1.0, 0.0).numpy()
+    assert edits is not None and 0 < chosen.sum() < 400
+    draws = ctx.rng("noise")
+    for name in ("means", "log_scales", "opacity_logits"):
+        old = getattr(gaussians, name).double().numpy()
+        size = 2.0 if name == "means" else np.abs(old).mean()
+        shaken = old + 0.04 * size * draws.standard_normal(old.shape)
+        expected = np.where(chosen if old.ndim == 1 else chosen[:, None], shaken, old)
+        assert np.allclose(edits.values[name].numpy(), expected, atol=1e-5)
 
 
 def test_what_is_logged_begins_with_the_plugin() -> None:
