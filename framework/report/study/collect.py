@@ -45,16 +45,15 @@ def collect(
     runs, failed, origins, told, tabled = _gathered(folders, broken)
     labelled, named = _label(runs, failed)
     labelled, named, told, apart = _told_apart(labelled, named, origins, told)
-    missing = _missing(labelled, named, origins, told)
     short, shortened_notes = shortened([run.method_label for run in (*labelled, *told)])
-    recipes = by_recipe([(run.method_label, run.record.overrides) for run in labelled])
+    recipes = by_recipe([(run.method_label, run.record.overrides, run.scene) for run in labelled])
     if recipes and not told:
         short, shortened_notes = recipes, [NOTE]
     labelled, told = (
         [replace(run, method_label=short[run.method]) for run in some] for some in (labelled, told)
     )
     named = [replace(run, method=_short(short, run.method)) for run in named]
-    missing = [(scene, _short(short, method), seed) for scene, method, seed in missing]
+    missing = _missing(labelled, named, origins, told)
     unique, repeated = _without_repeats([*labelled, *told])
     unique.sort(key=lambda r: (natural(r.scene), method_order(r.method), r.seed))
     known = sorted({run.method for run in unique}, key=method_order)

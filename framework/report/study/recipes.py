@@ -26,31 +26,51 @@ def recipe_of(overrides: Sequence[str]) -> str:
     return ""
 
 
-def by_recipe(runs: Sequence[tuple[MethodLabel, Sequence[str]]]) -> dict[str, MethodLabel]:
-    """Of runs, (label, overrides): the full name -> a label of the recipe's name, with what else
-    was typed where one recipe was run in several ways.
+def by_recipe(runs: Sequence[tuple[MethodLabel, Sequence[str], str]]) -> dict[str, MethodLabel]:
+    """Of runs, (label, overrides, scene): the full name -> a label of the recipe's name, with what
+    else was typed where one recipe was run in several ways on a scene. On another scene it may have
+    other options (`conf/for_scene`), and so another full name, and is the same method.
 
-    Empty unless every run has a recipe, each name is one method and the other way round, and there
-    is more to them than an augmenter, a regularizer and what was typed.
+    Empty unless every run has a recipe, on each scene each name is one method and the other way
+    round, and there is more to them than an augmenter, a regularizer and what was typed.
     """
     names: dict[str, set[str]] = defaultdict(set)
     typed: dict[str, set[tuple[str, ...]]] = defaultdict(set)
-    for label, overrides in runs:
+    scenes: dict[str, set[str]] = defaultdict(set)
+    for label, overrides, scene in runs:
         names[label.full].add(recipe_of(overrides))
         typed[label.full].add(_of_method(overrides))
+        scenes[label.full].add(scene)
     chosen = [name for found in names.values() for name in found]
     if "" in chosen or len(chosen) > len(names):
         return {}
-    if len(set(chosen)) == len(chosen):
-        told = any(label.options or label.budget for label, _ in runs)
-        return {full: _named(name) for full, (name,) in _only(names).items()} if told else {}
-    return _with_words({label.full: label for label, _ in runs}, names, typed)
+    labels = {label.full: label for label, _, _ in runs}
+    simple = {full: _named(name) for full, (name,) in _only(names).items()}
+    if _apart(simple, scenes) and _alike(simple, typed):
+        told = any(label.options or label.budget for label in labels.values())
+        return simple if told else {}
+    return _with_words(labels, names, typed, scenes)
+
+
+def _apart(found: Mapping[str, MethodLabel], scenes: Mapping[str, set[str]]) -> bool:
+    """Whether no two methods of one scene have the same new name."""
+    cells = [(label.full, scene) for full, label in found.items() for scene in scenes[full]]
+    return len(set(cells)) == len(cells)
+
+
+def _alike(found: Mapping[str, MethodLabel], typed: Mapping[str, set[tuple[str, ...]]]) -> bool:
+    """Whether the same was typed wherever several methods have one new name."""
+    ways: dict[str, list[set[tuple[str, ...]]]] = defaultdict(list)
+    for full, label in found.items():
+        ways[label.full].append(typed[full])
+    return all(len(set.union(*each)) == 1 for each in ways.values() if len(each) > 1)
 
 
 def _with_words(
     labels: Mapping[str, MethodLabel],
     names: Mapping[str, set[str]],
     typed: Mapping[str, set[tuple[str, ...]]],
+    scenes: Mapping[str, set[str]],
 ) -> dict[str, MethodLabel]:
     """Names with the words that tell runs of one recipe apart; see `by_recipe`."""
     if any(len(ways) > 1 for ways in typed.values()):
@@ -63,7 +83,7 @@ def _with_words(
     if all(_explained(labels[full], own) for full, own in words.items()):
         return {}
     found = {full: _named(name, words[full]) for full, (name,) in _only(names).items()}
-    return found if len({label.full for label in found.values()}) == len(found) else {}
+    return found if _apart(found, scenes) else {}
 
 
 def _of_method(overrides: Sequence[str]) -> tuple[str, ...]:
