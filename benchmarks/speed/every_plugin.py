@@ -4,10 +4,12 @@
 
 A row for every augmenter, regularizer and capacity that is registered, each alone with its defaults
 beside `augment=none reg=none capacity=fixed`, and one for a plugin without any hook: what a plugin
-that asks for nothing costs. The trainings are threads of one process and take turns of `--chunk`
-steps, all others waiting, so that a slow minute hits all alike and CPU ratios hold on a machine
-with other work. One thread, no evaluations, kernels compiled before. A plugin that acts in a part
-of the training only (`start`, `stop`) costs more while it acts. Initializers follow, once per run.
+that asks for nothing costs; then the trainer's own terms (`TERMS`). What begins later than these
+few steps is told to begin at once (`EAGER`), and the row says so. The trainings are threads of one
+process and take turns of `--chunk` steps, all others waiting, so that a slow minute hits all alike
+and CPU ratios hold on a machine with other work. One thread, no evaluations, kernels compiled
+before. A plugin that acts in a part of the training only (`start`, `stop`) costs more while it
+acts. Initializers follow, once per run.
 """
 
 from __future__ import annotations
@@ -33,7 +35,12 @@ from framework.plugin import Regularizer, register  # noqa: E402
 NOTHING = "asks_nothing"
 DEFAULTS = ("scene.width=160", "scene.height=120", "trainer.steps=40", "trainer.members=1")
 ALONE = {"augment": "none", "reg": "none", "capacity": "fixed"}
-BASELINE = ("", "without any plugin")
+BASELINE = "without any plugin"
+EAGER = {
+    "adc": ("capacity.from_step=5", "capacity.every=10"),
+    "sh_dropout": ("trainer.sh_degree=1",),
+}
+TERMS = ("trainer.opacity_spare=0.5", "trainer.depth_smoothness=0", "trainer.binocular=1")
 
 
 @register("reg", NOTHING)
@@ -108,17 +115,28 @@ def rows(only: Sequence[str]) -> list[tuple[str, str]]:
     return [pair for pair in chosen if not only or pair[1] in only or pair[1] == NOTHING]
 
 
+def _beside(only: Sequence[str]) -> list[tuple[str, tuple[str, ...]]]:
+    """(how the row is called, what it changes) of every plugin and term."""
+    found = [
+        (f"{group}={name}", (f"{group}={name}", *EAGER.get(name, ()))) for group, name in rows(only)
+    ]
+    terms = [] if only else [(term, (term,)) for term in TERMS]
+    return [(", ".join((label, *changes[1:])), changes) for label, changes in [*found, *terms]]
+
+
 def measured(overrides: Sequence[str], chunk: int, only: Sequence[str]) -> list[tuple[str, Turns]]:
     """(name, its turns) of the baseline and of every plugin."""
     from framework.compute import parallel
 
     parallel.set_threads(1)
     all_of: list[tuple[str, Turns]] = []
-    for group, name in [BASELINE, *rows(only)]:
-        chosen = ALONE if not group else ALONE | {group: name}
-        words = [*DEFAULTS, *(f"{key}={value}" for key, value in chosen.items()), *overrides]
-        all_of.append((f"{group}={name}".lstrip("="), started(prepared(words), chunk)))
-        print(f"ready: {all_of[-1][0]}", file=sys.stderr)
+    for label, changes in [(BASELINE, ()), *_beside(only)]:
+        chosen = [f"{group}={name}" for group, name in ALONE.items()]
+        groups = {change.partition("=")[0] for change in changes}
+        kept = [word for word in chosen if word.partition("=")[0] not in groups]
+        words = [*DEFAULTS, *kept, *changes, *overrides]
+        all_of.append((label, started(prepared(words), chunk)))
+        print(f"ready: {label}", file=sys.stderr)
     while not all(turns.over for _, turns in all_of):
         for name, turns in all_of:
             if not turns.over:
