@@ -29,7 +29,7 @@ def _nobody(found: Outcomes) -> str:
         return f"{start} no difference in spread could have been noticed, however large."
     return (
         f"{start} a spread (σ) had to be below {significant(c.detectable)} times that of"
-        f" {c.baseline} to be noticed."
+        f" {c.baseline} to be noticed 8 times in 10."
     )
 
 
