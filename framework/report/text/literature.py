@@ -34,8 +34,8 @@ RARE = OF_SCENE, AVGE_THERE, AVGE_HERE  # left out where no recipe has any
 REVERSED, OVER = "Published above", "but below here (dB as published, dB here)"
 WORDS = ("Recipe", "Method")
 PAIRS = (
-    "Pairs in the other order than published; here over the seeds that both have. A dB in bold:"
-    " its 95 % interval, paired by seed, excludes zero, for this pair alone."
+    "Pairs in the other order than published; here over the seeds that both have. Shown: its 95 %"
+    " interval, paired by seed, excludes zero, for this pair alone."
 )
 WHAT = (
     "PSNR in dB of recipes (`method=NAME`; one whose name ends in `_sweep` takes the plane sweep"
@@ -103,7 +103,7 @@ def _reversed(
             if c is None or own <= float(other[column]) or c.difference >= 0:
                 continue
             here = f"{c.difference:+.2f}"
-            here = f"**{here}**" if c.significant else here
+            here = f"{here} shown" if c.significant else here
             pairs.append(f"{other['method']} ({own - float(other[column]):+.2f}, {here})")
         if pairs:
             told.append({REVERSED: row["method"], OVER: "; ".join(pairs)})
