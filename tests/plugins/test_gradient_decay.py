@@ -1,0 +1,134 @@
+"""The decay of opacities by their gradients, against numbers worked by hand and the trainer's own
+decay, and what it changes in a training."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from framework import registry
+from framework.errors import UserError
+from framework.options import TrainerOptions
+from framework.plugin import StepStats
+from framework.records.progress import Silent
+from framework.run.warmup import _plane
+from framework.train.trainer import Plugins, Trainer
+from plugins.capacity.gradient_decay import LOWEST, GradientDecay, fade
+from tests.plugins.fakes import Log, context, wall_of_gaussians
+from tests.plugins.test_one_step import changed, scattered
+
+PLAIN = {"sh_degree": 1, "opacity_decay": 1.0, "pace_steps": 0, "pace_views": 0}
+
+
+def trained(steps: int = 1, capacity: Any = None, **options: Any) -> Trainer:
+    """A training on three tiny views by this capacity's options, None for a fixed number."""
+    chosen = (("augment", {"name": "none"}), ("reg", {"name": "none"}))
+    plugins = [registry.build(group, own) for group, own in chosen]
+    plugins.append(registry.build("capacity", capacity or {"name": "fixed"}))
+    training, depth, _ = _plane(1)
+    settings = TrainerOptions(steps=steps, **{**PLAIN, **options})
+    rest = settings, Plugins(*plugins), 0, Silent()
+    trainer = Trainer(training, depth, scattered(0), *rest, tells=False)
+    trainer.run()
+    return trainer
+
+
+def opacities(of: Trainer) -> Tensor:
+    return of.field.params.detach().opacity_logits.double().sigmoid()
+
+
+def decay(**options: Any) -> dict[str, Any]:
+    return {"name": "gradient_decay", **options}
+
+
+def test_the_factor_is_the_papers() -> None:
+    """By hand: opacities 1/2, 1/2, 4/5 and 1/2 with |dL/do| 1, 2, 3 and 0, of which the mean of
+    those above 0 is 2; dL/dlogit is o (1 - o) times dL/do."""
+    gaussians = wall_of_gaussians(4).replace(
+        opacity_logits=torch.tensor([0.0, 0.0, 1.3862943611198906, 0.0])
+    )
+    gradient = torch.tensor([0.25, -0.5, 0.48, 0.0])
+    log = Log({})
+    ctx = context(gaussians=gaussians, log=log)
+    stats = StepStats(
+        torch.zeros(4, 2), torch.ones(4), 80, 60, gradients={"opacity_logits": gradient}
+    )
+    edits, state = GradientDecay(decay=0.9, relief=0.5).update(ctx, None, stats)
+    assert edits is not None and state is None and not edits.changes_the_rows
+    assert set(edits.values) == {"opacity_logits"}
+    # 1 - 0.1 e^-0.25, 1 - 0.1 e^-0.5, 1 - 0.1 e^-0.75, 1 - 0.1
+    factors = [0.9221199, 0.9393469, 0.9527633, 0.9]
+    faded = edits.values["opacity_logits"].double().sigmoid()
+    expected = torch.tensor(factors).double() * torch.tensor([0.5, 0.5, 0.8, 0.5])
+    assert torch.allclose(faded, expected, atol=1e-6)
+    assert log.values["gradient_decay_factor"] == pytest.approx([sum(factors) / 4])
+    assert torch.equal(gaussians.opacity_logits[:2], torch.zeros(2))  # what it got is untouched
+
+
+def test_without_any_gradient_all_fade_alike() -> None:
+    logits = torch.tensor([-2.0, 0.0, 3.0])
+    faded, factor = fade(logits, torch.zeros(3), 0.9, 0.5)
+    assert torch.allclose(faded.sigmoid(), 0.9 * logits.sigmoid(), atol=1e-6)
+    assert factor == pytest.approx(0.9)
+
+
+def test_the_most_opaque_and_the_faintest_stay_finite() -> None:
+    logits = torch.tensor([60.0, 60.0, -29.999, -80.0])
+    faded, _ = fade(logits, torch.tensor([1.0, 0.0, 0.0, 0.0]), 0.9, 1e5)
+    # held on to with all there is: as it was; else 0.9 as a logit; faded out
+    assert faded[0] == 60 and float(faded[1]) == pytest.approx(2.1972246)
+    assert faded[2:].tolist() == [LOWEST, LOWEST]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"decay": 0.0}, {"decay": 1.0}, {"decay": float("nan")}, {"relief": -0.1}]
+)
+def test_options_that_mean_nothing_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(UserError, match=f"capacity.{next(iter(wrong))}"):
+        GradientDecay(**wrong)
+
+
+def test_in_one_step_it_changes_opacities_alone_and_no_moments() -> None:
+    plain, acted = trained(), trained(capacity=decay())
+    assert changed(plain.field.params, acted.field.params) == {"opacity_logits"}
+    share = opacities(acted) / opacities(plain)
+    assert share.min() >= 0.99 - 1e-6 and share.max() < 1 and share.std() > 1e-4
+    for moments in ("first", "second"):
+        one, other = (getattr(t.field.optimizer.state(), moments) for t in (plain, acted))
+        assert not changed(one, other)
+
+
+def test_one_step_is_that_of_the_trainers_own_decay() -> None:
+    """An independent computation of the same: all Gaussians here have a gradient, so that the two
+    agree on the mean."""
+    own = trained(opacity_decay=0.9, opacity_spare=0.5)
+    acted = trained(capacity=decay(decay=0.9, relief=0.5))
+    assert torch.allclose(opacities(acted), opacities(own), atol=1e-6)
+    assert not torch.allclose(opacities(acted), opacities(trained(opacity_decay=0.9)), atol=1e-3)
+
+
+def test_without_relief_it_is_the_plain_decay() -> None:
+    plain = trained(6, opacity_decay=0.95)
+    acted = trained(6, capacity=decay(decay=0.95, relief=0.0))
+    assert torch.allclose(opacities(acted), opacities(plain), atol=1e-5)
+
+
+def test_it_acts_in_every_step_of_its_share_of_the_training() -> None:
+    plain = opacities(trained(8)).mean()
+    half = opacities(trained(8, capacity=decay(stop=0.5))).mean()
+    whole = opacities(trained(8, capacity=decay())).mean()
+    assert whole < half < plain
+
+
+def test_it_stands_beside_a_capacity_that_adds_and_removes() -> None:
+    adc = {"name": "adc", "from_step": 1, "every": 2, "grad_threshold": 1e-6}
+    alone = trained(8, capacity=adc)
+    both = trained(
+        8, capacity={"name": "adc+gradient_decay", "adc": adc, "gradient_decay": decay()}
+    )
+    assert len(alone.field.params) > len(scattered(0))
+    assert len(both.field.params) > len(scattered(0))
+    assert opacities(both).mean() < opacities(alone).mean()
