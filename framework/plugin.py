@@ -211,7 +211,10 @@ class StepStats:
     Gaussians. means2d_grad: [N, 2], gradient of the loss with respect to the projected means, in
     pixels. radii: [N] pixels, 0 = culled. width, height: of that render. factors: [N], what the
     regularizers multiplied opacities by (0 = dropped), None for nothing. gradients: of the
-    parameters that the capacity's `gradients` names, as stored and by name. view: the real one.
+    parameters that the capacity's `gradients` names, as stored and by name: of the loss on the real
+    view with the regularizers' terms, without pseudo views and without what
+    `Regularizer.gradient` makes of it, at the values before the step, while `ctx.gaussians` are
+    those after it. view: the real one.
     absolute: [N, 2], as means2d_grad, but sums over pixels of absolute values, for a capacity that
     `wants_absolute`, of the photometric loss alone; None where nobody does.
     """
@@ -231,8 +234,9 @@ class Edits:
     """A change of the set of Gaussians: first `keep` ([N] bool), then `append`; afterwards clamp
     opacities to at most `opacity_ceiling` (and forget their optimizer moments). bands: [N] bool,
     which of those there were keep their SH bands above 0; None: all. sh0: [N, 1, 3], new values for
-    those there were. values: the same of any parameters by name, `opacity_logits` or others; what
-    the optimizer knows of them stays. The order may change."""
+    those there were. values: the same of any parameters by name, `opacity_logits` or others (the
+    trainer's own fading stops at a logit of -30); what the optimizer knows of them stays. The order
+    may change."""
 
     keep: Tensor | None = None
     append: Gaussians | None = None
@@ -246,10 +250,17 @@ class Edits:
         """Whether the tensors of the set get other rows."""
         return any(part is not None for part in (self.keep, self.append, self.bands))
 
+    @property
+    def changes_something(self) -> bool:
+        """Whether there is anything to do."""
+        told = self.opacity_ceiling, self.sh0
+        return self.changes_the_rows or bool(self.values) or any(t is not None for t in told)
+
 
 class Capacity(Plugin):
-    """Decides how many Gaussians there are; the only code that changes N. `gradients`: parameters
-    whose gradient it wants in `StepStats.gradients`; a step that keeps one takes a little longer.
+    """Decides how many Gaussians there are, the only code that changes N; or gives parameters new
+    values between steps. `gradients`: parameters whose gradient it wants in `StepStats.gradients`,
+    as ("opacity_logits",); a step that keeps one takes a little longer.
     """
 
     group: ClassVar[str] = "capacity"
@@ -267,7 +278,8 @@ class Capacity(Plugin):
 
     def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
         """Called after each step; the trainer applies the edits to parameters and optimizer. Of
-        several capacities each is asked about what those before it left."""
+        several capacities each is asked about what those before it left: `stats` goes along with
+        the rows, and has zeros for new ones."""
         raise NotImplementedError
 
     def shared(self, members: int) -> Self:

@@ -23,7 +23,7 @@ from omegaconf.errors import (
     ValidationError,
 )
 
-from framework.command.config.check import hint
+from framework.command.config.check import hint, rows
 from framework.command.config.schema import CONF_DIR
 from framework.command.launchers.known import LAUNCHERS, missing_extra, package_of
 from framework.command.program import program
@@ -38,6 +38,7 @@ SEVERAL = re.compile(  # `seed=0,1`, and `seed=range(3)` or another word of the 
     re.S,
 )
 EACH = "add -m to make a run of each"
+NOT_THERE = re.compile(r"Could not override '(\w+)\.(\w+)'")  # Hydra's, of a group of several
 KINDS = {
     **{int: "an integer", float: "a number", bool: "true or false", str: "a text"},
     type(None): "null",
@@ -82,9 +83,12 @@ def one_line(error: BaseException) -> str:
 def with_variant(message: str, words: Sequence[str]) -> str:
     """`message`, and what the `words` of the command line could be instead: with -m, where it asks
     for that; for a missing depth, recipes whose depth is a network's have a variant NAME_sweep
-    without one."""
+    without one; for an option of several plugins, which of them have it."""
     if message.endswith(EACH):
         return f"{message}: {program()} {shlex.join(words)} -m"
+    missed = NOT_THERE.search(message)
+    if missed is not None:
+        return _of_several(missed[1], missed[2], words) or message
     if not message.startswith(("depth=", "depth.")):
         return message
     chosen = [word.lstrip("+").removeprefix("method=") for word in words if "method=" in word]
@@ -93,6 +97,18 @@ def with_variant(message: str, words: Sequence[str]) -> str:
     if not there:
         return message
     return f"{message}; or take the plane sweep instead of a network: {', '.join(there)}"
+
+
+def _of_several(group: str, key: str, words: Sequence[str]) -> str:
+    """What to write in place of `group.key` where several plugins are chosen, each with options of
+    its own; "" where one is."""
+    chosen = [word.partition("=")[2] for word in words if word.lstrip("+").startswith(f"{group}=")]
+    names = [name for value in chosen for name in re.findall(r"[\w.-]+", value)]
+    having = [name for name in names if key in (row[0] for row in rows(group, name))]
+    there = " or ".join(f"'{group}.{name}.{key}'" for name in having)
+    place = f"{group}.{key}: unknown option of {group}={'+'.join(names)}"
+    told = f"did you mean {there}?" if there else "each has its own, as in GROUP.NAME.OPTION"
+    return f"{place}; {told}" if len(names) > 1 else ""
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

@@ -113,7 +113,22 @@ def edits(plugin: Plugin, result: object, of: Gaussians) -> tuple[Edits | None, 
             if name not in (part.name for part in fields(Gaussians)):
                 raise UserError(f"{where}: expected parameters in `values`, got {name!r:.40}")
             _check(where, f"`{name}`", value, *getattr(of, name).shape)
+            if not bool(value.isfinite().all()):
+                raise UserError(f"{where}: expected finite `values`, got infinity in `{name}`")
     return change, state
+
+
+def wanted(plugin: Plugin) -> tuple[str, ...]:
+    """The parameters whose gradients a capacity asks for. Raises UserError."""
+    names = getattr(plugin, "gradients", ())
+    known = [part.name for part in fields(Gaussians)]
+    unknown = [name for name in names if name not in known]
+    if isinstance(names, str) or unknown:
+        raise UserError(
+            f"{_hook('capacity', plugin, 'gradients')}: expected a tuple of some of"
+            f" {', '.join(known)}, got {names!r:.80}"
+        )
+    return tuple(names)
 
 
 def _check(

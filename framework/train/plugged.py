@@ -73,7 +73,7 @@ class PluginsAtWork:
             {
                 name: None
                 for running in self._capacities
-                for name in getattr(running.plugged.plugin, "gradients", ())
+                for name in hooks.wanted(running.plugged.plugin)
             }
         )  # parameters whose gradient a capacity looks at
         self.absolute = any(r.plugged.plugin.wants_absolute() for r in self._capacities)
@@ -166,7 +166,8 @@ class PluginsAtWork:
             edits, running.state = hooks.edits(plugin, result, now.gaussians)
             if edits is None:
                 continue
-            self._dose.add(f"{running.owner}.edits")
+            if edits.changes_something:
+                self._dose.add(f"{running.owner}.edits")
             gaussians, rows = apply(edits)
             if len(self._capacities) == 1:
                 continue
@@ -208,8 +209,8 @@ class PluginsAtWork:
             return
         if self._dose[f"{running.owner}.edits"][0] == 0 and not running.idle:
             LOG.warning(
-                f"capacity={_name(capacity)}: no Gaussian was added or removed in"
-                f" {self._conditions.options.steps} steps, as with capacity=fixed; when it may is"
+                f"capacity={_name(capacity)}: changed no Gaussian in"
+                f" {self._conditions.options.steps} steps, as capacity=fixed; when it may is"
                 f" set by its options, which --help capacity={_name(capacity)} tells"
             )
 

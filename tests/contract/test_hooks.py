@@ -89,6 +89,26 @@ def test_edits() -> None:
         hooks.edits(mine, (Edits(values={"means": torch.zeros(2, 3)}), None), THREE)
     with pytest.raises(UserError, match="update: expected parameters in `values`, got 'colour'"):
         hooks.edits(mine, (Edits(values={"colour": torch.zeros(3)}), None), THREE)
+    endless = torch.full((3,), -torch.inf)
+    with pytest.raises(UserError, match="expected finite `values`, got infinity in `opacity_log"):
+        hooks.edits(mine, (Edits(values={"opacity_logits": endless}), None), THREE)
+
+
+def test_the_gradients_that_a_capacity_asks_for() -> None:
+    mine = plugin(Capacity, "capacity")
+    assert hooks.wanted(mine) == ()
+    for names in (("opacities",), "opacity_logits", ("means", "colour")):
+        asking = plugin(Capacity, "capacity")
+        object.__setattr__(asking, "gradients", names)
+        with pytest.raises(UserError, match=r"^capacity=mine: gradients: expected a tuple of some"):
+            hooks.wanted(asking)
+
+
+def test_edits_of_nothing_are_told_from_others() -> None:
+    assert not Edits().changes_something
+    assert Edits(values={"means": torch.zeros(3, 3)}).changes_something
+    assert Edits(opacity_ceiling=0.5).changes_something
+    assert Edits(keep=torch.ones(3, dtype=torch.bool)).changes_something
 
 
 def test_a_step_of_its_own_and_another_gradient() -> None:

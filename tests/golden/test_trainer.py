@@ -144,7 +144,7 @@ def test_a_capacity_that_never_acted_is_told(caplog: pytest.LogCaptureFixture) -
         often = registry.build("capacity", {"name": "adc", "every": 2, "from_step": 0})
         _train(_plugins(capacity=often))
     (message,) = (record.getMessage() for record in caplog.records)
-    assert message.startswith("capacity=adc: no Gaussian was added or removed in")
+    assert message.startswith("capacity=adc: changed no Gaussian in")
 
 
 def test_an_inactive_method_changes_nothing() -> None:

@@ -88,6 +88,10 @@ def _check_choice(group: str, options: Any) -> None:
     title = f"{group}={options['name']}"
     parts = registry.parts_of(group, str(options["name"]))
     if len(parts) > 1:
+        for key in {*options} - {"name", *parts}:
+            having = [part for part in parts if key in (row[0] for row in rows(group, part))]
+            there = " or ".join(f"'{group}.{part}.{key}'" for part in having)
+            require(not there, f"{group}.{key}: unknown option of {title}; did you mean {there}?")
         _known_keys(f"{group}.", [key for key in options if key != "name"], parts, title)
         for part in parts:
             _check_choice(f"{group}.{part}", options.get(part))
