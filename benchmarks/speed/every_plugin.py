@@ -40,7 +40,7 @@ EAGER = {
     "adc": ("capacity.from_step=5", "capacity.every=10"),
     "sh_dropout": ("trainer.sh_degree=1",),
 }
-TERMS = ("trainer.opacity_spare=0.5", "trainer.depth_smoothness=0", "trainer.binocular=1")
+TERMS = "trainer.opacity_spare=0.5", "trainer.depth_smoothness=0"
 
 
 @register("reg", NOTHING)
