@@ -253,8 +253,9 @@ class Edits:
     @property
     def changes_something(self) -> bool:
         """Whether there is anything to do."""
-        told = self.opacity_ceiling, self.sh0
-        return self.changes_the_rows or bool(self.values) or any(t is not None for t in told)
+        told = self.append, self.bands, self.opacity_ceiling, self.sh0
+        removed = self.keep is not None and not bool(self.keep.all())
+        return removed or bool(self.values) or any(part is not None for part in told)
 
 
 class Capacity(Plugin):

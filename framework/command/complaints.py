@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+import yaml
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf.errors import (
     ConfigAttributeError,
@@ -24,7 +25,7 @@ from omegaconf.errors import (
 )
 
 from framework.command.config.check import hint, rows
-from framework.command.config.schema import CONF_DIR
+from framework.command.config.schema import CONF_DIR, OBJECT_GROUPS, choices
 from framework.command.launchers.known import LAUNCHERS, missing_extra, package_of
 from framework.command.program import program
 from framework.errors import UserError, mendable, nearest_hint, os_line, printable_line
@@ -88,7 +89,7 @@ def with_variant(message: str, words: Sequence[str]) -> str:
         return f"{message}: {program()} {shlex.join(words)} -m"
     missed = NOT_THERE.search(message)
     if missed is not None:
-        return _of_several(missed[1], missed[2], words) or message
+        return _of_several(missed[1], missed[2], words)
     if not message.startswith(("depth=", "depth.")):
         return message
     chosen = [word.lstrip("+").removeprefix("method=") for word in words if "method=" in word]
@@ -101,14 +102,25 @@ def with_variant(message: str, words: Sequence[str]) -> str:
 
 def _of_several(group: str, key: str, words: Sequence[str]) -> str:
     """What to write in place of `group.key` where several plugins are chosen, each with options of
-    its own; "" where one is."""
+    its own."""
     chosen = [word.partition("=")[2] for word in words if word.lstrip("+").startswith(f"{group}=")]
     names = [name for value in chosen for name in re.findall(r"[\w.-]+", value)]
-    having = [name for name in names if key in (row[0] for row in rows(group, name))]
-    there = " or ".join(f"'{group}.{name}.{key}'" for name in having)
-    place = f"{group}.{key}: unknown option of {group}={'+'.join(names)}"
-    told = f"did you mean {there}?" if there else "each has its own, as in GROUP.NAME.OPTION"
-    return f"{place}; {told}" if len(names) > 1 else ""
+    there = " or ".join(f"'{group}.{n}.{key}'" for n in names if key in _options(group, n))
+    several = f"several plugins are chosen, each with options of its own, as {group}.NAME.OPTION"
+    told = f"did you mean {there}?" if there else f"{several}; --help with these words tells them"
+    return f"{group}.{key}: unknown option of {group}; {told}"
+
+
+def _options(group: str, name: str) -> set[str]:
+    """The options of a choice, which may be a variant (`uar_hard`), or no choice at all."""
+    names = [name]
+    while names and group in OBJECT_GROUPS and names[0] not in choices(group):
+        file = CONF_DIR / group / f"{names[0]}.yaml"
+        read = yaml.safe_load(file.read_text(encoding="utf-8")) if file.is_file() else {}
+        names = [
+            one for one in read.get("defaults", ()) if isinstance(one, str) and one != "_self_"
+        ]
+    return {row[0] for row in rows(group, names[0])} if names and group in OBJECT_GROUPS else set()
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

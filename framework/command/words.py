@@ -30,7 +30,7 @@ def normalise(argv: Sequence[str]) -> list[str]:
     check_utf8("command line", *argv)
     arguments = [re.sub(rf"^\+(?=({'|'.join(GROUPS)})=)", "", argument) for argument in argv]
     arguments = [quoted(_joined_choices(argument)) for argument in arguments]
-    arguments = _multirun_flag_last(arguments)
+    arguments = _multirun_flag_first(arguments)
     _check_empty_choices(arguments)
     check_given_twice(arguments)
     flags = parse(arguments)
@@ -102,10 +102,10 @@ def check_utf8(where: str, *texts: str) -> None:
             ) from None
 
 
-def _multirun_flag_last(arguments: Sequence[str]) -> list[str]:
+def _multirun_flag_first(arguments: Sequence[str]) -> list[str]:
     """-m may stand anywhere: Hydra's parser takes it only before or after all overrides."""
     flags = [argument for argument in arguments if argument in MULTIRUN_FLAGS]
-    return [argument for argument in arguments if argument not in MULTIRUN_FLAGS] + flags
+    return flags + [argument for argument in arguments if argument not in MULTIRUN_FLAGS]
 
 
 def _check_empty_choices(arguments: Sequence[str]) -> None:

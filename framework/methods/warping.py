@@ -121,11 +121,10 @@ class WarpingAugmenter(Augmenter):
         """How many there are, how far from the camera, in camera spacings, whether the nearest
         photo is among them, and which they are on average by nearness (1: the nearest)."""
         distances = center_distances(ctx.views, camera)
-        nearness = sorted(range(len(distances)), key=distances.__getitem__)
         ctx.log(f"{self.name}_supports", len(chosen))
         if chosen:
             mean = sum(distances[i] for i in chosen) / len(chosen)
-            ranks = [nearness.index(i) + 1 for i in chosen]
+            ranks = [1 + sum(d < distances[i] for d in distances) for i in chosen]
             ctx.log(f"{self.name}_support_distance", mean / ctx.spacing)
             ctx.log(f"{self.name}_nearest", float(1 in ranks))
             ctx.log(f"{self.name}_support_rank", sum(ranks) / len(ranks))

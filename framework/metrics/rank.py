@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from framework.compute import portable
-from framework.metrics.values import Measurement, Missing, ViewMetrics
-
-RANK = "effective_rank"
+from framework.metrics.values import RANK, Measurement, Missing, ViewMetrics
 
 
 def effective_rank(log_scales: ArrayLike) -> float:

@@ -9,13 +9,14 @@ from framework.errors import nearest_hint, require
 
 # what every run measures; `MEASURES` has the plugins that `metrics.also` chooses among
 METRICS = ("psnr", "ssim", "flip", "lpips", "lpips_01")
-# of some runs: the mean of errors where there is LPIPS, the score where it is asked for
-AVERAGE, COADAPTATION = "avge", "coadaptation"
+# of some runs: the mean of errors where there is LPIPS, score and rank where they are asked for
+AVERAGE, COADAPTATION, RANK = "avge", "coadaptation", "effective_rank"
 MEASURES: dict[str, type] = {}
 RESERVED = (
     *METRICS,
     AVERAGE,
     COADAPTATION,
+    RANK,
     "view",
     "tags",
     "render_s",

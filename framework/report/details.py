@@ -142,7 +142,7 @@ def worst(study: Study) -> list[Block]:
         return []
     limit = (
         ", or lies at least 1 dB below `none + none` of the same scene, budget and seed"
-        if study.has_plain
+        if study.without_rival.has_plain
         else " (the study has no `none + none` to compare with)"
     )
     text = (

@@ -109,6 +109,8 @@ def edits(plugin: Plugin, result: object, of: Gaussians) -> tuple[Edits | None, 
             value = getattr(change, part)
             if value is not None:
                 _check(where, f"`{part}`", value, *shape, dtype=dtype)
+        if change.sh0 is not None and not bool(change.sh0.isfinite().all()):
+            raise UserError(f"{where}: expected finite `sh0`, got infinity")
         for name, value in change.values.items():
             if name not in (part.name for part in fields(Gaussians)):
                 raise UserError(f"{where}: expected parameters in `values`, got {name!r:.40}")
@@ -121,6 +123,7 @@ def edits(plugin: Plugin, result: object, of: Gaussians) -> tuple[Edits | None, 
 def wanted(plugin: Plugin) -> tuple[str, ...]:
     """The parameters whose gradients a capacity asks for. Raises UserError."""
     names = getattr(plugin, "gradients", ())
+    names = names if isinstance(names, str | list | tuple) else (names,)
     known = [part.name for part in fields(Gaussians)]
     unknown = [name for name in names if name not in known]
     if isinstance(names, str) or unknown:

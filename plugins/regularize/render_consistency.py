@@ -42,7 +42,7 @@ class RenderConsistency(Regularizer):
         if all(view.name != photo.name for photo in ctx.views):
             return None
         kept = ctx.rng("dropped").random(len(ctx.gaussians)) >= self.p
-        ctx.log(f"{self.name}_share_dropped", 1 - float(kept.mean()))
+        ctx.log(f"{self.name}_left_out", 1 - float(kept.mean()))
         factors = torch.from_numpy(kept).float() / ((1 - self.p) if self.compensate else 1.0)
         other = ctx.render(
             view.camera, ctx.gaussians, opacity_factors=factors, background=ctx.behind

@@ -49,7 +49,7 @@ class ShDropout(Regularizer):
             return None
         first = (spared + 1) ** 2 - 1  # shN has no column for degree 0
         lacking = torch.from_numpy(ctx.rng("lacking").random(len(ctx.gaussians.shN)) < self.p)
-        ctx.log(f"{self.name}_share_dropped", float(lacking.double().mean()))
+        ctx.log(f"{self.name}_without_bands", float(lacking.double().mean()))
         if not lacking.any():
             return None
         seen = ctx.gaussians.shN.detach().clone()

@@ -44,19 +44,18 @@ def test_a_list_is_a_choice_that_names_the_folder(runs: FakeRuns) -> None:
         ("augment=[safi,dba]", "error: augment=[safi,dba]: expected one augment, got 2; a run may"),
         ("augment=safi+dba", "error: augment=safi+dba: unknown augment; "),
         ("reg=[uar,uniform] reg.uar.q=3", "error: reg.uar.q: unknown option of reg=uar; "),
-        ("reg=[uar,uniform] reg.p=0.3", "error: reg.p: unknown option of reg=uar+uniform; did you"),
         (
-            "reg=[uar,uniform] reg.mode=hard",
-            "error: reg.mode: unknown option of reg=uar+uniform; di",
+            "reg=[uar,uniform] reg.p=0.3",
+            "error: reg.p: unknown option of reg; did you mean 'reg.uar",
         ),
+        ("reg=[uar_hard,uniform] reg.mode=hard", "error: reg.mode: unknown option of reg; did you"),
+        ("capacity=[adc_paper,co_prune] capacity.every=3", "error: capacity.every: unknown option"),
         (
             "reg=[uar,uniform] +reg.p=0.3",
             "error: reg.p: unknown option of reg=uar+uniform; did you",
         ),
-        (
-            "reg=[uar,uniform] reg.no=0.3",
-            "error: reg.no: unknown option of reg=uar+uniform; each ha",
-        ),
+        ("reg=[uar,uniform] reg.no=0.3", "error: reg.no: unknown option of reg; several plugins"),
+        ("method=coadapt_sweep reg.p=0.3", "error: reg.p: unknown option of reg; several plugins"),
         ("reg=[uar,]", "error: reg=[uar,]: expected different names, got 'uar', ''"),
     ],
 )

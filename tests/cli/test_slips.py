@@ -88,8 +88,9 @@ def test_a_file_where_a_folder_goes(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.parametrize("flag", ["-m", "--multirun"])
-@pytest.mark.parametrize("place", range(4))
+@pytest.mark.parametrize("place", range(5))
 def test_the_flag_of_a_sweep_may_stand_anywhere(flag: str, place: int, runs: FakeRuns) -> None:
     words = ["reg=uar", "seed=0,1", "trainer.steps=5"]
-    assert main([*words[:place], flag, *words[place:]]) == 0
+    line = [*words[:place], flag, *words[place:]] if place < 4 else [flag, "--", *words]
+    assert main(line) == 0
     assert [c["seed"] for c in runs.seen] == [0, 1]

@@ -90,6 +90,8 @@ def test_edits() -> None:
     with pytest.raises(UserError, match="update: expected parameters in `values`, got 'colour'"):
         hooks.edits(mine, (Edits(values={"colour": torch.zeros(3)}), None), THREE)
     endless = torch.full((3,), -torch.inf)
+    with pytest.raises(UserError, match="expected finite `sh0`, got infinity"):
+        hooks.edits(mine, (Edits(sh0=torch.full((3, 1, 3), torch.inf)), None), THREE)
     with pytest.raises(UserError, match="expected finite `values`, got infinity in `opacity_log"):
         hooks.edits(mine, (Edits(values={"opacity_logits": endless}), None), THREE)
 
@@ -97,7 +99,7 @@ def test_edits() -> None:
 def test_the_gradients_that_a_capacity_asks_for() -> None:
     mine = plugin(Capacity, "capacity")
     assert hooks.wanted(mine) == ()
-    for names in (("opacities",), "opacity_logits", ("means", "colour")):
+    for names in (("opacities",), "opacity_logits", ("means", "colour"), None):
         asking = plugin(Capacity, "capacity")
         object.__setattr__(asking, "gradients", names)
         with pytest.raises(UserError, match=r"^capacity=mine: gradients: expected a tuple of some"):
@@ -108,7 +110,8 @@ def test_edits_of_nothing_are_told_from_others() -> None:
     assert not Edits().changes_something
     assert Edits(values={"means": torch.zeros(3, 3)}).changes_something
     assert Edits(opacity_ceiling=0.5).changes_something
-    assert Edits(keep=torch.ones(3, dtype=torch.bool)).changes_something
+    kept = torch.tensor([True, False, True])
+    assert Edits(keep=kept).changes_something and not Edits(keep=kept | True).changes_something
 
 
 def test_a_step_of_its_own_and_another_gradient() -> None:

@@ -85,6 +85,18 @@ def test_a_reversal_that_seeds_confirm_is_told(tmp_path: Path) -> None:
     assert below.endswith(" shown)"), "SE-GS is published below it, and is"
 
 
+def test_a_recipe_that_was_run_in_several_ways_is_in_no_pair(tmp_path: Path) -> None:
+    for seed in (0, 1):
+        _recipe(tmp_path, "fsgs", seed, gain=3.0)
+        _recipe(tmp_path, "fsgs_sweep", seed, gain=1.0)
+        _recipe(tmp_path, "corgs", seed)
+    assert not [
+        b
+        for b in literature(collect(tmp_path))
+        if isinstance(b, Table) and b.columns == (REVERSED, OVER)
+    ]
+
+
 def test_a_study_without_recipes_has_no_such_table(tmp_path: Path) -> None:
     fake_run(tmp_path)
     assert literature(collect(tmp_path)) == []

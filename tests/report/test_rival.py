@@ -10,6 +10,7 @@ import pytest
 from framework.errors import UserError
 from framework.report import build_report
 from framework.report.statistics.outcomes import outcomes
+from framework.report.statistics.robustness import failure_rate
 from framework.report.study.collect import collect
 from tests.record.fakes import fake_run, make_config
 
@@ -36,10 +37,32 @@ def test_all_are_compared_with_the_method_that_was_named(study: Path) -> None:
 def test_the_report_says_so(study: Path) -> None:
     plain = build_report(study).read_text(encoding="utf-8")
     text = build_report(study, rival="none + uar").read_text(encoding="utf-8")
-    assert "All are compared with none + uar, as `--baseline` asks." in text
+    assert "As `--baseline` asks, methods are compared with none + uar." in text
     assert "against none + uar" in text.partition("## ")[0]
     assert "--baseline" not in plain and "against none + uar" not in plain
     assert build_report(study).read_text(encoding="utf-8") == plain
+
+
+def test_runs_fail_by_plain_training_whoever_is_the_rival(tmp_path: Path) -> None:
+    for (augment, reg), gain in {("none", "none"): 0.0, ("none", "uar"): -5.0}.items():
+        for seed in range(3):
+            fake_run(tmp_path, augment, reg, seed, gain)
+    for rival in ("", "none + uar"):
+        assert failure_rate(collect(tmp_path, rival=rival), "none + uar") is not None
+        text = build_report(tmp_path, rival=rival).read_text(encoding="utf-8")
+        assert "3 of 3" in text.partition("## Worst case")[2].partition("\n## ")[0]
+        assert "has no `none + none` to compare with" not in text
+
+
+def test_who_is_compared_with_another_is_told(tmp_path: Path) -> None:
+    for (augment, reg), steps in product(GAINS, (100, 200)):
+        if (reg, steps) != ("uar", 200):
+            for seed in range(3):
+                name = f"{augment}-{reg}-{steps}-{seed}"
+                trainer = make_config()["trainer"] | {"steps": steps}
+                fake_run(tmp_path, augment, reg, seed, run_name=name, trainer=trainer)
+    text = build_report(tmp_path, rival="none + uar").read_text(encoding="utf-8")
+    assert "none + uar, steps=100; where budget or options are others, with none + none" in text
 
 
 def test_an_unknown_method_is_told_with_those_there_are(study: Path) -> None:

@@ -103,6 +103,12 @@ def test_a_run_in_a_table_and_in_a_folder_is_one(tmp_path: Path) -> None:
     assert any(note.startswith("1 of 6 runs are those of a table") for note in both.notes)
 
 
+def test_a_table_of_runs_that_are_all_there_takes_nothing_away(tmp_path: Path) -> None:
+    report = _study(tmp_path / "runs")
+    both = collect([report.parent, _table(report, tmp_path / "table")], tmp_path / "both")
+    assert len(both.runs) == 6 and both.linked and not both.tabled
+
+
 def test_a_figure_kept_beside_the_table_is_shown(tmp_path: Path) -> None:
     report = _study(tmp_path / "runs")
     folder = _table(report, tmp_path / "table")

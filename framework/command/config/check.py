@@ -88,7 +88,7 @@ def _check_choice(group: str, options: Any) -> None:
     title = f"{group}={options['name']}"
     parts = registry.parts_of(group, str(options["name"]))
     if len(parts) > 1:
-        for key in {*options} - {"name", *parts}:
+        for key in [key for key in options if key not in ("name", *parts)]:
             having = [part for part in parts if key in (row[0] for row in rows(group, part))]
             there = " or ".join(f"'{group}.{part}.{key}'" for part in having)
             require(not there, f"{group}.{key}: unknown option of {title}; did you mean {there}?")

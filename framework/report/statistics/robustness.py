@@ -65,7 +65,8 @@ def failure_rate(study: Study, method: str, scene: str | None = None) -> Failure
     """The share of failed runs of a method; None where it has no run."""
     runs = study.of(scene, method)
     lost = [run for run in study.failed if _is_of(run, scene, method)]
-    reference = by_pair(study.of(scene, study.baseline_of(method))) if study.has_plain else {}
+    plain = study.without_rival
+    reference = by_pair(plain.of(scene, plain.baseline_of(method))) if plain.has_plain else {}
     n = len(runs) + len(lost)
     if n == 0:
         return None

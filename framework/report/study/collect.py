@@ -46,7 +46,10 @@ def collect(
     labelled, named = _label(runs, failed)
     labelled, named, told, apart = _told_apart(labelled, named, origins, told)
     short, shortened_notes = shortened([run.method_label for run in (*labelled, *told)])
-    recipes = by_recipe([(run.method_label, run.record.overrides, run.scene) for run in labelled])
+    recipes = by_recipe(
+        [(run.method_label, run.record.overrides, run.scene) for run in labelled]
+        + [(method_label(run.method), run.overrides, run.scene) for run in named if run.method]
+    )
     if recipes and not told:
         short, shortened_notes = recipes, [NOTE]
     labelled, told = (
@@ -110,6 +113,8 @@ def _gathered(
         origins += [folder] * len(complete)
     there = {_bits(run) for run in runs}
     told = [run for run in told if "" in _bits(run.run) or _bits(run.run) not in there]
+    left = {run.run.run_dir.parent.parent for run in told}
+    tabled = [folder for folder in tabled if folder in left]
     return runs, failed, origins, told, tabled
 
 

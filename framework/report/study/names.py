@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from framework.metrics.values import AVERAGE, COADAPTATION, METRICS
+from framework.metrics.values import AVERAGE, COADAPTATION, METRICS, RANK
 from framework.records import record
 from framework.report.study.labels import outside
 from framework.report.study.runs import Study
@@ -12,8 +12,9 @@ NAMES = {
     **{"psnr": "PSNR", "ssim": "SSIM", "flip": "FLIP", "lpips": "LPIPS"},
     "lpips_01": "LPIPS fed [0, 1], as papers do",
     **{AVERAGE: "AVGE", COADAPTATION: "Co-adaptation"},
+    RANK: "Effective rank",
 }
-UNITS = {"psnr": "(dB)", "ssim": "↑"}
+UNITS = {"psnr": "(dB)", "ssim": "↑", RANK: "(1 needles, 3 balls)"}
 
 
 def heading_of(metric: str, study: Study | None = None) -> str:

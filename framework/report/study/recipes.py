@@ -14,7 +14,10 @@ from framework.report.study.order import BASELINE
 T = TypeVar("T")
 SETS_MANY = ("preset", "sweep")  # of which one word is many options
 PLAIN = "baseline"  # keeps its name, by which it is found
-NOTE = "Methods are named by their recipes; what each sets is in `conf/method/NAME.yaml`."
+NOTE = (
+    "Methods are named by their recipes; what each sets is in `conf/method/NAME.yaml`, and where a"
+    " data set asks for others in `conf/for_scene/`."
+)
 
 
 def recipe_of(overrides: Sequence[str]) -> str:
@@ -44,7 +47,7 @@ def by_recipe(runs: Sequence[tuple[MethodLabel, Sequence[str], str]]) -> dict[st
     chosen = [name for found in names.values() for name in found]
     if "" in chosen or len(chosen) > len(names):
         return {}
-    labels = {label.full: label for label, _, _ in runs}
+    labels = {label.full: label for label, _, _ in reversed(runs)}  # failed ones come last
     simple = {full: _named(name) for full, (name,) in _only(names).items()}
     if _apart(simple, scenes) and _alike(simple, typed):
         told = any(label.options or label.budget for label in labels.values())

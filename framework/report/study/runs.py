@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -176,6 +176,11 @@ class Study:
     def has_plain(self) -> bool:
         """Whether the baseline is `none + none`, perhaps with options of its own."""
         return bool(self.runs) and self.baseline.startswith(BASELINE)
+
+    @cached_property
+    def without_rival(self) -> Study:
+        """The same, with plain training to compare with."""
+        return replace(self, rival="") if self.rival else self
 
     def baseline_of(self, method: str) -> str:
         """The baseline with the budget and, for another method, the other options of `method`, as

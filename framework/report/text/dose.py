@@ -26,7 +26,7 @@ HEADINGS = {
     "refused_other": "Refused for other reasons",
     "coverage_of_depth_mean": "Mean coverage of what depth covers",
     "support_distance_mean": "Mean distance of supports (camera spacings)",
-    "nearest_mean": "Share of views with the nearest photo as a support",
+    "nearest_mean": "Share of views asked for with the nearest photo as a support",
     "support_rank_mean": "Mean place of supports by nearness (1: the nearest photo)",
     "pseudo_share_of_views": "Pseudo views' share of the renders",
 }
@@ -50,26 +50,38 @@ def dose(study: Study) -> list[Block]:
 
 def idle_sentence(study: Study) -> str:
     """Which methods acted on less than half of their occasions, and where; "" where none did."""
-    told = []
-    for method in study.methods:
-        idle = [_idle(study.of(scene, method), scene) for scene in study.scenes]
-        if any(idle):
-            told.append(f"{method} ({', '.join(filter(None, idle))})")
-    if not told:
-        return ""
-    return (
-        f"Hardly tested, for it acted on less than half of its occasions: {'; '.join(told)}."
+    hardly = _listed(study, some=False)
+    partly = _listed(study, some=True)
+    said = (
+        f"Hardly tested, for it acted on less than half of its occasions: {hardly}."
         " A difference there says little about the method."
     )
+    few = f"In some runs it acted on less than half of its occasions: {partly}."
+    return " ".join(filter(None, (said if hardly else "", few if partly else "")))
 
 
-def _idle(runs: Sequence[ReportRun], scene: str) -> str:
-    """`12 % on SCENE`, of the runs that hardly acted; "" where none did."""
+def _listed(study: Study, some: bool) -> str:
+    """`safi + none (12 % on SCENE)`: methods that hardly acted in all of a scene's runs together,
+    or only in some of them."""
+    told = []
+    for method in study.methods:
+        idle = [_idle(study.of(scene, method), scene, some) for scene in study.scenes]
+        if any(idle):
+            told.append(f"{method} ({', '.join(filter(None, idle))})")
+    return "; ".join(told)
+
+
+def _idle(runs: Sequence[ReportRun], scene: str, some: bool) -> str:
+    """`12 % on SCENE`, the mean where that is little; or, for `some`, of the runs that hardly acted
+    where the others make it more; "" where there is nothing to tell."""
     told = [run.record.dose[ACTED] for run in runs if ACTED in run.record.dose]
     shares = [_number(share) or 0.0 for share in told]  # in words where it was never asked
     few = [share for share in shares if share < ENOUGH]
-    some = f" in {len(few)} of {len(shares)} runs" if len(few) < len(shares) else ""
-    return f"{100 * float(np.mean(few)):.0f} % on {scene}{some}" if few else ""
+    if not few or (float(np.mean(shares)) >= ENOUGH) != some:
+        return ""
+    if not some:
+        return f"{100 * float(np.mean(shares)):.0f} % on {scene}"
+    return f"{100 * float(np.mean(few)):.0f} % on {scene} in {len(few)} of {len(shares)} runs"
 
 
 def _cells(runs: Sequence[ReportRun]) -> dict[str, str]:

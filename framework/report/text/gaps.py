@@ -8,7 +8,7 @@ from collections import defaultdict
 
 from framework.metrics.values import METRICS, Missing
 from framework.report.parts.document import Block, Bullets, Heading, Text, table
-from framework.report.study.labels import code, outside
+from framework.report.study.labels import code, listed, outside
 from framework.report.study.names import NAMES, own_metrics
 from framework.report.study.runs import DAMAGED, FailedRun, Study
 from framework.report.text import searched
@@ -41,8 +41,12 @@ def gap_notes(study: Study, pooled: bool = True) -> list[Block]:
         )
     if any(run.record.scene.protocol.endswith(HELD_OUT) for run in study.runs if run.record.scene):
         texts.append(searched.HELD_OUT)
-    if study.rival:
-        texts.append(f"All are compared with {study.rival}, as `--baseline` asks.")
+    if study.rival and study.searched is None:
+        bases = list(dict.fromkeys(study.baseline_of(method) for method in study.methods))
+        told = f"As `--baseline` asks, methods are compared with {bases[0]}"
+        if len(bases) > 1:
+            told += f"; where budget or options are others, with {listed(bases[1:], 'and')}"
+        texts.append(f"{told}.")
     elif study.searched is None and len(study.methods) > 1 and not study.has_plain:
         texts.append(f"No run of `none + none`: the others are compared with {study.baseline}.")
     return [Text(text, "note") for text in (*texts, *study.notes)]

@@ -34,16 +34,20 @@ RARE = OF_SCENE, AVGE_THERE, AVGE_HERE  # left out where no recipe has any
 REVERSED, OVER = "Published above", "but below here (dB as published, dB here)"
 WORDS = ("Recipe", "Method")
 PAIRS = (
-    "Pairs in the other order than published; here over the seeds that both have. Shown: its 95 %"
-    " interval, paired by seed, excludes zero, for this pair alone."
+    "Pairs in the other order than published; here over the seeds that both have. `shown`: the 95 %"
+    " interval of this pair alone, paired by seed, excludes zero."
+)
+AVGES = (
+    "AVGE: the geometric mean of the squared error, of the root of 1 - SSIM and of LPIPS; lower is"
+    " better. Here LPIPS is fed [-1, 1]; papers often feed [0, 1], which makes AVGE some 5 % lower."
 )
 WHAT = (
     "PSNR in dB of recipes (`method=NAME`; one whose name ends in `_sweep` takes the plane sweep"
     " where the paper has a network) as published and as repeated by others (± σ over so many"
     " runs), means over LLFF's scenes at 1/8 of the size, or over DTU's at 1/4, with 3 views,"
-    " beside the runs of this study. AVGE is a mean of errors, lower is better. Here parts are left"
-    " out, which `conf/method/NAME.yaml` names, and steps, size and scenes may differ, so the order"
-    " may be compared and the numbers may not. {sources}"
+    " beside the runs of this study. Here parts are left out, which `conf/method/NAME.yaml` names,"
+    " and steps, size and scenes may differ, so the order may be compared and the numbers may not."
+    " {sources}"
 )
 
 
@@ -67,6 +71,7 @@ def literature(study: Study) -> list[Block]:
         empty = {name for name in RARE if all(cell[name] == ABSENT for cell in cells)}
         cells = [{k: cell[k] for k in cell if k not in empty} for cell in cells]
         blocks += [Heading(3, outside(scene)), table(cells, WORDS)]
+        blocks += [] if {AVGE_THERE, AVGE_HERE} <= empty else [Text(AVGES)]
         reversals = _reversed(shown, found, on)
         if reversals:
             blocks += [table(reversals, (REVERSED, OVER)), Text(PAIRS)]
@@ -93,14 +98,19 @@ def _reversed(
 ) -> list[dict[str, str]]:
     """For every recipe those that are above it here and below it as published."""
     column = "dtu" if data_set == DTU else "published"
-    known = [row for row in rows if row[column] and row["recipe"] in found]
+    measured = {recipe: by_pair(runs) for recipe, runs in found.items()}
+    # of a recipe that was run in several ways nobody can say which one was published
+    once = {recipe for recipe, runs in found.items() if len(measured[recipe]) == len(runs)}
+    known = [row for row in rows if row[column] and row["recipe"] in once]
     told = []
     for row in known:
-        own, psnr = float(row[column]), by_pair(found[row["recipe"]])
+        own, psnr = float(row[column]), measured[row["recipe"]]
         pairs = []
         for other in known:
-            c = compare(row["method"], psnr, other["method"], by_pair(found[other["recipe"]]))
-            if c is None or own <= float(other[column]) or c.difference >= 0:
+            if own <= float(other[column]):
+                continue
+            c = compare(row["method"], psnr, other["method"], measured[other["recipe"]])
+            if c is None or c.difference >= 0:
                 continue
             here = f"{c.difference:+.2f}"
             here = f"{here} shown" if c.significant else here

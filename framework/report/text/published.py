@@ -80,7 +80,7 @@ def scene_rows(names: set[str]) -> list[dict[str, str]]:
     return [
         row
         for row in read("published_scenes.csv")
-        if row["scene"] in names or row["scene"].partition("_")[2] in names
+        if row["scene"] in names or row["scene"].removeprefix("llff_") in names
     ]
 
 

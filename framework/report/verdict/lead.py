@@ -76,7 +76,8 @@ def _others(study: Study, found: Outcomes, nothing: str) -> str:
     over = [c.method for c in gains if c.baseline == study.baseline]
     if over:
         does = "is better than it, but is" if len(over) == 1 else "are better than it, but are"
-        return f": {listed(over, 'and')} {does} not shown to be better than every plain training"
+        every = "every baseline" if study.rival else "every plain training"
+        return f": {listed(over, 'and')} {does} not shown to be better than {every}"
     return SOME_GAIN if gains else nothing
 
 
@@ -227,9 +228,10 @@ def _untested(study: Study, found: Outcomes) -> str:
     reach = f"highest is {best} with {found.psnr[best].mean:.2f} dB"
     c = found.comparisons.get(best)
     if not found.comparisons:
+        mend = "" if study.rival else " (method=baseline beside the others makes one)"
         return (
             f"{study.baseline} has no run of the same scene, seed and options as another method, so"
-            f" nothing is compared (method=baseline beside the others makes one); {reach}."
+            f" nothing is compared{mend}; {reach}."
         )
     if c is not None:
         side = "above" if c.difference >= 0 else "below"
