@@ -116,6 +116,8 @@ def _check_class(group: str, name: str, cls: type) -> None:
     if group in PARTS:
         _check_part(group, name, cls, where)
     typed = {*cls.__annotations__, "defaults", "name", "group"}  # the last two: registered twice
+    for base in cls.__mro__:  # what a contract declares for the class, as `drops`
+        typed |= set(base.__annotations__) if base.__module__ == "framework.plugin" else set()
     for key, value in vars(cls).items():
         require(
             key.startswith("_") or key in typed or not isinstance(value, OPTION_TYPES),

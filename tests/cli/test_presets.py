@@ -143,6 +143,7 @@ def test_what_recipes_have_of_their_own_on_a_data_set() -> None:
 
 
 ELSEWHERE = {"name", "weight", "seconds", "visits", "evaluations"}
+SHARED = {"start", "stop", "every", "form", "regulariser", "tolerance"}  # of several groups
 ELSEWHERE |= {"corruption", "strength", "corruption_seed"}
 
 
@@ -153,11 +154,19 @@ def test_the_page_of_the_paper_names_every_option_that_acts(method: str) -> None
     """But those that say how long a training may be, what is measured, and how depth is spoiled;
     weights act on pseudo views alone, which the page has."""
     page = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
-    assert "`augment.weight=1`" in page
+    for word in ("augment.weight=1", "augment.every=1", "augment.roll=false", "reg.p=0.2"):
+        assert f"`{word}`" in page
+    for word in ("trainer.pseudo_steps=own", "trainer.pseudo_mean=covered"):
+        assert f"`{word}`" in page
     config = composed("preset=paper", f"method={method}")
-    for group in ("trainer", "init", "depth", "augment", "reg", "capacity"):
-        for option in config[group].keys() - ELSEWHERE:
-            assert re.search(rf"`({group}\.)?{option}(=[^`]*)?`", page), f"{group}.{option}"
+    known = ("trainer", "init", "depth", "augment", "reg", "capacity")
+    groups = [group for group in known if config[group].get("name") != "none"]
+    for group, option in ((g, o) for g in groups for o in config[g].keys() - ELSEWHERE):
+        of_one = sum(option in config[other] for other in groups) == 1 and option not in SHARED
+        place = rf"({group}\.)?" if of_one else rf"{group}\."
+        assert re.search(rf"`{place}{option}(=[^`]*)?`", page), f"{group}.{option}"
+        told = re.search(rf"\| [^|]*`{group}\.{option}=([^`]*)`", page)  # of a table
+        assert told is None or yaml.safe_load(told[1]) == config[group][option]
 
 
 def test_the_main_ablation_is_the_paper_s_table(runs: FakeRuns) -> None:
