@@ -4,7 +4,8 @@ Binocular-Guided 3DGS (Han et al. 2024, arXiv 2410.18822, section 3.1): the came
 along its own x axis; the render there, warped into the photo by the disparity -f t / D of the
 photo's rendered depth D, is compared with the photo, mean over all pixels of |mask (warped -
 photo)|. Its code also smooths the disparity, mean of exp(-0.33 |dI|) |d(mask d)| along each axis,
-which the text does not say (there dI is the sum over channels of central differences). Gradients go into both renders.
+which the text does not say (there dI is the sum over channels of central differences). Gradients
+go into both renders.
 
 The trainer has a term of its own that came of it, `trainer.binocular`: `framework.train.binocular`.
 """
