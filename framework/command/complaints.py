@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-import yaml
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf.errors import (
     ConfigAttributeError,
@@ -29,6 +28,7 @@ from framework.command.config.schema import CONF_DIR, OBJECT_GROUPS, choices
 from framework.command.launchers.known import LAUNCHERS, missing_extra, package_of
 from framework.command.program import program
 from framework.errors import UserError, mendable, nearest_hint, os_line, printable_line
+from framework.files.documents import read_yaml
 from framework.files.paths import OWN_VARIABLE
 from framework.registry import SWEPT
 
@@ -116,7 +116,7 @@ def _options(group: str, name: str) -> set[str]:
     names = [name]
     while names and group in OBJECT_GROUPS and names[0] not in choices(group):
         file = CONF_DIR / group / f"{names[0]}.yaml"
-        read = yaml.safe_load(file.read_text(encoding="utf-8")) if file.is_file() else {}
+        read = read_yaml(file) if file.is_file() else {}
         names = [
             one for one in read.get("defaults", ()) if isinstance(one, str) and one != "_self_"
         ]
