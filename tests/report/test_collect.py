@@ -260,6 +260,26 @@ def test_failed_runs_have_the_name_of_their_method(tmp_path: Path) -> None:
     assert (failed.method, failed.scene, failed.seed) == ("safi + none", "embedded", 1)
 
 
+def test_failed_runs_of_a_recipe_have_its_name_where_all_of_a_scene_failed(tmp_path: Path) -> None:
+    """There its other options (`conf/for_scene`) give it another name than elsewhere."""
+
+    def config(reg: str, name: str, start: float) -> dict[str, Any]:
+        options = {"name": reg, "weight": 1.0, "start": start}
+        return make_config() | {"reg": options, "scene": {"name": name, "n_views": 3}}
+
+    for recipe, reg in (("baseline", "none"), ("corgs", "uar")):
+        path = fake_run(tmp_path, reg=reg, scene="fern") / "record.json"
+        content = json.loads(path.read_text())
+        content |= {"overrides": [f"method={recipe}"], "config": config(reg, "fern", 0.0)}
+        path.write_text(json.dumps(content))
+    lost = config("uar", "scan65", 0.2)
+    write_failed(tmp_path / "runs" / "x", lost, ["method=corgs"], "no overlap")
+    study = collect(tmp_path)
+    assert {run.method for run in study.runs} == {"none + none", "corgs"}
+    assert [run.method for run in study.failed] == ["corgs"]
+    assert ("scan65", "corgs", 0) not in study.missing
+
+
 def test_a_failed_run_without_a_record_is_read_from_what_it_left(tmp_path: Path) -> None:
     fake_run(tmp_path, "safi", seed=0)
     folder = tmp_path / "runs" / "x"
