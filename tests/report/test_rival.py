@@ -43,6 +43,12 @@ def test_the_report_says_so(study: Path) -> None:
     assert build_report(study).read_text(encoding="utf-8") == plain
 
 
+def test_a_rival_that_nothing_beats_is_not_advised(study: Path) -> None:
+    text = build_report(study, rival="safi + none").read_text(encoding="utf-8")
+    assert "**Nothing was shown to be better than safi + none on embedded.**" in text
+    assert "Use " not in text.partition("## ")[0]
+
+
 def test_runs_fail_by_plain_training_whoever_is_the_rival(tmp_path: Path) -> None:
     for (augment, reg), gain in {("none", "none"): 0.0, ("none", "uar"): -5.0}.items():
         for seed in range(3):
