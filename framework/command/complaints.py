@@ -23,12 +23,11 @@ from omegaconf.errors import (
     ValidationError,
 )
 
-from framework.command.config.check import hint, rows
-from framework.command.config.schema import CONF_DIR, OBJECT_GROUPS, choices
+from framework.command.config.check import hint, places_of
+from framework.command.config.schema import CONF_DIR
 from framework.command.launchers.known import LAUNCHERS, missing_extra, package_of
 from framework.command.program import program
 from framework.errors import UserError, mendable, nearest_hint, os_line, printable_line
-from framework.files.documents import read_yaml
 from framework.files.paths import OWN_VARIABLE
 from framework.registry import SWEPT
 
@@ -105,22 +104,10 @@ def _of_several(group: str, key: str, words: Sequence[str]) -> str:
     its own."""
     chosen = [word.partition("=")[2] for word in words if word.lstrip("+").startswith(f"{group}=")]
     names = [name for value in chosen for name in re.findall(r"[\w.-]+", value)]
-    there = " or ".join(f"'{group}.{n}.{key}'" for n in names if key in _options(group, n))
+    there = places_of(group, key, names)
     several = f"several plugins are chosen, each with options of its own, as {group}.NAME.OPTION"
     told = f"did you mean {there}?" if there else f"{several}; --help with these words tells them"
     return f"{group}.{key}: unknown option of {group}; {told}"
-
-
-def _options(group: str, name: str) -> set[str]:
-    """The options of a choice, which may be a variant (`uar_hard`), or no choice at all."""
-    names = [name]
-    while names and group in OBJECT_GROUPS and names[0] not in choices(group):
-        file = CONF_DIR / group / f"{names[0]}.yaml"
-        read = read_yaml(file) if file.is_file() else {}
-        names = [
-            one for one in read.get("defaults", ()) if isinstance(one, str) and one != "_self_"
-        ]
-    return {row[0] for row in rows(group, names[0])} if names and group in OBJECT_GROUPS else set()
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

@@ -51,6 +51,11 @@ def test_a_list_is_a_choice_that_names_the_folder(runs: FakeRuns) -> None:
         ("reg=[uar_hard,uniform] reg.mode=hard", "error: reg.mode: unknown option of reg; did you"),
         ("capacity=[adc_paper,co_prune] capacity.every=3", "error: capacity.every: unknown option"),
         (
+            "capacity=[adc_paper,co_prune] +capacity.every=3",
+            "error: capacity.every: unknown option",
+        ),
+        ("reg=[uar_hard,uniform] +reg.no=1", "error: reg.no: unknown option of reg=uar_hard+unif"),
+        (
             "reg=[uar,uniform] +reg.p=0.3",
             "error: reg.p: unknown option of reg=uar+uniform; did you",
         ),

@@ -49,6 +49,15 @@ def test_a_rival_that_nothing_beats_is_not_advised(study: Path) -> None:
     assert "Use " not in text.partition("## ")[0]
 
 
+def test_what_beats_the_rival_alone_is_told(tmp_path: Path) -> None:
+    """Better than the rival, and not than another baseline of the study: no "nothing" then."""
+    for (augment, reg), gain in {("none", "uar"): 0.0, ("safi", "none"): 3.0}.items():
+        for seed in range(3):
+            fake_run(tmp_path, augment, reg, seed, gain)
+    text = build_report(tmp_path, rival="none + uar").read_text(encoding="utf-8")
+    assert "Nothing was shown" not in text and "**Use safi + none" in text
+
+
 def test_runs_fail_by_plain_training_whoever_is_the_rival(tmp_path: Path) -> None:
     for (augment, reg), gain in {("none", "none"): 0.0, ("none", "uar"): -5.0}.items():
         for seed in range(3):

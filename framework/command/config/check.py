@@ -11,6 +11,7 @@ from omegaconf import MISSING
 
 from framework import registry
 from framework.command.config.schema import (
+    CONF_DIR,
     GROUPS,
     METRICS,
     OBJECT_GROUPS,
@@ -21,6 +22,7 @@ from framework.command.config.schema import (
     tables,
 )
 from framework.errors import UserError, nearest_hint, require
+from framework.files.documents import read_yaml
 from framework.metrics.values import measures
 from framework.options import TrainerOptions
 from framework.run import trackers
@@ -89,8 +91,7 @@ def _check_choice(group: str, options: Any) -> None:
     parts = registry.parts_of(group, str(options["name"]))
     if len(parts) > 1:
         for key in [key for key in options if key not in ("name", *parts)]:
-            having = [part for part in parts if key in (row[0] for row in rows(group, part))]
-            there = " or ".join(f"'{group}.{part}.{key}'" for part in having)
+            there = places_of(group, key, parts)
             require(not there, f"{group}.{key}: unknown option of {title}; did you mean {there}?")
         _known_keys(f"{group}.", [key for key in options if key != "name"], parts, title)
         for part in parts:
@@ -104,6 +105,23 @@ def _check_choice(group: str, options: Any) -> None:
             value != MISSING,
             f"{group}.{key}: required by {title}, got nothing; add {group}.{key}=VALUE",
         )
+
+
+def places_of(group: str, key: str, names: Iterable[str]) -> str:
+    """Which of several choices of a group have an option: `'reg.uar.p' or 'reg.uniform.p'`."""
+    return " or ".join(f"'{group}.{n}.{key}'" for n in names if key in _options(group, n))
+
+
+def _options(group: str, name: str) -> set[str]:
+    """The options of a choice, which may be a variant (`uar_hard`), or no choice at all."""
+    while group in OBJECT_GROUPS and name not in choices(group):
+        file = CONF_DIR / group / f"{name}.yaml"
+        read = read_yaml(file) if file.is_file() else {}
+        of = [one for one in read.get("defaults", ()) if isinstance(one, str) and one != "_self_"]
+        if not of:
+            return set()
+        name = of[0]
+    return {row[0] for row in rows(group, name)} if group in OBJECT_GROUPS else set()
 
 
 def _known_keys(prefix: str, given: Iterable[str], known: Iterable[str], owner: str = "") -> None:

@@ -39,7 +39,7 @@ PAIRS = (
 )
 AVGES = (
     "AVGE: the geometric mean of the squared error, of the root of 1 - SSIM and of LPIPS; lower is"
-    " better. Here LPIPS is fed [-1, 1]; papers often feed [0, 1], which makes AVGE some 5 % lower."
+    " better. Here LPIPS is fed [-1, 1]; papers often feed [0, 1], which makes AVGE lower."
 )
 WHAT = (
     "PSNR in dB of recipes (`method=NAME`; one whose name ends in `_sweep` takes the plane sweep"

@@ -61,7 +61,7 @@ def _use(study: Study, found: Outcomes, budget: str) -> str:
         timed = has_budgets(study) and comparable(study)
         less = "; what to use for less time stands below" if timed else ""
         return f"Use {best}: it {amount(c)} against {plainly(c.baseline)} {where(study, c)}{less}."
-    if study.rival:  # what somebody named to compare with is no advice
+    if study.rival and not _others(study, found, ""):  # what somebody named is no advice
         return f"Nothing was shown to be better than {plainly(best)} {where(study)}."
     if has_budgets(study):
         base = plainly(study.families[0])
