@@ -20,11 +20,17 @@ best model of a scene, of which then nothing is measured.
 may train but do not, six at most and evenly spaced, in place of the test views, which are not even
 read. For choosing among settings (`fishersplat search`): test views may not choose.
 
+`llff_drawn0`, `llff_drawn1`, ... (and so for each of the above, with `_held_out` at the end): the
+same test views, but training views drawn at random from all that may train; the number is the
+draw's seed. For asking whether an answer depends on which photos one has: a study over draws has
+many triples of photos where a protocol has one.
+
 n_views is a number or `all`: as many as the protocol leaves for training.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -36,6 +42,7 @@ DTU_POSITIONS = 49
 ALL = "all"  # as the number of views: every one that the protocol leaves for training
 UNTESTED = "none"  # the protocol without test views
 HELD_OUT = "_held_out"  # ends the names of those that judge by training views
+DRAWN = "_drawn"  # with a number ends the names of those that draw their training views
 MOST_HELD_OUT = 6
 
 
@@ -152,8 +159,31 @@ PROTOCOLS |= {
 }
 
 
+def _drawn(rule: Protocol, name: str, seed: int) -> Protocol:
+    """`rule` under that name with training views drawn from its pool by `seed`."""
+
+    def pick(pool: list[int], count: int) -> list[int]:
+        import numpy as np
+
+        return [int(i) for i in np.random.default_rng(seed).permutation(pool)[:count]]
+
+    return replace(
+        rule,
+        name=name,
+        source=f"{rule.source}; training views drawn from the pool with seed {seed}",
+        pick=pick,
+    )
+
+
 def protocol(name: str) -> Protocol:
     """The protocol of that name. Raises UserError listing the known ones."""
+    found = re.fullmatch(rf"(.+){DRAWN}(0|[1-9][0-9]{{0,8}})({HELD_OUT})?", str(name), re.ASCII)
+    rule = found and f"{found[1]}{found[3] or ''}"
+    if found and rule in PROTOCOLS and HELD_OUT not in found[1]:
+        return _drawn(PROTOCOLS[rule], name, int(found[2]))
     if name not in PROTOCOLS:
-        raise UserError(f"scene.split={name}: unknown protocol; {nearest_hint(name, PROTOCOLS)}")
+        raise UserError(
+            f"scene.split={name}: unknown protocol; {nearest_hint(name, PROTOCOLS)}, and each with"
+            " _drawn0, _drawn1, ... after its first word (llff_drawn0: training views by lot)"
+        )
     return PROTOCOLS[name]

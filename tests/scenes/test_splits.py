@@ -100,6 +100,38 @@ def test_a_scene_without_test_views(tmp_path: Path) -> None:
         assert tested.fingerprint != scene.fingerprint
 
 
+@pytest.mark.parametrize("name", ["llff", "mip360", "dtu", UNTESTED])
+def test_a_draw_takes_other_training_views_of_the_same_pool_and_tests_the_same(name: str) -> None:
+    usual = protocol(name).split(names(49), 3, "here")
+    pool, _ = protocol(name).divide(49)
+    draws = [protocol(f"{name}_drawn{k}").split(names(49), 3, "here") for k in range(30)]
+    assert {draw.test for draw in draws} == {usual.test}
+    assert all(len({*draw.train}) == 3 and {*draw.train} <= {*pool} for draw in draws)
+    assert all(draw.train == tuple(sorted(draw.train)) for draw in draws)
+    assert len({draw.train for draw in draws}) > 20
+    assert {i for draw in draws for i in draw.train} >= {pool[0], pool[-1]} - {0}
+    assert protocol(f"{name}_drawn7").split(names(49), 3, "here") == draws[7]
+    everything = protocol(f"{name}_drawn7").split(names(49), ALL, "here")
+    assert everything == protocol(name).split(names(49), ALL, "here")
+
+
+def test_a_draw_is_judged_by_held_out_views_too() -> None:
+    drawn = protocol("llff_drawn4").split(names(20), 3, "here")
+    held = protocol(f"llff_drawn4{HELD_OUT}").split(names(20), 3, "here")
+    assert held.train == drawn.train
+    assert not {*held.test} & ({*drawn.test} | {*drawn.train})
+    assert protocol(f"llff_drawn4{HELD_OUT}").name == f"llff_drawn4{HELD_OUT}"
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["llff_drawn", "llff_drawn-1", "llff_drawn01", "llff_drawn1.5", f"llff{HELD_OUT}_drawn1"],
+)
+def test_draws_that_are_none(name: str) -> None:
+    with pytest.raises(UserError, match="unknown protocol; .*llff.* each with _drawn0"):
+        protocol(name)
+
+
 def test_unknown_protocol_suggests() -> None:
     with pytest.raises(UserError, match="did you mean 'llff'"):
         protocol("lllf")
