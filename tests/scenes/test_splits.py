@@ -128,7 +128,7 @@ def test_a_draw_is_judged_by_held_out_views_too() -> None:
     ["llff_drawn", "llff_drawn-1", "llff_drawn01", "llff_drawn1.5", f"llff{HELD_OUT}_drawn1"],
 )
 def test_draws_that_are_none(name: str) -> None:
-    with pytest.raises(UserError, match="unknown protocol; .*llff.* each with _drawn0"):
+    with pytest.raises(UserError, match=r"unknown protocol; .*llff.* each with _drawn0"):
         protocol(name)
 
 
