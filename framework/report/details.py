@@ -43,7 +43,8 @@ COMPARISONS = (
 )
 LIKE = (
     "Scenes like these: a scene's differences are averaged over its seeds first, and the interval"
-    " is over scenes, for what to expect on another scene of the kind. "
+    " is over scenes, for what to expect on another scene of the kind. Conditions of one scene, as"
+    " other photos of it, are averaged too: they count as one. "
 )
 DEVIATIONS = (
     "Standard deviation (n − 1) over seeds. Its intervals: by χ², for normal errors; and by a"
@@ -89,7 +90,7 @@ def compared(found: Outcomes) -> list[Block]:
     """Every method against its baseline."""
     if not found.comparisons:
         return []
-    like = LIKE if found.by_scene else ""
+    like = LIKE if any(c.like for c in found.comparisons.values()) else ""
     tests = max(c.tests for c in found.comparisons.values())
     rows = comparisons.comparison_rows(found)
     text = COMPARISONS.format(like=like, tests=_tests(tests))

@@ -88,7 +88,7 @@ def comparisons_tex(found: Outcomes) -> str:
         r"\hline",
     ]
     for method, c in found.comparisons.items():
-        where = "these scenes" if c.like else "the scene"
+        where = "these scenes" if len(c.scenes) > 1 else "the scene"
         lines.append(_tex(c, where, c.n, c.difference, c.joint, c.p_joint))
         if c.like is not None:
             p = None if c.like.p is None else min(1.0, c.tests * c.like.p)

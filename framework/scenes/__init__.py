@@ -16,7 +16,7 @@ from framework.scenes.embedded import Embedded
 from framework.scenes.llff import Llff
 from framework.scenes.mip360 import Mip360
 from framework.scenes.photos import Photos
-from framework.scenes.splits import ALL, HELD_OUT, UNTESTED
+from framework.scenes.splits import ALL, HELD_OUT, UNTESTED, published_split
 from framework.scenes.transforms import Transforms
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ __all__ = [
     "images",
     "lens",
     "load_scene",
+    "published_split",
     "transforms_file",
 ]
 

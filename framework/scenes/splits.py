@@ -175,6 +175,11 @@ def _drawn(rule: Protocol, name: str, seed: int) -> Protocol:
     )
 
 
+def published_split(name: str) -> bool:
+    """Whether papers judge by it: not by lot, not by held-out views, not without a test."""
+    return not (name == UNTESTED or DRAWN in name or name.endswith(HELD_OUT))
+
+
 def protocol(name: str) -> Protocol:
     """The protocol of that name. Raises UserError listing the known ones."""
     found = re.fullmatch(rf"(.+){DRAWN}(0|[1-9][0-9]{{0,8}})({HELD_OUT})?", str(name), re.ASCII)

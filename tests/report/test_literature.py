@@ -5,8 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from framework.command.config.schema import CONF_DIR
-from framework.report.parts.document import Table
+from framework.report.details import compared
+from framework.report.parts.document import Table, Text
+from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
 from framework.report.text.literature import (
     AVGE_HERE,
@@ -19,7 +23,7 @@ from framework.report.text.literature import (
     REVERSED,
     literature,
 )
-from framework.report.text.published import read
+from framework.report.text.published import published, read
 from tests.record.fakes import fake_run
 
 
@@ -55,6 +59,43 @@ def test_recipes_stand_beside_published_and_repeated_figures(tmp_path: Path) -> 
     assert rows["FSGS"][columns["Recipe"]] == "fsgs_sweep"
     assert rows["MuRF"][columns["Recipe"]] == "published only"
     assert rows["MuRF"][columns[HERE]] == "–" and rows["FSGS"][columns[HERE]] != "–"
+
+
+@pytest.mark.parametrize("split", ["llff_drawn0", "llff_held_out"])
+def test_other_photos_than_the_papers_stand_beside_no_published_figures(
+    tmp_path: Path, split: str
+) -> None:
+    for recipe in ("corgs", "fsgs_sweep"):
+        _recipe(tmp_path, recipe, 0)
+    usual = collect(tmp_path)
+    for path in (tmp_path / "runs").glob("*/record.json"):
+        content = json.loads(path.read_text(encoding="utf-8"))
+        content["scene"]["protocol"] = split
+        path.write_text(json.dumps(content), encoding="utf-8")
+    drawn = collect(tmp_path)
+    assert literature(usual) and not literature(drawn)
+    assert len(published(usual)) == len(published(drawn)) + 2, "the table of the scene, with a text"
+
+
+def test_a_study_of_draws_tells_nothing_of_other_scenes(tmp_path: Path) -> None:
+    for draw in (0, 1):
+        for reg in ("none", "uar"):
+            for seed in (0, 1):
+                gain = 0.5 + 0.1 * seed if reg == "uar" else 0.1 * seed
+                name = f"{reg}-{draw}-{seed}"
+                fake_run(tmp_path, "none", reg, seed, run_name=name, gain=gain)
+                path = tmp_path / "runs" / name / "record.json"
+                content = json.loads(path.read_text(encoding="utf-8"))
+                content["config"]["scene"]["split"] = f"llff_drawn{draw}"
+                content["scene"] |= {"protocol": f"llff_drawn{draw}", "fingerprint": f"{draw}" * 64}
+                path.write_text(json.dumps(content), encoding="utf-8")
+    study = collect(tmp_path)
+    assert len(study.scenes) == 2
+    found = outcomes(study)
+    (compared_with_plain,) = found.comparisons.values()
+    assert compared_with_plain.scenes == tuple(study.scenes) and compared_with_plain.like is None
+    texts = [block.text for block in compared(found) if isinstance(block, Text)]
+    assert texts and not any("Scenes like these" in text for text in texts)
 
 
 def test_scenes_of_dtu_stand_beside_figures_of_dtu(tmp_path: Path) -> None:

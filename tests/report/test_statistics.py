@@ -73,6 +73,22 @@ def test_seeds_and_scenes_are_averaged_over_the_other_first() -> None:
     assert found.like.n == 2 and found.like.mean == pytest.approx((1.5 + 36) / 2)
 
 
+def test_conditions_of_one_scene_count_as_one_scene() -> None:
+    values = {("x (1)", 0): 1.0, ("x (2)", 0): 3.0, ("y", 0): 8.0, ("z", 0): 5.0}
+    names = {"x (1)": "x", "x (2)": "x"}
+    found = compare("a", values, "b", dict.fromkeys(values, 0.0), names)
+    assert found is not None and found.like is not None
+    assert (found.like.n, found.like.mean) == (3, 5.0)  # of 2, 8 and 5
+    expected = stats.ttest_1samp([2.0, 8.0, 5.0], 0).confidence_interval()
+    interval = found.like.interval()
+    assert interval is not None
+    assert (interval.low, interval.high) == pytest.approx(tuple(expected), rel=1e-9)
+    assert found.difference == 4.25  # these scenes: each condition as it is
+    alone = {key: value for key, value in values.items() if key[0].startswith("x")}
+    of_one = compare("a", alone, "b", dict.fromkeys(alone, 0.0), names)
+    assert of_one is not None and of_one.like is None, "one scene tells nothing of others"
+
+
 def test_no_seed_on_all_scenes_is_no_test() -> None:
     values = {("x", 0): 1.0, ("y", 1): 3.0}
     found = compare("a", values, "b", dict.fromkeys(values, 0.0))

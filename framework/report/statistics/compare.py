@@ -7,7 +7,8 @@ are left out; where fewer than two would stay, scenes with few seeds are (`block
 
 *Scenes like these*: what other scenes of their kind would give. The differences of a scene are
 averaged over its seeds first, and the t interval is over the scenes, one value each: with few
-scenes it is wide, as it should be.
+scenes it is wide, as it should be. Conditions of one scene, such as other photos of it or wrong
+poses, tell nothing of other scenes: they are averaged to one value too.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ K = TypeVar("K", str, int)  # a scene, or the place of a strength among those of
 @dataclass(frozen=True)
 class Comparison:
     """`method` minus `baseline` in dB. scenes: those that `these` is about. these: over the seeds,
-    of no seed where none is on all scenes. like: over all scenes of both, None for a single one.
+    of no seed where none is on all scenes. like: over all scenes of both, conditions of one scene
+    taken together; None for a single one.
     tests: how many comparisons `joint`, `p_joint` and `significant` are corrected for."""
 
     method: str
@@ -86,8 +88,15 @@ def excludes_zero(interval: Interval | None) -> bool:
     return interval is not None and not interval.low <= 0 <= interval.high
 
 
-def compare(method: str, values: Pairs, baseline: str, others: Pairs) -> Comparison | None:
-    """Over the pairs both have; None if there is none."""
+def compare(
+    method: str,
+    values: Pairs,
+    baseline: str,
+    others: Pairs,
+    names: Mapping[str, str] | None = None,
+) -> Comparison | None:
+    """Over the pairs both have; None if there is none. names: of scenes that are conditions of one,
+    its name; without it each scene is one of its own."""
     keys = sorted(values.keys() & others.keys())
     if not keys:
         return None
@@ -99,7 +108,10 @@ def compare(method: str, values: Pairs, baseline: str, others: Pairs) -> Compari
     scenes, seeds = block(keys)
     by_seed = [float(np.mean([found[scene, seed] for scene in scenes])) for seed in seeds]
     these = estimate(by_seed) if by_seed else Estimate(0, float(np.mean(by_scene)), None)
-    like = estimate(by_scene) if len(every) > 1 else None
+    by_name: dict[str, list[float]] = defaultdict(list)
+    for scene, mean in zip(every, by_scene, strict=True):
+        by_name[(names or {}).get(scene, scene)].append(mean)
+    like = estimate([float(np.mean(own)) for own in by_name.values()]) if len(by_name) > 1 else None
     return Comparison(method, baseline, tuple(scenes), these, like)
 
 

@@ -114,8 +114,9 @@ def by_pair(runs: Sequence[ReportRun]) -> dict[tuple[str, int], float]:
 def _comparisons(study: Study, scenes: Sequence[str]) -> dict[str, Comparison]:
     runs = [run for run in study.runs if run.scene in scenes]
     values = {m: by_pair([run for run in runs if run.method == m]) for m in study.methods}
+    names = {run.scene: run.scene_label.name for run in runs}
     found = {
-        method: compare(method, values[method], base, values[base])
+        method: compare(method, values[method], base, values[base], names)
         for method in study.methods
         if (base := study.baseline_of(method)) != method
     }

@@ -15,6 +15,7 @@ from framework.records.search import Searched
 from framework.report.study.axes import Axis
 from framework.report.study.labels import MethodLabel, SceneLabel, outside
 from framework.report.study.order import BASELINE, method_order, natural
+from framework.scenes import published_split
 
 DAMAGED = "damaged"  # the kind of failure of a folder that no run left
 BUSY = 1.3  # wall seconds per CPU second of a training from which others shared its cores
@@ -205,6 +206,11 @@ class Study:
     def name_of(self, scene: str) -> str:
         """The name in its record of a scene with this label."""
         return next(run.scene_label.name for run in self.runs if run.scene == scene)
+
+    def split_as_published(self, scene: str) -> bool:
+        """Whether the photos of a scene are shared out by a rule that papers use."""
+        infos = [run.record.scene for run in self.runs if run.scene == scene]
+        return all(info is None or published_split(info.protocol) for info in infos)
 
     def folder_of(self, run_dir: Path) -> str:
         """`run_dir` as seen from the report."""

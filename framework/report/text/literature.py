@@ -56,7 +56,7 @@ def literature(study: Study) -> list[Block]:
     rows = read("literature.csv")
     known = {row["recipe"]: row for row in rows if row["recipe"]}
     blocks: list[Block] = []
-    for scene in study.tested:
+    for scene in filter(study.split_as_published, study.tested):
         found: dict[str, list[ReportRun]] = defaultdict(list)
         for run in study.of(scene):
             name = recipe(run)

@@ -33,7 +33,7 @@ def published(study: Study) -> list[Block]:
     means = read("published.csv")
     blocks: list[Block] = [Heading(2, "Published figures"), _means(means)]
     blocks.append(Text(MEANS.format(sources=_sources(means))))
-    own = scene_rows({study.name_of(scene) for scene in study.scenes})
+    own = scene_rows({study.name_of(s) for s in study.scenes if study.split_as_published(s)})
     if own:
         rows = [
             {
