@@ -8,7 +8,8 @@ on each scene; how far its gain differs between draws of a scene and between sce
 correlation, over draws within scenes (each scene's means taken off) and over scenes, of the gain
 with what the draws differ in: how good plain training is, how far the training cameras stand apart,
 and how far the test cameras from the nearest of them, both as shares of the mean over the draws of
-the scene. p is of permutations within scenes. Plain training's own luck is in its PSNR and in the
+the scene. p is of permutations within scenes. Of draws with several seeds the intervals over seeds
+and an analysis of variance are printed too. Plain training's own luck is in its PSNR and in the
 gain, which makes the first correlation a little too negative. --table: a row per run. --chart: the
 gains of SAFI + UAR by scene, beside those of the papers' photos from a report's table, --usual.
 """
@@ -16,8 +17,8 @@ gains of SAFI + UAR by scene, beside those of the papers' photos from a report's
 from __future__ import annotations
 
 import argparse
-import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,12 @@ from scipy import stats
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from framework.report.statistics.estimates import estimate
+from framework.report.study.collect import collect
+from framework.report.study.order import BASELINE
 from framework.scenes import load_scene
 
-PLAIN, BOTH = "none+none", "safi+uar"
+BOTH = "safi + uar"
 FEATURES = ("plain", "apart", "reach")
 SHUFFLES = 20_000
 
@@ -50,7 +54,7 @@ def main() -> None:
         rows.sort_values(order).round(4).to_csv(given.table, index=False, lineterminator="\n")
     if given.chart:
         chart(gains(rows, BOTH), usual(given.usual)).savefig(given.chart, dpi=110)
-    for method in sorted({*rows["method"]} - {PLAIN}):
+    for method in sorted({*rows["method"]} - {BASELINE}):
         found = gains(rows, method)
         told(method, found)
     shape = found["scene"].nunique(), int(found.groupby("scene").size().median())
@@ -62,16 +66,14 @@ def table(study: Path) -> pd.DataFrame:
     """A row per run: scene, draw, method, PSNR and what is known of the draw's cameras."""
     known: dict[str, dict[str, float]] = {}
     rows = []
-    for path in sorted(study.glob("runs/*/record.json")):
-        told = json.loads(path.read_text(encoding="utf-8"))
-        config, scene = told["config"], told["scene"]
-        if scene["fingerprint"] not in known:
-            known[scene["fingerprint"]] = distances(config["scene"])
-        reg, own = config["reg"]["name"], config["reg"].get("compensate")
-        method = f"{config['augment']['name']}+{'dropgaussian' if own else reg}"
-        where = {"scene": scene["name"], "draw": scene["protocol"], "seed": told["seed"]}
-        psnr = told["summary"]["psnr"]["mean"]
-        rows.append({**where, "method": method, "psnr": psnr, **known[scene["fingerprint"]]})
+    for run in collect(study).runs:
+        scene, psnr = run.record.scene, run.mean("psnr")
+        if scene is None or psnr is None:
+            continue
+        if scene.fingerprint not in known:
+            known[scene.fingerprint] = distances(run.record.config["scene"])
+        where = {"scene": scene.name, "draw": scene.protocol, "seed": run.seed}
+        rows.append({**where, "method": run.method, "psnr": psnr, **known[scene.fingerprint]})
     return pd.DataFrame(rows)
 
 
@@ -91,8 +93,9 @@ def gains(rows: pd.DataFrame, method: str) -> pd.DataFrame:
     """A row per scene and draw: the gain over plain training and the features."""
     keys = ["scene", "draw"]
     psnr = rows.pivot_table(index=[*keys, "seed"], columns="method", values="psnr")
-    found = (psnr[method] - psnr[PLAIN]).groupby(keys).mean().rename("gain").to_frame()
-    found["plain"] = psnr[PLAIN].groupby(keys).mean()
+    by_draw = (psnr[method] - psnr[BASELINE]).dropna().groupby(keys)
+    found = pd.DataFrame({"gain": by_draw.mean(), "seeds": by_draw.apply(list)})
+    found["plain"] = psnr[BASELINE].groupby(keys).mean()
     found = found.join(rows.groupby(keys)[["apart", "reach"]].first()).dropna().reset_index()
     for name in ("apart", "reach"):
         found[name] /= found.groupby("scene")[name].transform("mean")
@@ -103,9 +106,8 @@ def usual(path: Path | None) -> dict[str, float]:
     """What SAFI + UAR gain in the mean by scene of a report's table."""
     if path is None:
         return {}
-    runs = pd.read_csv(path).assign(method=lambda t: t["method"].str.replace(" ", ""))
-    psnr = runs.pivot_table(index=["scene", "seed"], columns="method", values="psnr")
-    return dict((psnr[BOTH] - psnr[PLAIN]).groupby("scene").mean())
+    psnr = pd.read_csv(path).pivot_table(index=["scene", "seed"], columns="method", values="psnr")
+    return dict((psnr[BOTH] - psnr[BASELINE]).groupby("scene").mean())
 
 
 def chart(found: pd.DataFrame, papers: dict[str, float]) -> Figure:
@@ -128,20 +130,32 @@ def chart(found: pd.DataFrame, papers: dict[str, float]) -> Figure:
 def told(method: str, found: pd.DataFrame) -> None:
     by_scene = found.groupby("scene")
     means = by_scene["gain"].mean()
-    half = stats.t.ppf(0.975, len(means) - 1) * means.std() / np.sqrt(len(means))
     inside = np.sqrt(by_scene["gain"].var().mean())
-    low, high = means.mean() - half, means.mean() + half
     print(
-        f"\n{method}: {means.mean():+.3f} dB ({low:.3f} to {high:.3f}, {len(means)} scenes); sigma"
+        f"\n{method}: {_mean(means)}, {len(means)} scenes; sigma"
         f" between draws of a scene {inside:.2f}, between means of scenes {means.std():.2f}"
     )
     for scene, own in by_scene:
         listed = ", ".join(f"{gain:+.2f}" for gain in own["gain"])
         print(f"  {scene}: {own['gain'].mean():+.2f} ({listed}), plain {own['plain'].mean():.2f}")
+        several = [seeds for seeds in own["seeds"] if len(seeds) > 1]
+        if len(several) > 1:
+            test = stats.f_oneway(*several)
+            luck = np.sqrt(np.mean([np.var(seeds, ddof=1) for seeds in several]))
+            print(
+                f"    over seeds: {', '.join(map(_mean, several))}; sigma between seeds {luck:.2f};"
+                f" draws differ: F = {test.statistic:.1f}, p = {test.pvalue:.1g}"
+            )
     for name in FEATURES:
         print(f"  with {name}, within scenes: {within(found, name)}")
     over = stats.spearmanr(by_scene["plain"].mean(), means)
     print(f"  with plain, over scenes: {over.statistic:.2f} (p = {over.pvalue:.2g})")
+
+
+def _mean(values: Sequence[float] | pd.Series) -> str:
+    found = estimate(list(values))
+    inside = found.interval()
+    return f"{found.mean:+.3f}" + (f" ({inside.low:.2f} to {inside.high:.2f})" if inside else "")
 
 
 def power(scenes: int, draws: int, times: int = 2000) -> dict[float, float]:

@@ -55,7 +55,7 @@ def over_budgets(
     beside = capacities.in_verdict(first)
     blocks = [*_verdict(study, found, budgets.in_verdict(study), beside)]
     if first:
-        where = study.tested[0] if len(study.tested) == 1 else f"{len(study.tested)} scenes"
+        where = study.tested[0] if len(study.tested) == 1 else study.counted(study.tested)
         rivals = f"{first[0].method} against {first[0].against}"
         how = capacities.evidence(first)
         blocks += [Text(f"How many Gaussians, on {where}, {rivals}{how}:", "finding")]

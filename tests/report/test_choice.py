@@ -140,7 +140,8 @@ def test_a_stress_on_one_scene_hides_no_other(tmp_path: Path) -> None:
             fake_run(tmp_path, augment, seed=seed, gain=3.0 * (augment == "safi"), scene="fern")
     text = build_report(tmp_path).read_text(encoding="utf-8")
     assert "## Comparisons" in text and "## Along a stress" in text
-    assert "on these 4 scenes" in text.split("\n\n")[1] and "fox, along training views" in text
+    assert "on these 4 conditions of 2 scenes" in text.split("\n\n")[1]
+    assert "fox, along training views" in text
 
 
 def test_a_stress_with_one_seed_at_one_strength_keeps_the_others(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from framework.report.text.literature import (
     literature,
 )
 from framework.report.text.published import published, read
+from framework.report.verdict.lead import where
 from tests.record.fakes import fake_run
 
 
@@ -61,7 +62,7 @@ def test_recipes_stand_beside_published_and_repeated_figures(tmp_path: Path) -> 
     assert rows["MuRF"][columns[HERE]] == "–" and rows["FSGS"][columns[HERE]] != "–"
 
 
-@pytest.mark.parametrize("split", ["llff_drawn0", "llff_held_out"])
+@pytest.mark.parametrize("split", ["llff_drawn0", "llff_held_out", "none"])
 def test_other_photos_than_the_papers_stand_beside_no_published_figures(
     tmp_path: Path, split: str
 ) -> None:
@@ -94,6 +95,7 @@ def test_a_study_of_draws_tells_nothing_of_other_scenes(tmp_path: Path) -> None:
     found = outcomes(study)
     (compared_with_plain,) = found.comparisons.values()
     assert compared_with_plain.scenes == tuple(study.scenes) and compared_with_plain.like is None
+    assert where(study) == "on these 2 conditions of embedded"
     texts = [block.text for block in compared(found) if isinstance(block, Text)]
     assert texts and not any("Scenes like these" in text for text in texts)
 

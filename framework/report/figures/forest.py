@@ -43,7 +43,9 @@ def forest(study: Study, found: Outcomes) -> tuple[Forest, str] | None:
                 if method in compared:
                     label = marked(scene, study.name_of(scene))
                     rows.append(_row(compared[method], label, look, None))
-        rows.append(_row(c, f"these {len(c.scenes)} scenes" if detailed else method, look, c.joint))
+        rows.append(
+            _row(c, f"these {study.counted(c.scenes)}" if detailed else method, look, c.joint)
+        )
         if detailed and c.like_joint is not None:
             row = _row(c, "scenes like these", look, c.like_joint)
             rows.append(replace(row, middle=c.like.mean if c.like else row.middle, real=c.general))

@@ -30,8 +30,8 @@ K = TypeVar("K", str, int)  # a scene, or the place of a strength among those of
 class Comparison:
     """`method` minus `baseline` in dB. scenes: those that `these` is about. these: over the seeds,
     of no seed where none is on all scenes. like: over all scenes of both, conditions of one scene
-    taken together; None for a single one.
-    tests: how many comparisons `joint`, `p_joint` and `significant` are corrected for."""
+    taken together; None for a single one. tests: how many comparisons `joint`, `p_joint` and
+    `significant` are corrected for."""
 
     method: str
     baseline: str

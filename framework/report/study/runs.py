@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -206,6 +206,15 @@ class Study:
     def name_of(self, scene: str) -> str:
         """The name in its record of a scene with this label."""
         return next(run.scene_label.name for run in self.runs if run.scene == scene)
+
+    def counted(self, scenes: Sequence[str]) -> str:
+        """How many these are: `5 scenes`; with conditions of one scene among them, `6 conditions of
+        5 scenes` or `3 conditions of fern`."""
+        names = list(dict.fromkeys(map(self.name_of, scenes)))
+        if len(names) == len(scenes):
+            return f"{len(scenes)} scenes"
+        of = names[0] if len(names) == 1 else f"{len(names)} scenes"
+        return f"{len(scenes)} conditions of {of}"
 
     def split_as_published(self, scene: str) -> bool:
         """Whether the photos of a scene are shared out by a rule that papers use."""

@@ -200,17 +200,20 @@ def amount(c: Comparison) -> str:
 def where(study: Study, of: Comparison | None = None) -> str:
     """`on fern`, `on these 5 scenes`; where a comparison is of fewer, `on 3 of these 5 scenes`."""
     scenes = study.tested
+    these = f"these {study.counted(scenes)}"
     if of is not None and len(of.scenes) < len(scenes):
         if len(of.scenes) == 1:
-            return f"on {of.scenes[0]} alone of these {len(scenes)} scenes"
-        return f"on {len(of.scenes)} of these {len(scenes)} scenes"
-    return f"on {scenes[0]}" if len(scenes) == 1 else f"on these {len(scenes)} scenes"
+            return f"on {of.scenes[0]} alone of {these}"
+        return f"on {len(of.scenes)} of {these}"
+    return f"on {scenes[0]}" if len(scenes) == 1 else f"on {these}"
 
 
 def _level(study: Study, found: Outcomes) -> str:
     (method,) = study.methods
     only = found.psnr[method]
-    where = study.tested[0] if len(study.tested) == 1 else f"the mean of {len(study.tested)} scenes"
+    where = (
+        study.tested[0] if len(study.tested) == 1 else f"the mean of {study.counted(study.tested)}"
+    )
     if only.mean_interval is None or only.sd is None:
         return (
             f"on {where}, {plainly(method)} reaches {only.mean:.2f} dB in a single run (n = 1),"
