@@ -180,7 +180,8 @@ def costs(study: Study, scenes: Sequence[str]) -> list[Block]:
         " method is really better than every quicker one so marked, beginning with the cheapest"
         " (paired t test, corrected); `not shown`, where that may be chance or nothing is gained."
     )
-    return [Heading(2, "Speed against accuracy"), *blocks, Text(text)]
+    # first: what follows a scene's heading is that scene's, and hidden or folded with it
+    return [Heading(2, "Speed against accuracy"), Text(text), *blocks]
 
 
 def by_tag(study: Study, scenes: Sequence[str]) -> list[Block]:

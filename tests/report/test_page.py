@@ -11,9 +11,10 @@ import pytest
 
 from framework.records.record import write_failed
 from framework.report import build_report
-from framework.report.page import gallery
+from framework.report.page import gallery, markdown
 from framework.report.study.collect import collect
 from tests.record.fakes import fake_run, make_config
+from tests.report.studies import write_study
 
 HOSTILE = (
     "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>`[a](javascript:b) | {{body}}"
@@ -98,3 +99,17 @@ def test_what_does_not_fit_is_told(study_dir: Path, monkeypatch: pytest.MonkeyPa
         (method, 0) for method in collect(study_dir).methods
     }
     assert len(found.shots) == 2 and found.left_out == 22
+
+
+def test_what_is_told_of_one_of_many_scenes_is_folded(tmp_path: Path) -> None:
+    for name, scenes in (("few", markdown.MANY - 1), ("many", markdown.MANY)):
+        write_study(tmp_path / name, scenes=scenes, seeds=1)
+        build_report(tmp_path / name)
+    few, many = ((tmp_path / n / "report.md").read_text(encoding="utf-8") for n in ("few", "many"))
+    assert "<details>" not in few and re.search(r"^### ", few, re.MULTILINE)
+    assert not re.search(r"^### ", many, re.MULTILINE)
+    inside = re.findall(r"<details><summary>(.+?)</summary>(.*?)</details>", many, re.DOTALL)
+    assert len(inside) == many.count("<details>") == many.count("</details>")
+    assert {scene for scene, _ in inside} == {f"scene{i}" for i in range(markdown.MANY)}
+    assert not any(re.search(r"^## |<details>", text, re.MULTILINE) for _, text in inside)
+    assert not any("Machine: " in text for _, text in inside), "folded: what is about all scenes"

@@ -82,7 +82,7 @@ def _body(document: Document, pictures: Gallery, folder: Path) -> str:
             parts.append("</section>")
             inside = False
         if not (_is_grid(block) or (_is_grid(following) and _is_scene(block))):
-            if isinstance(block, Heading) and block.level == 3 and block.text in document.scenes:
+            if document.begins_a_scene(block):
                 parts.append(f'<section data-scene="{html.escape(block.text)}">')
                 inside = True
             parts.append(_block(block, places, folder))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 
 from tabulate import tabulate
@@ -17,10 +18,24 @@ from framework.report.parts.document import (
     Text,
 )
 
+MANY = 12  # scenes, from which on what is told of one alone is folded
+
 
 def render(document: Document) -> str:
-    """The page's text; figures are referred to by names relative to it."""
-    return "\n\n".join(_block(block) for block in document.blocks) + "\n"
+    """The page's text; figures are referred to by names relative to it. With many scenes the parts
+    of each are folded, so that what is about all of them can be found."""
+    parts: list[str] = []
+    folded = False
+    for block in document.blocks:
+        if folded and isinstance(block, Heading):
+            parts.append("</details>")
+            folded = False
+        if len(document.scenes) >= MANY and document.begins_a_scene(block):
+            parts.append(f"<details><summary>{html.escape(block.text)}</summary>")
+            folded = True
+        else:
+            parts.append(_block(block))
+    return "\n\n".join([*parts, *(["</details>"] if folded else [])]) + "\n"
 
 
 def _block(block: Block) -> str:

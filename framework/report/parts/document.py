@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeGuard
 
 from framework.report.parts.chart import Chart
 from framework.report.parts.forest import Forest
@@ -80,6 +81,10 @@ class Document:
     methods: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
     beside: bool = False
+
+    def begins_a_scene(self, block: Block) -> TypeGuard[Heading]:
+        """Whether what follows, up to the next heading, is told of one scene alone."""
+        return isinstance(block, Heading) and block.level == 3 and block.text in self.scenes
 
 
 def table(rows: Sequence[Mapping[str, str | Link]], left: Sequence[str]) -> Table:
