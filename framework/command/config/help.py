@@ -1,4 +1,5 @@
-"""The text of `--help`: every choice of every group in a line, and the options as composed.
+"""The text of `--help`: every choice of every group in a line, and the options as composed; with
+nothing but parts of a run behind it, what these are, and their options.
 
 Hydra's own help composes the configuration once for each of its eighty groups, which takes longer
 than the promised 1.5 s; the names are read from the registry and the folders here.
@@ -6,16 +7,17 @@ than the promised 1.5 s; the names are read from the registry and the folders he
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
 import sys
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import yaml
 from hydra import compose, initialize_config_dir
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from framework import registry
 from framework.command.config.meanings import from_yaml, meanings
@@ -52,20 +54,44 @@ The report is written to reports/STUDY/report.md, each run to reports/STUDY/runs
 
 def help_text(overrides: Sequence[str]) -> str:
     """The help for a command line with `overrides`, whose values it shows."""
-    lines = [line for group in GROUPS for line in _group_lines(group, _names(group))]
     with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
-        options = "\n".join(_explained(compose("config", list(overrides))))
-    chosen = "\n".join(lines)
+        config: Any = OmegaConf.to_container(compose("config", list(overrides)))
+    asked = _asked(overrides)
+    if asked:
+        return _of_parts(asked, config)
+    options = "\n".join(_explained(config))
+    chosen = "\n".join(line for group in GROUPS for line in _group_lines(group, _names(group)))
     beside = [f"  {does:<13} {program()} {name} ..." for name, (_, does) in SUBCOMMANDS.items()]
     header = HEADER.format(program=program(), subcommands="\n".join(beside))
     return f"{header}\nChoices, GROUP=NAME:\n{chosen}\n\nOptions, KEY=VALUE:\n\n{options}\n"
 
 
-def _explained(config: DictConfig) -> Iterator[str]:
+def _asked(overrides: Sequence[str]) -> dict[str, list[str]]:
+    """group -> the names typed, of a line that has choices of parts and nothing else; or empty."""
+    found: dict[str, list[str]] = {}
+    for word in overrides:
+        group, _, value = word.lstrip("+").partition("=")
+        names = re.findall(r"\w+", value)
+        if group not in OBJECT_GROUPS or not names or not set(names) <= set(_names(group)):
+            return {}
+        found[group] = names
+    return found
+
+
+def _of_parts(asked: Mapping[str, Sequence[str]], config: Mapping[str, Any]) -> str:
+    """The help of these choices alone."""
+    told = [
+        f"{group}={n}: {_description(group, n)}" for group, names in asked.items() for n in names
+    ]
+    options = "\n".join(_explained({group: config[group] for group in asked}))
+    rest = f"All choices, and the other options: {program()} --help"
+    return "\n\n".join([*told, "Options, KEY=VALUE:", options, rest]) + "\n"
+
+
+def _explained(plain: Mapping[str, Any]) -> Iterator[str]:
     """The lines of the configuration, each with what it means."""
     means = top = from_yaml((CONF_DIR / "config.yaml").read_text(encoding="utf-8"))
-    plain: Any = OmegaConf.to_container(config)
-    for line in yaml.safe_dump(plain, sort_keys=False, width=math.inf).splitlines():
+    for line in yaml.safe_dump(dict(plain), sort_keys=False, width=math.inf).splitlines():
         key = line.split(":")[0]
         if line == f"{key}:" and not line.startswith(" "):
             means = {}
@@ -101,15 +127,20 @@ def _group_lines(group: str, names: Sequence[str]) -> Iterator[str]:
 
 def summary(group: str, name: str) -> str:
     """What a choice is, in a line: from its source's docstring or its file's first comment."""
+    return _first_sentence(_description(group, name))
+
+
+def _description(group: str, name: str) -> str:
+    """All that a choice's source says of it."""
     if group not in OBJECT_GROUPS or name not in choices(group):
         return _first_comment(group, name)
     cls = registry.lookup(group, name) if group in registry.GROUPS else tables()[group][name]
     title = f"`{group}={name}`: "
     module_doc = sys.modules[cls.__module__].__doc__ or ""
     if module_doc.startswith(title):
-        return _first_sentence(module_doc.removeprefix(title))
+        return module_doc.removeprefix(title).strip()
     text = cls.__doc__ or ""
-    return "" if text.startswith(f"{cls.__name__}(") else _first_sentence(text)
+    return "" if text.startswith(f"{cls.__name__}(") else inspect.cleandoc(text)
 
 
 def _first_sentence(text: str) -> str:
@@ -120,6 +151,6 @@ def _first_sentence(text: str) -> str:
 
 def _first_comment(group: str, name: str) -> str:
     path = (SWEEPS_DIR if group == "sweep" else CONF_DIR / group) / f"{name}.yaml"
-    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-    comments = [line[2:] for line in lines if line.startswith("# ") and not line.startswith("# @")]
-    return _first_sentence(comments[0]) if comments else ""
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    found = re.search(r"(^# (?!@).*\n?)+", text, re.MULTILINE)
+    return found[0].replace("# ", "").strip() if found else ""
