@@ -16,6 +16,7 @@ import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import PurePath
 from typing import Any
 
 import hydra
@@ -38,7 +39,14 @@ from framework.command.launchers.detached import detached
 from framework.command.launchers.known import register_launchers
 from framework.command.program import program
 from framework.command.studies.failures import again, conclude, tell
-from framework.command.studies.study import Outcome, Refused, add_outcome, job_count, ledger
+from framework.command.studies.study import (
+    Outcome,
+    Refused,
+    add_outcome,
+    job_count,
+    ledger,
+    varied,
+)
 from framework.command.subcommands import asked_for, obey
 from framework.command.words import check_utf8, normalise, only_informs, parse
 from framework.compute.orphans import end_with_parent
@@ -51,6 +59,9 @@ from framework.errors import (
     printable_line,
 )
 from framework.records.progress import unread
+
+TOLD = ("augment=", "reg=", "seed=")  # progress lines have these of every run
+SHOWN = 32  # characters of another word
 
 register_resolvers()
 
@@ -159,10 +170,21 @@ def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
             os.environ["HYDRA_FULL_ERROR"] = full_error
 
 
+def _shown(word: str) -> str:
+    """A word of the command line as progress lines have it: of a path its last part alone."""
+    key, _, value = word.lstrip("+").partition("=")
+    name = PurePath(value.strip("'\"")).name if "/" in value else value
+    return printable_line(f"{key}={name}")[:SHOWN]
+
+
 def _job(hydra: Any, config: dict[str, Any]) -> Job:
     """The run of a composed configuration; hydra: Hydra's part of it."""
+    overrides = [str(override) for override in hydra.overrides.task]
     method = "+".join(str(hydra.runtime.choices.get(group)) for group in ("augment", "reg"))
-    label, short = f"{method} seed {config['seed']}", f"{method} s{config['seed']}"
+    besides = [_shown(word) for word in varied(overrides) if not word.lstrip("+").startswith(TOLD)]
+    label = " ".join([method, *besides, f"seed {config['seed']}"])
+    values = [word.partition("=")[2] for word in besides]
+    short = " ".join([method, *values, f"s{config['seed']}"])
     number = 0 if OmegaConf.is_missing(hydra.job, "num") else int(hydra.job.num)
     total = job_count()
     if total != 1:
@@ -173,7 +195,7 @@ def _job(hydra: Any, config: dict[str, Any]) -> Job:
         number=number,
         run_dir=str(hydra.runtime.output_dir),
         config=config,
-        overrides=[str(override) for override in hydra.overrides.task],
+        overrides=overrides,
         label=label,
         short_label=short,
         alone=not multirun or hydra.launcher._target_.endswith(".BasicLauncher"),

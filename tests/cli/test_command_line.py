@@ -36,6 +36,30 @@ def test_the_command_as_typed_and_its_variants(
     assert told.err == ""
 
 
+def test_progress_lines_say_what_changes_from_run_to_run(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = ["capacity=fixed,evidence", "trainer.steps=30", "reg=none,uar", "-m"]
+    assert main(line) == 0
+    told = [text for text in capsys.readouterr().out.splitlines() if "finished" in text]
+    assert told[0] == "[run 1 of 4] none+none capacity=fixed seed 0 · finished"
+    assert told[3] == "[run 4 of 4] none+uar capacity=evidence seed 0 · finished"
+    assert runs.labels[3] == "[4/4] none+uar evidence s0"
+
+
+def test_of_a_path_progress_lines_have_the_end(
+    runs: FakeRuns, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folders = [tmp_path / "a folder" / name for name in ("fern", "x" * 99)]
+    for folder in folders:
+        folder.mkdir(parents=True)
+    paths = ",".join(f"'{folder}'" for folder in folders)
+    main(["scene=llff", f"scene.path={paths}", "study=s", "-m"])
+    told = capsys.readouterr().out
+    assert "none+none scene.path=fern seed 0 · " in told
+    assert f"none+none scene.path={'x' * 21} seed 0 · " in told
+
+
 def test_spelling_does_not_change_the_folder(runs: FakeRuns) -> None:
     main(TYPED.split())
     main(["-m", "augment=safi", "reg=uar", "seed=0,1,2", "threads=1", "force=true"])

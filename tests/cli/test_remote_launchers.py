@@ -22,7 +22,13 @@ from framework.command.config.schema import ROOT
 from framework.command.launchers import known, page, plan
 from framework.command.launchers.plan import Plan, new_plan, read_plan, work
 from framework.command.launchers.sent import lead_to_this_code
-from framework.command.studies.study import LEDGER_VARIABLE, Outcome, add_outcome
+from framework.command.studies.study import (
+    JOBS_VARIABLE,
+    LEDGER_VARIABLE,
+    VARIED_VARIABLE,
+    Outcome,
+    add_outcome,
+)
 from framework.errors import UserError
 from tests.cli.conftest import FakeRuns
 
@@ -220,7 +226,7 @@ def a_plan(tmp_path: Path, n_runs: int = 4) -> Plan:
 @pytest.fixture
 def no_ledger(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plan, "build_reports", lambda: None)
-    for name in (LEDGER_VARIABLE, plan.JOBS_VARIABLE):
+    for name in (LEDGER_VARIABLE, JOBS_VARIABLE, VARIED_VARIABLE):
         monkeypatch.setenv(name, "")
 
 

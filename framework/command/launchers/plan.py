@@ -31,10 +31,10 @@ from pathlib import Path
 from typing import Any
 
 from framework.command.studies.study import (
-    JOBS_VARIABLE,
     LEDGER_VARIABLE,
     Outcome,
     build_reports,
+    tell_jobs,
 )
 from framework.errors import UserError, require
 from framework.files.documents import read_json
@@ -153,7 +153,8 @@ def work(plan: Plan, do: Callable[[Run], Outcome], after: Callable[[], None]) ->
 
     do: does a run, which adds its outcome to the ledger. after: called after each.
     """
-    os.environ[LEDGER_VARIABLE], os.environ[JOBS_VARIABLE] = str(plan.ledger), str(len(plan.runs))
+    os.environ[LEDGER_VARIABLE] = str(plan.ledger)
+    tell_jobs([words for _, words in plan.runs])
     if plan.cancelled:  # while its worker waited in the queue
         return
     with _until_cancelled(plan):

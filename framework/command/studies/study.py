@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +44,7 @@ from framework.records.progress import say
 
 LEDGER_VARIABLE = "FISHERSPLAT_LEDGER"
 JOBS_VARIABLE = "FISHERSPLAT_JOBS"
+VARIED_VARIABLE = "FISHERSPLAT_VARIED"
 REPORT = "report"  # the kind of failure of a report, which is no run
 
 
@@ -75,8 +76,8 @@ def ledger() -> Iterator[Path]:
         try:
             yield folder
         finally:
-            os.environ.pop(LEDGER_VARIABLE, None)
-            os.environ.pop(JOBS_VARIABLE, None)
+            for name in (LEDGER_VARIABLE, JOBS_VARIABLE, VARIED_VARIABLE):
+                os.environ.pop(name, None)
 
 
 def add_outcome(outcome: Outcome) -> None:
@@ -99,6 +100,23 @@ def job_count() -> int | None:
     known."""
     text = os.environ.get(JOBS_VARIABLE)
     return None if text is None else int(text)
+
+
+def tell_jobs(jobs: Sequence[Sequence[str]]) -> None:
+    """Let this process and its children know how many runs the command has, and which of their
+    words change from one to another. jobs: the words of each."""
+    values: dict[str, set[str]] = {}
+    for word in (word for job in jobs for word in job):
+        key, _, value = word.lstrip("+").partition("=")
+        values.setdefault(key, set()).add(value)
+    os.environ[JOBS_VARIABLE] = str(len(jobs))
+    os.environ[VARIED_VARIABLE] = " ".join(key for key in values if len(values[key]) > 1)
+
+
+def varied(words: Sequence[str]) -> list[str]:
+    """Those of a run's words that are others in other runs of its command."""
+    keys = os.environ.get(VARIED_VARIABLE, "").split()
+    return [word for word in words if word.lstrip("+").partition("=")[0] in keys]
 
 
 class StudyCallback(Callback):
@@ -127,7 +145,7 @@ class StudyCallback(Callback):
                 self._expected_s = announce(every, _at_once(config))
         except (*USER_ERRORS, OSError) as error:
             raise Refused from error
-        os.environ[JOBS_VARIABLE] = str(len(jobs))
+        tell_jobs(jobs)
         if "joblib" in str(config.hydra.launcher.get("_target_")):
             watch_workers()
         self._watch = Stopwatch()
