@@ -10,11 +10,11 @@ from framework.compute.jit import KERNEL_CACHE
 from framework.metrics import lpips_weights
 
 
-def pytest_report_header() -> str | None:
-    """Why the first tests may take so long."""
-    if next(KERNEL_CACHE.rglob("*.nbi"), None) is not None:
-        return None
-    return "kernels: compiled now, for about a minute; once for these sources"
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Say why the first tests may take so long."""
+    terminal = session.config.pluginmanager.get_plugin("terminalreporter")  # none in a worker
+    if terminal is not None and next(KERNEL_CACHE.rglob("*.nbi"), None) is None:
+        terminal.write_line("kernels are compiled now, for about a minute; once for these sources")
 
 
 @pytest.fixture(autouse=True)
