@@ -16,7 +16,7 @@ from framework.scenes.embedded import Embedded
 from framework.scenes.llff import Llff
 from framework.scenes.mip360 import Mip360
 from framework.scenes.photos import Photos
-from framework.scenes.splits import ALL, HELD_OUT, UNTESTED, published_split
+from framework.scenes.splits import ALL, DRAWN, HELD_OUT, UNTESTED, published_split
 from framework.scenes.transforms import Transforms
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ALL",
+    "DRAWN",
     "HELD_OUT",
     "LOADERS",
     "UNTESTED",

@@ -123,6 +123,14 @@ def test_the_defaults(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> Non
             "scene=llff scene.path=photos/fern scene.n_views=all scene.split=none",
             "llff_fern_allv_untested",
         ),
+        (
+            "scene=llff scene.path=photos/fern scene.n_views=3 scene.split=llff_drawn7",
+            "llff_fern_3v_drawn",
+        ),
+        (
+            "scene=llff scene.path=photos/fern scene.n_views=3 scene.split=llff_drawn7_held_out",
+            "llff_fern_3v_drawn_held_out",
+        ),
         ("scene.n_views=4", "embedded_4v"),
         ("study=mine/first", "mine/first"),
     ],
