@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -29,9 +30,11 @@ from scipy import stats
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from framework.report.statistics.drawn import Draws, draws
 from framework.report.statistics.estimates import estimate
 from framework.report.study.collect import collect
 from framework.report.study.order import BASELINE
+from framework.report.study.runs import Study
 from framework.scenes import load_scene
 
 BOTH = "safi + uar"
@@ -48,25 +51,28 @@ def main() -> None:
     )
     parser.add_argument("--chart", type=Path, metavar="PNG", help="draw the gains of SAFI + UAR")
     given = parser.parse_args()
-    rows = table(given.study)
+    study = collect(given.study)
+    rows, by_method = table(study), defaultdict(list)
+    for own in draws(study):
+        by_method[own.method].append(own)
     if given.table:
         order = ["scene", "draw", "seed", "method"]
         rows.sort_values(order).round(4).to_csv(given.table, index=False, lineterminator="\n")
     if given.chart:
-        chart(gains(rows, BOTH), usual(given.usual)).savefig(given.chart, dpi=110)
-    for method in sorted({*rows["method"]} - {BASELINE}):
-        found = gains(rows, method)
-        told(method, found)
+        chart(gains(rows, by_method[BOTH]), usual(given.usual)).savefig(given.chart, dpi=110)
+    for own in by_method.values():
+        found = gains(rows, own)
+        told(found, own)
     shape = found["scene"].nunique(), int(found.groupby("scene").size().median())
     for rho, share in power(*shape).items():
         print(f"a correlation of {rho} within scenes is found {share:.0%} of the time")
 
 
-def table(study: Path) -> pd.DataFrame:
+def table(study: Study) -> pd.DataFrame:
     """A row per run: scene, draw, method, PSNR and what is known of the draw's cameras."""
     known: dict[str, dict[str, float]] = {}
     rows = []
-    for run in collect(study).runs:
+    for run in study.runs:
         scene, psnr = run.record.scene, run.mean("psnr")
         if scene is None or psnr is None:
             continue
@@ -89,14 +95,16 @@ def distances(options: dict[str, Any]) -> dict[str, float]:
     return {"apart": float(pairs.mean()), "reach": float(near.mean())}
 
 
-def gains(rows: pd.DataFrame, method: str) -> pd.DataFrame:
+def gains(rows: pd.DataFrame, own: Sequence[Draws]) -> pd.DataFrame:
     """A row per scene and draw: the gain over plain training and the features."""
+    found = pd.DataFrame(
+        {"scene": d.scene, "draw": draw, "gain": gain, "plain": d.plain[draw]}
+        for d in own
+        for draw, gain in zip(d.differences, d.gains, strict=True)
+    )
     keys = ["scene", "draw"]
-    psnr = rows.pivot_table(index=[*keys, "seed"], columns="method", values="psnr")
-    by_draw = (psnr[method] - psnr[BASELINE]).dropna().groupby(keys)
-    found = pd.DataFrame({"gain": by_draw.mean(), "seeds": by_draw.apply(list)})
-    found["plain"] = psnr[BASELINE].groupby(keys).mean()
-    found = found.join(rows.groupby(keys)[["apart", "reach"]].first()).dropna().reset_index()
+    features = rows.groupby(keys)[["apart", "reach"]].first()
+    found = found.join(features, on=keys).dropna().reset_index(drop=True)
     for name in ("apart", "reach"):
         found[name] /= found.groupby("scene")[name].transform("mean")
     return found
@@ -127,32 +135,32 @@ def chart(found: pd.DataFrame, papers: dict[str, float]) -> Figure:
     return figure
 
 
-def told(method: str, found: pd.DataFrame) -> None:
+def told(found: pd.DataFrame, own: Sequence[Draws]) -> None:
+    """What there is to say of one method."""
     by_scene = found.groupby("scene")
-    means = by_scene["gain"].mean()
-    inside = np.sqrt(by_scene["gain"].var().mean())
+    means = [d.over.mean for d in own]
+    inside = np.sqrt(np.mean([np.var(d.gains, ddof=1) for d in own]))
     print(
-        f"\n{method}: {_mean(means)}, {len(means)} scenes; sigma"
-        f" between draws of a scene {inside:.2f}, between means of scenes {means.std():.2f}"
+        f"\n{own[0].method}: {_mean(means)}, {len(means)} scenes; sigma"
+        f" between draws of a scene {inside:.2f}, between means of scenes"
+        f" {np.std(means, ddof=1):.2f}"
     )
-    for scene, own in by_scene:
-        listed = ", ".join(f"{gain:+.2f}" for gain in own["gain"])
-        print(f"  {scene}: {own['gain'].mean():+.2f} ({listed}), plain {own['plain'].mean():.2f}")
-        several = [seeds for seeds in own["seeds"] if len(seeds) > 1]
-        if len(several) > 1:
-            test = stats.f_oneway(*several)
-            luck = np.sqrt(np.mean([np.var(seeds, ddof=1) for seeds in several]))
+    for d in own:
+        listed, plain = ", ".join(f"{gain:+.2f}" for gain in d.gains), np.mean([*d.plain.values()])
+        print(f"  {d.scene}: {d.over.mean:+.2f} ({listed}), plain {plain:.2f}")
+        if d.alike is not None:
+            several = [seeds for seeds in d.differences.values() if len(seeds) > 1]
             print(
-                f"    over seeds: {', '.join(map(_mean, several))}; sigma between seeds {luck:.2f};"
-                f" draws differ: F = {test.statistic:.1f}, p = {test.pvalue:.1g}"
+                f"    over seeds: {', '.join(map(_mean, several))}; sigma between seeds"
+                f" {d.alike.sd:.2f}; draws differ: F = {d.alike.f:.1f}, p = {d.alike.p:.1g}"
             )
     for name in FEATURES:
         print(f"  with {name}, within scenes: {within(found, name)}")
-    over = stats.spearmanr(by_scene["plain"].mean(), means)
+    over = stats.spearmanr(by_scene["plain"].mean(), by_scene["gain"].mean())
     print(f"  with plain, over scenes: {over.statistic:.2f} (p = {over.pvalue:.2g})")
 
 
-def _mean(values: Sequence[float] | pd.Series) -> str:
+def _mean(values: Sequence[float]) -> str:
     found = estimate(list(values))
     inside = found.interval()
     return f"{found.mean:+.3f}" + (f" ({inside.low:.2f} to {inside.high:.2f})" if inside else "")

@@ -184,8 +184,8 @@ def _ranked(matches: Sequence[Match]) -> list[dict[str, str | Link]]:
             "Really better": str(signs.count(1)),
             "Not told apart": str(signs.count(0)),
             "Really worse": str(signs.count(-1)),
-            "Mean difference (dB)": f"{mean:+.2f}",
-            "Lowest to highest (dB)": f"{min(differences):+.2f} to {max(differences):+.2f}",
+            "Mean difference (dB)": f"{mean:+z.2f}",
+            "Lowest to highest (dB)": f"{min(differences):+z.2f} to {max(differences):+z.2f}",
         }
         rows.append((-sum(signs), -mean, row))
     return [row for *_, row in sorted(rows, key=lambda entry: entry[:2])]

@@ -19,6 +19,7 @@ from framework.report.study.labels import outside, slug
 from framework.report.study.runs import Study
 from framework.report.text import capacities, gaps, searched, tables
 from framework.report.text.dose import dose
+from framework.report.text.drawn import over_draws
 from framework.report.text.literature import literature
 from framework.report.text.provenance import provenance_blocks
 from framework.report.text.published import published
@@ -50,7 +51,7 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
     if not panels:  # the strengths of a stress share their seeds: no independent pairs
         blocks += details.main_table(study)
         blocks += [*details.compared(found), *details.between_capacities(between)]
-        blocks += [*details.stability(found), *opening.stress_beside(study)]
+        blocks += [*details.stability(found), *over_draws(study), *opening.stress_beside(study)]
     blocks += [*gaps.failures(study), *gaps.missing_runs(study)]
     blocks += [*details.worst(study), *details.by_tag(study, shown), *_courses(study, shown, seen)]
     if study.tested:
@@ -79,7 +80,7 @@ def _pictures(
     hidden = [scene for scene in study.scenes if scene not in visible]
     blocks: list[Block] = []
     if hidden:
-        blocks = [Heading(2, "Pictures left out"), Text(HIDDEN.format(scenes=", ".join(hidden)))]
+        blocks = [Heading(2, "Pictures left out"), Text(HIDDEN.format(scenes=study.listed(hidden)))]
     told = shown_pair(study, found)
     if study.tabled:
         found_ones = [(scene, kept(study, f"images_{slug(scene)}", scene)) for scene in seen]

@@ -80,7 +80,7 @@ def p_text(p: float) -> str:
 def signed(difference: float, interval: Interval | None) -> str:
     """`+0.21`, rounded by the interval."""
     places = 2 if interval is None else decimals((interval.high - interval.low) / 2, 2)
-    return f"{difference:+.{places}f}"
+    return f"{difference:+z.{places}f}"
 
 
 def average(values: Sequence[float | None]) -> float | None:

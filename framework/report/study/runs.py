@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,10 +14,11 @@ from framework.metrics.values import Missing
 from framework.records.record import Run, RunRecord
 from framework.records.search import Searched
 from framework.report.study.axes import Axis
-from framework.report.study.labels import MethodLabel, SceneLabel, outside
+from framework.report.study.labels import MethodLabel, SceneLabel, listed, outside
 from framework.report.study.order import BASELINE, method_order, natural
 from framework.scenes import published_split
 
+MOST_LISTED = 8  # scenes that are named one by one in a sentence
 DAMAGED = "damaged"  # the kind of failure of a folder that no run left
 BUSY = 1.3  # wall seconds per CPU second of a training from which others shared its cores
 
@@ -215,6 +217,14 @@ class Study:
             return f"{len(scenes)} scenes"
         of = names[0] if len(names) == 1 else f"{len(names)} scenes"
         return f"{len(scenes)} conditions of {of}"
+
+    def listed(self, scenes: Sequence[str]) -> str:
+        """`a, b and c`; of many, conditions of one scene are taken together: `fern (4
+        conditions)`."""
+        if len(scenes) <= MOST_LISTED:
+            return listed(scenes, "and")
+        times = Counter(map(self.name_of, scenes))
+        return listed([f"{n} ({k} conditions)" if k > 1 else n for n, k in times.items()], "and")
 
     def split_as_published(self, scene: str) -> bool:
         """Whether the photos of a scene are shared out by a rule that papers use."""

@@ -112,9 +112,9 @@ def _reversed(
             c = compare(row["method"], psnr, other["method"], measured[other["recipe"]])
             if c is None or c.difference >= 0:
                 continue
-            here = f"{c.difference:+.2f}"
+            here = f"{c.difference:+z.2f}"
             here = f"{here} shown" if c.significant else here
-            pairs.append(f"{other['method']} ({own - float(other[column]):+.2f}, {here})")
+            pairs.append(f"{other['method']} ({own - float(other[column]):+z.2f}, {here})")
         if pairs:
             told.append({REVERSED: row["method"], OVER: "; ".join(pairs)})
     return told

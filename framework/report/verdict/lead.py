@@ -123,7 +123,7 @@ def alike(study: Study, found: Outcomes) -> str:
     rest = not_told_apart(study, found, tested) if tested else []
     if not rest:
         return ""
-    named = [f"{c.method} {c.difference:+.2f} dB ({inside(c.joint)})" for c in rest[:MOST_NAMED]]
+    named = [f"{c.method} {c.difference:+z.2f} dB ({inside(c.joint)})" for c in rest[:MOST_NAMED]]
     more = len(rest) - MOST_NAMED
     named += [f"{more} more under Comparisons"] if more > 0 else []
     return f"Not told apart from {rest[0].baseline}: {'; '.join(named)}.{could_hide(rest)}"
@@ -143,7 +143,7 @@ def _by_family(study: Study, rest: Sequence[Comparison], tested: Sequence[Compar
         own = [c.difference for c in rest if study.family_of[c.method] == family]
         share = f"{len(own)} of its" if len(own) < every[family] else "all its"
         at = "" if every[family] == 1 else f" at {share} {every[family]} budgets"
-        low, high = f"{min(own):+.2f}", f"{max(own):+.2f}"
+        low, high = f"{min(own):+z.2f}", f"{max(own):+z.2f}"
         means = f"{low} dB on average" if low == high else f"averages from {low} to {high} dB"
         told.append(f"{family}{at} ({means})")
     return told

@@ -171,7 +171,7 @@ def _ends(limit: Limit) -> str:
     """The mean gain at the weakest and at the strongest strength that was compared."""
     (first, low), (last, high) = limit.ends
     axis = limit.panel.axis
-    return f"gain {low:+.2f} dB at {_at(axis, first)}, {high:+.2f} dB at {_at(axis, last)}"
+    return f"gain {low:+z.2f} dB at {_at(axis, first)}, {high:+z.2f} dB at {_at(axis, last)}"
 
 
 def _at(axis: Axis, value: float) -> str:

@@ -7,10 +7,12 @@ import math
 from collections.abc import Iterable, Sequence
 
 from framework.report.statistics.compare import Comparison
-from framework.report.statistics.numbers import average, mean_text
+from framework.report.statistics.drawn import draws
+from framework.report.statistics.estimates import SIGNIFICANCE
+from framework.report.statistics.numbers import average, mean_text, p_text
 from framework.report.statistics.outcomes import Outcomes
 from framework.report.statistics.robustness import failure_rate, worst_case
-from framework.report.study.labels import listed, outside
+from framework.report.study.labels import outside
 from framework.report.study.roles import CHOSE, role
 from framework.report.study.runs import ReportRun, Study
 from framework.report.verdict.lead import (
@@ -50,6 +52,7 @@ def points(study: Study, found: Outcomes, beside: str = "") -> list[str]:
         weakest(study, found),
         *_elsewhere(tested),
         _untuned(study, found),
+        _other_photos(study),
     ]
     return [text for text in told if text]
 
@@ -57,7 +60,7 @@ def points(study: Study, found: Outcomes, beside: str = "") -> list[str]:
 def _fewer(study: Study, tested: Sequence[Comparison]) -> str:
     """Who is compared on some of the scenes only, as the others have too few seeds in common."""
     some = [c for c in tested if len(c.scenes) < len(study.tested)]
-    told = [f"{c.method} on {listed(c.scenes, 'and')}" for c in some]
+    told = [f"{c.method} on {study.listed(c.scenes)}" for c in some]
     return f"Compared where two seeds or more are common: {'; '.join(told)}." if told else ""
 
 
@@ -94,7 +97,7 @@ def _elsewhere(tested: Sequence[Comparison]) -> list[str]:
     if over:
         scenes = max(c.like.n for c in over if c.like)
         shown = [c for c in over if c.general]
-        said = "; ".join(f"{c.method} {c.like.mean:+.2f} dB ({inside(c.like_joint)})"
+        said = "; ".join(f"{c.method} {c.like.mean:+z.2f} dB ({inside(c.like_joint)})"
                          for c in (shown or clear) if c.like)  # fmt: skip
         start = f"To be expected on other scenes, judged by how these {scenes} differ"
         if shown:
@@ -112,7 +115,24 @@ def _untuned(study: Study, found: Outcomes) -> str:
     scenes = [scene for scene in study.tested if role(study.name_of(scene)) != CHOSE]
     own = [f"{c.method} {amount(c)}" for c in alone if c.significant]
     said = "; ".join(own) if own else "nobody is told apart"
-    return f"On {listed(scenes, 'and')} alone, where no test photo chose a default: {said}."
+    return f"On {study.listed(scenes)} alone, where no test photo chose a default: {said}."
+
+
+def _other_photos(study: Study) -> str:
+    """Where a gain is shown to depend on the photos that were drawn, corrected for all that were
+    tested; "" where nothing could be."""
+    tested = [(d.alike.p, d) for d in draws(study) if d.alike is not None and d.alike.p is not None]
+    if not tested:
+        return ""
+    sure = [(len(tested) * p, d) for p, d in tested if len(tested) * p < SIGNIFICANCE]
+    if not sure:
+        return "With other photos of a scene: no gain is shown to depend on which were drawn."
+    told = [
+        f"{d.method} on {d.scene} {min(d.gains):+z.2f} to {max(d.gains):+z.2f} dB over"
+        f" {len(d.gains)} draws ({p_text(p)}), {d.over.mean:+z.2f} in the mean"
+        for p, d in sorted(sure, key=lambda pair: pair[0])
+    ]
+    return f"What is gained depends on which photos one has: {'; '.join(told)}."
 
 
 def _cost(study: Study, found: Outcomes) -> str:

@@ -1,0 +1,119 @@
+"""How far what a method gains depends on the photos that one happens to have.
+
+Studies over draws of the training photos of a scene (`scene.split=NAME_drawn0,NAME_drawn1,...`; the
+test photos stay) tell that. A draw's gain is the mean over its seeds of method minus baseline, the
+same seed in both. Their mean has a t interval over the draws: what other photos of the same scene
+would give. Whether the draws differ by more than seeds do is a one-way analysis of variance of the
+seeds' differences.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special  # without scipy.stats, which takes a second to import
+
+from framework.report.statistics.estimates import Estimate, estimate
+from framework.report.study.runs import ReportRun, Study
+from framework.scenes import DRAWN
+
+
+@dataclass(frozen=True)
+class Variance:
+    """One-way analysis of variance of groups. f: variance between over that within. between,
+    within: its degrees of freedom. sd: standard deviation within a group. p: of an f so large among
+    groups that do not differ; None where nothing varies."""
+
+    f: float
+    between: int
+    within: int
+    sd: float
+    p: float | None
+
+
+@dataclass(frozen=True)
+class Draws:
+    """`method` minus `baseline` on a scene in dB. differences: draw -> of its seeds. plain: draw ->
+    mean PSNR of the baseline. over: the mean over draws. alike: whether draws differ, of those
+    with two seeds or more; None where these are fewer than two."""
+
+    scene: str
+    method: str
+    baseline: str
+    differences: Mapping[str, tuple[float, ...]]
+    plain: Mapping[str, float]
+    over: Estimate
+    alike: Variance | None
+
+    @property
+    def gains(self) -> list[float]:
+        """Of each draw, the mean over its seeds."""
+        return [float(np.mean(own)) for own in self.differences.values()]
+
+
+def draws(study: Study) -> list[Draws]:
+    """Of every scene with two draws or more and every method with a baseline on two of them."""
+    groups: dict[tuple[str, str], list[ReportRun]] = defaultdict(list)
+    for run in study.runs:
+        if DRAWN in _draw(run):
+            options = {k: v for k, v in run.record.config["scene"].items() if k != "split"}
+            groups[run.scene_label.name, repr(sorted(options.items()))].append(run)
+    found = [
+        _draws(name, method, study.baseline_of(method), runs)
+        for (name, _), runs in groups.items()
+        for method in study.methods
+        if study.baseline_of(method) != method
+    ]
+    return [d for d in found if d is not None]
+
+
+def _draws(scene: str, method: str, baseline: str, runs: Sequence[ReportRun]) -> Draws | None:
+    own, base = (_by_draw(runs, one) for one in (method, baseline))
+    differences = {}
+    for draw in own:
+        seeds = sorted(own[draw].keys() & base.get(draw, {}).keys())
+        if seeds:
+            differences[draw] = tuple(own[draw][seed] - base[draw][seed] for seed in seeds)
+    if len(differences) < 2:
+        return None
+    over = estimate([float(np.mean(values)) for values in differences.values()])
+    plain = {draw: float(np.mean(list(base[draw].values()))) for draw in differences}
+    alike = variance([values for values in differences.values() if len(values) > 1])
+    return Draws(scene, method, baseline, differences, plain, over, alike)
+
+
+def _by_draw(runs: Sequence[ReportRun], method: str) -> dict[str, dict[int, float]]:
+    """Draw, in the order of their numbers -> seed -> PSNR."""
+    found: dict[str, dict[int, float]] = defaultdict(dict)
+    for run in runs:
+        psnr = run.mean("psnr")
+        if run.method == method and psnr is not None:
+            found[_draw(run)][run.seed] = psnr
+    return {draw: found[draw] for draw in sorted(found, key=lambda d: (len(d), d))}
+
+
+def _draw(run: ReportRun) -> str:
+    """The rule by which the run's photos were shared out."""
+    return str(run.record.config["scene"].get("split"))
+
+
+def variance(groups: Sequence[Sequence[float]]) -> Variance | None:
+    """Of groups of two values or more; None of fewer than two groups."""
+    if len(groups) < 2:
+        return None
+    every = np.concatenate([np.asarray(group, dtype=np.float64) for group in groups])
+    means = [float(np.mean(group)) for group in groups]
+    between, within = len(groups) - 1, len(every) - len(groups)
+    among = sum(len(g) * (m - float(every.mean())) ** 2 for g, m in zip(groups, means, strict=True))
+    inside = sum(
+        float(np.square(np.subtract(g, m)).sum()) for g, m in zip(groups, means, strict=True)
+    )
+    sd = math.sqrt(inside / within)
+    if inside == 0:
+        return Variance(math.inf if among > 0 else 0.0, between, within, sd, None)
+    f = (among / between) / (inside / within)
+    return Variance(f, between, within, sd, float(special.fdtrc(between, within, f)))

@@ -1,0 +1,102 @@
+"""What a method gains with other photos of a scene, and whether draws of them differ."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from framework.report import build_report
+from framework.report.statistics.drawn import draws, variance
+from framework.report.statistics.outcomes import outcomes
+from framework.report.study.collect import collect
+from framework.report.text.drawn import over_draws
+from framework.report.verdict.points import points
+from tests.record.fakes import fake_run
+
+GAINS = {2: 1.0, 10: -1.0, 0: 0.5}  # of uar, by draw
+
+
+def write_draws(folder: Path, gains: dict[int, float], seeds: int, scene: str = "fern") -> None:
+    for draw, gain in gains.items():
+        condition = {"split": f"llff_drawn{draw}"}
+        for seed in range(seeds):
+            for reg, own in (("none", 0.0), ("uar", gain)):
+                name = f"{scene}{draw}{reg}{seed}"
+                fake_run(
+                    folder, "none", reg, seed, own, scene=scene, run_name=name, condition=condition
+                )
+
+
+def test_the_analysis_of_variance_is_scipy_s() -> None:
+    rng = np.random.default_rng(0)
+    groups = [list(rng.normal(0.3 * i, 1, size)) for i, size in enumerate((3, 5, 2, 4))]
+    found, known = variance(groups), stats.f_oneway(*groups)
+    assert found is not None and (found.between, found.within) == (3, 10)
+    assert found.f == pytest.approx(known.statistic) and found.p == pytest.approx(known.pvalue)
+    inside = np.concatenate([np.subtract(g, np.mean(g)) for g in groups])
+    assert found.sd == pytest.approx(np.sqrt((inside**2).sum() / 10))
+    assert variance(groups[:1]) is None
+    flat = variance([[1.0, 1.0], [2.0, 2.0]])
+    assert flat is not None and flat.p is None
+
+
+def test_gains_by_draw_and_over_them(tmp_path: Path) -> None:
+    write_draws(tmp_path, GAINS, seeds=3)
+    for reg in ("none", "uar"):  # the papers' photos are no draw
+        fake_run(tmp_path, "none", reg, 0, 9.0, scene="fern", condition={"split": "llff"})
+    study = collect(tmp_path)
+    (found,) = draws(study)
+    assert (found.scene, found.method, found.baseline) == ("fern", "none + uar", "none + none")
+    assert list(found.differences) == ["llff_drawn0", "llff_drawn2", "llff_drawn10"]
+    own = np.array(found.gains)
+    assert own - own.mean() == pytest.approx([0.5 - 1 / 6, 1 - 1 / 6, -1 - 1 / 6], abs=0.15)
+    interval = found.over.interval()
+    assert interval is not None
+    known = stats.t.interval(0.95, 2, own.mean(), stats.sem(own))
+    assert (interval.low, interval.high) == pytest.approx(known)
+    assert found.alike is not None and found.alike.p is not None
+    assert found.alike.p == pytest.approx(stats.f_oneway(*found.differences.values()).pvalue)
+
+
+def test_the_report_says_whether_a_gain_depends_on_the_photos(tmp_path: Path) -> None:
+    write_draws(tmp_path, GAINS, seeds=3)
+    text = build_report(tmp_path).read_text(encoding="utf-8")
+    assert "- What is gained depends on which photos one has: none + uar on fern -" in text
+    row = text.partition("## With other photos")[2].partition("| fern")[2].partition("\n")[0]
+    cells = [cell.strip() for cell in row.split("|")]
+    assert cells[3].count(",") == 2 and cells[-2].startswith("p ")
+
+
+def test_equal_draws_are_not_told_apart(tmp_path: Path) -> None:
+    write_draws(tmp_path, dict.fromkeys(range(3), 0.5), seeds=3)
+    study = collect(tmp_path)
+    said = points(study, outcomes(study))
+    assert [text for text in said if "no gain is shown to depend on which were drawn" in text]
+
+
+def test_one_seed_cannot_tell(tmp_path: Path) -> None:
+    write_draws(tmp_path, GAINS, seeds=1)
+    study = collect(tmp_path)
+    (found,) = draws(study)
+    assert found.alike is None and len(found.gains) == 3
+    assert len(over_draws(study)) == 3
+    assert not [text for text in points(study, outcomes(study)) if "photos" in text]
+
+
+def test_draws_of_other_options_are_apart(tmp_path: Path) -> None:
+    for views, draw in ((3, 0), (6, 0), (6, 1)):
+        for reg in ("none", "uar"):
+            condition = {"split": f"llff_drawn{draw}", "n_views": views}
+            name = f"{views}{draw}{reg}"
+            fake_run(tmp_path, "none", reg, scene="fern", run_name=name, condition=condition)
+    (found,) = draws(collect(tmp_path))
+    assert len(found.gains) == 2
+
+
+def test_other_studies_have_no_such_part(tmp_path: Path) -> None:
+    for reg in ("none", "uar"):
+        fake_run(tmp_path, "none", reg)
+    assert not over_draws(collect(tmp_path))
