@@ -172,7 +172,7 @@ def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
 
 def _shown(word: str) -> str:
     """A word of the command line as progress lines have it: of a path its last part alone."""
-    key, _, value = word.lstrip("+").partition("=")
+    key, _, value = word.partition("=")
     name = PurePath(value.strip("'\"")).name if "/" in value else value
     return printable_line(f"{key}={name}")[:SHOWN]
 
@@ -181,7 +181,9 @@ def _job(hydra: Any, config: dict[str, Any]) -> Job:
     """The run of a composed configuration; hydra: Hydra's part of it."""
     overrides = [str(override) for override in hydra.overrides.task]
     method = "+".join(str(hydra.runtime.choices.get(group)) for group in ("augment", "reg"))
-    besides = [_shown(word) for word in varied(overrides) if not word.lstrip("+").startswith(TOLD)]
+    pair = "_".join(part for part in method.split("+") if part != "none") or "baseline"
+    words = [word.lstrip("+") for word in varied(overrides)]
+    besides = [_shown(w) for w in words if not w.startswith(TOLD) and w != f"method={pair}"]
     label = " ".join([method, *besides, f"seed {config['seed']}"])
     values = [word.partition("=")[2] for word in besides]
     short = " ".join([method, *values, f"s{config['seed']}"])

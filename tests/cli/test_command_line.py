@@ -47,6 +47,14 @@ def test_progress_lines_say_what_changes_from_run_to_run(
     assert runs.labels[3] == "[4/4] none+uar evidence s0"
 
 
+def test_a_method_is_named_once(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["preset=paper", "method=baseline,safi_uar,fsgs_sweep", "-m"]) == 0
+    told = [text for text in capsys.readouterr().out.splitlines() if "finished" in text]
+    assert told[0] == "[run 1 of 3] none+none seed 0 · finished"
+    assert told[1] == "[run 2 of 3] safi+uar seed 0 · finished"
+    assert " method=fsgs_sweep seed 0 · finished" in told[2]
+
+
 def test_of_a_path_progress_lines_have_the_end(
     runs: FakeRuns, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
