@@ -84,6 +84,12 @@ class Protocol:
                 f" scene.split={self.name} keeps {len(test)} for testing), got {n_views}; lower"
                 " n_views"
             )
+        require(
+            DRAWN not in self.name or count < len(pool),
+            f"{where}: expected n_views below {len(pool)}, the views that may train, for"
+            f" scene.split={self.name} to draw from, got {n_views}: every draw would be the same;"
+            " set scene.n_views",
+        )
         train = sorted(self.pick(pool, count))
         if self.held_out:
             others = [i for i in pool if i not in train]
