@@ -343,3 +343,4 @@ class Metric(Part):
 
 
 BASES |= {"scene": SceneLoader, "depth": DepthProvider, "init": Initializer, "metric": Metric}
+BASES |= {"augment": Augmenter, "reg": Regularizer, "capacity": Capacity}

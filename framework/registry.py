@@ -38,7 +38,16 @@ PARTS = {
     "metric": "plugins.metrics",
 }
 SWEPT = "_sweep"  # ends the name of a recipe with the plane sweep in place of a network
-REQUIRED = {"scene": "load", "depth": "measure", "init": "build", "metric": "measure"}
+REQUIRED = {  # the methods of which a class must have one of its own
+    "scene": ("load",),
+    "depth": ("measure",),
+    "init": ("build",),
+    "metric": ("measure",),
+    "augment": ("pseudo_views",),
+    "reg": ("opacity_factors", "loss", "substeps", "gradient", "evaluated"),
+    "capacity": ("update",),
+}
+YAML_WORDS = ("true", "false", "null")  # which no command line can choose
 FOLDER = Path(__file__).resolve().parent.parent / "plugins"
 FRAMEWORK_KEYS = {"weight": 1.0, "start": 0.0, "stop": 1.0}
 MEANINGS = {
@@ -51,7 +60,7 @@ JOINED_BY = "+"  # their names are one choice: `uar+depth_rank`
 OPTION_TYPES = (bool, int, float, str, type(None))
 UNIONS = (typing.Union, UnionType)
 
-BASES: dict[str, type] = {}  # of `PARTS`, by `framework.plugin`, which stands above
+BASES: dict[str, type] = {}  # of every group, by `framework.plugin`, which stands above
 _classes: dict[str, dict[str, type]] = {group: {} for group in GROUPS}
 C = TypeVar("C", bound=type)
 
@@ -113,8 +122,12 @@ def _check_class(group: str, name: str, cls: type) -> None:
             f"{where}: expected options beside {', '.join(taken)}, which every plugin of this group"
             f" has, got a field '{option.name}'; rename it, or set it in `defaults`",
         )
-    if group in PARTS:
-        _check_part(group, name, cls, where)
+    for key in getattr(cls, "defaults", {}) if group in GROUPS else ():
+        require(
+            key in FRAMEWORK_KEYS,
+            f"{where}: expected some of {', '.join(FRAMEWORK_KEYS)} in `defaults`, got {key!r:.40};"
+            " a default of an option stands behind its field",
+        )
     typed = {*cls.__annotations__, "defaults", "name", "group"}  # the last two: registered twice
     for base in cls.__mro__:  # what a contract declares for the class, as `drops`
         typed |= set(base.__annotations__) if base.__module__ == "framework.plugin" else set()
@@ -124,12 +137,13 @@ def _check_class(group: str, name: str, cls: type) -> None:
             f"{where}: expected options with a type, got '{key} = {value!r:.40}'; write"
             f" '{key}: {type(value).__name__} = {value!r:.40}'",
         )
+    _check_contract(group, name, cls, where)
 
 
-def _check_part(group: str, name: str, cls: type, where: str) -> None:
+def _check_contract(group: str, name: str, cls: type, where: str) -> None:
     """Raise UserError unless `cls` can be this part of a run under this name."""
     require(
-        re.fullmatch(r"[a-z][a-z0-9_]*", name) is not None,
+        re.fullmatch(r"[a-z][a-z0-9_]*", name) is not None and name not in YAML_WORDS,
         f"{where}: expected a name of lower-case letters, digits and _, got {name!r:.40}; rename"
         " it",
     )
@@ -145,14 +159,16 @@ def _check_part(group: str, name: str, cls: type, where: str) -> None:
         f"{where}: expected a class derived from framework.plugin."
         f"{getattr(base, '__name__', group)}, got another; derive it",
     )
+    hooks = REQUIRED[group]
+    told = f"the method `{hooks[0]}`" if len(hooks) == 1 else f"one of {', '.join(hooks)}"
     require(
-        getattr(cls, REQUIRED[group]) is not getattr(base, REQUIRED[group]),
-        f"{where}: expected the method `{REQUIRED[group]}`, got none; add it",
+        getattr(cls, "idle", False)
+        or any(getattr(cls, hook) is not getattr(base, hook) for hook in hooks),
+        f"{where}: expected {told}, got none; add it",
     )
-    for _, _, option in plain_fields(cls):
-        needed = option.default is dataclasses.MISSING
+    for _, _, option in plain_fields(cls) if group == "metric" else ():
         require(
-            group != "metric" or not needed,
+            option.default is not dataclasses.MISSING,
             f"{where}: expected a default for '{option.name}', got none; a metric is built from its"
             " defaults",
         )
@@ -169,7 +185,7 @@ def discover() -> None:
                 _guarded(name, "repair it", functools.partial(importlib.import_module, name))
     for place, file in own_plugins():
         name = f"own_plugins.{place.removesuffix('.py').replace('/', '.')}"
-        if name not in sys.modules:
+        if name not in sys.modules and not file.name.startswith("_"):
             _guarded(str(file), "repair it", functools.partial(_import_file, name, file))
     for point in _installed():
         told = f"entry point {point.name} = {point.value}"
@@ -306,6 +322,19 @@ def parts_of(group: str, name: str) -> list[str]:
     return names
 
 
+def _made(where: str, cls: Any, options: Mapping[str, Any]) -> Any:
+    """A plugin of these options; what its own checks raise is told with its name."""
+    try:
+        return cls(**options)
+    except UserError:
+        raise
+    except Exception as error:
+        raise UserError(
+            f"{where}: expected options that it takes, got {type(error).__name__}: {error}; correct"
+            " them, or repair the plugin's __post_init__"
+        ) from error
+
+
 def build(group: str, config: Mapping[str, Any]) -> Plugged:
     """The plugin that `config` (key `name` + options) describes. Raises UserError on a bad one."""
     options = dict(config)
@@ -333,6 +362,6 @@ def build(group: str, config: Mapping[str, Any]) -> Plugged:
         f"{group}={name}: expected 0 <= start <= stop <= 1 (shares of the training), got"
         f" start={keys['start']}, stop={keys['stop']}",
     )
-    plugin = cls(**options)
+    plugin = _made(f"{group}={name}", cls, options)
     plugin.check_span(keys["start"], keys["stop"])
     return Plugged(plugin, keys["weight"], keys["start"], keys["stop"])

@@ -95,6 +95,8 @@ def check_view(where: str, value: object) -> None:
     check_camera(f"{where}.camera", value.camera)
     size = value.camera.height, value.camera.width
     check_tensor(f"{where}.image", value.image, 3, *size)
+    if not bool(value.image.isfinite().all()):
+        raise ValueError(f"{where}.image: expected finite numbers, got infinity")
     for name in ("mask", "depth"):
         plane: Any = getattr(value, name)
         if plane is not None:

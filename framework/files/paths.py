@@ -47,10 +47,12 @@ def inside(folder: Path, name: str | Path) -> Path:
 
 def own_plugins() -> list[tuple[str, Path]]:
     """The modules of the user's own plugins: the `.py` files of the folder that `OWN_VARIABLE`
-    names and of its folders, as (path within it, with slashes; file), sorted; none without one."""
+    names and of its folders, as (path within it, with slashes; file), sorted; none without one.
+    Those whose names begin with `_` are helpers: not imported by themselves, but part of the code
+    that makes a run the same."""
     folder = os.environ.get(OWN_VARIABLE)
     if not folder:
         return []
     files = [*Path(folder).glob("*.py"), *Path(folder).glob("*/*.py")]
     named = ((file.relative_to(folder).as_posix(), file) for file in files)
-    return sorted((place, file) for place, file in named if not file.name.startswith("_"))
+    return sorted(named)

@@ -46,6 +46,8 @@ def _check_scene(found: Any) -> None:
     check_kind("the scene", found, Scene)
     for text in ("name", "protocol", "fingerprint"):
         check_kind(f"the scene's {text}", getattr(found, text), str)
+        if not getattr(found, text):
+            raise ValueError(f"the scene's {text}: expected a text, got an empty one")
     check_kind("the training set", found.training, TrainingSet)
     if not found.training.views:
         raise ValueError("the training set: expected at least one view, got none")
@@ -72,3 +74,7 @@ def _check_depth(found: Any, training: TrainingSet) -> None:
         for part in ("depth", "confidence"):
             size = view.camera.height, view.camera.width
             check_tensor(f"the {part} of {view.name}", getattr(one, part), *size)
+        if not bool((one.depth.isfinite() & (one.depth >= 0)).all()):
+            raise ValueError(f"the depth of {view.name}: expected finite numbers >= 0")
+        if not bool(((one.confidence >= 0) & (one.confidence <= 1)).all()):
+            raise ValueError(f"the confidence of {view.name}: expected numbers in [0, 1]")

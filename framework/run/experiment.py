@@ -61,6 +61,7 @@ from framework.records.record import (
 from framework.run import answers, budget, trackers
 from framework.run.lpips_later import lacks_lpips, with_lpips
 from framework.run.training import Run, initial, renderer, thinned, train, try_out
+from framework.run.untouched import Shared, depth_parts, foreign, scene_parts
 from framework.run.warmup import Warmup
 from framework.scenes import LOADERS, load_scene
 from framework.train.dose import told
@@ -121,10 +122,13 @@ def _experiment(
             progress.done(_reused(done))
             return done
         remove_temporaries(run_dir)
+        shared = Shared(foreign(config))
+        shared.watch(scene_parts(scene))
         warmup.begin()
         progress.stage(f"depth {config['depth']['name']}")
         keys = _key(config["scene"]), _key(config["depth"])
         depth, timings["depth"] = _depth(*keys, files["depth"])
+        shared.watch(depth_parts(scene, depth))
         warmup.finish()
         record = RunRecord(
             identity=identity,
@@ -145,7 +149,13 @@ def _experiment(
             if gains is not None:
                 cameras = tuple(view.camera for view in scene.training.views)
                 exposures = Exposures(cameras, gains)
-        record = _trained(record, timings, run_dir, scene, depth, exposures, network, progress)
+        made = (timings, run_dir, scene, depth, exposures, network, progress)
+        try:
+            record = _trained(record, *made, shared)
+        finally:
+            if shared.changed():  # the next run reads them anew
+                for kept in (_scene, _depth, _log_gains):
+                    kept.cache_clear()
     progress.done(_result(record))
     return record
 
@@ -168,6 +178,7 @@ def _trained(
     exposures: Exposures | None,
     network: Lpips | None,
     progress: Progress,
+    shared: Shared,
 ) -> RunRecord:
     """The record with the result of its run, as written; `timings` are those it holds."""
     config = record.config
@@ -193,6 +204,7 @@ def _trained(
     near = options.near_plane * scene.training.near
     with _timed(timings, "evaluate"):
         metrics, renders = _measured(config, trained, near, scene.test, network, run)
+    shared.check()
     record = dataclasses.replace(
         record,
         provenance={**record.provenance, **told_of_budget, **told_of_scene},

@@ -4,7 +4,8 @@ plugin ends in one line that names the plugin and the hook."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields
 from typing import Any
 
@@ -39,6 +40,8 @@ def opacity_factors(plugin: Plugin, result: object, n: int) -> tuple[Tensor | No
     if factors is not None:
         try:
             check_tensor("factors", factors, n)
+            if not bool((factors.isfinite() & (factors >= 0)).all()):
+                raise ValueError("factors: expected finite numbers >= 0, got others")
         except ValueError as error:
             raise UserError(f"{where}: {error}") from error
     return factors, state
@@ -100,6 +103,8 @@ def edits(plugin: Plugin, result: object, of: Gaussians) -> tuple[Edits | None, 
     change, state = _pair(where, result, "(Edits or None, state)")
     if change is not None and not isinstance(change, Edits):
         raise UserError(f"{where}: expected Edits or None, got {type(change).__name__}")
+    if change is not None and change.append is not None:
+        _check_appended(where, change.append, of)
     if change is not None:
         for part, shape, dtype in (
             ("keep", (n,), torch.bool),
@@ -118,6 +123,30 @@ def edits(plugin: Plugin, result: object, of: Gaussians) -> tuple[Edits | None, 
             if not bool(value.isfinite().all()):
                 raise UserError(f"{where}: expected finite `values`, got infinity in `{name}`")
     return change, state
+
+
+@contextmanager
+def at_work(group: str, plugin: Plugin, hook: str, step: int, given: Gaussians) -> Iterator[None]:
+    """A hook at work: what it raises says where; what it was given it may not write into. Raises
+    UserError where it did."""
+    where, before = _hook(group, plugin, hook), _versions(given)
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        error.add_note(f"{where}, step {step}")
+        raise
+    if _versions(given) != before:
+        raise UserError(
+            f"{where}, step {step}: expected ctx.gaussians unchanged, got them written into; clone"
+            " what changes"
+        )
+
+
+def _versions(gaussians: Gaussians) -> list[int]:
+    """torch counts how often each tensor was written into."""
+    return [tensor._version for _, tensor in gaussians.items()]
 
 
 def wanted(plugin: Plugin) -> tuple[str, ...]:
@@ -141,6 +170,21 @@ def _check(
         check_tensor(name, value, *shape, dtype=dtype)
     except ValueError as error:
         raise UserError(f"{where}: {error}") from error
+
+
+def _check_appended(where: str, appended: Any, of: Gaussians) -> None:
+    """Rows that fit those of `of`; whether they are finite, the training's guard tells."""
+    if not isinstance(appended, Gaussians):
+        got = type(appended).__name__
+        raise UserError(f"{where}: expected Gaussians in `append`, got {got}")
+    for name, tensor in appended.items():
+        n = len(appended.shN) if name == "shN" else len(appended.means)
+        wanted = (n, *getattr(of, name).shape[1:])
+        if tensor.dtype != torch.float32 or tensor.shape != wanted or n > len(appended.means):
+            raise UserError(
+                f"{where}: expected float32 {list(wanted)} in `append.{name}`, got"
+                f" {str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"
+            )
 
 
 def _hook(group: str, plugin: Plugin, hook: str) -> str:

@@ -87,7 +87,8 @@ class PluginsAtWork:
         if context is None:
             return []
         plugged = self._augment.plugged
-        result = plugged.plugin.pseudo_views(context, self._augment.state)
+        with hooks.at_work("augment", plugged.plugin, "pseudo_views", now.step, now.gaussians):
+            result = plugged.plugin.pseudo_views(context, self._augment.state)
         views, self._augment.state = hooks.pseudo_views(plugged.plugin, result)
         if not self._augment.idle:
             self._dose.add("augment.asked", bool(views))
@@ -162,7 +163,8 @@ class PluginsAtWork:
             if context is None:
                 continue
             plugin: Any = running.plugged.plugin
-            result = plugin.update(context, running.state, stats)
+            with hooks.at_work("capacity", plugin, "update", now.step, now.gaussians):
+                result = plugin.update(context, running.state, stats)
             edits, running.state = hooks.edits(plugin, result, now.gaussians)
             if edits is None:
                 continue
@@ -276,7 +278,8 @@ class PluginsAtWork:
     def _factors(self, running: _Running, context: StepContext, n: int) -> Tensor | None:
         """What one regularizer multiplies opacities by, [N] or None."""
         plugin: Any = running.plugged.plugin
-        result = plugin.opacity_factors(context, running.state)
+        with hooks.at_work("reg", plugin, "opacity_factors", context.step, context.gaussians):
+            result = plugin.opacity_factors(context, running.state)
         factors, running.state = hooks.opacity_factors(plugin, result, n)
         if not running.idle:
             self._dose.add(f"{running.owner}.asked")
@@ -309,9 +312,10 @@ class PluginsAtWork:
     ) -> Tensor | float:
         """A regularizer's weighted loss term; 0 without one."""
         plugged = running.plugged
-        term = hooks.loss_term(
-            plugged.plugin, plugged.plugin.loss(context, running.state, view, render)
-        )
+        plugin = plugged.plugin
+        with hooks.at_work("reg", plugin, "loss", context.step, context.gaussians):
+            found = plugin.loss(context, running.state, view, render)
+        term = hooks.loss_term(plugin, found)
         self._note_act(running, term is not None)
         return 0.0 if term is None else plugged.weight * term
 

@@ -15,6 +15,7 @@ from framework.plugin import Augmenter, Capacity, Edits, Regularizer, register
 from framework.run.warmup import _plane
 from framework.train import hooks
 from framework.types import View
+from tests.documents.registered import as_before
 
 VIEW = _plane(0)[0].views[0]
 THREE = _plane(0)[2].rows(0, 3)
@@ -36,6 +37,7 @@ def plugin(base: type, group: str) -> Any:
         (([dataclasses.replace(VIEW, image=VIEW.image[:, 1:])], None), r"view 0.image: .*got"),
         (([dataclasses.replace(VIEW, image=VIEW.image.double())], None), "got float64"),
         (([dataclasses.replace(VIEW, image=VIEW.image * torch.nan)], None), "got NaN"),
+        (([dataclasses.replace(VIEW, image=VIEW.image + torch.inf)], None), "got infinity"),
     ],
 )
 def test_pseudo_views(result: object, told: str) -> None:
@@ -49,6 +51,8 @@ def test_pseudo_views(result: object, told: str) -> None:
         (torch.ones(3), r"expected to return \(factors or None, state\), got Tensor"),
         ((torch.ones(2), None), r"expected float32 \[3\], got float32 \[2\]"),
         ((0.5, None), "got float"),
+        ((torch.tensor([1.0, -0.1, 1.0]), None), "expected finite numbers >= 0"),
+        ((torch.tensor([1.0, torch.inf, 1.0]), None), "expected finite numbers >= 0"),
     ],
 )
 def test_opacity_factors(result: object, told: str) -> None:
@@ -94,6 +98,25 @@ def test_edits() -> None:
         hooks.edits(mine, (Edits(sh0=torch.full((3, 1, 3), torch.inf)), None), THREE)
     with pytest.raises(UserError, match="expected finite `values`, got infinity in `opacity_log"):
         hooks.edits(mine, (Edits(values={"opacity_logits": endless}), None), THREE)
+
+
+def test_what_a_capacity_adds_fits_what_there_is() -> None:
+    mine = plugin(Capacity, "capacity")
+    for name, value, told in (
+        (
+            "means",
+            THREE.means.double(),
+            r"float32 \[3, 3\] in `append.means`, got float64 \[3, 3\]",
+        ),
+        ("quats", THREE.quats[:2], r"float32 \[3, 4\] in `append.quats`, got float32 \[2, 4\]"),
+        ("shN", torch.zeros(3, 3, 3), r"in `append.shN`, got float32 \[3, 3, 3\]"),
+    ):
+        odd = THREE.replace(**{name: value})
+        with pytest.raises(UserError, match=f"^capacity=mine: update: expected .*{told}"):
+            hooks.edits(mine, (Edits(append=odd), None), THREE)
+    with pytest.raises(UserError, match="expected Gaussians in `append`, got list"):
+        hooks.edits(mine, (Edits(append=[]), None), THREE)  # type: ignore[arg-type]
+    assert hooks.edits(mine, (Edits(append=THREE.rows(0, 0)), 1), THREE)[1] == 1
 
 
 def test_the_gradients_that_a_capacity_asks_for() -> None:
@@ -159,7 +182,22 @@ def test_a_class_that_is_no_plugin_is_told_at_its_definition() -> None:
         defaults: ClassVar[dict[str, float]] = {"start": 0.1}
         strength = 0.5
 
+    @dataclass(frozen=True)
+    class Hookless(Regularizer):
+        pass
+
+    @dataclass(frozen=True)
+    class Other(Augmenter):
+        pass
+
+    @dataclass(frozen=True)
+    class Slip(Regularizer):
+        defaults: ClassVar[dict[str, float]] = {"wieght": 0.1}
+
     for cls, told in (
+        (Hookless, "expected one of opacity_factors, loss, "),
+        (Other, "expected a class derived from framework.plugin.Regularizer"),
+        (Slip, "expected some of weight, start, stop in `defaults`, got 'wieght'"),
         (Bare, "frozen dataclass"),
         (Thawed, "frozen dataclass"),
         (Weighted, "got a field 'weight'"),
@@ -167,4 +205,52 @@ def test_a_class_that_is_no_plugin_is_told_at_its_definition() -> None:
     ):
         with pytest.raises(UserError, match=rf"^reg=bad \(.*{cls.__name__}\): .*{told}"):
             register("reg", "bad")(cls)
-    assert "bad" not in registry.names("reg")
+    for name in ("a+b", "a/b", "1", "Mine", "null"):
+        with pytest.raises(UserError, match="expected a name of lower-case letters"):
+            register("reg", name)(Hookless)
+    with pytest.raises(UserError, match="expected the method `pseudo_views`, got none"):
+        register("augment", "bad")(Other)
+    assert "bad" not in (*registry.names("reg"), *registry.names("augment"))
+
+
+def test_what_a_plugin_s_own_checks_raise_names_it() -> None:
+    @dataclass(frozen=True)
+    class Picky(Regularizer):
+        k: int = 1
+
+        def __post_init__(self) -> None:
+            super().__post_init__()  # type: ignore[misc]
+
+        def loss(self, *_: Any) -> None: ...
+
+    with as_before():
+        register("reg", "picky")(Picky)
+        with pytest.raises(UserError, match=r"^reg=picky: .* got AttributeError: .*__post_init__"):
+            registry.build("reg", {"name": "picky"})
+
+
+def test_a_hook_that_raises_is_placed() -> None:
+    mine = plugin(Capacity, "capacity")
+    with (
+        pytest.raises(ValueError, match="lost") as caught,
+        hooks.at_work("capacity", mine, "update", 39, THREE),
+    ):
+        raise ValueError("lost")
+    assert caught.value.__notes__ == ["capacity=mine: update, step 39"]
+    with (
+        pytest.raises(UserError, match="mine: no") as told,
+        hooks.at_work("capacity", mine, "update", 39, THREE),
+    ):
+        raise UserError("mine: no")
+    assert not getattr(told.value, "__notes__", [])
+
+
+def test_what_a_hook_is_given_it_may_not_write_into() -> None:
+    mine, given = plugin(Augmenter, "augment"), THREE.clone()
+    with hooks.at_work("augment", mine, "pseudo_views", 3, given):
+        given.means.clone().add_(1)
+    with (
+        pytest.raises(UserError, match=r"^augment=mine: pseudo_views, step 3: expected ctx\.gauss"),
+        hooks.at_work("augment", mine, "pseudo_views", 3, given),
+    ):
+        given.opacity_logits.add_(1)

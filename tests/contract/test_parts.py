@@ -25,7 +25,7 @@ from framework.plugin import DepthProvider, Initializer, Metric, SceneLoader
 from framework.records.run_files import METRICS_CSV, metrics_csv, read_table
 from framework.run import answers
 from framework.run.warmup import _plane
-from framework.types import Gaussians
+from framework.types import Gaussians, Scene
 from tests.cli.conftest import composed
 from tests.documents.pages import blocks
 from tests.documents.registered import as_before
@@ -188,8 +188,19 @@ def test_wrong_answers_name_their_plugin() -> None:
     training, maps, gaussians = _plane(0)
     with pytest.raises(UserError, match=r"^depth=odd: measure: expected a map for each of 3"):
         answers.depth("odd", type(self_made()), maps[:2], training)
+    for part, value, told in (
+        ("depth", -1.0, "expected finite numbers >= 0"),
+        ("depth", torch.inf, "expected finite numbers >= 0"),
+        ("confidence", 100.0, r"expected numbers in \[0, 1\]"),
+    ):
+        odd = dataclasses.replace(maps[0], **{part: torch.full_like(maps[0].depth, value)})
+        with pytest.raises(UserError, match=rf"^depth=odd: measure: the {part} of .*: {told}"):
+            answers.depth("odd", type(self_made()), (odd, *maps[1:]), training)
     with pytest.raises(UserError, match=r"^init=odd: build: the Gaussians\.shN: expected float32"):
         answers.gaussians("odd", type(self_made()), gaussians, 1)
+    bare = Scene("mine", "rig", training, (), "")
+    with pytest.raises(UserError, match=r"^scene=odd: load: the scene's fingerprint: expected a t"):
+        answers.scene("odd", type(self_made()), bare)
     with pytest.raises(UserError, match=r"^scene=odd: load: the scene: expected Scene, got int"):
         answers.scene("odd", type(self_made()), 3)
 

@@ -1,0 +1,80 @@
+"""Whether plugins from outside left what the runs of a process share as it was.
+
+A scene and its depth are read once and serve every run after it. A plugin that writes into a photo
+in place would change the other runs, plain training too, without a word. The project's own plugins
+have tests (`tests/contract`); others are looked after here, by a checksum before and after a run.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from torch import Tensor
+
+from framework import registry
+from framework.errors import UserError
+from framework.types import DepthMap, Scene
+
+OURS = ("framework", "plugins")
+
+
+class Shared:
+    """What a run with `foreign` plugins shares with others; without any nothing is looked at."""
+
+    def __init__(self, foreign: list[str]) -> None:
+        self._foreign = foreign
+        self._known: list[tuple[str, Tensor, int]] = []
+
+    def watch(self, parts: Iterable[tuple[str, Tensor]]) -> None:
+        """Remember these as they are; parts: what each is, and it."""
+        if self._foreign:
+            self._known += [(what, tensor, _checksum(tensor)) for what, tensor in parts]
+
+    def changed(self) -> list[str]:
+        """What is no longer as it was."""
+        return [what for what, tensor, sum_ in self._known if _checksum(tensor) != sum_]
+
+    def check(self) -> None:
+        """Raises UserError where something changed."""
+        changed = self.changed()
+        if changed:
+            raise UserError(
+                f"{', '.join(self._foreign)}: expected {changed[0]} unchanged, got another than"
+                " before the run; a plugin wrote into what it was given: let it clone what it"
+                " changes"
+            )
+
+
+def foreign(config: Mapping[str, Any]) -> list[str]:
+    """`group=NAME` of the chosen plugins that are not this project's."""
+    found = []
+    for group in (*registry.GROUPS, *registry.PARTS):
+        chosen = config["metrics"].get("also") if group == "metric" else config[group]["name"]
+        classes = registry.parts(group) if group in registry.PARTS else {}
+        for name in registry.parts_of("reg", str(chosen)) if chosen else ():
+            cls = registry.lookup(group, name) if group in registry.GROUPS else classes.get(name)
+            if cls is not None and cls.__module__.partition(".")[0] not in OURS:
+                found.append(f"{group}={name}")
+    return found
+
+
+def scene_parts(scene: Scene) -> Iterator[tuple[str, Tensor]]:
+    """The tensors of a scene's views."""
+    for view in (*scene.training.views, *scene.test):
+        for part in ("image", "mask", "depth"):
+            tensor = getattr(view, part)
+            if tensor is not None:
+                yield f"the {part} of view {view.name}", tensor
+
+
+def depth_parts(scene: Scene, depth: tuple[DepthMap, ...]) -> Iterator[tuple[str, Tensor]]:
+    """The tensors of the depth maps of a scene's training views."""
+    for view, one in zip(scene.training.views, depth, strict=True):
+        yield f"the depth map of view {view.name}", one.depth
+        yield f"the depth's confidence of view {view.name}", one.confidence
+
+
+def _checksum(tensor: Tensor) -> int:
+    return zlib.crc32(tensor.detach().contiguous().numpy().tobytes())

@@ -1,0 +1,80 @@
+"""A plugin from outside that writes into what it is given ends its own run, and no other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from framework.errors import UserError
+from framework.plugin import DepthProvider, Regularizer, register
+from framework.records.progress import Silent
+from framework.run import experiment
+from framework.run.experiment import run_experiment
+from framework.run.untouched import Shared, foreign
+from framework.types import DepthMap
+from tests.documents.registered import as_before
+from tests.record.test_reuse import group, small_config
+
+
+@pytest.fixture(autouse=True)
+def scribblers() -> Iterator[None]:
+    with as_before():
+
+        @register("reg", "scribbler")
+        @dataclass(frozen=True)
+        class Scribbler(Regularizer):
+            """Darkens the photo that it sees, in a way that torch does not notice."""
+
+            def loss(self, ctx: Any, state: Any, view: Any, render: Any) -> None:
+                view.image.numpy()[:] *= 0.5
+
+        @register("depth", "spoiler")
+        @dataclass(frozen=True)
+        class Spoiler(DepthProvider):
+            """Darkens every photo while it measures."""
+
+            def measure(self, training: Any) -> tuple[DepthMap, ...]:
+                for view in training.views:
+                    view.image.mul_(0.5)
+                size = training.views[0].image.shape[1:]
+                far = torch.full(size, 2.0)
+                return tuple(DepthMap(far, torch.ones(size)) for _ in training.views)
+
+        for kept in (experiment._scene, experiment._depth, experiment._log_gains):
+            kept.cache_clear()
+        yield
+
+
+def config(**changes: Any) -> dict[str, Any]:
+    return small_config(group("depth", "plane_sweep")) | changes
+
+
+@pytest.mark.parametrize(
+    ("name", "choice", "told"),
+    [("reg", "scribbler", r"reg=scribbler: "), ("depth", "spoiler", r"depth=spoiler: ")],
+)
+def test_the_next_run_is_what_it_would_be_alone(
+    tmp_path: Path, name: str, choice: str, told: str
+) -> None:
+    alone = run_experiment(config(), tmp_path / "alone", Silent())
+    odd = config(**{name: group(name, choice)})
+    with pytest.raises(UserError, match=rf"^{told}expected the image of view .* unchanged"):
+        run_experiment(odd, tmp_path / "odd", Silent())
+    assert not (tmp_path / "odd" / "record.json").exists()
+    after = run_experiment(config(), tmp_path / "after", Silent())
+    assert after.parameters_sha256 == alone.parameters_sha256
+    assert after.summary == alone.summary
+
+
+def test_our_own_plugins_are_not_looked_after() -> None:
+    assert foreign(config(reg=group("reg", "uar"))) == []
+    assert foreign(config(reg=group("reg", "scribbler"))) == ["reg=scribbler"]
+    shared, image = Shared([]), torch.zeros(3)
+    shared.watch([("it", image)])
+    image += 1
+    assert shared.changed() == []
