@@ -70,9 +70,10 @@ def main(argv: Sequence[str]) -> int:
     """Run the command line `argv` (without the program's name); returns the exit code."""
     try:
         _check_here()
-        subcommand = asked_for(argv)
+        words = own_plugins.take_flag(argv) if own_plugins.asked(argv) else list(argv)
+        subcommand = asked_for(words)
         if subcommand is not None:
-            return obey(subcommand, argv[1:])
+            return obey(subcommand, words[1:])
         if "--version" in argv:
             print(f"fishersplat {framework.__version__}")
             return 0

@@ -36,6 +36,11 @@ def take_flag(argv: Sequence[str]) -> list[str]:
     return rest
 
 
+def asked(argv: Sequence[str]) -> bool:
+    """Whether the flag is on the line."""
+    return any(word.partition("=")[0] == FLAG for word in argv)
+
+
 def flags() -> list[str]:
     """The words that ask for the same folder again."""
     folder = os.environ.get(OWN_VARIABLE)

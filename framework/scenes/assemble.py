@@ -14,12 +14,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from framework.compute import portable
+from framework.errors import require
 from framework.scenes.cameras import check_bounds, check_places
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from framework.types import Scene, SparsePoints, View
+
+
+SKEWED = 1e-2  # by which a rotation times its transpose may differ from 1, as poses are rounded
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,27 @@ def _view(shot: Shot) -> View:
     depth = None if shot.depth is None else torch.from_numpy(shot.depth)
     mask = None if shot.mask is None else torch.from_numpy(shot.mask)
     return View(shot.name, camera, image, mask=mask, depth=depth, tags=shot.tags, lens=shot.lens)
+
+
+def _check(shot: Shot) -> None:
+    """Raises UserError for what no photo or camera is, as a loader of one's own may hand over."""
+    for part, value, expected, ok in (
+        ("image", shot.image, "uint8 [H, W, 3]", shot.image.shape[2:] == (3,)),
+        ("viewmat", shot.viewmat, "[4, 4]", shot.viewmat.shape == (4, 4)),
+        ("K", shot.K, "[3, 3]", shot.K.shape == (3, 3)),
+    ):
+        typed = value.dtype == np.uint8 if part == "image" else bool(np.isfinite(value).all())
+        require(
+            ok and typed,
+            f"view {shot.name}: expected {part} as {expected}, got {value.dtype}"
+            f" {list(value.shape)}; repair the loader",
+        )
+    turned = np.abs(portable.product(shot.viewmat[:3, :3], shot.viewmat[:3, :3].T) - np.eye(3))
+    require(
+        float(turned.max()) < SKEWED,
+        f"view {shot.name}: expected a rotation in viewmat, got one that scales or shears by"
+        f" {float(turned.max()):.2g}; repair the loader",
+    )
 
 
 def _points(tracks: Tracks) -> SparsePoints:
@@ -138,8 +163,12 @@ def assemble(
     from framework.types import Scene, TrainingSet
 
     where, both = f"scene {name}", [*train, *test]
+    for shot in both:
+        _check(shot)
     check_bounds(near, far, where)
     check_places(_centers(both), [shot.name for shot in both], far, where)
+    if not len(points.xyz):
+        points = points.for_training(range(len(train)))
     training = TrainingSet(name, tuple(map(_view, train)), _points(points), near, far)
     fingerprint = _fingerprint(protocol, train, test, points, (float(near), float(far)))
     found = placement(_centers(test), _centers(train))

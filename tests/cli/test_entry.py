@@ -12,6 +12,7 @@ import pytest
 import framework
 from framework.command.cli import main
 from framework.command.config.schema import ROOT
+from framework.files.paths import OWN_VARIABLE, own_plugins
 
 OWN = """
 from dataclasses import dataclass
@@ -75,6 +76,25 @@ def test_own_plugins_are_found_when_the_command_line_asks(tmp_path: Path) -> Non
     unasked = run(tmp_path, "reg=of_mine", "--cfg", "job")
     assert unasked.returncode != 0 and "of_mine" in unasked.stderr
     assert "Traceback" not in unasked.stderr
+
+
+def test_a_search_takes_own_plugins_too(tmp_path: Path) -> None:
+    (tmp_path / "of_mine.py").write_text(OWN)
+    words = ["reg=of_mine", "reg.strength=0.1,0.2", "trainer.steps=x"]
+    for line in (["--plugins", ".", "search", *words], ["search", "--plugins", ".", *words]):
+        told = run(tmp_path, *line).stderr
+        assert told.startswith("error: trainer.steps: ") and told.count("\n") == 1, told
+    assert "of_mine: unknown reg" in run(tmp_path, "search", *words).stderr
+
+
+def test_helpers_count_as_code_and_are_no_plugins(tmp_path: Path) -> None:
+    (tmp_path / "of_mine.py").write_text(OWN)
+    (tmp_path / "_helper.py").write_text("raise ValueError('imported')")
+    found = run(tmp_path, "--plugins", ".", "reg=of_mine", "--cfg", "job")
+    assert found.returncode == 0, found.stderr
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(OWN_VARIABLE, str(tmp_path))
+        assert [place for place, _ in own_plugins()] == ["_helper.py", "of_mine.py"]
 
 
 def test_own_plugins_of_one_name_in_two_folders_are_both_found(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from framework import registry
+from framework.command.studies.failures import _shown
 from framework.errors import UserError
 from framework.plugin import Augmenter, Capacity, Edits, Regularizer, register
 from framework.run.warmup import _plane
@@ -237,6 +238,7 @@ def test_a_hook_that_raises_is_placed() -> None:
     ):
         raise ValueError("lost")
     assert caught.value.__notes__ == ["capacity=mine: update, step 39"]
+    assert _shown(caught.value, False) == "capacity=mine: update, step 39: ValueError: lost"
     with (
         pytest.raises(UserError, match="mine: no") as told,
         hooks.at_work("capacity", mine, "update", 39, THREE),

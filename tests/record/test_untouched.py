@@ -16,9 +16,12 @@ from framework.records.progress import Silent
 from framework.run import experiment
 from framework.run.experiment import run_experiment
 from framework.run.untouched import Shared, foreign
+from framework.scenes import load_scene
 from framework.types import DepthMap
 from tests.documents.registered import as_before
-from tests.record.test_reuse import group, small_config
+from tests.record.test_reuse import SCENE, group, small_config
+
+EMBEDDED = load_scene("embedded", SCENE)
 
 
 @pytest.fixture(autouse=True)
@@ -78,3 +81,21 @@ def test_our_own_plugins_are_not_looked_after() -> None:
     shared.watch([("it", image)])
     image += 1
     assert shared.changed() == []
+
+
+def test_a_plugin_that_reads_by_name_is_not_asked_in_vain(tmp_path: Path) -> None:
+    """Kernels are compiled beside, on views of other names."""
+
+    @register("depth", "by_name")
+    @dataclass(frozen=True)
+    class ByName(DepthProvider):
+        """Knows the views of the embedded scene."""
+
+        def measure(self, training: Any) -> tuple[DepthMap, ...]:
+            known = {view.name: 2.0 for view in EMBEDDED.training.views}
+            size = training.views[0].image.shape[1:]
+            maps = [torch.full(size, known[view.name]) for view in training.views]
+            return tuple(DepthMap(far, torch.ones(size)) for far in maps)
+
+    done = run_experiment(config(depth=group("depth", "by_name")), tmp_path / "run", Silent())
+    assert done.parameters_sha256

@@ -163,6 +163,10 @@ def test_doses_are_a_section(tmp_path: Path) -> None:
             path.write_text(json.dumps(json.loads(path.read_text()) | {"dose": dose}))
     text = build_report(tmp_path).read_text(encoding="utf-8")
     section = text.partition("## What each method did")[2].partition("\n## ")[0]
-    assert "Pseudo views asked for" in section and " 42 " in section and "text \\| x" in section
+    assert (
+        "Epochs that asked for pseudo views" in section
+        and " 42 " in section
+        and "text \\| x" in section
+    )
     assert "none + none" not in section
     assert "Hardly tested" in text.partition("## Pictures")[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -162,6 +163,20 @@ def test_failed_missing_and_repeated_runs_are_told_first_and_the_report_builds(
     assert "No run finished of safi + uar." in first_screen
     assert "was found twice" in first_screen
     assert "- none + none on embedded: seed 1" in text and "no overlap" in text
+
+
+def test_of_two_of_the_same_run_the_one_that_measured_more_stays(tmp_path: Path) -> None:
+    fake_run(tmp_path, "none")
+    copy = tmp_path / "runs" / "z"
+    shutil.copytree(tmp_path / "runs/embedded-none-none-s0", copy)
+    content = json.loads((copy / "record.json").read_text(encoding="utf-8"))
+    content["summary"]["lpips"] = {"mean": 0.1, "missing": None}
+    (copy / "record.json").write_text(json.dumps(content), encoding="utf-8")
+    study = collect(tmp_path)
+    assert [run.run.run_dir.name for run in study.runs] == ["z"]
+    assert any(
+        "embedded-none-none-s0` is left out in favour of `z`" in note for note in study.notes
+    )
 
 
 def test_studies_are_merged_on_the_command_line(tmp_path: Path) -> None:

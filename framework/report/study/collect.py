@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 from framework.errors import UserError, require
 from framework.files.limits import RUNS
+from framework.metrics.values import Missing
 from framework.records.failure import FAILED, read_failure
 from framework.records.record import RECORD, Run, read_run
 from framework.records.search import read_search
@@ -274,15 +275,23 @@ def _differ(one: Ways, two: Ways) -> bool:
 
 
 def _without_repeats(runs: list[ReportRun]) -> tuple[list[ReportRun], list[str]]:
-    """One run per scene, method and seed: the first by folder; the others are told."""
+    """One run per scene, method and seed: that of which most was measured, of equal ones the first
+    by folder; the others are told."""
     kept: dict[tuple[str, str, int], ReportRun] = {}
-    told = []
     for run in runs:
         first = kept.setdefault((run.scene, run.method, run.seed), run)
-        if first is not run:
-            told.append(
-                f"{run.method} on {run.scene} with seed {run.seed} was found twice; the run in"
-                f" {code(run.run.run_dir.name)} is left out in favour of"
-                f" {code(first.run.run_dir.name)}."
-            )
+        if _measured(run) > _measured(first):
+            kept[run.scene, run.method, run.seed] = run
+    told = [
+        f"{run.method} on {run.scene} with seed {run.seed} was found twice; the run in"
+        f" {code(run.run.run_dir.name)} is left out in favour of"
+        f" {code(best.run.run_dir.name)}."
+        for run in runs
+        if (best := kept[run.scene, run.method, run.seed]) is not run
+    ]
     return list(kept.values()), told
+
+
+def _measured(run: ReportRun) -> int:
+    """How many metrics the run has."""
+    return sum(not isinstance(value, Missing) for value in run.record.summary.values())

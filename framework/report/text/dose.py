@@ -14,7 +14,7 @@ from framework.report.study.runs import ReportRun, Study
 
 ACTED, ENOUGH = "acted_share", 0.5
 HEADINGS = {
-    "views_asked": "Pseudo views asked for",
+    "views_asked": "Epochs that asked for pseudo views",
     "views_made": "Pseudo views made",
     "refused_coverage": "Refused for coverage",
     "coverage_mean": "Mean coverage",
