@@ -172,10 +172,14 @@ def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
 
 
 def _shown(word: str) -> str:
-    """A word of the command line as progress lines have it: of a path its last part alone."""
+    """A word of the command line as progress lines have it: of a path its last parts, of a long
+    option its last name; the value whole, unless it is too long by itself."""
     key, _, value = word.partition("=")
-    name = PurePath(value.strip("'\"")).name if "/" in value else value
-    return printable_line(f"{key}={name}")[:SHOWN]
+    name = "/".join(PurePath(value.strip("'\"")).parts[-2:]) if "/" in value else value
+    if len(key) + len(name) >= SHOWN:
+        key = key.rpartition(".")[2]
+    told = printable_line(name)
+    return f"{key}={told if len(told) <= SHOWN else told[: SHOWN - 1] + '…'}"
 
 
 def _job(hydra: Any, config: dict[str, Any]) -> Job:

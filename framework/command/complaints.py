@@ -38,6 +38,7 @@ SEVERAL = re.compile(  # `seed=0,1`, and `seed=range(3)` or another word of the 
     re.S,
 )
 EACH = "add -m to make a run of each"
+INFORM = ("--help", "-h", "--cfg", "-c")
 NOT_THERE = re.compile(r"Could not override '(\w+)\.(\w+)'")  # Hydra's, of a group of several
 KINDS = {
     **{int: "an integer", float: "a number", bool: "true or false", str: "a text"},
@@ -84,6 +85,8 @@ def with_variant(message: str, words: Sequence[str]) -> str:
     """`message`, and what the `words` of the command line could be instead: with -m, where it asks
     for that; for a missing depth, recipes whose depth is a network's have a variant NAME_sweep
     without one; for an option of several plugins, which of them have it."""
+    if message.endswith(EACH) and any(word in INFORM for word in words):
+        return message.replace(EACH, "name one, or several that work together, as reg=[a,b]")
     if message.endswith(EACH):
         return f"{message}: {program()} {shlex.join(words)} -m"
     missed = NOT_THERE.search(message)

@@ -19,7 +19,7 @@ from framework.command.collector import import_uncollected
 from framework.command.job import Job
 from framework.errors import UserError
 from framework.records.progress import Terminal
-from framework.scenes import UNTESTED
+from framework.scenes import untested
 
 EXPERIMENT = "framework.run.experiment"
 REPORT = ("framework.report", "pandas", "matplotlib.backends.backend_svg", "PIL.WebPImagePlugin")
@@ -42,7 +42,7 @@ def run(job: Job) -> bool:
     import_uncollected(EXPERIMENT)
     from framework.run.experiment import run_experiment
 
-    tested = job.config["scene"].get("split") != UNTESTED
+    tested = not untested(str(job.config["scene"].get("split")))
     in_place = None if job.alone else False
     progress = Terminal(job.label, job.short_label, in_place=in_place, tested=tested)
     run_experiment(job.config, Path(job.run_dir), progress, job.overrides)

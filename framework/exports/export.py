@@ -23,10 +23,17 @@ def main(arguments: list[str], prog: str) -> int:
     options = _parser(prog).parse_args(arguments)
     kinds = _kinds(options.format)
     folder = options.out or options.run / "export"
+    from framework.records.record import RECORD
+
     require(
         folder.resolve() != options.run.resolve(),
         f"--out: expected another folder than the run's, got {folder}; the cameras of the run would"
         " be lost",
+    )
+    require(
+        not (folder / RECORD).exists(),
+        f"--out: expected a folder that is no run's, got {folder}; the cameras of that run would be"
+        " lost",
     )
     from framework.exports.flight import distance, lens_of
     from framework.exports.opened import open_run

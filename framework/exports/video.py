@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import Arguments, require
-from framework.files.whole import write_whole
+from framework.files.whole import make_folder, write_whole
 
 if TYPE_CHECKING:
     import numpy as np
@@ -70,6 +70,7 @@ def _film(options: argparse.Namespace, folder: Path) -> None:
 
     out = options.out or folder / ("video.mp4" if has_h264() else "video.webm")
     check_kind(out)
+    make_folder(out.parent)  # a place that cannot be written is told before the work
     run = open_run(folder)
     from framework.exports.flight import flight, lens_of, usual_seconds
     from framework.exports.pictures import painter

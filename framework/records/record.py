@@ -314,7 +314,7 @@ def find_complete(run_dir: Path, identity: str) -> RunRecord | None:
     if not all(is_file(run_dir / name) for name in (RECORD, METRICS_CSV, HISTORY_CSV, PLY)):
         return None
     try:
-        record = read_record(run_dir / RECORD)
+        record = read_run(run_dir).record
     except UserError:
         # damaged or of an older layout: not the asked-for result, so it is run again
         return None

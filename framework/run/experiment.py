@@ -58,6 +58,7 @@ from framework.records.record import (
     find_complete,
     write_run,
 )
+from framework.records.run_files import VIDEOS, VIEW
 from framework.run import answers, budget, trackers
 from framework.run.lpips_later import lacks_lpips, with_lpips
 from framework.run.training import Run, initial, renderer, thinned, train, try_out
@@ -229,7 +230,8 @@ def _trained(
         before,
     )
     remove_checkpoints(run_dir)
-    (run_dir / budget.FILE).unlink(missing_ok=True)
+    for left in (budget.FILE, VIEW, *VIDEOS):  # a page and a film are of the model of before
+        (run_dir / left).unlink(missing_ok=True)
     return record
 
 

@@ -16,7 +16,7 @@ from framework.scenes.embedded import Embedded
 from framework.scenes.llff import Llff
 from framework.scenes.mip360 import Mip360
 from framework.scenes.photos import Photos
-from framework.scenes.splits import ALL, DRAWN, HELD_OUT, UNTESTED, published_split
+from framework.scenes.splits import ALL, DRAWN, HELD_OUT, UNTESTED, published_split, untested
 from framework.scenes.transforms import Transforms
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ __all__ = [
     "load_scene",
     "published_split",
     "transforms_file",
+    "untested",
 ]
 
 LOADERS: dict[str, type] = {

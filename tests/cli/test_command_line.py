@@ -59,13 +59,18 @@ def test_of_a_path_progress_lines_have_the_end(
     runs: FakeRuns, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folders = [tmp_path / "a folder" / name for name in ("fern", "x" * 99)]
+    numbers = "trainer.depth_smoothness=0.000125,0.000121"
     for folder in folders:
         folder.mkdir(parents=True)
     paths = ",".join(f"'{folder}'" for folder in folders)
     main(["scene=llff", f"scene.path={paths}", "study=s", "-m"])
     told = capsys.readouterr().out
-    assert "none+none scene.path=fern seed 0 · " in told
-    assert f"none+none scene.path={'x' * 21} seed 0 · " in told
+    assert "none+none scene.path=a folder/fern seed 0 · " in told
+    assert f"none+none path=a folder/{'x' * 22}… seed 0 · " in told
+    main([numbers, "-m"])
+    told = capsys.readouterr().out
+    assert "none+none depth_smoothness=0.000125 seed 0 · " in told
+    assert "none+none depth_smoothness=0.000121 seed 0 · " in told
 
 
 def test_spelling_does_not_change_the_folder(runs: FakeRuns) -> None:
@@ -139,6 +144,10 @@ def test_the_defaults(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> Non
             "scene=llff scene.path=photos/fern scene.n_views=3 scene.split=llff_drawn7_held_out",
             "llff_fern_3v_drawn_held_out",
         ),
+        (
+            "scene=llff scene.path=photos/fern scene.n_views=3 scene.split=none_drawn7",
+            "llff_fern_3v_untested",
+        ),
         ("scene.n_views=4", "embedded_4v"),
         ("study=mine/first", "mine/first"),
     ],
@@ -195,6 +204,7 @@ def test_every_sweep_starts(runs: FakeRuns, path: Path, end: int) -> None:
     params = OmegaConf.load(path).hydra.sweeper.params
     ends = {key: str(values).split(",")[end] for key, values in params.items()} | {"seed": "7"}
     words = [f"{key}={value}" for key, value in ends.items()]
+    words += ["scene=llff", "scene.path=."] if "scene.split" in params else []
     assert main([f"sweep={path.stem}", *words]) == 0
     assert [seed for _, _, seed in runs.methods] == [7]
 

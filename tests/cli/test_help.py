@@ -85,6 +85,12 @@ def test_the_help_of_parts_is_about_them_alone(capsys: pytest.CaptureFixture[str
     assert "  eta: 1.5 " in text and "# a view supports if I_k" in text
 
 
+def test_the_help_of_a_choice_of_several_asks_for_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help", "reg=none,uar"]) == 2
+    told = capsys.readouterr().err
+    assert told.endswith("; name one, or several that work together, as reg=[a,b]\n"), told
+
+
 def test_the_help_is_a_configuration(capsys: pytest.CaptureFixture[str]) -> None:
     path = f"/tmp/{'a long folder ' * 9}# 1"
     line = ["depth=depth_anything_3", "scene=llff", f"scene.path='{path}'", "+own.list=[1,2]"]

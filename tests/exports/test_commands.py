@@ -116,6 +116,14 @@ def test_pictures_are_the_renders_of_the_run(run: Path) -> None:
             assert np.array_equal(picture, quantise(opened.render(given.camera).rgb))
 
 
+def test_a_run_s_own_pictures_are_not_written_over(run: Path) -> None:
+    line = [str(run), "--cameras", str(run / "cameras.json"), "--out"]
+    (run / "record.json").touch()
+    for name in ("renders", "photos"):
+        with pytest.raises(UserError, match="--out: expected a folder for new pictures"):
+            render.main([*line, str(run / name)], "render")
+
+
 def test_pictures_can_be_of_another_size_and_of_depth(run: Path) -> None:
     line = [str(run), "--cameras", str(run / "cameras.json"), "--size", "24", "--show", "depth"]
     assert render.main(line, "render") == 0

@@ -168,3 +168,8 @@ def test_the_runs_own_files_are_not_written_over(tmp_path: Path) -> None:
     run = run_folder(tmp_path / "run", side_by_side())
     with pytest.raises(UserError, match="another folder than the run's"):
         main([str(run), "--out", str(run)], "export")
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "record.json").touch()
+    with pytest.raises(UserError, match=r"--out: expected a folder that is no run's, got "):
+        main([str(run), "--out", str(other)], "export")

@@ -16,6 +16,7 @@ from framework.metrics.values import Missing
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
 from framework.records.record import RunRecord
+from framework.records.run_files import METRICS_CSV, VIDEOS, VIEW
 from framework.run import experiment
 from framework.run.experiment import run_experiment
 from framework.scenes import load_scene
@@ -113,3 +114,22 @@ def test_replaced_weights_are_another_run(tmp_path: Path, monkeypatch: pytest.Mo
     torch.save({"a": torch.ones(1)}, weights)
     other, reused = run(config, tmp_path / "run")
     assert not reused and other.identity != first.identity
+
+
+def test_a_damaged_table_is_no_complete_run(tmp_path: Path) -> None:
+    config = small_config(group("depth", "plane_sweep"))
+    run(config, tmp_path / "run")
+    (tmp_path / "run" / METRICS_CSV).write_text("x", encoding="utf-8")
+    assert not run(config, tmp_path / "run")[1]
+    assert run(config, tmp_path / "run")[1]
+
+
+def test_a_page_and_a_film_of_an_older_model_go_with_it(tmp_path: Path) -> None:
+    config = small_config(group("depth", "plane_sweep"))
+    run(config, tmp_path / "run")
+    left = [tmp_path / "run" / name for name in (VIEW, *VIDEOS)]
+    for path in left:
+        path.touch()
+    assert run(config, tmp_path / "run")[1] and all(path.exists() for path in left)
+    run({**config, "force": True}, tmp_path / "run")
+    assert not any(path.exists() for path in left)

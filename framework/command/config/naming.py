@@ -19,7 +19,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from framework.command.config.check import check
 from framework.command.config.schema import rows
 from framework.command.config.trust import refuse_environment
-from framework.scenes import DRAWN, HELD_OUT, UNTESTED
+from framework.scenes import DRAWN, HELD_OUT, untested
 
 # A run's name must not depend on these: the seed is written out, the others do not change a run.
 NOT_HASHED = ("seed", "threads", "force", "study", "traceback", "estimate", "tracker")
@@ -50,7 +50,7 @@ def study_name(config: Mapping[str, Any]) -> str:
     if "path" in options:
         stem = _file_name(Path(str(options["path"])).resolve().name)
         split = str(options.get("split"))
-        odd = "_untested" if split == UNTESTED else DRAWN if DRAWN in split else ""
+        odd = "_untested" if untested(split) else DRAWN if DRAWN in split else ""
         odd += HELD_OUT if split.endswith(HELD_OUT) else ""
         scene = stem if stem.startswith(loader) else f"{loader}_{stem}"
         number = f"_{options['n_views']}v" if "n_views" in options else ""

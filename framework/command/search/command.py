@@ -30,7 +30,7 @@ from framework.command.studies.study import short_path
 from framework.errors import Arguments, UserError, require
 from framework.files.locks import locked
 from framework.records.progress import say
-from framework.scenes import HELD_OUT, UNTESTED
+from framework.scenes import HELD_OUT, UNTESTED, untested
 
 ALONE = ".search"  # holds the lock of who searches
 
@@ -72,7 +72,7 @@ def _search(options: Any) -> Search:
     check_command(argument_parser().parse_args([*fixed, *first]))
     scene = job_of([*fixed, *first]).config["scene"]
     split = str(scene.get("split", UNTESTED))
-    if split == UNTESTED:
+    if untested(split):
         raise UserError(
             f"search: expected a scene some of whose photos can be held out, got"
             f" scene={scene['name']}{'' if 'split' not in scene else ' scene.split=none'}; choose"
@@ -104,8 +104,11 @@ def _conclude(search: Search, best: list[str] | None, prog: str) -> int:
         say(f"{prog}: no trial ended well, see the report")
         return 1
     say(f"best: {shlex.join(best)}")
+    fixed = [w for w in search.fixed if not w.lstrip("+").startswith(("scene", "study=", "thr"))]
+    varies = any(word.startswith("seed=") for word in (*fixed, *best))
+    words = [*fixed, *best, "scene=...", *([] if varies else ["seed=0,1,2"])]
     say(
         "judge it once, on scenes that chose nothing, for instance:"
-        f" {program()} {shlex.join([*best, 'scene=...', 'seed=0,1,2'])} -m"
+        f" {program()} {shlex.join(words)} -m"
     )
     return 0
