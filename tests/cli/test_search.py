@@ -11,6 +11,7 @@ import pytest
 
 from framework.command import cli
 from framework.command.search import driver
+from framework.command.search.command import to_judge
 from framework.command.search.driver import Search, run_search
 from framework.command.search.space import Dimension, space_of
 from framework.command.search.trial import Result
@@ -92,6 +93,13 @@ def test_it_refuses_in_one_line(
     told = capsys.readouterr().err
     assert expected in told and len(told.splitlines()) == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_what_was_found_is_judged_with_all_that_was_fixed() -> None:
+    fixed = ["scene=llff", "scene.split=llff_held_out", "augment=safi", "study=s", "threads=1"]
+    found = to_judge([*fixed, "trainer.steps=90"], ["reg=uar"])
+    assert found == ["augment=safi", "trainer.steps=90", "reg=uar", "scene=...", "seed=0,1,2"]
+    assert to_judge(fixed, ["seed=1"]) == ["augment=safi", "seed=1", "scene=..."]
 
 
 class Fake:

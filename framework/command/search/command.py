@@ -104,11 +104,15 @@ def _conclude(search: Search, best: list[str] | None, prog: str) -> int:
         say(f"{prog}: no trial ended well, see the report")
         return 1
     say(f"best: {shlex.join(best)}")
-    fixed = [w for w in search.fixed if not w.lstrip("+").startswith(("scene", "study=", "thr"))]
-    varies = any(word.startswith("seed=") for word in (*fixed, *best))
-    words = [*fixed, *best, "scene=...", *([] if varies else ["seed=0,1,2"])]
     say(
         "judge it once, on scenes that chose nothing, for instance:"
-        f" {program()} {shlex.join(words)} -m"
+        f" {program()} {shlex.join(to_judge(search.fixed, best))} -m"
     )
     return 0
+
+
+def to_judge(fixed: Sequence[str], best: Sequence[str]) -> list[str]:
+    """The words that try `best` elsewhere: with all that was fixed but the scene."""
+    kept = [w for w in fixed if not w.lstrip("+").startswith(("scene", "study=", "threads="))]
+    varies = any(word.startswith("seed=") for word in (*kept, *best))
+    return [*kept, *best, "scene=...", *([] if varies else ["seed=0,1,2"])]
