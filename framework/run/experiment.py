@@ -125,40 +125,47 @@ def _experiment(
         remove_temporaries(run_dir)
         shared = Shared(foreign(config))
         shared.watch(scene_parts(scene))
-        warmup.begin()
-        progress.stage(f"depth {config['depth']['name']}")
-        keys = _key(config["scene"]), _key(config["depth"])
-        depth, timings["depth"] = _depth(*keys, files["depth"])
-        shared.watch(depth_parts(scene, depth))
-        warmup.finish()
-        record = RunRecord(
-            identity=identity,
-            config=dict(config),
-            overrides=tuple(overrides),
-            scene=_info(scene),
-            timings=timings,
-            provenance={
-                **provenance(),
-                **build_rasterizer(config).facts(),
-                "threads": parallel.threads(),
-                LPIPS: None if network is None else network.name,
-            },
-        )
-        exposures = None
-        if TrainerOptions(**config["trainer"]).exposure:
-            gains, timings["exposure"] = _log_gains(*keys, files["depth"])
-            if gains is not None:
-                cameras = tuple(view.camera for view in scene.training.views)
-                exposures = Exposures(cameras, gains)
-        made = (timings, run_dir, scene, depth, exposures, network, progress)
-        try:
+        with _read_anew_if_changed(shared):
+            warmup.begin()
+            progress.stage(f"depth {config['depth']['name']}")
+            keys = _key(config["scene"]), _key(config["depth"])
+            depth, timings["depth"] = _depth(*keys, files["depth"])
+            shared.watch(depth_parts(scene, depth))
+            warmup.finish()
+            record = RunRecord(
+                identity=identity,
+                config=dict(config),
+                overrides=tuple(overrides),
+                scene=_info(scene),
+                timings=timings,
+                provenance={
+                    **provenance(),
+                    **build_rasterizer(config).facts(),
+                    "threads": parallel.threads(),
+                    LPIPS: None if network is None else network.name,
+                },
+            )
+            exposures = None
+            if TrainerOptions(**config["trainer"]).exposure:
+                gains, timings["exposure"] = _log_gains(*keys, files["depth"])
+                if gains is not None:
+                    cameras = tuple(view.camera for view in scene.training.views)
+                    exposures = Exposures(cameras, gains)
+            made = (timings, run_dir, scene, depth, exposures, network, progress)
             record = _trained(record, *made, shared)
-        finally:
-            if shared.changed():  # the next run reads them anew
-                for kept in (_scene, _depth, _log_gains):
-                    kept.cache_clear()
     progress.done(_result(record))
     return record
+
+
+@contextmanager
+def _read_anew_if_changed(shared: Shared) -> Iterator[None]:
+    """Where this run changed what runs share, however it ends, the next one reads it anew."""
+    try:
+        yield
+    finally:
+        if shared.changed():
+            for kept in (_scene, _depth, _log_gains):
+                kept.cache_clear()
 
 
 def _reusable(config: Mapping[str, Any], run_dir: Path, identity: str) -> RunRecord | None:

@@ -39,11 +39,15 @@ def scribblers() -> Iterator[None]:
         @register("depth", "spoiler")
         @dataclass(frozen=True)
         class Spoiler(DepthProvider):
-            """Darkens every photo while it measures."""
+            """Darkens every photo while it measures. broken: whether it fails after that."""
+
+            broken: bool = False
 
             def measure(self, training: Any) -> tuple[DepthMap, ...]:
                 for view in training.views:
                     view.image.mul_(0.5)
+                if self.broken:
+                    raise ValueError("lost")
                 size = training.views[0].image.shape[1:]
                 far = torch.full(size, 2.0)
                 return tuple(DepthMap(far, torch.ones(size)) for _ in training.views)
@@ -72,6 +76,15 @@ def test_the_next_run_is_what_it_would_be_alone(
     after = run_experiment(config(), tmp_path / "after", Silent())
     assert after.parameters_sha256 == alone.parameters_sha256
     assert after.summary == alone.summary
+
+
+def test_nor_is_what_one_that_fails_leaves_behind(tmp_path: Path) -> None:
+    alone = run_experiment(config(), tmp_path / "alone", Silent())
+    with pytest.raises(ValueError, match="lost"):
+        odd = config(depth=group("depth", "spoiler", broken=True))
+        run_experiment(odd, tmp_path / "odd", Silent())
+    after = run_experiment(config(), tmp_path / "after", Silent())
+    assert after.parameters_sha256 == alone.parameters_sha256
 
 
 def test_our_own_plugins_are_not_looked_after() -> None:
