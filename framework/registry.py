@@ -109,9 +109,9 @@ def parts(group: str) -> dict[str, type]:
 def _check_class(group: str, name: str, cls: type) -> None:
     """Raise UserError unless `cls` is a frozen dataclass whose fields are options."""
     where = f"{group}={name} ({cls.__module__}.{cls.__qualname__})"
-    made: Any = vars(cls).get("__dataclass_params__")
+    dataclass_params: Any = vars(cls).get("__dataclass_params__")
     require(
-        made is not None and made.frozen,
+        dataclass_params is not None and dataclass_params.frozen,
         f"{where}: expected a frozen dataclass, got another class; put @dataclass(frozen=True)"
         " between @register and the class",
     )
@@ -322,11 +322,12 @@ def parts_of(group: str, name: str) -> list[str]:
     return names
 
 
-def _made(where: str, cls: Any, options: Mapping[str, Any]) -> Any:
-    """A plugin of these options; what its own checks raise is told with its name."""
+def made(where: str, cls: Any, options: Mapping[str, Any]) -> Any:
+    """A plugin or part of these options; what its own checks raise is told with its name. What the
+    machine lacks, a file or memory, has words of its own."""
     try:
         return cls(**options)
-    except UserError:
+    except (UserError, OSError, MemoryError):
         raise
     except Exception as error:
         raise UserError(
@@ -362,6 +363,6 @@ def build(group: str, config: Mapping[str, Any]) -> Plugged:
         f"{group}={name}: expected 0 <= start <= stop <= 1 (shares of the training), got"
         f" start={keys['start']}, stop={keys['stop']}",
     )
-    plugin = _made(f"{group}={name}", cls, options)
+    plugin = made(f"{group}={name}", cls, options)
     plugin.check_span(keys["start"], keys["stop"])
     return Plugged(plugin, keys["weight"], keys["start"], keys["stop"])

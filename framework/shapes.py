@@ -57,6 +57,14 @@ def check_tensor(
         raise ValueError(f"{where}: expected numbers, got NaN")
 
 
+def check_finite(where: str, value: Tensor) -> None:
+    """There is no infinity in `value`, which has no NaN."""
+    if value.numel():
+        least, most = value.aminmax()  # one pass, and no mask as large as the tensor
+        if not math.isfinite(least) or not math.isfinite(most):
+            raise ValueError(f"{where}: expected finite numbers, got infinity")
+
+
 def check_gaussians(where: str, value: object, n: int | None, terms: int | None) -> None:
     """`value` are `n` Gaussians (None: one or more) of finite float32 with `terms` = K - 1
     coefficients of SH beyond the first (None: those of any degree to 3)."""
@@ -75,8 +83,7 @@ def check_gaussians(where: str, value: object, n: int | None, terms: int | None)
     if value.shN.shape[1] not in (0, 3, 8, 15):
         raise ValueError(f"{where}.shN: expected 0, 3, 8 or 15 terms, got {value.shN.shape[1]}")
     for name, tensor in value.items():
-        if not bool(torch.isfinite(tensor).all()):
-            raise ValueError(f"{where}.{name}: expected finite numbers, got infinity")
+        check_finite(f"{where}.{name}", tensor)
 
 
 def check_camera(where: str, value: object) -> None:
@@ -95,8 +102,7 @@ def check_view(where: str, value: object) -> None:
     check_camera(f"{where}.camera", value.camera)
     size = value.camera.height, value.camera.width
     check_tensor(f"{where}.image", value.image, 3, *size)
-    if not bool(value.image.isfinite().all()):
-        raise ValueError(f"{where}.image: expected finite numbers, got infinity")
+    check_finite(f"{where}.image", value.image)
     for name in ("mask", "depth"):
         plane: Any = getattr(value, name)
         if plane is not None:

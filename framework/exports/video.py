@@ -70,8 +70,8 @@ def _film(options: argparse.Namespace, folder: Path) -> None:
 
     out = options.out or folder / ("video.mp4" if has_h264() else "video.webm")
     check_kind(out)
-    make_folder(out.parent)  # a place that cannot be written is told before the work
     run = open_run(folder)
+    make_folder(out.parent)  # a place that cannot be written is told before the work
     from framework.exports.flight import flight, lens_of, usual_seconds
     from framework.exports.pictures import painter
     from framework.exports.rig import rig

@@ -211,7 +211,7 @@ def _trained(
     progress.stage("evaluation")
     near = options.near_plane * scene.training.near
     with _timed(timings, "evaluate"):
-        metrics, renders = _measured(config, trained, near, scene.test, network, run)
+        measured = _measured(config, trained, near, scene.test, network, run)
     shared.check()
     record = dataclasses.replace(
         record,
@@ -220,9 +220,24 @@ def _trained(
         resumed=trained.resumed,
         dose=told(trained.dose),
     )
+    return _written(record, run, photos, near, trained, *measured)
+
+
+def _written(
+    record: RunRecord,
+    run: Run,
+    photos: tuple[View, ...],
+    near: float,
+    trained: Trained,
+    metrics: list[ViewMetrics],
+    renders: list[tuple[View, Tensor]],
+) -> RunRecord:
+    """The run's files; the record last, as it says that all others are there. photos: the training
+    views as they were taken, whatever the exposures of those of `run` were evened by."""
+    run_dir, test = run.folder, run.scene.test
     with following(run_dir) as before:
-        factors = None if exposures is None else exposures.factors
-        write_cameras(run_dir, photos, scene.test, near, factors)
+        factors = None if run.exposures is None else run.exposures.factors
+        write_cameras(run_dir, photos, test, near, factors)
         means, background = trained.gaussians.means, trained.background
         write_settings(run_dir, photos, means, background, near)
         write_photos(run_dir, photos)

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from framework.errors import UserError
-from framework.plugin import Edits, Plugin
-from framework.shapes import check_tensor, check_view
+from framework.plugin import Edits, Plugin, StepContext, SubStep
+from framework.shapes import check_finite, check_tensor, check_view
 from framework.types import Gaussians, View
 
 
@@ -66,15 +66,28 @@ def loss_term(plugin: Plugin, term: Any) -> Tensor | None:
     return term
 
 
-def sub_step(plugin: Plugin, loss: Any, names: Any) -> Tensor:
-    """The loss of a step that `Regularizer.substeps` asks for. Raises UserError."""
+def sub_steps(plugin: Any, ctx: StepContext, state: Any, view: View) -> Iterator[SubStep]:
+    """What `Regularizer.substeps` asks for; between two of them the trainer takes the step."""
+    with at_work("reg", plugin, "substeps", ctx.step, ctx.gaussians):
+        asked = iter(plugin.substeps(ctx, state, view))
+    while True:
+        with at_work("reg", plugin, "substeps", ctx.step, ctx.gaussians):
+            one = next(asked, None)
+        if one is None:
+            return
+        yield sub_step(plugin, one)
+
+
+def sub_step(plugin: Plugin, result: object) -> SubStep:
+    """A step that `Regularizer.substeps` asks for: (loss, names). Raises UserError."""
     where = _hook("reg", plugin, "substeps")
+    loss, names = _pair(where, result, "(loss, names of parameters)")
     known = [part.name for part in fields(Gaussians)]
     if not isinstance(names, list | tuple) or not names or not set(names) <= set(known):
         raise UserError(f"{where}: expected some of {', '.join(known)}, got {names!r:.80}")
     if not isinstance(loss, Tensor) or loss.numel() != 1 or not loss.requires_grad:
         raise UserError(f"{where}: expected a scalar loss of ctx.gaussians, got {loss!r:.80}")
-    return loss
+    return loss, names
 
 
 def gradient(
@@ -114,14 +127,13 @@ def edits(plugin: Plugin, result: object, of: Gaussians) -> tuple[Edits | None, 
             value = getattr(change, part)
             if value is not None:
                 _check(where, f"`{part}`", value, *shape, dtype=dtype)
-        if change.sh0 is not None and not bool(change.sh0.isfinite().all()):
-            raise UserError(f"{where}: expected finite `sh0`, got infinity")
+        if change.sh0 is not None:
+            _check_finite(where, "`sh0`", change.sh0)
         for name, value in change.values.items():
             if name not in (part.name for part in fields(Gaussians)):
                 raise UserError(f"{where}: expected parameters in `values`, got {name!r:.40}")
             _check(where, f"`{name}`", value, *getattr(of, name).shape)
-            if not bool(value.isfinite().all()):
-                raise UserError(f"{where}: expected finite `values`, got infinity in `{name}`")
+            _check_finite(where, f"`values`: `{name}`", value)
     return change, state
 
 
@@ -168,6 +180,13 @@ def _check(
 ) -> None:
     try:
         check_tensor(name, value, *shape, dtype=dtype)
+    except ValueError as error:
+        raise UserError(f"{where}: {error}") from error
+
+
+def _check_finite(where: str, name: str, value: Tensor) -> None:
+    try:
+        check_finite(name, value)
     except ValueError as error:
         raise UserError(f"{where}: {error}") from error
 

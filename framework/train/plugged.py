@@ -109,11 +109,10 @@ class PluginsAtWork:
                 continue
             plugged, running.acted = running.plugged, False
             inside = replace(context, gaussians=on_cpu(params))
-            for loss, names in plugged.plugin.substeps(inside, running.state, view):
-                checked = hooks.sub_step(plugged.plugin, loss, names)
+            for loss, names in hooks.sub_steps(plugged.plugin, inside, running.state, view):
                 self._dose.add("substeps")
                 self._note_act(running, True)
-                yield plugged.weight * checked, names
+                yield plugged.weight * loss, names
 
     def regularization(self, now: Moment, params: Gaussians) -> Regularization:
         """What the regularizers make of an update of `params`."""
@@ -143,8 +142,10 @@ class PluginsAtWork:
         for running in self._regs:
             active = running.started and running.plugged.active(progress)
             if running.has("evaluated") and active:
-                plugin = running.plugged.plugin
-                gaussians = hooks.evaluated(plugin, plugin.evaluated(gaussians, running.state))
+                plugin: Any = running.plugged.plugin
+                with hooks.at_work("reg", plugin, "evaluated", done - 1, gaussians):
+                    found = plugin.evaluated(gaussians, running.state)
+                gaussians = hooks.evaluated(plugin, found)
         return gaussians
 
     def edits(
@@ -272,7 +273,10 @@ class PluginsAtWork:
         context = step_context(self._conditions, now, running.draws, log)
         if not running.started:
             running.started = True
-            running.state = running.plugged.plugin.init_state(context)
+            plugin: Any = running.plugged.plugin
+            group = running.owner.partition(".")[0]
+            with hooks.at_work(group, plugin, "init_state", now.step, now.gaussians):
+                running.state = plugin.init_state(context)
         return context
 
     def _factors(self, running: _Running, context: StepContext, n: int) -> Tensor | None:
@@ -340,7 +344,8 @@ class PluginsAtWork:
                     inside = replace(context, gaussians=gaussians, log=_unheard)
                 there = functools.partial(elsewhere, before)
                 plugin = running.plugged.plugin
-                own = plugin.gradient(inside, running.state, found, there)
+                with hooks.at_work("reg", plugin, "gradient", context.step, inside.gaussians):
+                    own = plugin.gradient(inside, running.state, found, there)
                 if gaussians is None:
                     self._note_act(running, own is not None)
                 found = found if own is None else hooks.gradient(plugin, own, found)

@@ -95,9 +95,9 @@ def test_edits() -> None:
     with pytest.raises(UserError, match="update: expected parameters in `values`, got 'colour'"):
         hooks.edits(mine, (Edits(values={"colour": torch.zeros(3)}), None), THREE)
     endless = torch.full((3,), -torch.inf)
-    with pytest.raises(UserError, match="expected finite `sh0`, got infinity"):
+    with pytest.raises(UserError, match="`sh0`: expected finite numbers, got infinity"):
         hooks.edits(mine, (Edits(sh0=torch.full((3, 1, 3), torch.inf)), None), THREE)
-    with pytest.raises(UserError, match="expected finite `values`, got infinity in `opacity_log"):
+    with pytest.raises(UserError, match="`opacity_logits`: expected finite numbers, got infinity"):
         hooks.edits(mine, (Edits(values={"opacity_logits": endless}), None), THREE)
 
 
@@ -140,11 +140,13 @@ def test_edits_of_nothing_are_told_from_others() -> None:
 
 def test_a_step_of_its_own_and_another_gradient() -> None:
     mine, loss = plugin(Regularizer, "reg"), GRADIENT
-    assert hooks.sub_step(mine, loss, ("means",)) is loss
+    assert hooks.sub_step(mine, (loss, ("means",))) == (loss, ("means",))
+    with pytest.raises(UserError, match=r"^reg=mine: substeps: expected to return \(loss, names"):
+        hooks.sub_step(mine, loss)
     with pytest.raises(UserError, match=r"^reg=mine: substeps: expected some of means, quats"):
-        hooks.sub_step(mine, loss, ("colour",))
+        hooks.sub_step(mine, (loss, ("colour",)))
     with pytest.raises(UserError, match=r"substeps: expected a scalar loss of ctx.gaussians"):
-        hooks.sub_step(mine, torch.zeros(()), ("means",))
+        hooks.sub_step(mine, (torch.zeros(()), ("means",)))
     found = {"means": torch.zeros(3, 3)}
     assert hooks.gradient(mine, found, found) is found
     with pytest.raises(UserError, match="gradient: expected means, got"):

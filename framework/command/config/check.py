@@ -47,7 +47,8 @@ def check(config: Mapping[str, Any]) -> None:
         registry.build(group, config[group])
     for group, table in tables().items():
         options = dict(config[group])
-        table[options.pop("name")](**options)
+        name = options.pop("name")
+        registry.made(f"{group}={name}", table[name], options)
     registry.parts("metric")
     measures(config["metrics"].get("also"))
     TrainerOptions(**config["trainer"])
