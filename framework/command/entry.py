@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import io
 import os
 import signal
 import socket
@@ -41,6 +42,9 @@ def main() -> NoReturn:
 def command(argv: Sequence[str], name: str = SCRIPT) -> NoReturn:
     """Obey the command line `argv` of the program `name` and end this process."""
     typed(name)
+    for stream in (sys.stdout, sys.stderr):  # a terminal or log may lack a letter that we print
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         check_address_space()
     except MemoryError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 import framework
 from framework.command.cli import main
 from framework.command.config.schema import ROOT
+from framework.command.entry import command
 from framework.files.paths import OWN_VARIABLE, own_plugins
 
 OWN = """
@@ -55,6 +57,16 @@ def test_a_python_without_our_packages_is_told_in_a_line(tmp_path: Path) -> None
 def test_the_version_is_ours(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"fishersplat {framework.__version__}\n"
+
+
+def test_a_terminal_that_lacks_our_letters_gets_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = io.BytesIO()
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, io.TextIOWrapper(written, encoding="ascii", errors="strict"))
+    with pytest.raises(SystemExit):
+        command(["--version"])
+    print("22.3 dB · 4 s", flush=True)  # as progress has it
+    assert written.getvalue().endswith(b"22.3 dB \\xb7 4 s\n")
 
 
 def test_an_unknown_subcommand_is_told_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
