@@ -200,8 +200,10 @@ class Regularizer(Plugin):
         it made of it."""
         return None
 
-    def evaluated(self, gaussians: Gaussians, state: Any) -> Gaussians:
-        """What is evaluated and kept in the place of the trained `gaussians`."""
+    def evaluated(self, ctx: StepContext, gaussians: Gaussians, state: Any) -> Gaussians:
+        """What is evaluated and kept in the place of the trained `gaussians`, which are
+        `ctx.gaussians` as the regularizers before it left them. ctx: of the last step, after it;
+        what is logged is not heard."""
         return gaussians
 
 

@@ -8,9 +8,14 @@ compare at the same rate. Light to import.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.plugin import Regularizer
+from framework.plugin import Regularizer, StepContext
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.types import Gaussians
 
 SCHEDULES = ("linear", "constant")
 
@@ -19,13 +24,16 @@ SCHEDULES = ("linear", "constant")
 class DropoutRegularizer(Regularizer):
     """p: the paper's drop rate, the expected share of Gaussians dropped in a step. schedule:
     "linear" gives p(t) = p x progress of the whole training (as DropGaussian's), "constant" keeps
-    p. compensate: scale up what is kept, so that every opacity keeps its expectation. The warm-up
-    is the framework key `start`.
+    p. compensate: scale up what is kept, so that every opacity keeps its expectation. scale_tested:
+    evaluate every opacity times what the last step multiplied it by in expectation, the other way
+    for both to absorb alike (weight scaling, Srivastava et al. 2014); only where the method acts to
+    the end. The warm-up is the framework key `start`.
     """
 
     p: float = 0.1
     schedule: str = "linear"
     compensate: bool = False
+    scale_tested: bool = False
 
     # chosen on the embedded scene and on held-out training views of two real ones: a last fifth
     # without dropout lets the opacities settle
@@ -34,7 +42,35 @@ class DropoutRegularizer(Regularizer):
     def __post_init__(self) -> None:
         self.check("p", 0 < self.p < 1, "a number in (0, 1)")
         self.check("schedule", self.schedule in SCHEDULES, f"one of {', '.join(SCHEDULES)}")
+        both = self.compensate and self.scale_tested
+        self.check("scale_tested", not both, "false beside compensate=true, which leaves nothing")
 
     def drop_rate(self, progress: float) -> float:
         """p(t), the expected share of Gaussians dropped at `progress` in [0, 1)."""
         return self.p * progress if self.schedule == "linear" else self.p
+
+    def expected_factors(self, ctx: StepContext, state: Any) -> Tensor | float:
+        """What a training render multiplies opacities by in expectation: [N], or one for all."""
+        raise NotImplementedError
+
+    def evaluated(self, ctx: StepContext, gaussians: Gaussians, state: Any) -> Gaussians:
+        """With `scale_tested` as dim as training renders are in expectation."""
+        if not self.scale_tested:
+            return gaussians
+        return dimmed(gaussians, self.expected_factors(ctx, state))
+
+
+def dimmed(gaussians: Gaussians, factors: Tensor | float) -> Gaussians:
+    """Opacities times `factors`, [N] or one for all, in (0, 1]; where that is 1 nothing changes.
+
+    f sigmoid(x) = sigmoid(log f - log(exp(-x) + 1 - f)), which holds for opacities of 0 too.
+    """
+    import torch
+
+    from framework.compute.portable import exp, log
+
+    logits = gaussians.opacity_logits.detach()
+    f = torch.as_tensor(factors, dtype=torch.float64).expand_as(logits)
+    dimmer = log(f.numpy()) - log(exp(-logits.double().clamp(min=-80).numpy()) + (1 - f).numpy())
+    thin = torch.where(f < 1, torch.from_numpy(dimmer).float(), logits)
+    return gaussians.replace(opacity_logits=thin)

@@ -40,12 +40,14 @@ PLUGIN_ENTRY_POINTS = "fishersplat.plugins"
 
 def provenance() -> dict[str, Any]:
     """Versions, git state (None outside a checkout), CPU, threads: all JSON values."""
+    own = [place for place, _ in own_plugins()]
     return {
         "fishersplat": framework.__version__,
         "python": platform.python_version(),
         "packages": package_versions(),
         "git": git_state(ROOT),
         "code": code_hash(),
+        **({"own_plugins": own} if own else {}),
         "cpu": cpu_model(),
         "cores": os.cpu_count(),
         "threads": threads(),

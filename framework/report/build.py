@@ -55,11 +55,24 @@ def built(
     broken: dict[Path, str] = {}
     while True:  # each time without another run; with forged sizes aside, twice at most
         study = collect(study_dirs, out_dir, broken, rival)
+        if out_dir is None:
+            _keep_fuller_report(study)
         study = replace(study, linked=study.linked and photos)
         try:
             return _build(study, title, photos), study
         except DamagedRun as error:
             broken |= damaged_pictures(study) or {error.run_dir: str(error)}
+
+
+def _keep_fuller_report(study: Study) -> None:
+    """Raises UserError where a report made of a table alone, without pictures and curves, would
+    overwrite the one that was made of the runs."""
+    there = study.out_dir / REPORT
+    require(
+        study.out_dir not in study.tabled or not there.exists(),
+        f"{study.out_dir}: expected runs, got their table alone beside the report that was made"
+        " with them, which would lose what only the runs have; add --out DIR for another one",
+    )
 
 
 def _keep_other_table(study: Study) -> None:

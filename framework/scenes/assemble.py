@@ -98,6 +98,12 @@ def _check(shot: Shot) -> None:
         f"view {shot.name}: expected a rotation in viewmat, got one that scales or shears by"
         f" {float(turned.max()):.2g}; repair the loader",
     )
+    x, y, z = shot.viewmat[:3, :3]
+    require(
+        float((np.cross(x, y) * z).sum()) > 0,
+        f"view {shot.name}: expected a rotation in viewmat, got one that mirrors; turn two axes"
+        " around, not one or three (x is right, y down, z ahead)",
+    )
 
 
 def _points(tracks: Tracks) -> SparsePoints:

@@ -15,6 +15,10 @@ from framework.train.optim import AdamState
 from framework.types import Gaussians
 
 ADVICE = "lower trainer.lr_scale"
+SLOPES = (
+    f"{ADVICE}, or repair a plugin's loss term whose derivative is not finite, as that of a square"
+    " root at 0"
+)
 
 
 class Diverged(UserError):
@@ -58,6 +62,7 @@ def diverged(names: tuple[str, ...], where: str, gaussians: Gaussians, adam: Ada
     name = names[0]
     first, second = getattr(adam.first, name), getattr(adam.second, name)
     steep = _rows(torch.isinf(first) | torch.isnan(second))
+    advice = SLOPES if steep > 0 else ADVICE
     if steep > 0:
         what = f"finite gradients, got NaN or infinity for {steep} Gaussians in '{name}'"
     else:
@@ -68,7 +73,7 @@ def diverged(names: tuple[str, ...], where: str, gaussians: Gaussians, adam: Ada
             else f"gradients below 1e19, got larger ones in '{name}', whose squares overflow"
         )
     state = {"where": where, "gaussians": gaussians, "adam": adam}
-    return Diverged(f"{where}: expected {what}; {ADVICE}", state)
+    return Diverged(f"{where}: expected {what}; {advice}", state)
 
 
 def _broken(tensor: Tensor) -> int:

@@ -135,16 +135,16 @@ class PluginsAtWork:
             factors, penalty, functools.partial(self._mixed, mixing) if mixing else None
         )
 
-    def evaluated(self, gaussians: Gaussians, done: int) -> Gaussians:
-        """What is evaluated and kept in the place of `gaussians`, trained for so many steps: by
-        regularizers that acted in the last of them."""
-        progress = max(done - 1, 0) / self._conditions.options.steps
+    def evaluated(self, now: Moment, gaussians: Gaussians) -> Gaussians:
+        """What is evaluated and kept in the place of `gaussians`, those of `now` on the CPU: by
+        regularizers that acted in its step, the last that was taken."""
         for running in self._regs:
-            active = running.started and running.plugged.active(progress)
-            if running.has("evaluated") and active:
+            active = running.plugged.active(now.step / self._conditions.options.steps)
+            if running.has("evaluated") and running.started and active:
                 plugin: Any = running.plugged.plugin
-                with hooks.at_work("reg", plugin, "evaluated", done - 1, gaussians):
-                    found = plugin.evaluated(gaussians, running.state)
+                context = step_context(self._conditions, now, running.draws, _unheard)
+                with hooks.at_work("reg", plugin, "evaluated", now.step, gaussians):
+                    found = plugin.evaluated(context, gaussians, running.state)
                 gaussians = hooks.evaluated(plugin, found)
         return gaussians
 
@@ -377,7 +377,7 @@ def _running(group: str, plugged: Plugged) -> tuple[_Running, ...]:
 
 
 def _unheard(name: str, value: float) -> None:
-    """What a plugin logs where it is asked a second time in a step."""
+    """What a plugin logs where it is asked a second time in a step, or in an evaluation."""
 
 
 def _followed(stats: StepStats, rows: Tensor) -> StepStats:

@@ -141,7 +141,7 @@ class Trainer:
                 self.keeper.keep(self.state())
         self._tell_what_did_nothing()
         return Trained(
-            self.field.plugins.evaluated(self.field.params.detach().to("cpu"), self.step),
+            self._evaluated(self.field.params.detach().to("cpu"), self.step),
             self.background,
             self._sh_degree(),
             tuple(self.history),
@@ -278,13 +278,18 @@ class Trainer:
         gaussians = of.params.detach()
         return Moment(self.step, self.epoch, of.version, gaussians, degree, turn, behind, other)
 
+    def _evaluated(self, gaussians: Gaussians, done: int) -> Gaussians:
+        """What is evaluated after `done` steps in the place of the field's, here on the CPU."""
+        now = replace(self._now(behind=self.background), step=max(done - 1, 0))
+        return self.field.plugins.evaluated(now, gaussians)
+
     def _record(self, done: int, loss: float, evaluating: bool) -> None:
         """A row of the history after `done` steps; on evaluation steps with the test PSNR."""
         psnr: float | None = None
         with self.watch.paused() as seconds:
             if evaluating and self.evaluate is not None:
                 params = self.field.params.clone().to("cpu")
-                gaussians = self.field.plugins.evaluated(params, done)
+                gaussians = self._evaluated(params, done)
                 psnr = self.evaluate(gaussians, self.background, self._sh_degree())
                 self.psnr = psnr
         self.history.append(

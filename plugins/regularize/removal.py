@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from framework.methods.dropout import dimmed
 from framework.plugin import Regularizer, StepContext, register
 
 if TYPE_CHECKING:
@@ -36,11 +37,6 @@ class Removal(Regularizer):
         kept = ctx.rng("removal").random(len(ctx.gaussians)) >= self.p
         return torch.from_numpy(kept).float(), state
 
-    def evaluated(self, gaussians: Gaussians, state: Any) -> Gaussians:
+    def evaluated(self, ctx: StepContext, gaussians: Gaussians, state: Any) -> Gaussians:
         """Opacities times 1 - p."""
-        import torch
-
-        from framework.compute.portable import logit, sigmoid
-
-        thin = (1 - self.p) * sigmoid(gaussians.opacity_logits.detach().numpy())
-        return gaussians.replace(opacity_logits=torch.from_numpy(logit(thin)).float())
+        return dimmed(gaussians, 1 - self.p)

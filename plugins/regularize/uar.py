@@ -45,7 +45,8 @@ class Uar(DropoutRegularizer):
     diagonal. That is blind to what only a combination of parameters tells. regulariser: prior
     precision as a share of the median diagonal of F. compensate: scale the kept candidates up, so
     that every opacity keeps its expectation. It is by (1 - s/C) / (1 - 1/C), s the factor of the
-    dropped.
+    dropped. scale_tested: evaluate the candidates' opacities times 1 - (1 - s)/C instead, which is
+    their expectation.
     """
 
     mode: str = "soft"
@@ -104,8 +105,7 @@ class Uar(DropoutRegularizer):
         if ranking is None or self._outdated(ranking, ctx):
             ranking = self._rank(ctx)
         total = len(ctx.gaussians)
-        wanted = round(self.candidate_factor * self.drop_rate(ctx.progress) * total)
-        candidates = ranking.order[:wanted]
+        candidates = self._candidates(ranking, ctx)
         if len(candidates) == 0:
             return None, ranking
         draws = ctx.rng("uar").random(len(candidates))
@@ -113,6 +113,21 @@ class Uar(DropoutRegularizer):
         factors = torch.ones(total, dtype=torch.float32)
         factors[candidates] = torch.where(dropped, self.dropped_factor, self.kept_factor).float()
         return factors, ranking
+
+    def expected_factors(self, ctx: StepContext, state: Ranking | None) -> Tensor:
+        import torch
+
+        fits = state is not None and state.version == ctx.version  # nothing was added or removed
+        ranking = state if state is not None and fits else self._rank(ctx)
+        factors = torch.ones(len(ctx.gaussians))
+        dimming = (1 - self.dropped_factor) / self.candidate_factor
+        factors[self._candidates(ranking, ctx)] = 1 - dimming
+        return factors
+
+    def _candidates(self, ranking: Ranking, ctx: StepContext) -> Tensor:
+        """Who may be dropped now: the least uncertain."""
+        share = self.candidate_factor * self.drop_rate(ctx.progress)
+        return ranking.order[: round(share * len(ctx.gaussians))]
 
     def _outdated(self, ranking: Ranking, ctx: StepContext) -> bool:
         return ranking.version != ctx.version or ctx.step - ranking.step >= self.refresh

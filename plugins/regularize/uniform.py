@@ -28,7 +28,7 @@ class Uniform(DropoutRegularizer):
     keeps p. count: "bernoulli" drops each Gaussian with probability p(t), "exact" drops p(t) N of
     them, rounded. compensate: multiply the kept opacities by 1 / (1 - share dropped in
     expectation). As DropGaussian does; a factor may take an opacity above 1, where the renderer's
-    clamp of alpha holds.
+    clamp of alpha holds. scale_tested: evaluate opacities times 1 - p(t) instead.
     """
 
     count: str = "bernoulli"
@@ -40,14 +40,20 @@ class Uniform(DropoutRegularizer):
     def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
         import torch
 
-        total, rate = len(ctx.gaussians), self.drop_rate(ctx.progress)
-        if self.count == "exact":
-            rate = min(round(rate * total), total - 1) / total  # what is really dropped
+        total, rate = len(ctx.gaussians), self._rate(ctx)
         if rate == 0:
             return None, state
         dropped = torch.from_numpy(self._dropped(ctx.rng("uniform"), total, rate))
         kept = 1 / (1 - rate) if self.compensate else 1.0
         return torch.where(dropped, 0.0, kept).float(), state
+
+    def expected_factors(self, ctx: StepContext, state: Any) -> float:
+        return 1 - self._rate(ctx)
+
+    def _rate(self, ctx: StepContext) -> float:
+        """The share that is dropped now."""
+        total, rate = len(ctx.gaussians), self.drop_rate(ctx.progress)
+        return min(round(rate * total), total - 1) / total if self.count == "exact" else rate
 
     def _dropped(self, rng: np.random.Generator, total: int, rate: float) -> np.ndarray:
         """[total] bool, which Gaussians are left out."""

@@ -158,7 +158,7 @@ class Dim(Regularizer):
     def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[None, Any]:
         return None, 0.5
 
-    def evaluated(self, gaussians: Gaussians, state: float) -> Gaussians:
+    def evaluated(self, ctx: StepContext, gaussians: Gaussians, state: float) -> Gaussians:
         return gaussians.replace(opacity_logits=gaussians.opacity_logits - state)
 
 
@@ -328,7 +328,7 @@ class Odd(Regularizer):
         self._odd("gradient", ctx.gaussians)
         return at(ctx.gaussians)
 
-    def evaluated(self, gaussians: Gaussians, state: Any) -> Gaussians:
+    def evaluated(self, ctx: StepContext, gaussians: Gaussians, state: Any) -> Gaussians:
         self._odd("evaluated", gaussians)
         return gaussians
 

@@ -32,7 +32,7 @@ def test_removal_drops_a_share_and_thins_the_rest_in_the_end() -> None:
     assert set(factors.tolist()) == {0.0, 1.0} and float(factors.mean()) == pytest.approx(
         0.7, abs=0.03
     )
-    thin = removal.evaluated(ctx.gaussians, None)
+    thin = removal.evaluated(ctx, ctx.gaussians, None)
     assert torch.allclose(thin.opacities, 0.7 * ctx.gaussians.opacities, atol=1e-6)
 
 

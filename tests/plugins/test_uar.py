@@ -202,6 +202,10 @@ def test_expectation_of_every_candidate(mode: str, factor: float, compensate: bo
     s, kept = uar.dropped_factor, uar.kept_factor
     expected = 1.0 if compensate else 1 - (1 - s) / factor
     assert s / factor + kept * (1 - 1 / factor) == pytest.approx(expected)
+    tested = uar.expected_factors(ctx(step=50), state)
+    assert bool((tested[others] == 1).all())
+    if not compensate:
+        assert tested[candidates].tolist() == pytest.approx([expected] * len(candidates))
     sigma = (kept - s) * ((1 - 1 / factor) / factor / len(rows)) ** 0.5
     assert float((mean[candidates] - expected).abs().max()) < 5 * sigma
     assert abs(float(mean[candidates].mean()) - expected) < 4 * sigma / len(candidates) ** 0.5
@@ -219,3 +223,24 @@ def test_the_diagonal_form_ignores_what_parameters_tell_together() -> None:
     _, by_diagonal = Uar(form="diagonal").opacity_factors(now, None)
     assert int(by_block.order[-1]) == 7
     assert by_diagonal.order.tolist() == list(range(N))
+
+
+def test_what_is_evaluated_can_be_as_dim_as_in_training() -> None:
+    """A ranking of another set of Gaussians is of no use; the others keep their bits."""
+    uar = Uar(p=0.15, schedule="constant", scale_tested=True)
+    now = ctx(step=50)
+    bright = wall_of_gaussians(N).replace(opacity_logits=torch.linspace(-90, 90, N))
+    _, state = uar.opacity_factors(now, None)
+    dim = uar.evaluated(now, bright, state).opacity_logits
+    stale = Ranking(torch.arange(5), state.step, state.version + 1)
+    assert torch.equal(dim, uar.evaluated(now, bright, stale).opacity_logits)
+    changed = dim != bright.opacity_logits
+    assert changed.nonzero().flatten().tolist() == state.order[:120].sort().values.tolist()
+    expected = bright.opacities.double() * (1 - 0.8 / 2)
+    assert torch.allclose(torch.sigmoid(dim.double())[changed], expected[changed], rtol=1e-5)
+    assert Uar().evaluated(now, bright, state) is bright
+
+
+def test_to_compensate_twice_is_refused() -> None:
+    with pytest.raises(UserError, match=r"scale_tested: expected false beside compensate=true"):
+        Uar(compensate=True, scale_tested=True)

@@ -109,3 +109,12 @@ def test_bad_options_are_told_in_one_line(options: dict[str, object], message: s
     with pytest.raises(UserError, match=message) as error:
         Uniform(**options)  # type: ignore[arg-type]
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("count", ["bernoulli", "exact"])
+def test_what_is_evaluated_can_be_as_dim_as_in_training(count: str) -> None:
+    uniform = Uniform(p=0.3, count=count, scale_tested=True)
+    now, gaussians = context(step=50), wall_of_gaussians(N)  # half of the training is over
+    dim = uniform.evaluated(now, gaussians, None)
+    assert torch.allclose(dim.opacities, 0.85 * gaussians.opacities)
+    assert Uniform(p=0.3).evaluated(now, gaussians, None) is gaussians
