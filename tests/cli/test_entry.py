@@ -15,6 +15,7 @@ from framework.command.cli import main
 from framework.command.config.schema import ROOT
 from framework.command.entry import command
 from framework.files.paths import OWN_VARIABLE, own_plugins
+from framework.records.provenance import provenance
 
 OWN = """
 from dataclasses import dataclass
@@ -107,6 +108,8 @@ def test_helpers_count_as_code_and_are_no_plugins(tmp_path: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(OWN_VARIABLE, str(tmp_path))
         assert [place for place, _ in own_plugins()] == ["_helper.py", "of_mine.py"]
+        assert provenance()["own_plugins"] == ["_helper.py", "of_mine.py"]
+    assert "own_plugins" not in provenance()
 
 
 def test_own_plugins_of_one_name_in_two_folders_are_both_found(tmp_path: Path) -> None:

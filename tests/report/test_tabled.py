@@ -51,6 +51,17 @@ def test_the_same_verdict_and_figures_from_the_table_alone(tmp_path: Path) -> No
     assert "Built from the table `runs.csv` alone" in again.read_text(encoding="utf-8")
 
 
+def test_no_report_of_a_table_alone_takes_the_place_of_one_of_runs(tmp_path: Path) -> None:
+    """A table and its report are what is passed on."""
+    folder = _table(_study(tmp_path / "runs"), tmp_path / "table")
+    shutil.copy(tmp_path / "runs" / "report.md", folder)
+    fuller = (folder / "report.md").read_text(encoding="utf-8")
+    with pytest.raises(UserError, match=r"table: expected runs, got their table alone .* --out"):
+        build_report(folder)
+    assert (folder / "report.md").read_text(encoding="utf-8") == fuller
+    assert build_report(folder, out_dir=tmp_path / "other").exists()
+
+
 def test_a_table_is_read_back_to_the_same_runs(tmp_path: Path) -> None:
     report = _study(tmp_path / "runs")
     before = collect(report.parent)

@@ -84,6 +84,7 @@ def test_a_gradient_that_is_not_finite_is_caught_at_its_step() -> None:
     state = caught.value.state
     assert not all(torch.isfinite(moment).all() for _, moment in state["adam"].second.items())
     assert "\n" not in str(caught.value) and "trainer.lr_scale" in str(caught.value)
+    assert "or repair a plugin's loss term whose derivative is not finite" in str(caught.value)
 
 
 def test_so_is_one_that_goes_straight_into_the_update(monkeypatch: pytest.MonkeyPatch) -> None:
