@@ -286,7 +286,7 @@ READERS: dict[str, Reader] = {
         ),
         _reported,
     ),
-    "table of runs": Reader(_table, ("runs.csv",), build_report),
+    "table of runs": Reader(_table, ("runs.csv",), lambda f: build_report(f, out_dir=f)),
     "viewed run": Reader(
         lambda f: seen_run(f, run_name="run"),
         tuple(
