@@ -45,6 +45,12 @@ class DropoutRegularizer(Regularizer):
         both = self.compensate and self.scale_tested
         self.check("scale_tested", not both, "false beside compensate=true, which leaves nothing")
 
+    def check_span(self, start: float, stop: float) -> None:
+        whole = not self.scale_tested or stop == 1
+        self.check(
+            "scale_tested", whole, "false, or reg.stop=1: what ended earlier leaves no trace"
+        )
+
     def drop_rate(self, progress: float) -> float:
         """p(t), the expected share of Gaussians dropped at `progress` in [0, 1)."""
         return self.p * progress if self.schedule == "linear" else self.p

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from framework import registry
 from framework.compute.rng import stream
 from framework.errors import UserError
 from framework.fisher.information import FisherInformation
@@ -244,3 +245,12 @@ def test_what_is_evaluated_can_be_as_dim_as_in_training() -> None:
 def test_to_compensate_twice_is_refused() -> None:
     with pytest.raises(UserError, match=r"scale_tested: expected false beside compensate=true"):
         Uar(compensate=True, scale_tested=True)
+
+
+def test_what_would_scale_nothing_is_refused() -> None:
+    chosen = {"name": "uar", "scale_tested": True}
+    with pytest.raises(
+        UserError, match=r"^reg\.scale_tested: expected false, or reg\.stop=1: .*True"
+    ):
+        registry.build("reg", chosen)
+    assert registry.build("reg", chosen | {"stop": 1.0}).plugin.scale_tested
