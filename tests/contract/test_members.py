@@ -102,7 +102,7 @@ def test_a_thinner_gaussian_has_its_share_of_the_optical_depth() -> None:
 
 
 def test_a_model_joined_with_itself_renders_as_before(tmp_path: Path) -> None:
-    one = trained(tmp_path, members=1, steps=60, evaluations=1)
+    one = trained(tmp_path, members=1, steps=24, evaluations=1)
     camera = _plane(1)[0].views[0].camera
     before, *joined = (
         renderer(gaussians, one.background, one.sh_degree, 0.01)(camera)
