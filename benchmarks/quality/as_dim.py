@@ -1,14 +1,16 @@
 """Finished runs with dropout, evaluated as dim as they were trained: `reg.scale_tested` afterwards.
 
-    python benchmarks/quality/as_dim.py STUDY... [--table CSV]
+    python benchmarks/quality/as_dim.py STUDY... [--table CSV] [--beside RUNS_CSV]
 
 STUDY: folders of studies with their runs of `reg=uar`, `uar_hard` or `uniform` that drop without
-compensation to the last step (`preset=paper`), made from this folder, as scenes are read again. The
-option changes nothing in a training, so each run gives both: what was evaluated, which has to be
-what its record says, and the same Gaussians with opacities times their expected factors in the last
-step. UAR ranks anew for it, where a run with the option has a ranking of up to `reg.refresh` steps
-before. Printed are the means over seeds of both, and of their differences with 95 % (t over seeds,
-each alone); --table: a row per run.
+compensation to the last step (`preset=paper`), made from this folder, as scenes are read again; or
+the table that --table wrote. The option changes nothing in a training, so each run gives both: what
+was evaluated, which has to be what its record says, and the same Gaussians with opacities times
+their expected factors in the last step. UAR ranks anew for it, where a run with the option has a
+ranking of up to `reg.refresh` steps before. Printed are the means over seeds of both, and of their
+differences with 95 % (t over seeds, each alone, and corrected for all rows), and methods against
+each other with the same seeds, both as dim and both as they were. --table: a row per run. --beside:
+a report's table of other methods under the same conditions, to which each is compared as dim.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import replace
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -47,23 +50,49 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("studies", type=Path, nargs="+", metavar="STUDY")
     parser.add_argument("--table", type=Path, metavar="CSV", help="write a row per run")
+    parser.add_argument("--beside", type=Path, metavar="CSV", help="other methods, as runs.csv")
     given = parser.parse_args()
-    rows = [row for study in given.studies for run in collect(study).runs for row in measured(run)]
-    if not rows:
+    table = pd.concat([_table(study) for study in given.studies])
+    if table.empty:
         raise SystemExit("expected runs whose dropout goes on to the end, got none")
-    table = pd.DataFrame(rows)
     if given.table:
         table.round(4).to_csv(given.table, index=False, lineterminator="\n")
-    for (scene, method), own in table.groupby(["scene", "method"], sort=False):
-        gain = estimate(list(own.dim_psnr - own.psnr))
-        inside = gain.interval()
-        interval = "" if inside is None else f" ({inside.low:+.2f} to {inside.high:+.2f})"
+    groups = table.groupby(["scene", "method"], sort=False)
+    for (scene, method), own in groups:
+        gains = own.dim_psnr - own.psnr
         print(
             f"{scene}, {method}, n = {len(own)}: {own.psnr.mean():.2f} ± {own.psnr.std():.2f} dB,"
             f" as dim as trained {own.dim_psnr.mean():.2f} ± {own.dim_psnr.std():.2f}:"
-            f" {gain.mean:+.2f}{interval}; LPIPS {own.lpips.mean():.3f} and"
-            f" {own.dim_lpips.mean():.3f}"
+            f" {told(gains)}, corrected {told(gains, len(groups))}; LPIPS"
+            f" {own.lpips.mean():.3f} and {own.dim_lpips.mean():.3f}"
         )
+    others = None if given.beside is None else pd.read_csv(given.beside, low_memory=False)
+    for scene, own in table.groupby("scene", sort=False):
+        by_seed = own.pivot(index="seed", columns="method")
+        for one, other in combinations(own.method.unique(), 2):
+            dim, full = (by_seed[k][one] - by_seed[k][other] for k in ("dim_psnr", "psnr"))
+            print(f"{scene}, {one} - {other}: as dim {told(dim)}, at full opacity {told(full)}")
+        if others is not None:
+            there = others[others.scene == scene].pivot(
+                index="seed", columns="method", values="psnr"
+            )
+            for one, other in product(own.method.unique(), there):
+                gains = by_seed["dim_psnr"][one] - there[other]
+                print(f"{scene}, {one} as dim - {other}: {told(gains)}")
+
+
+def told(gains: pd.Series, tests: int = 1) -> str:
+    """Mean and 95 % over the seeds that both have."""
+    gain = estimate(list(gains.dropna()))
+    inside = gain.interval(tests)
+    interval = "" if inside is None else f" ({inside.low:+.2f} to {inside.high:+.2f})"
+    return f"{gain.mean:+.2f}{interval}"
+
+
+def _table(study: Path) -> pd.DataFrame:
+    if study.is_file():
+        return pd.read_csv(study)
+    return pd.DataFrame([row for run in collect(study).runs for row in measured(run)])
 
 
 def measured(run: ReportRun) -> list[dict[str, Any]]:
@@ -96,8 +125,8 @@ def measured(run: ReportRun) -> list[dict[str, Any]]:
         }
 
     row = means(gaussians)
-    told = run.mean("psnr")
-    assert told is not None and abs(row["psnr"] - told) < SAME, (run.run.run_dir, row["psnr"], told)
+    kept = run.mean("psnr")
+    assert kept is not None and abs(row["psnr"] - kept) < SAME, (run.run.run_dir, row["psnr"], kept)
     more = {f"dim_{name}": value for name, value in means(dim).items()}
     return [{"scene": run.scene, "method": run.method, "seed": run.seed, **row, **more}]
 

@@ -7,6 +7,7 @@ compare at the same rate. Light to import.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -21,7 +22,7 @@ SCHEDULES = ("linear", "constant")
 
 
 @dataclass(frozen=True)
-class DropoutRegularizer(Regularizer):
+class DropoutRegularizer(Regularizer, ABC):
     """p: the paper's drop rate, the expected share of Gaussians dropped in a step. schedule:
     "linear" gives p(t) = p x progress of the whole training (as DropGaussian's), "constant" keeps
     p. compensate: scale up what is kept, so that every opacity keeps its expectation. scale_tested:
@@ -55,9 +56,10 @@ class DropoutRegularizer(Regularizer):
         """p(t), the expected share of Gaussians dropped at `progress` in [0, 1)."""
         return self.p * progress if self.schedule == "linear" else self.p
 
+    @abstractmethod
     def expected_factors(self, ctx: StepContext, state: Any) -> Tensor | float:
-        """What a training render multiplies opacities by in expectation: [N], or one for all."""
-        raise NotImplementedError
+        """What a training render multiplies opacities by in expectation, without `compensate`: [N],
+        or one for all."""
 
     def evaluated(self, ctx: StepContext, gaussians: Gaussians, state: Any) -> Gaussians:
         """With `scale_tested` as dim as training renders are in expectation."""

@@ -20,7 +20,7 @@ from tests.numerics.scenes import Case, random_case, wide_case
 
 def render_bits(threads: int, fisher: bool = True) -> str:
     """Digest of what a training step computes with `threads` kernel threads; fisher: and Fisher
-    information, whose kernels take a quarter of the time to compile."""
+    information, whose kernels take long to compile."""
     set_threads(threads)
     try:
         cases = _large(random_case(3, n=600)), wide_case(201)

@@ -104,7 +104,7 @@ def test_what_does_not_fit_is_told(study_dir: Path, monkeypatch: pytest.MonkeyPa
 def test_what_is_told_of_one_of_many_scenes_is_folded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(markdown, "MANY", 3)  # as with 12, in a quarter of the time
+    monkeypatch.setattr(markdown, "MANY", 3)  # as with 12, and sooner
     for name, scenes in (("few", markdown.MANY - 1), ("many", markdown.MANY)):
         write_study(tmp_path / name, scenes=scenes, seeds=1)
         build_report(tmp_path / name)
