@@ -14,6 +14,7 @@ import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 SUFFIXES = (".mp4", ".webm", ".webp", ".gif")
 VP9 = {"crf": "30", "b": "0", "row-mt": "1", "cpu-used": "4"}  # constant quality, medium effort
 H264 = {"crf": "20", "preset": "medium"}
+GIF_FPS = 50
 OPTIONS = "OPENCV_FFMPEG_WRITER_OPTIONS"
 
 
@@ -36,8 +38,8 @@ def has_h264() -> bool:
     return importlib.util.find_spec("av") is not None
 
 
-def check_kind(path: Path) -> None:
-    """Raise UserError unless a movie of this name can be written."""
+def check_kind(path: Path, fps: int) -> None:
+    """Raise UserError unless a movie of this name with so many pictures a second can be written."""
     kind = path.suffix.lower()
     require(
         kind in SUFFIXES,
@@ -47,6 +49,11 @@ def check_kind(path: Path) -> None:
         kind != ".mp4" or has_h264(),
         f"{path}: expected PyAV, which writes MP4 (H.264), found none; pip install av, or name the"
         " video .webm",
+    )
+    require(
+        kind != ".gif" or fps <= GIF_FPS,
+        f"--fps: expected at most {GIF_FPS} for a GIF, as browsers slow down quicker ones, got"
+        f" {fps}; lower it, or name the video .webm",
     )
 
 
@@ -125,7 +132,9 @@ def _animated(pictures: Pictures, kind: str, fps: int) -> bytes:
 
     first, *rest = [Image.fromarray(picture) for picture in pictures]
     out = io.BytesIO()
-    duration = round(1000 / fps)  # ms; GIF counts hundredths of a second
+    tick = 1 if kind == ".webp" else 10  # ms: GIF counts hundredths of a second
+    ends = [tick * round(1000 / tick * (i + 1) / fps) for i in range(len(pictures))]
+    duration = [end - begin for begin, end in pairwise([0, *ends])]  # together as long as asked
     if kind == ".webp":
         first.save(
             out, "WEBP", save_all=True, append_images=rest, duration=duration, loop=0, quality=75

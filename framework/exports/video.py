@@ -69,7 +69,7 @@ def _film(options: argparse.Namespace, folder: Path) -> None:
     from framework.exports.opened import open_run
 
     out = options.out or folder / ("video.mp4" if has_h264() else "video.webm")
-    check_kind(out)
+    check_kind(out, options.fps)
     run = open_run(folder)
     make_folder(out.parent)  # a place that cannot be written is told before the work
     from framework.exports.flight import flight, lens_of, usual_seconds

@@ -75,6 +75,7 @@ def test_without_a_view_to_hold_out() -> None:
     ("line", "expected"),
     [
         ("trainer.lr_scale=interval(1.0,2.0)", "choose another, test views may not choose"),
+        ("+augment=safi reg=none,[uar,depth_rank]", "choose another, test views may not choose"),
         ("trainer.lr_scale=2", "expected an option that varies"),
         ("hydra.sweep.dir=x reg=none,uar", "expected options of a run"),
         ("reg=none,uar trainer.lr_scale=interval(-1.0,2.0)", "trainer.lr_scale"),

@@ -25,6 +25,7 @@ from tests.cli.conftest import FakeRuns
             ": python run.py scene.width=64 seed=0,1 study=x -m",
         ),
         (["method=safi,dba"], "method: expected one value, got several (safi,dba); add -m"),
+        (["estimate=true"], "estimate: expected a study, before which it tells how long that"),
         (["~reg"], "~reg: expected a choice of reg, got none; write reg=NAME"),
         (["reg="], "available: anchor_dropout, binocular, co_register"),
         (["reg="], "uar, uar_hard, uniform"),

@@ -31,11 +31,15 @@ def run(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("suffix", [".webp", ".gif"])
 def test_an_animated_picture_has_the_frames(run: Path, suffix: str) -> None:
     out = run / f"v{suffix}"
-    line = [str(run), "--seconds", "0.5", "--fps", "10", "--out", str(out), "--show", "both"]
+    line = [str(run), "--seconds", "0.5", "--fps", "24", "--out", str(out), "--show", "both"]
     assert video.main(line, "video") == 0
     with Image.open(out) as moving:
-        assert len(list(ImageSequence.Iterator(moving))) == 5
         assert moving.size == (2 * WIDTH, HEIGHT)
+        lengths = []
+        for frame in ImageSequence.Iterator(moving):
+            frame.load()  # before, the length of a WebP's frame is not read
+            lengths.append(frame.info["duration"])
+        assert len(lengths) == 12 and sum(lengths) == 500  # ms, though none has 1000 / 24
 
 
 def test_webm_is_the_default_without_pyav(
@@ -90,6 +94,7 @@ def test_mp4_is_h264(run: Path) -> None:
         (["--seconds", "599", "--size", "4096"], "change --seconds, --fps or --size"),
         (["--size", "4"], "--size: expected 16 to 4096"),
         (["--out", "a.avi"], "rename it"),
+        (["--out", "a.gif", "--fps", "60"], "--fps: expected at most 50 for a GIF"),
     ],
 )
 def test_bad_options_end_in_one_line(run: Path, words: list[str], told: str) -> None:

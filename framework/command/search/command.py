@@ -27,6 +27,7 @@ from framework.command.search.driver import HIGHER, Search, check_search, fixed_
 from framework.command.search.space import space_of
 from framework.command.search.trial import job_of
 from framework.command.studies.study import short_path
+from framework.command.words import normalise
 from framework.errors import Arguments, UserError, require
 from framework.files.locks import locked
 from framework.records.progress import say
@@ -67,7 +68,7 @@ def main(arguments: Sequence[str], prog: str) -> int:
 
 
 def _search(options: Any) -> Search:
-    fixed, space = space_of(options.words)
+    fixed, space = space_of(normalise(options.words))
     first = [dimension.first for dimension in space]
     check_command(argument_parser().parse_args([*fixed, *first]))
     scene = job_of([*fixed, *first]).config["scene"]

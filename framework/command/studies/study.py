@@ -36,7 +36,7 @@ from framework.command.studies.disk import check_links, check_room
 from framework.command.studies.estimate import announce
 from framework.command.studies.ready import check_ready
 from framework.compute.stopwatch import Stopwatch, duration
-from framework.errors import UserError, mendable, os_line, printable_line
+from framework.errors import UserError, mendable, os_line, printable_line, require
 from framework.files.locks import locked
 from framework.files.tidy import own_folder
 from framework.files.whole import write_whole
@@ -128,6 +128,11 @@ class StudyCallback(Callback):
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
         try:
+            require(
+                not config.estimate,
+                "estimate: expected a study, before which it tells how long that takes, got a lone"
+                " run; add -m, or leave estimate=true out: a run tells the time that is left",
+            )
             check_links(Path(config.hydra.run.dir))
         except (*USER_ERRORS, OSError) as error:
             raise Refused from error
