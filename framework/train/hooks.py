@@ -24,11 +24,9 @@ def pseudo_views(plugin: Plugin, result: object) -> tuple[list[View], Any]:
     views, state = _pair(where, result, "(list of views, state)")
     if not isinstance(views, list | tuple):
         raise UserError(f"{where}: expected a list of views, got {type(views).__name__}")
-    try:
+    with _placed(where):
         for number, view in enumerate(views):
             check_view(f"view {number}", view)
-    except ValueError as error:
-        raise UserError(f"{where}: {error}") from error
     return list(views), state
 
 
@@ -38,12 +36,10 @@ def opacity_factors(plugin: Plugin, result: object, n: int) -> tuple[Tensor | No
     where = _hook("reg", plugin, "opacity_factors")
     factors, state = _pair(where, result, "(factors or None, state)")
     if factors is not None:
-        try:
+        with _placed(where):
             check_tensor("factors", factors, n)
             if not bool((factors.isfinite() & (factors >= 0)).all()):
                 raise ValueError("factors: expected finite numbers >= 0, got others")
-        except ValueError as error:
-            raise UserError(f"{where}: {error}") from error
     return factors, state
 
 
@@ -97,8 +93,9 @@ def gradient(
     where = _hook("reg", plugin, "gradient")
     if set(given) != set(found):
         raise UserError(f"{where}: expected {', '.join(found)}, got {list(given)!s:.80}")
-    for name, tensor in found.items():
-        _check(where, f"`{name}`", given[name], *tensor.shape)
+    with _placed(where):
+        for name, tensor in found.items():
+            check_tensor(f"`{name}`", given[name], *tensor.shape)
     return given
 
 
@@ -112,28 +109,13 @@ def evaluated(plugin: Plugin, gaussians: Any) -> Gaussians:
 
 def edits(plugin: Plugin, result: object, of: Gaussians) -> tuple[Edits | None, Any]:
     """(edits or None, state) of `Capacity.update` of Gaussians. Raises UserError."""
-    where, n = _hook("capacity", plugin, "update"), len(of)
+    where = _hook("capacity", plugin, "update")
     change, state = _pair(where, result, "(Edits or None, state)")
     if change is not None and not isinstance(change, Edits):
         raise UserError(f"{where}: expected Edits or None, got {type(change).__name__}")
-    if change is not None and change.append is not None:
-        _check_appended(where, change.append, of)
     if change is not None:
-        for part, shape, dtype in (
-            ("keep", (n,), torch.bool),
-            ("bands", (n,), torch.bool),
-            ("sh0", (n, 1, 3), torch.float32),
-        ):
-            value = getattr(change, part)
-            if value is not None:
-                _check(where, f"`{part}`", value, *shape, dtype=dtype)
-        if change.sh0 is not None:
-            _check_finite(where, "`sh0`", change.sh0)
-        for name, value in change.values.items():
-            if name not in (part.name for part in fields(Gaussians)):
-                raise UserError(f"{where}: expected parameters in `values`, got {name!r:.40}")
-            _check(where, f"`{name}`", value, *getattr(of, name).shape)
-            _check_finite(where, f"`values`: `{name}`", value)
+        with _placed(where):
+            _check_edits(change, of)
     return change, state
 
 
@@ -175,33 +157,47 @@ def wanted(plugin: Plugin) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _check(
-    where: str, name: str, value: Any, *shape: int, dtype: torch.dtype = torch.float32
-) -> None:
+@contextmanager
+def _placed(where: str) -> Iterator[None]:
+    """What is wrong with a value (ValueError) as a UserError that begins with the hook."""
     try:
-        check_tensor(name, value, *shape, dtype=dtype)
+        yield
     except ValueError as error:
         raise UserError(f"{where}: {error}") from error
 
 
-def _check_finite(where: str, name: str, value: Tensor) -> None:
-    try:
-        check_finite(name, value)
-    except ValueError as error:
-        raise UserError(f"{where}: {error}") from error
+def _check_edits(change: Edits, of: Gaussians) -> None:
+    """Raises ValueError for what does not fit."""
+    n = len(of)
+    if change.append is not None:
+        _check_appended(change.append, of)
+    for part, shape, dtype in (
+        ("keep", (n,), torch.bool),
+        ("bands", (n,), torch.bool),
+        ("sh0", (n, 1, 3), torch.float32),
+    ):
+        value = getattr(change, part)
+        if value is not None:
+            check_tensor(f"`{part}`", value, *shape, dtype=dtype)
+    if change.sh0 is not None:
+        check_finite("`sh0`", change.sh0)
+    for name, value in change.values.items():
+        if name not in (part.name for part in fields(Gaussians)):
+            raise ValueError(f"expected parameters in `values`, got {name!r:.40}")
+        check_tensor(f"`{name}`", value, *getattr(of, name).shape)
+        check_finite(f"`values`: `{name}`", value)
 
 
-def _check_appended(where: str, appended: Any, of: Gaussians) -> None:
+def _check_appended(appended: Any, of: Gaussians) -> None:
     """Rows that fit those of `of`; whether they are finite, the training's guard tells."""
     if not isinstance(appended, Gaussians):
-        got = type(appended).__name__
-        raise UserError(f"{where}: expected Gaussians in `append`, got {got}")
+        raise ValueError(f"expected Gaussians in `append`, got {type(appended).__name__}")
     for name, tensor in appended.items():
         n = len(appended.shN) if name == "shN" else len(appended.means)
         wanted = (n, *getattr(of, name).shape[1:])
         if tensor.dtype != torch.float32 or tensor.shape != wanted or n > len(appended.means):
-            raise UserError(
-                f"{where}: expected float32 {list(wanted)} in `append.{name}`, got"
+            raise ValueError(
+                f"expected float32 {list(wanted)} in `append.{name}`, got"
                 f" {str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"
             )
 
