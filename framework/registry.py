@@ -301,6 +301,11 @@ class Plugged:
             return replace(self, parts=tuple((n, part.shared(members)) for n, part in self.parts))
         return replace(self, plugin=self.plugin.shared(members))
 
+    def always(self) -> Plugged:
+        """Active over the whole training, and each of several so."""
+        parts = tuple((name, part.always()) for name, part in self.parts)
+        return replace(self, start=0.0, stop=1.0, parts=parts)
+
     def active(self, progress: float) -> bool:
         return self.start <= progress < self.stop
 

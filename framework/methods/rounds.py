@@ -78,7 +78,8 @@ class RoundsCapacity(PullCapacity):
         raise NotImplementedError
 
     def update(self, ctx: StepContext, state: Pull, stats: StepStats) -> tuple[Edits | None, Pull]:
-        pull = self.measured(state, stats)
+        splits = self.rounds_left(ctx) > 0  # for which alone the pull is measured
+        pull = self.measured(state, stats) if splits else state
         if (ctx.step + 1) % self._interval(ctx) != 0:
             return None, pull
         chosen = self.selected(ctx, training_information(ctx))
@@ -96,10 +97,10 @@ class RoundsCapacity(PullCapacity):
         return self.rounds_left(ctx) > 1
 
     def rounds_left(self, ctx: StepContext) -> int:
-        """The number of rounds up to `until`, this one included; 0 when it is past."""
+        """The number of rounds up to `until` from this step on, which may be one; 0 after them."""
         interval = self._interval(ctx)
         last = math.floor(self.until * ctx.n_steps) // interval
-        return max(0, last - (ctx.step + 1) // interval + 1)
+        return max(0, last - math.ceil((ctx.step + 1) / interval) + 1)
 
     def settled(self, ctx: StepContext) -> float:
         """Epochs from one round to the next in units of `SETTLED`, at most 1: with many views, or

@@ -198,10 +198,8 @@ def _train(
         pace_steps=0,  # else so short a training does without the second camera
         binocular_from=0.0,
     )
-    always = {"start": 0.0, "stop": 1.0}  # also what the user lets act for a short while only
-    plugins = Plugins(
-        *(registry.build(group, {**config[group], **always}) for group in registry.GROUPS)
-    )
+    # also what the user lets act for a short while only
+    plugins = Plugins(*(registry.build(g, config[g]).always() for g in registry.GROUPS))
     rasterizer = build_rasterizer(config)
     given = training, depth, gaussians, options, plugins, 0, Silent()
     Trainer(*given, tells=False, rasterizer=rasterizer).run()

@@ -114,7 +114,7 @@ def substep(
     """One step of the optimizer down `loss`, a scalar of `params`, of the tensors `names` alone.
     Raises Diverged."""
     where = f"a regularizer's own update in training step {step}"
-    check_loss(float(loss.detach()), where, params.detach())
+    check_loss(float(loss.detach()), where, params)
     tensors = dict(params.items())
     found = torch.autograd.grad(loss, [tensors[name] for name in names], allow_unused=True)
     broken = optimizer.step(params, dict(zip(names, found, strict=True)), rates)

@@ -48,8 +48,8 @@ class Item:
 
 
 class Items:
-    """Items of real views are kept at their present resolution, those of pseudo views made anew:
-    they live for an epoch.
+    """Views at their present resolution, kept while they are trained on: a pseudo view may live
+    for some epochs.
 
     covered: a pseudo view's loss is the mean over the pixels in its mask, which is that over the
     frame divided by the share that they cover (outside, loss and SSIM's error are 0).
@@ -63,23 +63,39 @@ class Items:
         smoothness: DepthSmoothness | None = None,
     ) -> None:
         self._covered, self._rasterizer, self._smoothness = covered, rasterizer, smoothness
-        self._kept: dict[str, tuple[int, Item]] = {}
+        self._kept: dict[tuple[bool, str], tuple[tuple[float, ...], View, Item]] = {}
+
+    def begin(self, pseudo: Sequence[View]) -> None:
+        """An epoch with these pseudo views: others are forgotten."""
+        names = {view.name for view in pseudo}
+        self._kept = {k: kept for k, kept in self._kept.items() if not k[0] or k[1] in names}
 
     def get(self, view: View, factor: int) -> Item:
         """`view` box-downsampled by `factor`."""
-        if PSEUDO in view.tags:
-            small = _smaller_view(view, factor)
-            return self._item(_over_covered(small) if self._covered else small)
-        kept = self._kept.get(view.name)
-        if kept is None or kept[0] != factor:
-            kept = self._kept[view.name] = factor, self._item(_smaller_view(view, factor))
-        return kept[1]
+        key = PSEUDO in view.tags, view.name
+        kept = self._kept.get(key)
+        if kept is None or kept[0] != (factor, *_marks(view)):
+            # the view stays with them, as another could get the identity of one that went
+            kept = self._kept[key] = (factor, *_marks(view)), view, self._made(view, factor)
+        return kept[2]
+
+    def _made(self, view: View, factor: int) -> Item:
+        small = _smaller_view(view, factor)
+        covered = self._covered and PSEUDO in view.tags
+        return self._item(_over_covered(small) if covered else small)
 
     def _item(self, view: View) -> Item:
         target, smoothing = self._rasterizer.target(view.image, view.mask), None
         if self._smoothness is not None and PSEUDO not in view.tags:
             smoothing = self._smoothness.weights(view).to(self._rasterizer.device)
         return Item(view, target, smoothing)
+
+
+def _marks(view: View) -> tuple[float, ...]:
+    """What tells whether a view is as it was; plugins weight and tag theirs anew in every epoch."""
+    tensors = (view.image, *(() if view.mask is None else (view.mask,)))
+    written = (value for t in tensors for value in (id(t), t._version))
+    return view.weight, id(view.camera), *written
 
 
 def _smaller_view(view: View, factor: int) -> View:

@@ -43,7 +43,7 @@ def screen_gradient(
     def image_gradient(rgb: Any) -> Any:
         nonlocal loss
         loss, gradient = rasterizer.loss_gradient(rgb, item.target, ssim_weight, view.weight)
-        check_loss(loss, where, params.detach())
+        check_loss(loss, where, params)
         return gradient
 
     found = rasterizer.render_gradient(
@@ -116,7 +116,7 @@ def _by_autograd(
     view, offset = item.view, params.means.new_zeros(len(params), 2, requires_grad=True)
     render = rasterizer.render(params, view.camera, means2d_offset=offset, **rendered)
     loss = rasterizer.loss(render.rgb, item.target, ssim_weight) * view.weight
-    check_loss(float(loss.detach()), where, params.detach())
+    check_loss(float(loss.detach()), where, params)
     loss = loss + penalty(view, render)  # one that is not finite is its plugin's
     tensors, outputs, pulls = dict(params.items()), [loss], [torch.ones_like(loss)]
     terms = DepthTerms(params, item, rasterizer, **rendered)

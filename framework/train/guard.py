@@ -37,7 +37,7 @@ def check_loss(loss: float, where: str, gaussians: Gaussians) -> float:
     if not math.isfinite(loss):
         raise Diverged(
             f"{where}: expected a finite loss, got {loss}; {ADVICE}",
-            {"where": where, "loss": loss, "gaussians": gaussians},
+            {"where": where, "loss": loss, "gaussians": gaussians.detach()},
         )
     return loss
 

@@ -119,7 +119,7 @@ class PluginsAtWork:
         factors: Tensor | None = None
         asked: list[tuple[_Running, StepContext]] = []
         for running in self._regs:
-            context = self._context(running, now)
+            context = None if running.idle else self._context(running, now)
             if context is None:
                 continue
             asked.append((running, context))
@@ -282,11 +282,12 @@ class PluginsAtWork:
     def _factors(self, running: _Running, context: StepContext, n: int) -> Tensor | None:
         """What one regularizer multiplies opacities by, [N] or None."""
         plugin: Any = running.plugged.plugin
+        self._dose.add(f"{running.owner}.asked")
+        if not running.has("opacity_factors"):
+            return None
         with hooks.at_work("reg", plugin, "opacity_factors", context.step, context.gaussians):
             result = plugin.opacity_factors(context, running.state)
         factors, running.state = hooks.opacity_factors(plugin, result, n)
-        if not running.idle:
-            self._dose.add(f"{running.owner}.asked")
         if factors is not None:
             if plugin.drops:
                 share = float((factors < 1).double().mean())

@@ -172,9 +172,9 @@ class Trainer:
         second = self.second
         if second is None:
             return self._descend(self.field, items, turn, None)
-        before = self.field.params.clone(), second.params.clone()
-        found = self._descend(self.field, items, turn, before[1])
-        self.seen_by_second = self._descend(second, items, turn, before[0])[1]
+        before = self.field.params.clone()  # the second changes only after the first looked at it
+        found = self._descend(self.field, items, turn, second.params.detach())
+        self.seen_by_second = self._descend(second, items, turn, before)[1]
         return found
 
     def _descend(
@@ -213,6 +213,7 @@ class Trainer:
         if not self.queue:
             self.epoch += 1
             self.pseudo = self.field.plugins.pseudo_views(self._now())
+            self.items.begin(self.pseudo)
             self.queue = self._ordered()
         real, *pseudo = (
             self.items.get(view, schedule.downsampling(self.options, self.step, view))

@@ -25,6 +25,13 @@ def test_each_has_its_options_and_what_presets_set_of_it() -> None:
     assert list(registry.build("reg", {"name": "uar"}).each("reg")) == ["reg"]
 
 
+def test_a_warm_up_lets_each_act_throughout() -> None:
+    """What a user lets act late would load its kernels in the timed training."""
+    reg = composed("reg=uar+uniform", "reg.uniform.start=0.7")["reg"]
+    always = registry.build("reg", reg).always()
+    assert [(part.start, part.stop) for _, part in always.parts] == [(0, 1), (0, 1)]
+
+
 def test_a_list_is_a_choice_that_names_the_folder(runs: FakeRuns) -> None:
     line = "-m reg=none,[uar,uniform] seed=0 capacity=[adc,budget]"
     assert main(line.split()) == 0

@@ -283,6 +283,22 @@ def test_a_small_pseudo_view_has_the_mean_of_what_was_warped() -> None:
     torch.testing.assert_close(warped.image, 0.6 * warped.mask.expand(3, 8, 8))
 
 
+def test_a_view_is_made_ready_once_while_it_is_the_same() -> None:
+    """A pseudo view that lives for two epochs comes with new weights and tags in each."""
+    image, camera = torch.full((3, 16, 16), 0.6), Camera(torch.eye(4), torch.eye(3), 16, 16)
+    items, pseudo = Items(), View("pseudo-1", camera, image, torch.ones(16, 16), tags=(PSEUDO,))
+    first = items.get(pseudo, 2)
+    items.begin([pseudo])
+    assert items.get(replace(pseudo, tags=("own", PSEUDO)), 2) is first
+    assert items.get(pseudo, 1) is not first
+    heavier = items.get(replace(pseudo, weight=2.0), 2)
+    assert heavier is not first and heavier.view.weight == 2
+    image.mul_(0.5)  # its plugin may change what is its own
+    torch.testing.assert_close(items.get(pseudo, 2).view.image, torch.full((3, 8, 8), 0.3))
+    items.begin([replace(pseudo, name="pseudo-3")])
+    assert not items._kept
+
+
 def test_coarse_views_keep_the_field_of_view() -> None:
     camera = Camera(torch.eye(4), torch.tensor([[60.0, 0, 33], [0, 50, 20], [0, 0, 1]]), 65, 48)
     image = torch.rand(3, 48, 65, generator=torch.Generator().manual_seed(0))
