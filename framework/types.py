@@ -87,6 +87,11 @@ class View:
     tags: tuple[str, ...] = ()
     lens: tuple[float, ...] = ()
 
+    @property
+    def pseudo(self) -> bool:
+        """Whether an augmenter made it; told to whoever trains on it."""
+        return PSEUDO in self.tags
+
 
 @dataclass(frozen=True)
 class DepthMap:

@@ -110,9 +110,7 @@ class WarpingAugmenter(Augmenter):
         ctx.log(f"{self.name}_coverage_of_depth", covered)
         view = None
         if covered >= self.min_coverage:
-            view = View(
-                f"pseudo-{ctx.epoch}", camera, warped.image, mask=warped.mask, tags=("pseudo",)
-            )
+            view = View(f"pseudo-{ctx.epoch}", camera, warped.image, mask=warped.mask)
         else:
             ctx.log(f"{self.name}_refused_coverage", 1.0)
         return replace(state, selection=selection, view=view, made=ctx.epoch)

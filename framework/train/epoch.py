@@ -14,7 +14,7 @@ from framework.compute.rng import stream
 from framework.rasterizers import NUMBA, Rasterizer
 from framework.train.binocular import Beside
 from framework.train.smoothness import DepthSmoothness
-from framework.types import PSEUDO, View
+from framework.types import View
 
 
 def ordered(
@@ -72,7 +72,7 @@ class Items:
 
     def get(self, view: View, factor: int) -> Item:
         """`view` box-downsampled by `factor`."""
-        key = PSEUDO in view.tags, view.name
+        key = view.pseudo, view.name
         kept = self._kept.get(key)
         if kept is None or kept[0] != (factor, *_marks(view)):
             # the view stays with them, as another could get the identity of one that went
@@ -81,12 +81,12 @@ class Items:
 
     def _made(self, view: View, factor: int) -> Item:
         small = _smaller_view(view, factor)
-        covered = self._covered and PSEUDO in view.tags
+        covered = self._covered and view.pseudo
         return self._item(_over_covered(small) if covered else small)
 
     def _item(self, view: View) -> Item:
         target, smoothing = self._rasterizer.target(view.image, view.mask), None
-        if self._smoothness is not None and PSEUDO not in view.tags:
+        if self._smoothness is not None and not view.pseudo:
             smoothing = self._smoothness.weights(view).to(self._rasterizer.device)
         return Item(view, target, smoothing)
 
@@ -121,7 +121,7 @@ def _smaller(view: View, factor: int) -> tuple[Tensor, Tensor | None]:
     if view.mask is None:
         return box_mean(view.image, factor), None
     share = box_mean(view.mask[None], factor)
-    if PSEUDO not in view.tags:
+    if not view.pseudo:
         return box_mean(view.image, factor), (share[0] > 0.999).float()
     mask = (share[0] >= 0.5).float()
     return mask * box_mean(view.image * view.mask, factor) / share.clamp(min=0.5), mask

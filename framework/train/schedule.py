@@ -12,7 +12,7 @@ from dataclasses import replace
 from framework.compute import portable
 from framework.errors import require
 from framework.options import MOST_STEPS, TrainerOptions, enough_steps, members_of
-from framework.types import PSEUDO, View
+from framework.types import View
 
 VIEWS_EXPONENT = 0.15  # with 43 views and 300 steps, 0.15 is the best of 0, 0.15, 0.25, 0.5
 VISITS = 20  # of every view, before the rates of a training are as large as they can be
@@ -116,7 +116,7 @@ def downsampling(options: TrainerOptions, step: int, view: View) -> int:
     """By which integer factor a view is box-downsampled now. A pseudo view, warped from photos, has
     little to say about fine detail and is drawn in a fraction of the time when it is small."""
     factor = coarse_factor(options, step)
-    if PSEUDO in view.tags:
+    if view.pseudo:
         factor = max(factor, options.pseudo_factor)
     while factor > 1 and min(view.camera.width, view.camera.height) // factor < SMALLEST_SIDE:
         factor //= 2

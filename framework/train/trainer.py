@@ -39,7 +39,7 @@ from framework.train.field import Field
 from framework.train.plugged import PluginsAtWork
 from framework.train.resume.training_state import Keeper, Plugins, Trained, TrainerState
 from framework.train.smoothness import DepthSmoothness
-from framework.types import PSEUDO, DepthMap, Gaussians, TrainingSet, View
+from framework.types import DepthMap, Gaussians, TrainingSet, View
 
 LOG = logging.getLogger(__name__)
 HISTORY_ROWS = 60  # about so many rows of history per run, beside the evaluations
@@ -204,7 +204,7 @@ class Trainer:
         if field is self.field:
             self.dose.add("steps")
             for item, loss in zip(items, losses, strict=True):
-                self.dose.add("loss.pseudo" if PSEUDO in item.view.tags else "loss.real", loss)
+                self.dose.add("loss.pseudo" if item.view.pseudo else "loss.real", loss)
         return losses[0], stats
 
     def _pick(self) -> tuple[Item, ...]:

@@ -47,7 +47,7 @@ class Binocular(Regularizer):
         """Mean absolute difference of the warped render and the photo, over pixels and channels."""
         from framework.geometry import moved_aside
 
-        if all(view.name != photo.name for photo in ctx.views):
+        if view.pseudo:
             return None
         t = self.shift * ctx.spacing * float(ctx.rng("shift").uniform(-1, 1))
         beside = moved_aside(view.camera, t)

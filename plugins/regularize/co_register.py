@@ -36,7 +36,7 @@ class CoRegister(Regularizer):
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
         from framework.rasterize.losses import Target, photometric_loss
 
-        if ctx.other is None or all(view.name != photo.name for photo in ctx.views):
+        if ctx.other is None or view.pseudo:
             return None
         camera = unseen_camera(ctx, ctx.rng("camera"), view.camera)  # each field its own
         own, other = (

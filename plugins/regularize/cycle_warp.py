@@ -37,7 +37,7 @@ class CycleWarp(Regularizer):
         """Mean absolute difference over pixels and channels of what returns."""
         import torch
 
-        if all(view.name != photo.name for photo in ctx.views):
+        if view.pseudo:
             return None
         camera = unseen_camera(ctx, ctx.rng("camera"), view.camera)
         other = ctx.render(camera, ctx.gaussians, background=ctx.behind)

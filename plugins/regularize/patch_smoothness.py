@@ -40,7 +40,7 @@ class PatchSmoothness(Regularizer):
 
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
         """Mean over the patches of an unseen camera's image."""
-        if all(view.name != photo.name for photo in ctx.views):
+        if view.pseudo:
             return None
         camera = unseen_camera(ctx, ctx.rng("camera"), view.camera)
         seen = ctx.render(camera, ctx.gaussians, background=ctx.behind)

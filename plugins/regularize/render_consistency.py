@@ -39,7 +39,7 @@ class RenderConsistency(Regularizer):
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
         import torch
 
-        if all(view.name != photo.name for photo in ctx.views):
+        if view.pseudo:
             return None
         kept = ctx.rng("dropped").random(len(ctx.gaussians)) >= self.p
         ctx.log(f"{self.name}_left_out", 1 - float(kept.mean()))

@@ -22,7 +22,7 @@ from framework.records.record import parameters_sha256
 from framework.run import experiment, training
 from framework.run.training import Run, initial, train
 from framework.run.warmup import _plane
-from framework.train.epoch import PSEUDO, Item, ordered
+from framework.train.epoch import Item, ordered
 from framework.train.trainer import Trainer
 from framework.types import View
 
@@ -48,7 +48,7 @@ class Noting(Trainer):
     def _pick(self) -> tuple[Item, ...]:
         items = super()._pick()
         for item in items:
-            self.names.append("pseudo" if PSEUDO in item.view.tags else item.view.name)
+            self.names.append("pseudo" if item.view.pseudo else item.view.name)
         return items
 
 

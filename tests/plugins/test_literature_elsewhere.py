@@ -16,7 +16,7 @@ from framework.methods.elsewhere import (
     seen_through,
     unseen_camera,
 )
-from framework.types import Camera, Render, View
+from framework.types import PSEUDO, Camera, Render, View
 from plugins.regularize.binocular import Binocular
 from plugins.regularize.binocular import roughness as disparity_roughness
 from plugins.regularize.co_register import CoRegister
@@ -144,7 +144,7 @@ def test_a_scene_that_is_right_has_a_small_warping_loss(plugin: Any) -> None:
     wrong = plugin.loss(ctx, None, replace(view, image=1 - own.image), render)
     assert right is not None and wrong is not None and right.requires_grad
     assert float(right) < 0.25 * float(wrong)
-    assert plugin.loss(ctx, None, replace(view, name="pseudo"), render) is None
+    assert plugin.loss(ctx, None, replace(view, tags=(PSEUDO,)), render) is None
 
 
 def test_consistency_compares_with_a_render_that_lacks_some() -> None:
@@ -156,7 +156,7 @@ def test_consistency_compares_with_a_render_that_lacks_some() -> None:
     other = ctx.render(view.camera, ctx.gaussians, opacity_factors=kept)
     assert found is not None
     assert float(found) == pytest.approx(float((render.rgb - other.rgb).abs().mean()), rel=1e-5)
-    assert RenderConsistency().loss(ctx, None, replace(view, name="p"), render) is None
+    assert RenderConsistency().loss(ctx, None, replace(view, tags=(PSEUDO,)), render) is None
 
 
 def test_both_renders_are_pulled_at_and_what_one_keeps_may_be_scaled_up() -> None:

@@ -34,7 +34,7 @@ def only_view(augmenter: WarpingAugmenter, now: StepContext, state: Any = None) 
 def test_one_pseudo_view_that_shows_the_scene() -> None:
     log = Log({})
     view = only_view(Safi(), context(log=log))
-    assert view.name == "pseudo-10" and view.tags == ("pseudo",) and view.weight == 1.0
+    assert view.name == "pseudo-10" and view.tags == () and view.weight == 1.0
     assert view.mask is not None and float(view.mask.mean()) > 0.3
     truth = photograph(view.camera).image
     error = ((view.image - truth) ** 2).mean(0)[view.mask > 0].mean()
