@@ -109,6 +109,13 @@ def memory_line(error: BaseException) -> str:
     )
 
 
+def machine_line(error: BaseException) -> str | None:
+    """One line about what the machine refuses, a file, room or memory; None for anything else."""
+    if isinstance(error, OSError) and mendable(error):
+        return printable_line(os_line(error))
+    return printable_line(memory_line(error)) if out_of_memory(error) else None
+
+
 REWORDED = (  # argparse's words -> ours
     (r"the following arguments are required: (.*)", r"expected \1, got too few words"),
     (r"argument ([^:]+): invalid choice: (.*) \(choose from (.*)\)", r"\1: expected \3, got \2"),

@@ -22,7 +22,7 @@ inside the methods that need them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from framework.depth import DepthProvider
@@ -229,6 +229,21 @@ class StepStats:
     gradients: Mapping[str, Tensor] = field(default_factory=dict)
     view: View | None = None
     absolute: Tensor | None = None
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> StepStats:
+        """With every tensor changed alike, each of which has a row per Gaussian."""
+
+        def changed(tensor: Tensor | None) -> Tensor | None:
+            return None if tensor is None else change(tensor)
+
+        return replace(
+            self,
+            means2d_grad=change(self.means2d_grad),
+            radii=change(self.radii),
+            factors=changed(self.factors),
+            gradients={name: change(tensor) for name, tensor in self.gradients.items()},
+            absolute=changed(self.absolute),
+        )
 
 
 @dataclass(frozen=True)

@@ -50,14 +50,7 @@ from framework.command.studies.study import (
 from framework.command.subcommands import asked_for, obey
 from framework.command.words import check_utf8, normalise, only_informs, parse
 from framework.compute.orphans import end_with_parent
-from framework.errors import (
-    UserError,
-    memory_line,
-    mendable,
-    os_line,
-    out_of_memory,
-    printable_line,
-)
+from framework.errors import UserError, machine_line, printable_line
 from framework.records.progress import unread
 
 TOLD = ("augment=", "reg=", "seed=")  # progress lines have these of every run
@@ -111,12 +104,10 @@ def main(argv: Sequence[str]) -> int:
     except (OSError, MemoryError, RuntimeError, ImportError) as error:
         if "traceback=true" in argv:
             traceback.print_exc()
-        if isinstance(error, OSError) and mendable(error):
-            print(f"error: {printable_line(os_line(error))}", file=sys.stderr)
-            return 2
-        if not out_of_memory(error):
+        line = machine_line(error)
+        if line is None:
             raise
-        print(f"error: {printable_line(memory_line(error))}", file=sys.stderr)
+        print(f"error: {line}", file=sys.stderr)
         return 2
     except SystemExit as end:  # Hydra ends --help and its like this way
         return end.code if isinstance(end.code, int) else int(end.code is not None)

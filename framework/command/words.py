@@ -9,11 +9,11 @@ import re
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from framework.command.config.naming import NOT_HASHED
 from framework.command.config.schema import CONF_DIR, GROUPS, OBJECT_GROUPS, choices
 from framework.command.config.trust import parsed, quoted
 from framework.command.hydra_inside import argument_parser
 from framework.errors import UserError
+from framework.records.provenance import NEUTRAL_KEYS
 from framework.registry import JOINABLE, JOINED_BY, parts_of
 
 MULTIRUN_FLAGS = ("-m", "--multirun")
@@ -141,7 +141,7 @@ def _in_place_of_two(key: str, first: str, second: str) -> str:
     both = f"{first.partition('=')[2]},{second.partition('=')[2]}"
     if key == SWEEP:
         return ONE_STUDY
-    if key.startswith("hydra") or (key in NOT_HASHED and key != "seed"):  # no values to compare
+    if key.startswith("hydra") or key in NEUTRAL_KEYS:  # no values to compare
         return "leave one out"
     single = key in JOINABLE and both.count(",") == 1 and JOINED_BY not in both
     joined = f"{key}=[{both}] for both in one run, " if single else ""

@@ -176,7 +176,7 @@ def in_task() -> bool:
 @functools.cache
 def _helpers(process: int, count: int) -> SimpleQueue[Callable[[], None]]:
     """The queue that `count` threads of this process take jobs from; a process that is forked has
-    none of its parent's. Lighter than a `ThreadPoolExecutor`, seven times per training step."""
+    none of its parent's. Lighter than a `ThreadPoolExecutor`, several times per training step."""
     jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
     for _ in range(count):
         threading.Thread(target=_serve, args=(jobs,), name="fishersplat", daemon=True).start()

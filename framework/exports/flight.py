@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from framework.exports.opened import OpenedRun
     from framework.types import Camera
 
-KINDS = ("spline", "spiral", "orbit")
 SECONDS = {"spiral": 6.0, "orbit": 10.0}
 SECONDS_EACH, MOST_SECONDS = 1.0, 20.0  # of a spline: for each camera on the way
 WIDTH = 0.9  # quantile of the cameras' offsets that a spiral reaches

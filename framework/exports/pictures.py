@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from framework.exports.opened import OpenedRun
     from framework.types import Camera
 
-SHOWN = ("rgb", "depth", "both")
 SHARES = (0.02, 0.98)  # of the pixels; the depths between which colours are told apart
 LOOKED_AT = 9  # cameras from which these depths are taken
 

@@ -22,10 +22,9 @@ TILTED = 0.3  # length of the mean up direction; below, there is no common one
 
 @dataclass(frozen=True)
 class Rig:
-    """centers, right, down, forward: [n, 3], of the cameras, in the world."""
+    """centers, down, forward: [n, 3], of the cameras, in the world."""
 
     centers: Array
-    right: Array
     down: Array
     forward: Array
 
@@ -69,7 +68,7 @@ def rig(cameras: Sequence[Camera]) -> Rig:
     views = np.stack([camera.viewmat.numpy() for camera in cameras])
     rotation = views[:, :3, :3]
     centers = -np.einsum("nji,nj->ni", rotation, views[:, :3, 3])
-    return Rig(centers, rotation[:, 0], rotation[:, 1], rotation[:, 2])
+    return Rig(centers, rotation[:, 1], rotation[:, 2])
 
 
 def unit(vector: Array) -> Array:

@@ -40,9 +40,9 @@ def fisher_information(
     mask: Tensor | None = None,
 ) -> FisherInformation:
     """Information of `camera`'s image on each Gaussian, exactly: one render, one second-moment
-    pass, one pull-back (see `rasterize.information` for the equation). mask [H, W]: pixels that it
-    has not, at or below 0.5, tell nothing. The other arguments as `rasterize`. Raises UserError for
-    a mask of another shape or dtype."""
+    pass, one pull-back (see `rasterize.project.information` for the equation). mask [H, W]: pixels
+    that it has not, at or below 0.5, tell nothing. The other arguments as `rasterize`. Raises
+    UserError for a mask of another shape or dtype."""
     n = len(gaussians)
     degree = gaussians.sh_degree if sh_degree is None else min(sh_degree, gaussians.sh_degree)
     colour = np.zeros(3, np.float32) if background is None else background.numpy()

@@ -26,20 +26,6 @@ OPACITY = 10  # the opacity logit's place in a diagonal
 NOISE = 1e-5  # share of its diagonal to which a block from float32 derivatives is known
 
 
-def information_gain(
-    candidate: Tensor, reference: Tensor, regulariser: float, form: str = "trace"
-) -> float:
-    """Information a candidate view adds to what a reference view knows (diagonal Laplace).
-
-    candidate, reference: [N, P] diagonals H', H of the Fisher information of the two views, lengths
-    in units of the scene's extent. regulariser: lambda as a share of the median positive H' per
-    parameter. See `information_gains` for the equation and errors.
-    """
-    return information_gains(candidate, [reference], shared_prior([candidate], regulariser), form)[
-        0
-    ]
-
-
 def shared_prior(diagonals: Sequence[Tensor], regulariser: float) -> Tensor:
     """[P] float64 prior precision lambda for the comparison of several views.
 
@@ -104,13 +90,13 @@ def gains_over(candidate: Tensor, unknown: Sequence[Tensor], form: str = "trace"
 
 def _check_form(form: str) -> None:
     if form not in FORMS:
-        raise ValueError(f"information_gain: form must be one of {', '.join(FORMS)}, got '{form}'")
+        raise ValueError(f"information_gains: form must be one of {', '.join(FORMS)}, got '{form}'")
 
 
 def _check_shapes(candidate: Tensor, reference: Tensor) -> None:
     if reference.shape != candidate.shape:
         raise ValueError(
-            f"information_gain: candidate {tuple(candidate.shape)} and reference"
+            f"information_gains: candidate {tuple(candidate.shape)} and reference"
             f" {tuple(reference.shape)} differ"
         )
 
@@ -136,7 +122,7 @@ def block_prior(blocks: Sequence[Tensor], regulariser: float) -> Tensor:
 def removal_energy(diagonal: Tensor, opacity_logits: Tensor) -> Tensor:
     """Squared change of the images, summed over pixels and channels, if a Gaussian were not there.
 
-    diagonal: [N, 14] information (see `fisher`), summed over the views. opacity_logits: [N].
+    diagonal: [N, 14], `FisherInformation.diagonal`, summed over the views. opacity_logits: [N].
     A pixel's colour is linear in each alpha, and alpha in the opacity o, so that the change is o
     dC/do = dC/d(logit) / (1 - o) and its energy F_logit / (1 - o)^2: no approximation but at the
     cut-offs (alphas clamped at 0.99 are missing, at most the central 2 % of a Gaussian's square).

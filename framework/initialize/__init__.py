@@ -25,4 +25,5 @@ __all__ = [
     "isotropic",
     "random_background",
     "sparse",
+    "stereo",
 ]

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from framework.errors import nearest_hint, require
-from framework.options import BACKGROUNDS
+from framework.errors import require
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -17,23 +16,18 @@ if TYPE_CHECKING:
     from framework.types import TrainingSet
 
 
-def background_color(kind: str, training: TrainingSet) -> Tensor | None:
-    """[3] float32 of a fixed `kind`: `mean` (of the valid training pixels), `black`, `white`.
+def background_color(kind: str, training: TrainingSet) -> Tensor:
+    """[3] float32 of one of `BACKGROUNDS`: `mean` (of the valid training pixels), `black`, `white`.
 
-    None for `random`: a training step then draws `random_background`, and renders for evaluation
-    stand on `background_color("mean", ...)`, the colour they differ least from on average.
-    Raises UserError for an unknown kind.
+    For `random`, of which a training step draws `random_background`, renders for evaluation stand
+    on the mean, the colour they differ least from on average. Raises UserError where the masks
+    leave no pixel to train on.
     """
     import torch
 
-    require(
-        kind in BACKGROUNDS,
-        f"trainer.background={kind}: unknown background; {nearest_hint(kind, BACKGROUNDS)}",
-    )
-    if kind == "random":
-        return None
-    if kind == "mean":
-        return _mean_color(training)
+    mean = _mean_color(training)
+    if kind in ("mean", "random"):
+        return mean
     return torch.full((3,), 1.0 if kind == "white" else 0.0)
 
 

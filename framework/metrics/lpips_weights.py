@@ -79,7 +79,7 @@ def chosen(setting: str | None) -> Path | None:
 
 def fingerprint(setting: str | None) -> str:
     """SHA-256 of a file of the user's; "" for fetched weights, which the code states the hash of.
-    A run is the same before and after they were fetched: see `framework.lpips_later`."""
+    A run is the same before and after they were fetched: see `framework.run.lpips_later`."""
     return "" if setting in (None, NONE, *MEMBERS) else file_sha256(Path(str(setting)))
 
 

@@ -210,6 +210,10 @@ class ScreenGradient:
         give_back(work)
         return dict(zip(tensors, gradients, strict=True)), means2d
 
+    def drop(self) -> None:
+        """Give the workspace back, in the place of `pull_back`."""
+        give_back(self.take())
+
     def take(self) -> Workspace:
         """The render's workspace, for who gives it back. Raises RuntimeError the second time."""
         if self._work is None:

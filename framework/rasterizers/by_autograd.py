@@ -30,6 +30,9 @@ class TakenGradient:
     def pull_back(self) -> tuple[dict[str, Tensor], Tensor]:
         return self.tensors, self.means2d
 
+    def drop(self) -> None:
+        """It holds nothing of others."""
+
 
 @dataclass(frozen=True)
 class ByAutograd(Rasterizer):

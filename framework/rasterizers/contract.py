@@ -40,6 +40,9 @@ class RenderGradient(Protocol):
         """The gradient in every tensor of `gaussians`, by name, and in the projected means [N, 2],
         in pixels. To be asked once."""
 
+    def drop(self) -> None:
+        """Give back what it holds, in the place of `pull_back`."""
+
 
 class Rasterizer(ABC):
     """A way to draw; frozen dataclasses, whose fields are options of `rasterizer=NAME`.

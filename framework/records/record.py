@@ -244,7 +244,6 @@ def write_failed(
     config: Mapping[str, Any],
     overrides: Sequence[str],
     error: str,
-    scene: SceneInfo | None = None,
     kind: str = "bug",
     again: str = "",
 ) -> RunRecord:
@@ -261,7 +260,7 @@ def write_failed(
         identity="",
         config=config,
         overrides=tuple(overrides),
-        scene=scene,
+        scene=None,
         timings={},
         provenance=provenance(),
         status="failed",

@@ -11,10 +11,7 @@ from pathlib import Path
 from framework.errors import (
     Arguments,
     UserError,
-    memory_line,
-    mendable,
-    os_line,
-    out_of_memory,
+    machine_line,
     printable_line,
     require,
 )
@@ -64,12 +61,10 @@ def main(arguments: list[str] | None = None, prog: str = "python -m framework.re
         print(f"error: {error}", file=sys.stderr)
         return 2
     except Exception as error:
-        if isinstance(error, OSError) and mendable(error):
-            print(f"error: {printable_line(os_line(error))}", file=sys.stderr)
-            return 2
-        if not out_of_memory(error):
+        line = machine_line(error)
+        if line is None:
             raise
-        print(f"error: {printable_line(memory_line(error))}", file=sys.stderr)
+        print(f"error: {line}", file=sys.stderr)
         return 2
     print(f"report: {printable_line(str(path))}")
     if not study.runs:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from framework.metrics.values import METRICS
+from framework.records.provenance import NEUTRAL_KEYS
 from framework.report.statistics.compare import Comparison
 from framework.report.statistics.estimates import Interval
 from framework.report.statistics.numbers import interval_text, p_text, signed
@@ -34,8 +35,7 @@ def runs_csv(study: Study) -> str:
 
     measured = pd.DataFrame([_measured(run) for run in study.runs])
     options = pd.json_normalize([dict(run.record.config) for run in study.runs]).drop(
-        columns=["seed", "study", "force", "estimate", "traceback", "threads", "tracker"],
-        errors="ignore",
+        columns=["seed", *NEUTRAL_KEYS], errors="ignore"
     )
     # an option that only some methods have differs too
     if VIEWS in options:  # `all` of them by their number, as a table has no scene to count in

@@ -75,14 +75,9 @@ class Match:
     ranked: bool
 
 
-def leaderboard(folder: Path, out_dir: Path) -> Path:
-    """Write the leaderboard of all studies below the folder; returns its path. Raises UserError
-    where there is none. Studies that cannot be read are told."""
-    return _written(folder, out_dir)[0]
-
-
-def _written(folder: Path, out_dir: Path) -> tuple[Path, int]:
-    """The path of the leaderboard, and how many studies are in it."""
+def leaderboard(folder: Path, out_dir: Path) -> tuple[Path, int]:
+    """Write the leaderboard of all studies below the folder; returns its path, and how many are in
+    it. Raises UserError where there is none. Studies that cannot be read are told."""
     entries, broken = _entries(folder, out_dir)
     require(
         bool(entries or broken),
@@ -322,7 +317,7 @@ def main(arguments: list[str], prog: str) -> int:
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of studies, as reports")
     parser.add_argument("--out", type=Path, help="folder of the leaderboard (default: DIR)")
     options = parser.parse_args(arguments)
-    path, studies = _written(options.folder, options.out or options.folder)
+    path, studies = leaderboard(options.folder, options.out or options.folder)
     print(f"leaderboard: {printable_line(str(path))}")
     require(
         studies > 0,

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from framework.errors import Arguments, printable_line, require
 from framework.files.whole import make_folder, write_whole
+from framework.records.provenance import NEUTRAL_KEYS
 from framework.records.record import METHOD_GROUPS, RECORD, Run, read_run
 from framework.report.figures.closeup import draw_closeup
 from framework.report.figures.curves import evaluations
@@ -39,7 +40,7 @@ from framework.report.study.runs import ReportRun, Study
 from framework.report.text.provenance import code_of
 
 REPORT, PAGE = "compare.md", "compare.html"
-UNTOLD = ("study", "force", "estimate", "traceback", "threads", "tracker", "metrics")
+UNTOLD = ("metrics", *NEUTRAL_KEYS)
 WORDS = ("Option", "View", "What")
 SINGLE = "Single runs say nothing of chance: a study with several seeds does."
 SAME_OPTIONS = "No option differs: the runs differ in their code, their machine or nothing."

@@ -80,7 +80,7 @@ def view_gradient(
             item = replace(item, smoothing=None, beside=None)  # it is of the colours alone
             how = (params, item, where, ssim_weight)
             _, found = screen_gradient(*how, rasterizer, absolute=True, **rendered)
-            found.pull_back()  # gives its workspace back
+            found.drop()
             stats = replace(stats, absolute=found.absolute)
         return loss, parameters, stats
     terms = DepthTerms(params, item, rasterizer, **rendered)

@@ -158,7 +158,8 @@ class PluginsAtWork:
 
         apply(edits): the new Gaussians, and which row each was before, None where rows stay.
         """
-        stats = _fetched(stats)
+        if stats.radii.device.type != CPU:  # where plugins work
+            stats = stats.map(Tensor.cpu)
         for running in self._capacities:
             context = self._context(running, now)
             if context is None:
@@ -389,32 +390,12 @@ def _followed(stats: StepStats, rows: Tensor) -> StepStats:
     def follow(values: Tensor) -> Tensor:
         return values[old] * there.view(-1, *[1] * (values.dim() - 1))
 
-    return replace(
-        stats,
-        means2d_grad=follow(stats.means2d_grad),
-        radii=follow(stats.radii),
-        factors=None if stats.factors is None else follow(stats.factors),
-        gradients={name: follow(values) for name, values in stats.gradients.items()},
-        absolute=None if stats.absolute is None else follow(stats.absolute),
-    )
+    return stats.map(follow)
 
 
 def _brought(tensors: Mapping[str, Tensor], device: str | torch.device) -> Mapping[str, Tensor]:
     """What is there already is not copied."""
     return {name: tensor.to(device) for name, tensor in tensors.items()}
-
-
-def _fetched(stats: StepStats) -> StepStats:
-    """On the CPU, where plugins work."""
-    if stats.radii.device.type == CPU:
-        return stats
-    return replace(
-        stats,
-        means2d_grad=stats.means2d_grad.cpu(),
-        radii=stats.radii.cpu(),
-        factors=None if stats.factors is None else stats.factors.cpu(),
-        gradients=_brought(stats.gradients, CPU),
-    )
 
 
 def _span(running: _Running) -> str:

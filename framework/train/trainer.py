@@ -85,11 +85,8 @@ class Trainer:
         self.sh_from = sh_from
         self.tells, self.rasterizer = tells, rasterizer
         self.near, self.extent = options.near_plane * training.near, training.extent
-        fixed = background_color(options.background, training)
-        self.random_background = fixed is None
-        self.background: Tensor = _mean_color(training) if fixed is None else fixed
-        if options.background in ("black", "white"):
-            _mean_color(training)  # which needs a pixel that is left, as the training does
+        self.random_background = options.background == "random"
+        self.background = background_color(options.background, training)
         self.conditions = conditions = Conditions(
             training, depth, options, self.background, self.near, seed, rasterizer
         )
@@ -349,9 +346,3 @@ class Trainer:
                 " which is over half of them"
             )
         self.field.plugins.tell_what_did_nothing()
-
-
-def _mean_color(training: TrainingSet) -> Tensor:
-    colour = background_color("mean", training)
-    assert colour is not None, "only a random background has no colour"
-    return colour

@@ -2,7 +2,7 @@
 
 The initialisation proposes, usually more than the budget; from `start` to `until` rounds bring the
 number to it in equal ratios. Every round drops the Gaussians without which the training images
-would change least (`information.removal_energy`) and splits the share `grow` of the kept that the
+would change least (`fisher.scores.removal_energy`) and splits the share `grow` of the kept that the
 loss pulls at most, by default all, so that Gaussians move from where they are of little use to
 where they are missing. With many views few epochs lie between rounds, and what was split is judged
 before it is trained: below ten, `grow` falls with the square of their number (chosen by trial, see

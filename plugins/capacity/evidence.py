@@ -10,7 +10,7 @@ the Laplace approximation of the evidence (MacKay 1992) with Gaussian i over tha
 F_i its Fisher information of all training views for unit noise: half the log-determinant, in units
 of what the population leaves open (v), and one bit to say that there is one more. Pixels are linear
 in one Gaussian's opacity, so at an optimum, where residuals are orthogonal to their change by it,
-G_i = E_i / (2 s2), E_i the squared change of the images without it (`information.removal_energy`).
+G_i = E_i / (2 s2), E_i the squared change of the images without it (`scores.removal_energy`).
 The noise s2 is the mean squared residual of the training pixels, at least that of 8-bit images; v
 is the spread of the current Gaussians (empirical Bayes). So nothing is set by hand.
 

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 FEWEST = 100  # pixels with a match
 REACH = 2  # pixels around the swept match that are searched
-VARIANCE_FLOOR = 2e-5  # as in the plane sweep: about one grey level of 255
 
 
 @register("init", "epipolar")
@@ -183,10 +182,12 @@ def free_match(
     """
     import numpy as np
 
-    n = 2 * REACH + 1
+    from framework.depth.matching.reference import zncc
+
+    n, grey = 2 * REACH + 1, image.astype(np.float64)
     scores = np.stack(
         [
-            zncc(image, sampled(other, u + dx, v + dy), radius)
+            zncc(grey, sampled(other, u + dx, v + dy), radius)
             for dy in range(-REACH, REACH + 1)
             for dx in range(-REACH, REACH + 1)
         ]
@@ -222,26 +223,6 @@ def sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     top = image[row, column] * (1 - fx) + image[row, column + 1] * fx
     low = image[row + 1, column] * (1 - fx) + image[row + 1, column + 1] * fx
     found: np.ndarray = top * (1 - fy) + low * fy
-    return found
-
-
-def zncc(a: np.ndarray, b: np.ndarray, radius: int) -> np.ndarray:
-    """[H, W] correlation of the windows of two images around every pixel."""
-    import numpy as np
-    from scipy.ndimage import uniform_filter
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        found: np.ndarray = uniform_filter(
-            values.astype(np.float64), 2 * radius + 1, mode="nearest"
-        )
-        return found
-
-    mean_a, mean_b = mean(a), mean(b)
-    variance = [
-        np.maximum(mean(x * x) - m * m, 0) + VARIANCE_FLOOR
-        for x, m in ((a.astype(np.float64), mean_a), (b, mean_b))
-    ]
-    found: np.ndarray = (mean(a * b) - mean_a * mean_b) / np.sqrt(variance[0] * variance[1])
     return found
 
 

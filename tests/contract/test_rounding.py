@@ -23,7 +23,7 @@ NO_TRAINING = (
     *("scenes/photos", "scenes/placement.py", "scenes/cameras.py", "depth/network.py", "types.py"),
     # twins in PyTorch and NumPy, for tests and other devices
     *("rasterize/reference.py", "rasterizers", "fisher/in_torch.py", "train/torch_adam.py"),
-    *("depth/matching/reference.py", "compute/tensors.py"),  # the last: PyTorch's on other devices
+    "compute/tensors.py",  # PyTorch's on other devices
 )
 
 

@@ -46,7 +46,6 @@ from tests.scenes.test_transforms import BOUNDS
 from tests.scenes.test_transforms import write as write_transforms
 from tests.view.runs import seen_run
 
-N_DTU = 49
 Step = Callable[[Path], object]
 
 

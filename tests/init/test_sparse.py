@@ -13,6 +13,7 @@ import torch
 from framework.compute.rng import stream
 from framework.errors import UserError
 from framework.initialize import INITIALIZERS, Sparse, background_color, random_background
+from framework.options import BACKGROUNDS
 from framework.types import Gaussians
 from tests.init.synthetic import camera, points, scene
 
@@ -68,21 +69,23 @@ def test_mean_background_counts_valid_pixels_of_all_sizes() -> None:
     )
     expected = (0.25 * 24 * 64 + 0.75 * 60 * 80) / (24 * 64 + 60 * 80)
     color = background_color("mean", replace(training, views=views))
-    assert color is not None and color.dtype == torch.float32
+    assert color.dtype == torch.float32
     torch.testing.assert_close(color, torch.full((3,), expected))
 
 
 def test_fixed_and_random_backgrounds() -> None:
     training, _ = scene([camera(0.0)])
     black, white = (background_color(kind, training) for kind in ("black", "white"))
-    assert black is not None and black.tolist() == [0, 0, 0]
-    assert white is not None and white.tolist() == [1, 1, 1]
-    assert background_color("random", training) is None
+    assert black.tolist() == [0, 0, 0] and white.tolist() == [1, 1, 1]
+    mean = background_color("mean", training)
+    assert torch.equal(background_color("random", training), mean)
     assert torch.equal(random_background(0, 5), random_background(0, 5))
     assert not torch.equal(random_background(0, 5), random_background(0, 6))
     assert random_background(0, 5).dtype == torch.float32
-    with pytest.raises(UserError, match=r"background=maen: .*did you mean 'mean'"):
-        background_color("maen", training)
+    nothing = replace(training.views[0], mask=torch.zeros_like(training.views[0].image[0]))
+    for kind in BACKGROUNDS:
+        with pytest.raises(UserError, match="expected valid pixels in the training views"):
+            background_color(kind, replace(training, views=(nothing,)))
 
 
 def test_registry_builds_from_defaults_and_imports_lightly() -> None:

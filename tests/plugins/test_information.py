@@ -12,11 +12,18 @@ from framework.compute.rng import stream
 from framework.fisher.scores import (
     NOISE,
     block_prior,
-    information_gain,
     information_gains,
     shared_prior,
     uncertainty,
 )
+
+
+def information_gain(
+    candidate: torch.Tensor, reference: torch.Tensor, regulariser: float, form: str = "trace"
+) -> float:
+    """Of one view over another, under the prior of the candidate alone."""
+    prior = shared_prior([candidate], regulariser)
+    return information_gains(candidate, [reference], prior, form)[0]
 
 
 def diagonals(seed: int, n: int = 200, p: int = 14) -> torch.Tensor:

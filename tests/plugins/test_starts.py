@@ -11,10 +11,11 @@ import pytest
 import torch
 from skimage.metrics import structural_similarity
 
+from framework.depth.matching.reference import zncc
 from framework.errors import UserError
 from framework.geometry import project, unproject
 from framework.types import SparsePoints, TrainingSet
-from plugins.initialize.epipolar import Epipolar, Line, free_match, least_sensitive, sampled, zncc
+from plugins.initialize.epipolar import Epipolar, Line, free_match, least_sensitive, sampled
 from plugins.initialize.patch_growth import At, PatchGrowth, Photo, confirmed, covariance, ssim
 from tests.plugins.fakes import stage
 

@@ -50,7 +50,7 @@ def test_trainings_of_two_studies_are_told(tmp_path: Path) -> None:
     first = _study(tmp_path / "one", {"none": 0.0, "safi": 3.0})
     shutil.copytree(first.parent, tmp_path / "two")
     _study(tmp_path / "two", {"dba": 0.02})
-    text = leaderboard(tmp_path, tmp_path).read_text(encoding="utf-8")
+    text = leaderboard(tmp_path, tmp_path)[0].read_text(encoding="utf-8")
     assert "in two studies count in both: one and two (8)." in text
 
 
@@ -59,7 +59,7 @@ def test_a_folder_without_studies_and_a_broken_table(tmp_path: Path) -> None:
         leaderboard(tmp_path, tmp_path / "out")
     (tmp_path / "odd").mkdir()
     (tmp_path / "odd" / "runs.csv").write_text("a,b\n1,2\n", encoding="utf-8")
-    text = leaderboard(tmp_path, tmp_path / "out").read_text(encoding="utf-8")
+    text = leaderboard(tmp_path, tmp_path / "out")[0].read_text(encoding="utf-8")
     assert "## Not read" in text and "it lacks scene" in text
 
 

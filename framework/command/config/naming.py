@@ -19,10 +19,11 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from framework.command.config.check import check
 from framework.command.config.schema import rows
 from framework.command.config.trust import refuse_environment
+from framework.records.provenance import NEUTRAL_KEYS
 from framework.scenes import DRAWN, HELD_OUT, untested
 
 # A run's name must not depend on these: the seed is written out, the others do not change a run.
-NOT_HASHED = ("seed", "threads", "force", "study", "traceback", "estimate", "tracker")
+NOT_HASHED = ("seed", *NEUTRAL_KEYS)
 
 
 def plain(config: DictConfig) -> dict[str, Any]:

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from framework.errors import require
+from framework.initialize.stereo import LARGEST_BUDGET
 from framework.options import MOST_STEPS, members_of
 
-MOST_GAUSSIANS = 100_000  # of an automatic budget, see init=stereo
 TABLES = 200_000
 TEST_VIEWS = 8  # of the embedded scene
 PHOTO_RENDERS = 50_000_000  # of a scene of photos, whose sizes are known only once it is read
@@ -39,7 +39,7 @@ def checkpoint_bytes(config: Mapping[str, Any]) -> int:
 
 def _parameter_bytes(config: Mapping[str, Any], floats: int) -> int:
     trainer = config["trainer"]
-    gaussians = _most_members(trainer) * (config["init"].get("budget") or MOST_GAUSSIANS)
+    gaussians = _most_members(trainer) * (config["init"].get("budget") or LARGEST_BUDGET)
     harmonics = 3 * ((trainer["sh_degree"] + 1) ** 2 - 1)
     return 4 * gaussians * (floats + harmonics)
 

@@ -17,14 +17,12 @@ from typing import Any
 
 from framework.compute.stopwatch import Stopwatch, duration
 from framework.records.progress import Silent, say, unwarned
+from framework.records.provenance import NEUTRAL_KEYS
 
 TRIAL_STEPS = 24
 MOST_TRIALS = 8
 KEPT_SCENES = 2  # so many does `framework.run.experiment` keep from run to run
-NOT_TIMED = (
-    *("seed", "study", "threads", "force", "traceback", "estimate", "tracker"),
-    *("scene", "depth"),
-)
+NOT_TIMED = ("seed", "scene", "depth", *NEUTRAL_KEYS)
 
 Config = Mapping[str, Any]
 

@@ -1,4 +1,5 @@
 """Plain numpy twins of the plane-sweep kernels: what those must compute, slowly and readably.
+`init=epipolar`, which has few windows, takes `zncc` from here.
 
 Same layouts and units as `match`, `aggregate` and `select`; float64, whole volumes at once.
 """

@@ -60,10 +60,10 @@ def spanned(interval: Interval) -> str:
     return f"{significant(interval.low)} to {significant(interval.high)}"
 
 
-def interval_text(interval: Interval, most: int = 2) -> str:
-    """`0.21 to 0.60`, rounded by its own width, at most to `most` decimals; an end that rounds to
+def interval_text(interval: Interval) -> str:
+    """`0.21 to 0.60`, rounded by its own width, at most to two decimals; an end that rounds to
     zero and is none gets more, so that its side is seen."""
-    places = decimals((interval.high - interval.low) / 2, most)
+    places = decimals((interval.high - interval.low) / 2, 2)
     ends = (0.0 if abs(end) < NOUGHT else end for end in (interval.low, interval.high))
     low, high = (
         f"{end:.{places}f}" if end == 0 or round(end, places) != 0 else significant(end, 1)

@@ -6,7 +6,6 @@ Photos count by their bytes: renamed, added or edited ones give another key, a n
 from __future__ import annotations
 
 import hashlib
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,8 +23,6 @@ OTHERS = {".tif", ".tiff", ".webp", ".bmp", ".gif", ".avif", ".dng", ".cr2", ".c
 VIDEO_BYTES = 2**40  # it is read frame by frame
 FEWEST = 3  # photos with a place: two to train and one to test
 MOST = 2000
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
