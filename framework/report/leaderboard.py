@@ -145,8 +145,9 @@ def _opening(entries: Sequence[Entry], matches: Sequence[Match]) -> list[Block]:
     rows = _ranked(matches)
     better = [match.family for match in matches if _sign(match) > 0]
     worse = [match.family for match in matches if _sign(match) < 0]
+    studies = len({match.entry.name for match in matches})
     said = (
-        f"Of {len(matches)} comparisons of methods in {len(entries)} studies, really better than"
+        f"Of {len(matches)} comparisons of methods in {studies} studies, really better than"
         f" the baseline: {_named(better)}; really worse: {_named(worse)}."
     )
     blocks: list[Block] = [Heading(1, "Leaderboard"), Text(said, "verdict")]

@@ -12,6 +12,7 @@ import pytest
 
 from framework.errors import UserError
 from framework.report import build_report
+from framework.report.figures.tradeoff import entries, train_s, worth
 from framework.report.statistics.bootstrap import sd_interval
 from framework.report.statistics.compare import block
 from framework.report.statistics.outcomes import outcomes
@@ -77,6 +78,54 @@ def test_what_is_better_than_one_plain_training_alone_is_told(tmp_path: Path) ->
         "fern: safi + none is better than it, but is not shown to be better than every plain"
         in text
     )
+
+
+def test_a_method_without_runs_on_every_scene_is_told_as_such(tmp_path: Path) -> None:
+    rows = [row(s, "none + none", k, 20.0) for s in "ab" for k in range(4)]
+    rows += [row("a", "safi + none", k, 21.0) for k in range(4)]
+    rows += [row(s, "dba + none", k, 20.0) for s in "ab" for k in range(4)]
+    text = first_lines(table(tmp_path / "t", rows), tmp_path / "out")
+    assert "safi + none is better than it where compared, not on all scenes" in text
+
+
+def test_what_is_advised_over_the_baseline_is_not_told_as_alike(tmp_path: Path) -> None:
+    """With a third method, which shares no seed with the baseline, its test is of two, not one."""
+    values = {
+        "none + none": (20.0, 20.03),
+        "none + uar": (20.5, 20.51),
+        "safi + none": (20.5, 20.5),
+    }
+    seeds = {"none + none": (2, 3), "none + uar": (2, 3, 10, 11), "safi + none": (10, 11)}
+    rows = [row("a", m, k, f"{values[m][k % 2]}") for m, own in seeds.items() for k in own]
+    text = first_lines(table(tmp_path / "t", rows), tmp_path / "out")
+    assert "**Use none + uar: it gains" in text
+    alike = re.search(r"Not told apart from none \+ uar: ([^\n]*)", text)
+    assert alike is not None and "safi + none" in alike[1] and "none + none" not in alike[1]
+
+
+def test_a_metric_that_some_seeds_lack_says_of_how_many_it_is(tmp_path: Path) -> None:
+    rows = [
+        row("a", m, k, 20.0, lpips=0.1 * k if m == "none + none" or k > 1 else "")
+        for m in ("none + none", "safi + none")
+        for k in range(4)
+    ]
+    text = build_report(table(tmp_path / "t", rows), out_dir=tmp_path / "out").read_text("utf-8")
+    cells = re.findall(r"0\.\d+ \(n = 2\)", text)
+    assert cells == ["0.25 (n = 2)"], (
+        "of seeds 2 and 3; of all four of plain training there is no n"
+    )
+
+
+def test_more_time_pays_is_corrected_for_all_others(tmp_path: Path) -> None:
+    """It is the data that tells who stands on the front, so being alone there is no single test."""
+    gains = (0.08, 0.28, 0.06, 0.2, 0.15)
+    fast = [row("a", "none + none", k, 20.0, train_wall_s=5, train_cpu_s=5) for k in range(5)]
+    slow = [row("a", "safi + none", k, 20.0 + gain) for k, gain in enumerate(gains)]
+    worse = [row("a", f"none + none, lr={i}", k, 19.0) for i in range(9) for k in range(5)]
+    for others, indices in (([], [0, 1]), (worse, [0])):
+        found = entries(collect(table(tmp_path / f"{len(others)}", fast + slow + others)), "a")
+        kept = worth(found, train_s)
+        assert [found[k].method for k in kept] == ["none + none", "safi + none"][: len(indices)]
 
 
 def test_a_baseline_without_a_seed_on_all_scenes_is_no_crash(tmp_path: Path) -> None:

@@ -149,6 +149,20 @@ def test_a_seed_in_which_a_method_hardly_acted_is_told_too(tmp_path: Path) -> No
     assert told.endswith("(0 % on embedded in 1 of 3 runs).") and "Hardly" not in told
 
 
+def test_a_part_that_hardly_acted_is_told_by_its_name(tmp_path: Path) -> None:
+    """What the other part did was tested; less than half is not told as half."""
+    parts = {"frequency_acted_share": 0.9, "occlusion_acted_share": 0.497}
+    for seed in range(2):
+        path = fake_run(tmp_path, "safi", seed=seed) / "record.json"
+        content = json.loads(path.read_text())
+        dose = {"dose": {"acted_share": min(parts.values()), **parts}}
+        path.write_text(json.dumps(content | dose))
+    assert idle_sentence(collect(tmp_path)) == (
+        "A part that acted on less than half of its occasions was hardly tested: safi + none"
+        " (occlusion: 49.7 % on embedded)."
+    )
+
+
 def test_a_single_run_has_no_worst_seed(tmp_path: Path) -> None:
     """Nor is there a rate of failures of one."""
     fake_run(tmp_path)

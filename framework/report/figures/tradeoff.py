@@ -74,14 +74,15 @@ def front(found: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
 
 
 def worth(found: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
-    """Indices of those worth their cost, the cheapest first; none where nothing can be tested."""
+    """Indices of those worth their cost, the cheapest first; none where nothing can be tested.
+    Corrected for all the others: it is the data that tells who stands on the front."""
     on_front = front(found, cost)
     kept = on_front[:1]
     if not kept or found[kept[0]].psnr.n < 2:
         return []
     for k in on_front[1:]:
         c = compare("", by_pair(found[k].runs), "", by_pair(found[kept[-1]].runs))
-        if c is not None and replace(c, tests=len(on_front) - 1).significant:
+        if c is not None and replace(c, tests=len(found) - 1).significant:
             kept.append(k)
     return kept
 

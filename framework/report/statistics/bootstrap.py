@@ -1,7 +1,7 @@
 """An interval of a standard deviation that does not take the errors for normal.
 
 The chi-squared interval covers too seldom where errors have heavy tails (t with 3 degrees of
-freedom: 84 % of the time with 5 seeds, 68 % with 20). Here log s is studentised by its
+freedom: 85 % of the time with 5 seeds, 67 % with 20). Here log s is studentised by its
 leave-one-out (jackknife) standard error, and the quantiles of the studentised value come from
 resamples with replacement (bootstrap-t, Efron 1981): 97 % and 84 % in the same simulation, 95 %
 with 5 normal values; it is the wider one. The resamples are fixed by the number of values.

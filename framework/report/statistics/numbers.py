@@ -12,6 +12,7 @@ from framework.report.statistics.estimates import Interval, spread
 
 ABSENT = "–"
 NOUGHT = 1e-9  # what rounding leaves of a zero
+UNBOUNDED = 1e4  # times its low end: an interval whose high end says nothing
 
 
 def decimals(uncertainty: float, most: int) -> int:
@@ -56,7 +57,10 @@ def sigma_text(values: Sequence[float]) -> str:
 
 
 def spanned(interval: Interval) -> str:
-    """An interval of a positive quantity: `0.084 to 1.0`."""
+    """An interval of a positive quantity: `0.084 to 1.0`; `0.084 or more` where the data bound it
+    from one side alone."""
+    if interval.high > UNBOUNDED * interval.low:
+        return f"{significant(interval.low)} or more"
     return f"{significant(interval.low)} to {significant(interval.high)}"
 
 

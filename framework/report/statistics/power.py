@@ -28,7 +28,7 @@ FEWEST, MOST_SEEDS = 3, 200  # of a method
 SCANNED = 20  # below, a seed more may lower the power (odd samples hold their median): try each
 DRAWS, FEWER_DRAWS = 20_000, 4_000  # samples of up to `SCANNED` values, of more
 VALUES = 80_000  # at most, of all samples of pairs together, whose ranks take most of the time
-LARGEST_Z = 3.0  # of Fisher's transform: a correlation of 0.995
+LARGEST_Z = 3.0  # of Fisher's transform: r = 0.995, which few seeds may have by chance
 NO_SPREAD = 1e-6  # as a ratio
 
 

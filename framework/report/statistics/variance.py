@@ -40,7 +40,7 @@ from framework.report.statistics.power import (
     uncorrelated,
 )
 
-MOST_ALIKE = 0.9999  # a correlation of exactly 1 would leave no noise to test against
+MOST_ALIKE = 1 - 1e-9  # a correlation of exactly 1 would leave no noise to test against
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@ counts. A method that hardly acted was hardly tested, whatever its difference.""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -20,9 +20,9 @@ HEADINGS = {
     "coverage_mean": "Mean coverage",
     "pseudo_share_of_loss": "Pseudo views' share of the loss",
     "share_dropped_mean": "Mean share dropped",
-    ACTED: "Share of occasions acted on",
-    "augment_acted_share": "of these, the augmenter's",
-    "reg_acted_share": "of these, the regularizer's",
+    ACTED: "Share of occasions acted on (of several parts the least active one's)",
+    "augment_acted_share": "The augmenter's share",
+    "reg_acted_share": "The regularizer's share",
     "refused_other": "Refused for other reasons",
     "coverage_of_depth_mean": "Mean coverage of what depth covers",
     "support_distance_mean": "Mean distance of supports (camera spacings)",
@@ -31,6 +31,7 @@ HEADINGS = {
     "pseudo_share_of_views": "Pseudo views' share of the renders",
 }
 OWN = ("augment_acted_share", "reg_acted_share")
+PARTS = dict(zip(OWN, ("augmenter", "regularizer"), strict=True))
 TEXT = "Counted during training, mean over the runs of a row; an empty cell was not counted."
 
 
@@ -49,39 +50,82 @@ def dose(study: Study) -> list[Block]:
 
 
 def idle_sentence(study: Study) -> str:
-    """Which methods acted on less than half of their occasions, and where; "" where none did."""
-    hardly = _listed(study, some=False)
-    partly = _listed(study, some=True)
+    """Which methods, or parts of them, acted on less than half of their occasions, and where; ""
+    where none did."""
+    hardly, parts, partly = (_listed(study, told) for told in (_hardly, _parts, _partly))
     said = (
         f"Hardly tested, for it acted on less than half of its occasions: {hardly}."
         " A difference there says little about the method."
     )
+    some = f"A part that acted on less than half of its occasions was hardly tested: {parts}."
     few = f"In some runs it acted on less than half of its occasions: {partly}."
-    return " ".join(filter(None, (said if hardly else "", few if partly else "")))
+    found = ((said, hardly), (some, parts), (few, partly))
+    return " ".join(text for text, named in found if named)
 
 
-def _listed(study: Study, some: bool) -> str:
-    """`safi + none (12 % on SCENE)`: methods that hardly acted in all of a scene's runs together,
-    or only in some of them."""
-    told = []
+def _listed(study: Study, told: Callable[[Sequence[ReportRun]], str]) -> str:
+    """`safi + none (12 % on SCENE)`: the methods of which there is something to tell."""
+    found = []
     for method in study.methods:
-        idle = [_idle(study.of(scene, method), scene, some) for scene in study.scenes]
-        if any(idle):
-            told.append(f"{method} ({', '.join(filter(None, idle))})")
-    return "; ".join(told)
+        own = [(scene, told(study.of(scene, method))) for scene in study.scenes]
+        named = [text.format(scene=scene) for scene, text in own if text]
+        if named:
+            found.append(f"{method} ({', '.join(named)})")
+    return "; ".join(found)
 
 
-def _idle(runs: Sequence[ReportRun], scene: str, some: bool) -> str:
-    """`12 % on SCENE`, the mean where that is little; or, for `some`, of the runs that hardly acted
-    where the others make it more; "" where there is nothing to tell."""
-    told = [run.record.dose[ACTED] for run in runs if ACTED in run.record.dose]
-    shares = [_number(share) or 0.0 for share in told]  # in words where it was never asked
-    few = [share for share in shares if share < ENOUGH]
-    if not few or (float(np.mean(shares)) >= ENOUGH) != some:
+def _hardly(runs: Sequence[ReportRun]) -> str:
+    """`12 % on {scene}`: the mean share, where that of every part is little."""
+    share, parts = _share(runs, ACTED), _part_shares(runs)
+    little = share is not None and share < ENOUGH
+    if not little or any(own >= ENOUGH for own in parts.values()):
         return ""
-    if not some:
-        return f"{100 * float(np.mean(shares)):.0f} % on {scene}"
-    return f"{100 * float(np.mean(few)):.0f} % on {scene} in {len(few)} of {len(shares)} runs"
+    return f"{_percent(share or 0.0)} on {{scene}}"
+
+
+def _parts(runs: Sequence[ReportRun]) -> str:
+    """`occlusion: 0 % on {scene}`: of the parts those that hardly acted, where others did."""
+    parts = _part_shares(runs)
+    idle = {part: own for part, own in parts.items() if own < ENOUGH}
+    if len(idle) == len(parts):
+        return ""
+    return ", ".join(f"{part}: {_percent(own)} on {{scene}}" for part, own in idle.items())
+
+
+def _partly(runs: Sequence[ReportRun]) -> str:
+    """`12 % on {scene} in 1 of 3 runs`, where the others make it more than little."""
+    shares = _shares(runs, ACTED)
+    few = [share for share in shares if share < ENOUGH]
+    if not few or float(np.mean(shares)) < ENOUGH:
+        return ""
+    mean = _percent(float(np.mean(few)))
+    return f"{mean} on {{scene}} in {len(few)} of {len(shares)} runs"
+
+
+def _part_shares(runs: Sequence[ReportRun]) -> dict[str, float]:
+    """The mean share of every part's occasions, by its name; empty of a method of one part."""
+    keys = {key for run in runs for key in run.record.dose if key.endswith(f"_{ACTED}")}
+    if len(keys) < 2:
+        return {}
+    means = {key: _share(runs, key) or 0.0 for key in sorted(keys)}
+    return {PARTS.get(k, outside(k.removesuffix(f"_{ACTED}"))): mean for k, mean in means.items()}
+
+
+def _share(runs: Sequence[ReportRun], key: str) -> float | None:
+    shares = _shares(runs, key)
+    return float(np.mean(shares)) if shares else None
+
+
+def _shares(runs: Sequence[ReportRun], key: str) -> list[float]:
+    """Of the runs that counted it; 0 where a word says that it was never asked."""
+    told = [run.record.dose[key] for run in runs if key in run.record.dose]
+    return [_number(share) or 0.0 for share in told]
+
+
+def _percent(share: float) -> str:
+    """What is less than half is not told as half."""
+    rounded = f"{100 * share:.0f}"
+    return f"{100 * share:.1f} %" if rounded == "50" else f"{rounded} %"
 
 
 def _cells(runs: Sequence[ReportRun]) -> dict[str, str]:

@@ -99,12 +99,12 @@ def measured(study: Study) -> list[str]:
 def _main_row(
     study: Study, method: str, runs: list[ReportRun], scenes: list[str]
 ) -> dict[str, str]:
-    row = {"Method": method}
+    row, n_seeds = {"Method": method}, len(seed_means(runs, scenes))
     for metric in measured(study):
         values = list(seed_means(runs, scenes, metric).values())
-        row[heading_of(metric, study)] = mean_text(
-            values, DIGITS.get(metric, OWN_DIGITS), show_half=metric == "psnr"
-        )
+        told = mean_text(values, DIGITS.get(metric, OWN_DIGITS), show_half=metric == "psnr")
+        fewer = 0 < len(values) < n_seeds  # measured in some runs alone
+        row[heading_of(metric, study)] = f"{told} (n = {len(values)})" if fewer else told
         if metric == "psnr":
             row["σ_PSNR (dB)"] = sigma_text(values)
     row["Train (s)"] = mean_text([run.record.train_s for run in runs], 1)

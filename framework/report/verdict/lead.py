@@ -76,7 +76,11 @@ def _others(study: Study, found: Outcomes, nothing: str) -> str:
     better than."""
     gains = [c for c in found.comparisons.values() if c.significant and c.difference > 0]
     over = [c.method for c in gains if c.baseline == study.baseline]
-    if over:
+    whole = [method for method in over if method in found.psnr]
+    if over and not whole:
+        does = "is" if len(over) == 1 else "are"
+        return f": {listed(over, 'and')} {does} better than it where compared, not on all scenes"
+    if over := whole:
         does = "is better than it, but is" if len(over) == 1 else "are better than it, but are"
         every = "every baseline" if study.rival else "every plain training"
         return f": {listed(over, 'and')} {does} not shown to be better than {every}"
@@ -160,7 +164,11 @@ def not_told_apart(study: Study, found: Outcomes, tested: Sequence[Comparison]) 
 def _against(study: Study, found: Outcomes, best: str) -> list[Comparison]:
     """Every other method against the best one, corrected for all of them."""
     values = {method: by_pair(study.of(method=method)) for method in (*found.psnr, best)}
-    others = [compare(m, values[m], best, values[best]) for m in found.psnr if m != best]
+    beaten = found.comparisons.get(best)  # with the seeds that it shares with its own baseline
+    below = beaten.baseline if beaten is not None and beaten.significant else best
+    others = [
+        compare(m, values[m], best, values[best]) for m in found.psnr if m not in (best, below)
+    ]
     known = [c for c in others if c is not None and c.joint is not None]
     return [replace(c, tests=len(known)) for c in known]
 

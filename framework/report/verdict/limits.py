@@ -160,7 +160,7 @@ def _evidence(limit: Limit) -> str:
         return f"{_ends(limit)}; n = 1: nothing can be said about its noise"
     seeds = f"{_ends(limit)}; n = {found.n} seeds"
     if found.interval is None:
-        return f"{seeds}; the sign is beyond doubt at {_every(limit)}"
+        return seeds
     hardest = limit.levels[-1]
     open_end = hardest in (found.interval.low, found.interval.high)
     beyond = f", open towards {_at(limit.panel.axis, hardest)}" if open_end else ""

@@ -71,7 +71,8 @@ def evidence(found: Outcomes) -> str:
         return ""
     fewest, most = (pick(c.n for c in tested) for pick in (min, max))
     seeds = f"{most}" if fewest == most else f"{fewest} to {most}"
-    once = f", widened to hold for all {len(tested)} comparisons at once" if len(tested) > 1 else ""
+    widened = max(c.tests for c in tested)  # with those that only several scenes can test
+    once = f", widened to hold for all {widened} comparisons at once" if widened > 1 else ""
     return (
         f"How to read this: a method is named augmenter + regularizer{_meanings(tested)}."
         " Differences are of PSNR in"
