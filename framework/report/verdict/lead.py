@@ -164,13 +164,12 @@ def not_told_apart(study: Study, found: Outcomes, tested: Sequence[Comparison]) 
 def _against(study: Study, found: Outcomes, best: str) -> list[Comparison]:
     """Every other method against the best one, corrected for all of them."""
     values = {method: by_pair(study.of(method=method)) for method in (*found.psnr, best)}
-    beaten = found.comparisons.get(best)  # with the seeds that it shares with its own baseline
-    below = beaten.baseline if beaten is not None and beaten.significant else best
-    others = [
-        compare(m, values[m], best, values[best]) for m in found.psnr if m not in (best, below)
-    ]
+    others = [compare(m, values[m], best, values[best]) for m in found.psnr if m != best]
     known = [c for c in others if c is not None and c.joint is not None]
-    return [replace(c, tests=len(known)) for c in known]
+    # the verdict tells it of its own baseline, corrected for the other comparisons with that
+    beaten = found.comparisons.get(best)
+    told = beaten.baseline if beaten is not None and beaten.significant else best
+    return [replace(c, tests=len(known)) for c in known if c.method != told]
 
 
 def _difference(c: Comparison) -> float:
