@@ -104,10 +104,10 @@ def main(argv: Sequence[str]) -> int:
     except (OSError, MemoryError, RuntimeError, ImportError) as error:
         if "traceback=true" in argv:
             traceback.print_exc()
-        line = machine_line(error)
-        if line is None:
+        told = machine_line(error)
+        if told is None:
             raise
-        print(f"error: {line}", file=sys.stderr)
+        print(f"error: {told}", file=sys.stderr)
         return 2
     except SystemExit as end:  # Hydra ends --help and its like this way
         return end.code if isinstance(end.code, int) else int(end.code is not None)

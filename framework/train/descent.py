@@ -17,7 +17,7 @@ from framework.train.adam_kernels import LOWEST_LOGIT
 from framework.train.epoch import Item
 from framework.train.gradient import Penalty, screen_gradient, step_stats, view_gradient
 from framework.train.guard import check_loss, diverged
-from framework.train.torch_adam import Optimizer
+from framework.train.optimizer import Optimizer
 from framework.types import Gaussians
 
 Gradients = Mapping[str, Tensor]

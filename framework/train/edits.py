@@ -11,7 +11,7 @@ from torch import Tensor
 from framework.errors import require
 from framework.plugin import Edits
 from framework.train.guard import check_appended
-from framework.train.torch_adam import Optimizer
+from framework.train.optimizer import Optimizer
 from framework.types import Gaussians, edited
 
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from framework.errors import UserError
-from framework.train.optim import AdamState
+from framework.train.optimizer import AdamState
 from framework.types import Gaussians
 
 ADVICE = "lower trainer.lr_scale"

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -17,34 +16,21 @@ from torch import Tensor
 from framework.compute.parallel import BLOCKS, run_blocks, threads
 from framework.rasterize import ScreenGradient, give_back
 from framework.rasterize.lending import aligned
+from framework.rasterizers import RenderGradient
 from framework.train.adam_kernels import BETA1, BETA2, CHUNK, adam_kernel, pull_back_and_step
-from framework.types import Gaussians, edited
+from framework.train.optimizer import Optimizer
+from framework.types import Gaussians
 
 # stands for a tensor without gradient: tuples of another length would be compiled anew
 _NOTHING = (np.empty(0, dtype=np.float32),) * 4
 
 
-@dataclass(frozen=True)
-class AdamState:
-    """All that Adam remembers. first, second: the moments, shaped like the parameters, float32.
-    steps: finished updates of each tensor, in the order of `Gaussians.items()`."""
-
-    first: Gaussians
-    second: Gaussians
-    steps: tuple[int, ...]
-
-
-class Adam:
-    """Adam for a set of Gaussians whose number may change.
-
-    All tensors are contiguous float32 of shape like the `gaussians` given at construction.
-    """
+class Adam(Optimizer):
+    """The kernels; all tensors are contiguous, on the CPU."""
 
     def __init__(self, gaussians: Gaussians) -> None:
-        self._first = gaussians.map(_zeros_like)
-        self._second = gaussians.map(_zeros_like)
-        self._views: tuple[Gaussians, list[tuple[np.ndarray, ...]]] | None = None
-        self._steps = dict.fromkeys((name for name, _ in gaussians.items()), 0)
+        super().__init__(gaussians)
+        self._views: tuple[Gaussians, Gaussians, list[tuple[np.ndarray, ...]]] | None = None
         self._coefficients = np.zeros((len(self._steps), 2), dtype=np.float32)
         self._scratch: list[tuple[np.ndarray]] = []
 
@@ -55,15 +41,8 @@ class Adam:
         rates: Mapping[str, float],
         opacity_decay: float = 1.0,
     ) -> tuple[str, ...]:
-        """Update `params` in place, then multiply the activated opacities by `opacity_decay` in
-        (0, 1]; returns the names of tensors with a value or a second moment that is not finite now,
-        which a gradient that is not finite always causes.
-
-        grads: by tensor name, shaped like the parameters; a tensor without one (None or missing)
-        is left alone, its moments too, as in torch. rates: learning rate of every tensor with a
-        gradient, in the tensor's own units. Raises ValueError when shapes or dtypes differ. The
-        tensors of one `params` object must stay where they are in memory.
-        """
+        """See `Optimizer`. Raises ValueError when shapes or dtypes differ. The tensors of one
+        `params` object must stay where they are in memory."""
         gradients, views = dict(grads.items()), self._views_of(params)
         rows: list[tuple[np.ndarray, ...]] = []
         for k, (name, parameter) in enumerate(params.items()):
@@ -83,15 +62,12 @@ class Adam:
         return self._names(broken)
 
     def step_from(
-        self, gradient: ScreenGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
+        self, gradient: RenderGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
     ) -> tuple[tuple[str, ...], Tensor]:
-        """`step` of `gradient.gaussians`, in place, by what `gradient.pull_back` returns: the same
-        bits, but that gradient never is in memory as a whole, a few Gaussians' at a time is used
-        while the cache has it. Uses `gradient` up.
-
-        Returns what `step` does and, as `pull_back`, the gradient in the projected means [N, 2].
-        Raises ValueError as `step`, and RuntimeError if `gradient` was used before.
-        """
+        """See `Optimizer`: the gradient never is in memory as a whole, a few Gaussians' at a time
+        is used while the cache has it. Raises ValueError as `step`, and RuntimeError if `gradient`
+        was used before."""
+        assert isinstance(gradient, ScreenGradient)
         params = gradient.gaussians
         p, m, v = zip(*self._views_of(params), strict=True)
         steps = {name: n + 1 for name, n in self._steps.items()}
@@ -125,9 +101,9 @@ class Adam:
         return tuple(name for name, n in zip(self._steps, broken.sum(0), strict=True) if n > 0)
 
     def _views_of(self, params: Gaussians) -> list[tuple[np.ndarray, ...]]:
-        if self._views is None or self._views[0] is not params:
-            self._views = params, self._flat_views(params)
-        return self._views[1]
+        if self._views is None or not (self._views[0] is params and self._views[1] is self._first):
+            self._views = params, self._first, self._flat_views(params)
+        return self._views[2]
 
     def _flat_views(self, params: Gaussians) -> list[tuple[np.ndarray, ...]]:
         """Of every parameter and its moments, made once for many steps."""
@@ -142,29 +118,6 @@ class Adam:
             views.append((_flat(parameter), _flat(first), _flat(second)))
         return views
 
-    def edit(self, keep: Tensor | None, bands: Tensor | None, append: Gaussians | None) -> None:
-        """Follow a change of the set, see `types.edited`; the moments of new ones are zero."""
-        self._views = None
-        new = None if append is None else append.map(_zeros_like)
-        self._first = edited(self._first, keep, bands, new)
-        self._second = edited(self._second, keep, bands, new)
-
-    def zero(self, name: str) -> None:
-        """Forget the moments of one tensor. Its step count stays (as 3DGS does at an opacity
-        reset), hence the bias correction is not repeated."""
-        getattr(self._first, name).zero_()
-        getattr(self._second, name).zero_()
-
-    def state(self) -> AdamState:
-        """What a checkpoint holds: the optimizer's own tensors, which its next step changes."""
-        return AdamState(self._first, self._second, tuple(self._steps.values()))
-
-    def load(self, state: AdamState) -> None:
-        """Continue from a copy of `state`; the next steps equal those of the optimizer it is of."""
-        self._views = None
-        self._first, self._second = state.first.clone(), state.second.clone()
-        self._steps = dict(zip(self._steps, state.steps, strict=True))
-
 
 def _coefficients(step: int, rate: float) -> tuple[float, float]:
     """Bias-corrected rate and the factor of sqrt(v) at update number `step` (from 1)."""
@@ -174,10 +127,6 @@ def _coefficients(step: int, rate: float) -> tuple[float, float]:
 def _flat(tensor: Tensor) -> np.ndarray:
     """A flat view of the same memory."""
     return tensor.detach().numpy().reshape(-1)
-
-
-def _zeros_like(tensor: Tensor) -> Tensor:
-    return torch.zeros(tensor.shape, dtype=torch.float32)
 
 
 def _check(name: str, given: Tensor, parameter: Tensor) -> None:

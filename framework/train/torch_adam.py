@@ -4,53 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from framework.rasterizers import Rasterizer, RenderGradient
 from framework.train.adam_kernels import BETA1, BETA2, EPS, LOWEST_LOGIT
-from framework.train.optim import Adam, AdamState
-from framework.types import Gaussians, edited
-
-
-class Optimizer(Protocol):
-    """What a training asks of Adam; `optim.Adam` tells what each of it does."""
-
-    def step(
-        self,
-        params: Gaussians,
-        grads: Gaussians | Mapping[str, Tensor | None],
-        rates: Mapping[str, float],
-        opacity_decay: float = 1.0,
-    ) -> tuple[str, ...]: ...
-
-    def step_from(
-        self, gradient: RenderGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
-    ) -> tuple[tuple[str, ...], Tensor]: ...
-
-    def edit(self, keep: Tensor | None, bands: Tensor | None, append: Gaussians | None) -> None: ...
-
-    def zero(self, name: str) -> None: ...
-
-    def state(self) -> AdamState: ...
-
-    def load(self, state: AdamState) -> None: ...
+from framework.train.optim import Adam
+from framework.train.optimizer import Optimizer
+from framework.types import Gaussians
 
 
 def optimizer_of(rasterizer: Rasterizer, params: Gaussians) -> Optimizer:
     """Adam for the gradients of this rasterizer, with its moments where `params` are."""
-    return Adam(params) if rasterizer.fused else TorchAdam(params)  # type: ignore[return-value]
+    return Adam(params) if rasterizer.fused else TorchAdam(params)
 
 
-class TorchAdam:
+class TorchAdam(Optimizer):
     """`optim.Adam` in torch."""
-
-    def __init__(self, gaussians: Gaussians) -> None:
-        self._first = gaussians.map(lambda t: torch.zeros_like(t, requires_grad=False))
-        self._second = gaussians.map(lambda t: torch.zeros_like(t, requires_grad=False))
-        self._steps = dict.fromkeys((name for name, _ in gaussians.items()), 0)
 
     @torch.no_grad()
     def step(
@@ -60,7 +31,7 @@ class TorchAdam:
         rates: Mapping[str, float],
         opacity_decay: float = 1.0,
     ) -> tuple[str, ...]:
-        """Update `params` in place, see `optim.Adam.step`."""
+        """See `Optimizer`."""
         given = {name: gradient for name, gradient in grads.items() if gradient is not None}
         if not given:
             return ()
@@ -93,32 +64,9 @@ class TorchAdam:
     def step_from(
         self, gradient: RenderGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
     ) -> tuple[tuple[str, ...], Tensor]:
-        """`step` of `gradient.gaussians`, in place, by its gradient; also that in the projected
-        means [N, 2]."""
+        """See `Optimizer`."""
         tensors, means2d = gradient.pull_back()
         return self.step(gradient.gaussians, tensors, rates, opacity_decay), means2d
-
-    def edit(self, keep: Tensor | None, bands: Tensor | None, append: Gaussians | None) -> None:
-        """Follow a change of the set, see `types.edited`; the moments of new ones are zero."""
-        new = None if append is None else append.map(torch.zeros_like)
-        self._first = edited(self._first, keep, bands, new)
-        self._second = edited(self._second, keep, bands, new)
-
-    def zero(self, name: str) -> None:
-        """Forget the moments of one tensor; its step count stays."""
-        getattr(self._first, name).zero_()
-        getattr(self._second, name).zero_()
-
-    def state(self) -> AdamState:
-        """What a checkpoint holds, on the CPU; where that is the device, the own tensors."""
-        return AdamState(self._first.to("cpu"), self._second.to("cpu"), tuple(self._steps.values()))
-
-    def load(self, state: AdamState) -> None:
-        """Continue from a copy of `state`."""
-        device = self._first.means.device
-        self._first = state.first.clone().to(device)
-        self._second = state.second.clone().to(device)
-        self._steps = dict(zip(self._steps, state.steps, strict=True))
 
 
 def _fade(logits: Tensor, decay: float) -> None:

@@ -24,7 +24,8 @@ from framework.registry import Plugged
 from framework.run import training
 from framework.run.warmup import _plane
 from framework.train.guard import Diverged, diverged
-from framework.train.optim import Adam, AdamState
+from framework.train.optim import Adam
+from framework.train.optimizer import AdamState
 from framework.train.resume.checkpoint import unpack
 from framework.train.trainer import Plugins, Trained, Trainer
 from framework.types import Camera, Gaussians, Scene, TrainingSet, View

@@ -34,7 +34,7 @@ from framework.files.tree import decode, encode
 from framework.files.whole import write_whole
 from framework.fisher import information as fisher
 from framework.records.run_files import HistoryRow
-from framework.train import optim
+from framework.train import optimizer
 from framework.train.resume.training_state import FieldState, PluginState, TrainerState
 from framework.warp import zbuffer as warp
 
@@ -47,7 +47,7 @@ COST_TIMES = 75  # so many times a checkpoint's cost pass until the next
 SLOW_DISK = 25e6  # bytes per second assumed before the first one was measured
 FRAMEWORK_CLASSES = (
     *(types.Camera, types.View, types.DepthMap, types.SparsePoints, types.Gaussians, types.Render),
-    *(warp.Support, fisher.FisherInformation, optim.AdamState),
+    *(warp.Support, fisher.FisherInformation, optimizer.AdamState),
     *(HistoryRow, PluginState, FieldState, TrainerState),
 )
 

@@ -21,7 +21,7 @@ from framework.shapes import (
     check_tensor,
     check_view,
 )
-from framework.train.optim import AdamState
+from framework.train.optimizer import AdamState
 from framework.train.resume.training_state import FieldState, PluginState, TrainerState
 from framework.types import TrainingSet
 

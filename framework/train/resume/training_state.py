@@ -15,7 +15,7 @@ from torch import Tensor
 from framework.records.run_files import HistoryRow
 from framework.registry import Plugged
 from framework.train.dose import Tallies
-from framework.train.optim import AdamState
+from framework.train.optimizer import AdamState
 from framework.types import Gaussians, View
 
 

@@ -1,0 +1,89 @@
+"""What every Adam of a training has, whatever computes its step: the moments, and how they follow
+a set of Gaussians that changes."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from framework.rasterizers import RenderGradient
+from framework.types import Gaussians, edited
+
+
+@dataclass(frozen=True)
+class AdamState:
+    """All that Adam remembers. first, second: the moments, shaped like the parameters, float32.
+    steps: finished updates of each tensor, in the order of `Gaussians.items()`."""
+
+    first: Gaussians
+    second: Gaussians
+    steps: tuple[int, ...]
+
+
+class Optimizer(ABC):
+    """Adam for a set of Gaussians whose number may change; its moments are where these are.
+
+    All tensors are float32 of shape like the `gaussians` given at construction.
+    """
+
+    def __init__(self, gaussians: Gaussians) -> None:
+        self._first, self._second = gaussians.map(_none_yet), gaussians.map(_none_yet)
+        self._steps = dict.fromkeys((name for name, _ in gaussians.items()), 0)
+
+    @abstractmethod
+    def step(
+        self,
+        params: Gaussians,
+        grads: Gaussians | Mapping[str, Tensor | None],
+        rates: Mapping[str, float],
+        opacity_decay: float = 1.0,
+    ) -> tuple[str, ...]:
+        """Update `params` in place, then multiply the activated opacities by `opacity_decay` in
+        (0, 1]; returns the names of tensors with a value or a second moment that is not finite now,
+        which a gradient that is not finite always causes.
+
+        grads: by tensor name, shaped like the parameters; a tensor without one (None or missing)
+        is left alone, its moments too, as in torch. rates: learning rate of every tensor with a
+        gradient, in the tensor's own units. Raises ValueError when shapes differ.
+        """
+
+    @abstractmethod
+    def step_from(
+        self, gradient: RenderGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
+    ) -> tuple[tuple[str, ...], Tensor]:
+        """`step` of `gradient.gaussians`, in place, by what `gradient.pull_back` returns: the same
+        bits. Uses `gradient` up. Returns what `step` does and, as `pull_back`, the gradient in the
+        projected means [N, 2]."""
+
+    def edit(self, keep: Tensor | None, bands: Tensor | None, append: Gaussians | None) -> None:
+        """Follow a change of the set, see `types.edited`; the moments of new ones are zero."""
+        new = None if append is None else append.map(_none_yet)
+        self._first = edited(self._first, keep, bands, new)
+        self._second = edited(self._second, keep, bands, new)
+
+    def zero(self, name: str) -> None:
+        """Forget the moments of one tensor. Its step count stays (as 3DGS does at an opacity
+        reset), hence the bias correction is not repeated."""
+        getattr(self._first, name).zero_()
+        getattr(self._second, name).zero_()
+
+    def state(self) -> AdamState:
+        """What a checkpoint holds, on the CPU; there, the optimizer's own tensors, which its next
+        step changes."""
+        return AdamState(self._first.to("cpu"), self._second.to("cpu"), tuple(self._steps.values()))
+
+    def load(self, state: AdamState) -> None:
+        """Continue from a copy of `state`; the next steps equal those of the optimizer it is of."""
+        device = self._first.means.device
+        self._first, self._second = (
+            moments.clone().to(device) for moments in (state.first, state.second)
+        )
+        self._steps = dict(zip(self._steps, state.steps, strict=True))
+
+
+def _none_yet(tensor: Tensor) -> Tensor:
+    return torch.zeros(tensor.shape, dtype=torch.float32, device=tensor.device)
