@@ -106,6 +106,14 @@ class StepContext:
         """Share of the training already done, in [0, 1)."""
         return self.step / self.n_steps
 
+    def steps_of(self, share: float) -> int:
+        """How many steps that share of the training is, at least one."""
+        return max(1, round(share * self.n_steps))
+
+    def due(self, share: float) -> bool:
+        """Whether this step is the last of a stretch of `steps_of(share)`."""
+        return (self.step + 1) % self.steps_of(share) == 0
+
 
 class Plugin:
     """Base of all plugins. `defaults` changes the framework keys' defaults for a method. `idle`:

@@ -109,7 +109,7 @@ class RoundsCapacity(PullCapacity):
 
     def _interval(self, ctx: StepContext) -> int:
         """Steps from one round to the next."""
-        return max(1, round(self.every * ctx.n_steps))
+        return ctx.steps_of(self.every)
 
 
 def training_information(ctx: StepContext) -> TrainingInformation:

@@ -60,7 +60,7 @@ def told(of: Tallies) -> Told:
 
     Of an augmenter: `views_asked`, the epochs that asked for a pseudo view; `views_made`, the
     views that these gave to train on; `refused_WHY`, epochs without one, by what the plugin logged
-    as the reason, and `refused_other`; `NAME_mean` of all else that it logged (of a warping one
+    last as the reason, and `refused_other`; `NAME_mean` of all else that it logged (of a warping one
     `coverage`, of the frame, `coverage_of_depth`, `supports`, `support_distance`, `nearest`, that
     the nearest photo is one of them, `support_rank`, their mean place by nearness);
     `pseudo_share_of_loss`, the pseudo views' weighted photometric losses over those of all views;

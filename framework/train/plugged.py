@@ -69,6 +69,7 @@ class PluginsAtWork:
         self._regs = _running("reg", plugins.reg)
         self._capacities = _running("capacity", plugins.capacity)
         self.logged: dict[str, float] = {}
+        self._refused = ""  # why the augmenter made no view in this epoch, by its last word
         self.gradients = tuple(
             {
                 name: None
@@ -86,12 +87,14 @@ class PluginsAtWork:
         context = self._context(self._augment, now)
         if context is None:
             return []
-        plugged = self._augment.plugged
+        plugged, self._refused = self._augment.plugged, ""
         with hooks.at_work("augment", plugged.plugin, "pseudo_views", now.step, now.gaussians):
             result = plugged.plugin.pseudo_views(context, self._augment.state)
         views, self._augment.state = hooks.pseudo_views(plugged.plugin, result)
         if not self._augment.idle:
             self._dose.add("augment.asked", bool(views))
+        if self._refused and not views:
+            self._dose.add(f"log.augment.{self._refused}", 1.0)
         for _ in views:
             self._dose.add("augment.views")
         return [
@@ -369,6 +372,9 @@ class PluginsAtWork:
         without the plugin's own name."""
         self.logged[name] = value
         short = name.removeprefix(f"{_name(running.plugged.plugin)}_")
+        if running is self._augment and short.startswith(REFUSED):
+            self._refused = short  # an epoch counts once, whatever was tried in it
+            return
         self._dose.add(f"log.{running.owner}.{short}", value)
 
 

@@ -32,8 +32,7 @@ class CoPrune(Capacity):
         self.check("every", 0 < self.every <= 1, "a share in (0, 1]")
 
     def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
-        every = max(1, round(self.every * ctx.n_steps))
-        if ctx.other is None or (ctx.step + 1) % every != 0:
+        if ctx.other is None or not ctx.due(self.every):
             return None, state
         far = nearest_distance(ctx.gaussians.means, ctx.other.means)
         keep = far <= self.distance * ctx.extent

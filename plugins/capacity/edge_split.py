@@ -47,8 +47,7 @@ class EdgeSplit(Capacity):
 
         from framework.compute.tensors import exp
 
-        every = max(1, round(self.every * ctx.n_steps))
-        if (ctx.step + 1) % every != 0 or stats.view is None:
+        if not ctx.due(self.every) or stats.view is None:
             return None, state
         score = edge_scores(ctx, stats.view)
         large = exp(ctx.gaussians.log_scales.max(1).values) > self.large * ctx.extent

@@ -47,8 +47,7 @@ class ProximityUnpool(Capacity):
     def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
         from framework.compute.tensors import exp, root
 
-        every = max(1, round(self.every * ctx.n_steps))
-        if (ctx.step + 1) % every != 0 or len(ctx.gaussians) <= NEIGHBOURS:
+        if not ctx.due(self.every) or len(ctx.gaussians) <= NEIGHBOURS:
             return None, state
         gaussians = ctx.gaussians
         distances, rows = nearest_others(gaussians.means, NEIGHBOURS)

@@ -84,8 +84,7 @@ class SelfEnsemble(Capacity):
     ) -> tuple[Edits | None, Any]:
         import torch
 
-        every = max(1, round(self.every * ctx.n_steps))
-        if not ctx.second or ctx.other is None or (ctx.step + 1) % every != 0:
+        if not ctx.second or ctx.other is None or not ctx.due(self.every):
             return None, state
         looks = []
         for camera, before in zip(

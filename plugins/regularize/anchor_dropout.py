@@ -63,8 +63,12 @@ class AnchorDropout(Regularizer):
     def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
         import torch
 
-        n, due = len(ctx.gaussians), max(1, round(self.refresh * ctx.n_steps))
-        if state is None or state[2] != ctx.version or ctx.step - state[1] >= due:
+        n = len(ctx.gaussians)
+        if (
+            state is None
+            or state[2] != ctx.version
+            or ctx.step - state[1] >= ctx.steps_of(self.refresh)
+        ):
             rows = nearest_others(ctx.gaussians.means, self.neighbours)[1]
             state = rows.contiguous(), ctx.step, ctx.version
         anchors = ctx.rng("anchors").random(n) < self.p * ctx.progress

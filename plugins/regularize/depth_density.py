@@ -60,8 +60,8 @@ class DepthDensity(Regularizer):
     def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
         import torch
 
-        due = max(1, round(self.refresh * ctx.n_steps))
-        if state is None or state[2] != ctx.version or ctx.step - state[1] >= due:
+        old = state is None or state[2] != ctx.version
+        if old or ctx.step - state[1] >= ctx.steps_of(self.refresh):
             state = scores(ctx), ctx.step, ctx.version
         rate = self.first + (self.last - self.first) * ctx.progress
         odds = (rate * state[0] / state[0].mean().clamp(min=1e-12)).clamp(max=1)

@@ -32,11 +32,13 @@ STEPS, K = 12, 3  # four epochs
 
 @dataclass(frozen=True)
 class Darker(Augmenter):
-    """One pseudo view in every epoch that `every` divides; says why where there is none."""
+    """One pseudo view in every epoch that `every` divides; says of each of its tries why it made
+    none."""
 
     every: int = 1
 
     def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[View], Any]:
+        ctx.log("Darker_refused_mood", 1.0)  # the first try
         if ctx.epoch % self.every:
             ctx.log("Darker_refused_mood", 1.0)
             return [], state
