@@ -54,6 +54,10 @@ __all__ = [
 ]
 
 
+def _made(key: str, make: Callable[[], Any]) -> Any:
+    return make()
+
+
 @dataclass(frozen=True)
 class StepContext:
     """What a plugin may know: read-only, and of the scene only what training may know.
@@ -72,8 +76,10 @@ class StepContext:
     `ctx.gaussians.replace(means=ctx.gaussians.means.detach())`.
     fisher(camera): their information; fisher(camera, gaussians, sh_degree): that of others, for
     instance a snapshot; fisher(camera, mask=view.mask): that of the pixels which a photo has.
-    rng(purpose): this plugin's own stream for this update. log(name, value): into the history, and
-    its mean over the training into the run's dose. behind: [3], the background of this step's
+    once(key, make): what `make()` gave when it was first asked for under this key, for what stays
+    the same over a training; not to be written into, and in no checkpoint. rng(purpose): this
+    plugin's own stream for this update. log(name, value): into the history, and its mean over the
+    training into the run's dose. behind: [3], the background of this step's
     renders, another in every step with `trainer.background=random`. other: the second field of a
     training that has one (`Plugin.second_field`), as it was before this step, detached; second:
     whether the plugin's own Gaussians are that one, of which nothing is kept.
@@ -100,6 +106,7 @@ class StepContext:
     behind: Tensor | None = None
     other: Gaussians | None = None
     second: bool = False
+    once: Callable[[str, Callable[[], Any]], Any] = _made
 
     @property
     def progress(self) -> float:

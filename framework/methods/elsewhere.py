@@ -5,6 +5,7 @@ loss between two renders. Light to import.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
     from torch import Tensor
 
-    from framework.types import Camera, View
+    from framework.types import Camera, DepthMap, View
 
 SEEN = 1e-6  # alpha from which a pixel shows something
 
@@ -23,16 +24,22 @@ def known_depth(ctx: StepContext, view: View) -> tuple[Tensor, Tensor] | None:
     """(depth [h, w], valid [h, w] bool) of a training view, as large as it is trained on: the mean
     over a coarse pixel where all it covers is known and within the photo's mask. None for a pseudo
     view."""
+    size = view.camera.height, view.camera.width
     for photo, found in zip(ctx.views, ctx.depth, strict=True):
         if photo.name == view.name:
-            known = (found.depth > 0) & (found.confidence > 0)
-            if photo.mask is not None:  # a depth from elsewhere may know what lies behind it
-                known &= photo.mask > 0.5
-            size = view.camera.height, view.camera.width
-            factor = photo.camera.height // size[0]
-            depth, share = (_boxes(t.float(), factor, size) for t in (found.depth, known))
-            return depth, share > 0.999
+            made = functools.partial(_known, photo, found, size)
+            known: tuple[Tensor, Tensor] = ctx.once(f"known_depth/{view.name}/{size}", made)
+            return known
     return None
+
+
+def _known(photo: View, found: DepthMap, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
+    known = (found.depth > 0) & (found.confidence > 0)
+    if photo.mask is not None:  # a depth from elsewhere may know what lies behind it
+        known &= photo.mask > 0.5
+    factor = photo.camera.height // size[0]
+    depth, share = (_boxes(t.float(), factor, size) for t in (found.depth, known))
+    return depth, share > 0.999
 
 
 def _boxes(values: Tensor, factor: int, size: tuple[int, int]) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -40,6 +41,7 @@ class Conditions:
     seed: int
     rasterizer: Rasterizer = NUMBA
     field: str = ""
+    made: dict[str, Any] = dataclasses.field(default_factory=dict, repr=False)
 
     @cached_property  # goes with the square of the number of views
     def spacing(self) -> float:
@@ -47,15 +49,20 @@ class Conditions:
         cameras = [view.camera for view in self.training.views]
         return mean_neighbour_distance(cameras) or self.training.extent
 
-    @cached_property  # as large as the photos, so made for who asks, and in no checkpoint
-    def _supports(self) -> tuple[Support, ...]:
+    def supports(self) -> tuple[Support, ...]:
+        """The training views, ready to be warped: as large as the photos, so made for who asks."""
         from framework.warp.zbuffer import prepare
 
-        return prepare(self.training.views, self.depth)
+        found: tuple[Support, ...] = self.once(
+            "supports", lambda: prepare(self.training.views, self.depth)
+        )
+        return found
 
-    def supports(self) -> tuple[Support, ...]:
-        """The training views, ready to be warped."""
-        return self._supports
+    def once(self, key: str, make: Callable[[], Any]) -> Any:
+        """See `StepContext`; a second field has what the first made."""
+        if key not in self.made:
+            self.made[key] = make()
+        return self.made[key]
 
 
 @dataclass(frozen=True)
@@ -163,4 +170,5 @@ def step_context(
         behind=of.background if now.behind is None else now.behind,
         other=None if now.other is None else on_cpu(now.other),
         second=bool(of.field),
+        once=of.once,
     )

@@ -60,9 +60,9 @@ def told(of: Tallies) -> Told:
 
     Of an augmenter: `views_asked`, the epochs that asked for a pseudo view; `views_made`, the
     views that these gave to train on; `refused_WHY`, epochs without one, by what the plugin logged
-    last as the reason, and `refused_other`; `NAME_mean` of all else that it logged (of a warping one
-    `coverage`, of the frame, `coverage_of_depth`, `supports`, `support_distance`, `nearest`, that
-    the nearest photo is one of them, `support_rank`, their mean place by nearness);
+    last as the reason, and `refused_other`; `NAME_mean` of all else that it logged (of a warping
+    one `coverage`, of the frame, `coverage_of_depth`, `supports`, `support_distance`, `nearest`,
+    that the nearest photo is one of them, `support_rank`, their mean place by nearness);
     `pseudo_share_of_loss`, the pseudo views' weighted photometric losses over those of all views;
     `pseudo_share_of_views`, the same of the number of renders. Of a regularizer: `NAME_mean` of
     what it logged; of one that drops, `share_dropped_mean`, the share of Gaussians with a smaller

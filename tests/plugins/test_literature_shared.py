@@ -20,6 +20,9 @@ from framework.methods.elsewhere import (
     unseen_camera,
 )
 from framework.methods.neighbours import nearest_distance, nearest_others
+from framework.options import TrainerOptions
+from framework.run.warmup import _plane
+from framework.train.context import Conditions, Moment, step_context
 from tests.plugins.at_work import true_depth
 from tests.plugins.fakes import context, stage
 
@@ -37,6 +40,19 @@ def test_known_depth_is_that_of_the_view_at_its_size() -> None:
     assert not (known_depth(replace(ctx, depth=(gone, *ctx.depth[1:])), view) or (0, depth))[
         1
     ].any()
+
+
+def test_what_stays_the_same_is_made_once_for_both_fields() -> None:
+    training, depth, gaussians = _plane(0)
+    options, black = TrainerOptions(steps=10), torch.zeros(3)
+    conditions = Conditions(training, depth, options, black, 0.01, 0)
+    found = []
+    for of in (conditions, replace(conditions, field="second/")):
+        ctx = step_context(of, Moment(0, 0, 0, gaussians, 0), "reg", lambda name, value: None)
+        found.append((known_depth(ctx, training.views[0]), ctx.supports()))
+    (known, supports), (again, theirs) = found
+    assert known is again and supports is theirs
+    assert known_depth(ctx, training.views[1]) is not known
 
 
 def test_an_unseen_camera_is_between_two_neighbours() -> None:
