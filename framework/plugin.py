@@ -77,8 +77,9 @@ class StepContext:
     fisher(camera): their information; fisher(camera, gaussians, sh_degree): that of others, for
     instance a snapshot; fisher(camera, mask=view.mask): that of the pixels which a photo has.
     once(key, make): what `make()` gave when it was first asked for under this key, for what stays
-    the same over a training; not to be written into, and in no checkpoint. rng(purpose): this
-    plugin's own stream for this update. log(name, value): into the history, and its mean over the
+    the same over a training; not to be written into, and in no checkpoint. All plugins share the
+    keys: begin yours with the plugin's name. rng(purpose): this plugin's own stream for this
+    update. log(name, value): into the history, and its mean over the
     training into the run's dose. behind: [3], the background of this step's
     renders, another in every step with `trainer.background=random`. other: the second field of a
     training that has one (`Plugin.second_field`), as it was before this step, detached; second:

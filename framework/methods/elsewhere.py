@@ -24,11 +24,15 @@ def known_depth(ctx: StepContext, view: View) -> tuple[Tensor, Tensor] | None:
     """(depth [h, w], valid [h, w] bool) of a training view, as large as it is trained on: the mean
     over a coarse pixel where all it covers is known and within the photo's mask. None for a pseudo
     view."""
+    if view.pseudo:
+        return None
     size = view.camera.height, view.camera.width
     for photo, found in zip(ctx.views, ctx.depth, strict=True):
         if photo.name == view.name:
             made = functools.partial(_known, photo, found, size)
-            known: tuple[Tensor, Tensor] = ctx.once(f"known_depth/{view.name}/{size}", made)
+            known: tuple[Tensor, Tensor] = ctx.once(
+                f"framework/known_depth/{view.name}/{size}", made
+            )
             return known
     return None
 

@@ -78,8 +78,7 @@ class RoundsCapacity(PullCapacity):
         raise NotImplementedError
 
     def update(self, ctx: StepContext, state: Pull, stats: StepStats) -> tuple[Edits | None, Pull]:
-        splits = self.rounds_left(ctx) > 0  # for which alone the pull is measured
-        pull = self.measured(state, stats) if splits else state
+        pull = self.measured(state, stats) if self.splits_again(ctx) else state
         if (ctx.step + 1) % self._interval(ctx) != 0:
             return None, pull
         chosen = self.selected(ctx, training_information(ctx))
@@ -92,12 +91,16 @@ class RoundsCapacity(PullCapacity):
             ctx.log(name, count)
         return edits, self.unmeasured(int(keep.sum()) + n_split)
 
+    def splits_again(self, ctx: StepContext) -> bool:
+        """Whether a round that is to come may split, for which alone the pull is measured."""
+        return self.rounds_left(ctx) > 0
+
     def growing(self, ctx: StepContext) -> bool:
         """Whether another round follows before `until`, to judge what is split now."""
         return self.rounds_left(ctx) > 1
 
     def rounds_left(self, ctx: StepContext) -> int:
-        """The number of rounds up to `until` from this step on, which may be one; 0 after them."""
+        """The number of rounds up to `until`, one that is due after this step included; 0 then."""
         interval = self._interval(ctx)
         last = math.floor(self.until * ctx.n_steps) // interval
         return max(0, last - math.ceil((ctx.step + 1) / interval) + 1)

@@ -19,8 +19,8 @@ DEFINITIONS = (
     "PSNR, SSIM and FLIP: mean over the test views, then over seeds, from the saved 8-bit renders;"
     " ± is half the width of the 95 % interval of the mean over seeds (t). σ_PSNR: standard"
     " deviation (n − 1) over seeds of the mean PSNR over the test views{pooled}, in brackets its"
-    " 95 % interval (χ², normal errors). With (n = …) a mean is of"
-    " so many seeds, as others lack it. "
+    " 95 % interval (χ², normal errors). A mean with (n = …) behind"
+    " it is of so many seeds: the others were not measured. "
 )
 TIMES = (
     "Train: wall seconds of the training alone, mean over runs; CPU: of all its threads, which"

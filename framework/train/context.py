@@ -54,7 +54,7 @@ class Conditions:
         from framework.warp.zbuffer import prepare
 
         found: tuple[Support, ...] = self.once(
-            "supports", lambda: prepare(self.training.views, self.depth)
+            "framework/supports", lambda: prepare(self.training.views, self.depth)
         )
         return found
 

@@ -63,7 +63,7 @@ class Items:
         smoothness: DepthSmoothness | None = None,
     ) -> None:
         self._covered, self._rasterizer, self._smoothness = covered, rasterizer, smoothness
-        self._kept: dict[tuple[bool, str], tuple[tuple[float, ...], View, Item]] = {}
+        self._kept: dict[tuple[bool, str], tuple[tuple[object, ...], View, Item]] = {}
 
     def begin(self, pseudo: Sequence[View]) -> None:
         """An epoch with these pseudo views: others are forgotten."""
@@ -72,11 +72,11 @@ class Items:
 
     def get(self, view: View, factor: int) -> Item:
         """`view` box-downsampled by `factor`."""
-        key = view.pseudo, view.name
+        key, marks = (view.pseudo, view.name), (factor, *_marks(view))
         kept = self._kept.get(key)
-        if kept is None or kept[0] != (factor, *_marks(view)):
+        if kept is None or kept[0] != marks:
             # the view stays with them, as another could get the identity of one that went
-            kept = self._kept[key] = (factor, *_marks(view)), view, self._made(view, factor)
+            kept = self._kept[key] = marks, view, self._made(view, factor)
         return kept[2]
 
     def _made(self, view: View, factor: int) -> Item:
@@ -91,11 +91,12 @@ class Items:
         return Item(view, target, smoothing)
 
 
-def _marks(view: View) -> tuple[float, ...]:
-    """What tells whether a view is as it was; plugins weight and tag theirs anew in every epoch."""
-    tensors = (view.image, *(() if view.mask is None else (view.mask,)))
-    written = (value for t in tensors for value in (id(t), t._version))
-    return view.weight, id(view.camera), *written
+def _marks(view: View) -> tuple[object, ...]:
+    """What tells whether a view is as it was."""
+    tensors = [tensor for tensor in (view.image, view.mask, view.depth) if tensor is not None]
+    # of one that torch does not count the writes into, nobody knows: never the same
+    written = [object() if t.is_inference() else (id(t), t._version) for t in tensors]
+    return len(tensors), id(view.camera), view.weight, view.tags, view.lens, *written
 
 
 def _smaller_view(view: View, factor: int) -> View:

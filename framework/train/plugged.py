@@ -33,6 +33,7 @@ from framework.train.resume.training_state import Plugins, PluginState
 from framework.types import PSEUDO, Gaussians, Render, View
 
 LOG = logging.getLogger(__name__)
+HOOKS = ("opacity_factors", "loss", "gradient", "substeps", "evaluated")
 HALF = 0.5  # a method that acts on a smaller share of its occasions is told
 
 
@@ -52,6 +53,12 @@ class _Running:
     def idle(self) -> bool:
         """Whether it does nothing by design; a class of tests may have no word on it."""
         return bool(getattr(self.plugged.plugin, "idle", False))
+
+    @property
+    def asked(self) -> bool:
+        """Whether it is asked about updates: all but what does nothing by design and has no hook,
+        as `reg=none`."""
+        return not self.idle or any(map(self.has, HOOKS))
 
     def has(self, hook: str) -> bool:
         """Whether its class has this hook of a `Regularizer`, and not just the base class' own."""
@@ -122,7 +129,7 @@ class PluginsAtWork:
         factors: Tensor | None = None
         asked: list[tuple[_Running, StepContext]] = []
         for running in self._regs:
-            context = None if running.idle else self._context(running, now)
+            context = self._context(running, now) if running.asked else None
             if context is None:
                 continue
             asked.append((running, context))
@@ -286,7 +293,8 @@ class PluginsAtWork:
     def _factors(self, running: _Running, context: StepContext, n: int) -> Tensor | None:
         """What one regularizer multiplies opacities by, [N] or None."""
         plugin: Any = running.plugged.plugin
-        self._dose.add(f"{running.owner}.asked")
+        if not running.idle:
+            self._dose.add(f"{running.owner}.asked")
         if not running.has("opacity_factors"):
             return None
         with hooks.at_work("reg", plugin, "opacity_factors", context.step, context.gaussians):

@@ -85,6 +85,9 @@ class Evidence(RoundsCapacity):
         self.check("criterion", self.criterion in CRITERIA, f"one of {', '.join(CRITERIA)}")
         self.check("pace", 0 < self.pace <= 1, "a share in (0, 1]")
 
+    def splits_again(self, ctx: StepContext) -> bool:
+        return self.growing(ctx)  # the last round only drops
+
     def selected(self, ctx: StepContext, known: TrainingInformation) -> Selection:
         import torch
 

@@ -36,8 +36,11 @@ class Darker(Augmenter):
     none."""
 
     every: int = 1
+    silent: int = -1  # epoch without a view and without a word
 
     def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[View], Any]:
+        if ctx.epoch == self.silent:
+            return [], state
         ctx.log("Darker_refused_mood", 1.0)  # the first try
         if ctx.epoch % self.every:
             ctx.log("Darker_refused_mood", 1.0)
@@ -219,6 +222,8 @@ def test_the_dose_of_a_training() -> None:
     found = told(trained.dose)
     assert (found["views_asked"], found["views_made"]) == (4, 2)
     assert (found["refused_mood"], found["refused_coverage"], found["refused_other"]) == (2, 0, 0)
+    quiet, _ = train(plugins(augment=Plugged(Darker(every=2, silent=3), 1.0, 0.0, 1.0)))
+    assert [told(quiet.dose)[f"refused_{why}"] for why in ("mood", "other")] == [1, 1]
     assert found["light_mean"] == 1.5 and found["pseudo_share_of_loss"] == 0
     assert found["reg_acted_share"] == 1.0 and found["acted_share"] == 0.5
     assert found["share_dropped_mean"] == pytest.approx(0.25)  # half of them in half of the steps

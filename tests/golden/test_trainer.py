@@ -289,12 +289,16 @@ def test_a_view_is_made_ready_once_while_it_is_the_same() -> None:
     items, pseudo = Items(), View("pseudo-1", camera, image, torch.ones(16, 16), tags=(PSEUDO,))
     first = items.get(pseudo, 2)
     items.begin([pseudo])
-    assert items.get(replace(pseudo, tags=("own", PSEUDO)), 2) is first
+    assert items.get(replace(pseudo, tags=(PSEUDO,)), 2) is first
+    assert items.get(replace(pseudo, tags=("own", PSEUDO)), 2).view.tags == ("own", PSEUDO)
     assert items.get(pseudo, 1) is not first
     heavier = items.get(replace(pseudo, weight=2.0), 2)
     assert heavier is not first and heavier.view.weight == 2
     image.mul_(0.5)  # its plugin may change what is its own
     torch.testing.assert_close(items.get(pseudo, 2).view.image, torch.full((3, 8, 8), 0.3))
+    with torch.inference_mode():  # as a network makes them: nobody counts the writes into these
+        made = View("pseudo-1", camera, 0.5 * image, torch.ones(16, 16), tags=(PSEUDO,))
+    assert items.get(made, 2) is not items.get(made, 2)
     items.begin([replace(pseudo, name="pseudo-3")])
     assert not items._kept
 

@@ -34,7 +34,7 @@ def test_pearson_knows_neither_scale_nor_offset() -> None:
     assert float(plugin.loss(ctx, None, view, shown(other, 0.5))) == pytest.approx(
         expected, abs=1e-5
     )  # type: ignore[arg-type]
-    assert plugin.loss(ctx, None, replace(view, name="new", tags=(PSEUDO,)), shown(depth)) is None
+    assert plugin.loss(ctx, None, replace(view, tags=(PSEUDO,)), shown(depth)) is None
     assert plugin.loss(ctx, None, view, shown(depth, 0.0)) is None
     inverse = DepthPearson(inverse=True).loss(ctx, None, view, shown(other))
     expected = 1 - np.corrcoef(1 / other.reshape(-1), 1 / depth.reshape(-1))[0, 1]
@@ -54,7 +54,7 @@ def test_the_farthest_pixels_count_once_more() -> None:
     error = np.abs(rendered.double().numpy() - view.image.double().numpy())[:, chosen]
     assert found is not None and float(found) == pytest.approx(error.mean(), rel=1e-5)
     assert 0.1 <= chosen[:, :60].mean() < 0.2
-    pseudo = replace(view, name="new", tags=(PSEUDO,))
+    pseudo = replace(view, tags=(PSEUDO,))
     assert FarFidelity().loss(ctx, None, pseudo, shown(depth)) is None
 
 
@@ -69,7 +69,7 @@ def test_rank_asks_for_the_order_alone() -> None:
     a, b = (depth.reshape(-1).double()[torch.from_numpy(d)] for d in drawn)
     expected = ((a - b).abs() / ctx.near).sum() / (a != b).sum()
     assert float(wrong) == pytest.approx(float(expected), rel=1e-4)
-    assert plugin.loss(ctx, None, replace(view, name="new", tags=(PSEUDO,)), shown(depth)) is None
+    assert plugin.loss(ctx, None, replace(view, tags=(PSEUDO,)), shown(depth)) is None
 
 
 def test_continuity_counts_steps_where_none_should_be() -> None:

@@ -163,6 +163,26 @@ def test_a_part_that_hardly_acted_is_told_by_its_name(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("shares", "expected"),
+    [
+        (({"{a}": 0.1, "b": 0.9},), "safi + none ({a}: 10 % on embedded)"),  # as somebody named it
+        (({"a": 0.4, "b": 0.9}, {"a": 0.7, "b": 0.45}), "safi + none (43 % on embedded in 2 of 2"),
+    ],
+)
+def test_who_hardly_acted_is_never_left_out(
+    tmp_path: Path, shares: tuple[dict[str, float], ...], expected: str
+) -> None:
+    """Also where each part acted enough over the runs, and in none of them both."""
+    for seed, parts in enumerate(shares):
+        path = fake_run(tmp_path, "safi", seed=seed) / "record.json"
+        content = json.loads(path.read_text())
+        told = {f"{part}_acted_share": share for part, share in parts.items()}
+        dose = {"acted_share": min(parts.values()), **told}
+        path.write_text(json.dumps(content | {"dose": dose}))
+    assert expected in idle_sentence(collect(tmp_path))
+
+
 def test_a_single_run_has_no_worst_seed(tmp_path: Path) -> None:
     """Nor is there a rate of failures of one."""
     fake_run(tmp_path)

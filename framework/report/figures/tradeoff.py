@@ -2,8 +2,8 @@
 
 A configuration is a method with its budget. It lies on the Pareto front of a scene if no other has
 at least its mean PSNR at no more of the cost. It is *worth its cost* if it is the cheapest of the
-front, or really better than the last cheaper one that is: the paired t test, corrected for the
-length of the front. Seconds are those of the training alone.
+front, or really better than the last cheaper one that is: the paired t test, corrected for all
+others there. Seconds are those of the training alone.
 """
 
 from __future__ import annotations

@@ -63,43 +63,43 @@ def idle_sentence(study: Study) -> str:
     return " ".join(text for text, named in found if named)
 
 
-def _listed(study: Study, told: Callable[[Sequence[ReportRun]], str]) -> str:
+def _listed(study: Study, told: Callable[[Sequence[ReportRun], str], str]) -> str:
     """`safi + none (12 % on SCENE)`: the methods of which there is something to tell."""
     found = []
     for method in study.methods:
-        own = [(scene, told(study.of(scene, method))) for scene in study.scenes]
-        named = [text.format(scene=scene) for scene, text in own if text]
+        own = [told(study.of(scene, method), scene) for scene in study.scenes]
+        named = [text for text in own if text]
         if named:
             found.append(f"{method} ({', '.join(named)})")
     return "; ".join(found)
 
 
-def _hardly(runs: Sequence[ReportRun]) -> str:
-    """`12 % on {scene}`: the mean share, where that of every part is little."""
+def _hardly(runs: Sequence[ReportRun], scene: str) -> str:
+    """`12 % on SCENE`: the mean share, where that of every part is little."""
     share, parts = _share(runs, ACTED), _part_shares(runs)
     little = share is not None and share < ENOUGH
     if not little or any(own >= ENOUGH for own in parts.values()):
         return ""
-    return f"{_percent(share or 0.0)} on {{scene}}"
+    return f"{_percent(share or 0.0)} on {scene}"
 
 
-def _parts(runs: Sequence[ReportRun]) -> str:
-    """`occlusion: 0 % on {scene}`: of the parts those that hardly acted, where others did."""
+def _parts(runs: Sequence[ReportRun], scene: str) -> str:
+    """`occlusion: 0 % on SCENE`: of the parts those that hardly acted, where others did."""
     parts = _part_shares(runs)
     idle = {part: own for part, own in parts.items() if own < ENOUGH}
     if len(idle) == len(parts):
         return ""
-    return ", ".join(f"{part}: {_percent(own)} on {{scene}}" for part, own in idle.items())
+    return ", ".join(f"{part}: {_percent(own)} on {scene}" for part, own in idle.items())
 
 
-def _partly(runs: Sequence[ReportRun]) -> str:
-    """`12 % on {scene} in 1 of 3 runs`, where the others make it more than little."""
+def _partly(runs: Sequence[ReportRun], scene: str) -> str:
+    """`12 % on SCENE in 1 of 3 runs`, where neither the mean nor that of a part is little."""
     shares = _shares(runs, ACTED)
     few = [share for share in shares if share < ENOUGH]
-    if not few or float(np.mean(shares)) < ENOUGH:
+    if not few or _hardly(runs, scene) or _parts(runs, scene):
         return ""
     mean = _percent(float(np.mean(few)))
-    return f"{mean} on {{scene}} in {len(few)} of {len(shares)} runs"
+    return f"{mean} on {scene} in {len(few)} of {len(shares)} runs"
 
 
 def _part_shares(runs: Sequence[ReportRun]) -> dict[str, float]:
@@ -125,7 +125,7 @@ def _shares(runs: Sequence[ReportRun], key: str) -> list[float]:
 def _percent(share: float) -> str:
     """What is less than half is not told as half."""
     rounded = f"{100 * share:.0f}"
-    return f"{100 * share:.1f} %" if rounded == "50" else f"{rounded} %"
+    return f"{min(100 * share, 49.9):.1f} %" if rounded == "50" else f"{rounded} %"
 
 
 def _cells(runs: Sequence[ReportRun]) -> dict[str, str]:

@@ -162,7 +162,8 @@ def not_told_apart(study: Study, found: Outcomes, tested: Sequence[Comparison]) 
 
 
 def _against(study: Study, found: Outcomes, best: str) -> list[Comparison]:
-    """Every other method against the best one, corrected for all of them."""
+    """The other methods against the best one, corrected for all of them, but its own baseline where
+    the verdict tells that difference."""
     values = {method: by_pair(study.of(method=method)) for method in (*found.psnr, best)}
     others = [compare(m, values[m], best, values[best]) for m in found.psnr if m != best]
     known = [c for c in others if c is not None and c.joint is not None]
