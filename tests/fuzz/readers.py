@@ -22,7 +22,7 @@ from framework.depth.from_file import DepthFile
 from framework.depth.read import load_map
 from framework.errors import UserError, mendable
 from framework.exports import export, render, video
-from framework.exports.flight import KINDS, flight, lens_of
+from framework.exports.flight import flight, lens_of
 from framework.exports.formats import packed
 from framework.exports.given import read_given
 from framework.exports.opened import open_run
@@ -160,7 +160,7 @@ def _viewed(folder: Path) -> None:
 def _exported(folder: Path) -> None:
     run = open_run(folder / "runs" / "run")
     lens = lens_of([given.camera for given in run.cameras], 64)
-    for kind in KINDS:
+    for kind in ("spline", "spiral", "orbit"):
         flight(run, kind, 3, lens)
     for kind in ("ply", "splat", "spz"):
         packed(run.gaussians, run.background, kind)
