@@ -18,7 +18,6 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from framework.exports.opened import open_run
-from framework.rasterizers import NUMBA
 from framework.records.record import RECORD, read_record
 from framework.scenes import load_scene
 from framework.train.epoch import Items
@@ -34,10 +33,10 @@ def main() -> None:
         run, config = open_run(folder), read_record(folder / RECORD).config
         options = {key: value for key, value in config["scene"].items() if key != "name"}
         scene = load_scene(config["scene"]["name"], options)
-        n = len(run.gaussians)
+        n, items = len(run.gaussians), Items()
         print(f"{folder.name}: {n} Gaussians, SH of degree {run.gaussians.sh_degree}")
         for view in scene.training.views:
-            item = Items(rasterizer=NUMBA).get(view, 1)
+            item = items.get(view, 1)
             how = (run.gaussians, item, view.name, config["trainer"]["ssim_weight"])
             found = screen_gradient(*how, background=run.background, near=run.near)[1]
             seen = float((found.radii > 0).float().mean())

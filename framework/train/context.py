@@ -31,7 +31,7 @@ NAMES = tuple(field.name for field in fields(Gaussians))
 class Conditions:
     """What stays the same over a training. background: [3]. near: nothing nearer is drawn, in scene
     units. seed: of every draw. rasterizer: who draws. field: in whose name plugins draw: the
-    first's is empty."""
+    first's is empty. made: what was asked for `once`, by its key."""
 
     training: TrainingSet
     depth: tuple[DepthMap, ...]

@@ -72,7 +72,8 @@ class Items:
 
     def get(self, view: View, factor: int) -> Item:
         """`view` box-downsampled by `factor`."""
-        key, marks = (view.pseudo, view.name), (factor, *_marks(view))
+        key = view.pseudo, view.name
+        marks = (factor, *_marks(view)) if view.pseudo else (factor,)  # photos stay as they are
         kept = self._kept.get(key)
         if kept is None or kept[0] != marks:
             # the view stays with them, as another could get the identity of one that went
@@ -92,7 +93,7 @@ class Items:
 
 
 def _marks(view: View) -> tuple[object, ...]:
-    """What tells whether a view is as it was."""
+    """What tells whether a pseudo view is as it was."""
     tensors = [tensor for tensor in (view.image, view.mask, view.depth) if tensor is not None]
     # of one that torch does not count the writes into, nobody knows: never the same
     written = [object() if t.is_inference() else (id(t), t._version) for t in tensors]

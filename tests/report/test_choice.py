@@ -170,6 +170,20 @@ def test_a_scene_with_one_seed_does_not_take_the_others_away(tmp_path: Path) -> 
     text = first_lines(table(tmp_path / "t", rows), tmp_path / "out")
     assert re.search(r"\*\*Use safi \+ none: it gains 1.* on 3 of these 4 scenes\.\*\*", text)
     assert "Compared where two seeds or more are common: safi + none on a, b and c." in text
+    more = [row(s, "dba + none", k, 20.5) for s in "abc" for k in range(4)]
+    more.append(row("d", "dba + none", 0, 20.5))
+    text = first_lines(table(tmp_path / "more", [*rows, *more]), tmp_path / "out2")
+    assert "Compared where two seeds or more are common: all on a, b and c." in text
+
+
+def test_intervals_say_how_many_comparisons_they_hold_for(tmp_path: Path) -> None:
+    """One that only several scenes can test counts too."""
+    rows = [
+        row(s, m, k, 20.0) for s in "abc" for k in range(3) for m in ("none + none", "dba + none")
+    ]
+    rows += [row(s, "safi + none", 0, 20.0 + len(s)) for s in "abc"]
+    text = build_report(table(tmp_path / "t", rows), out_dir=tmp_path / "out").read_text("utf-8")
+    assert "widened to hold for all 2 comparisons at once" in text
 
 
 def test_single_seeds_on_many_scenes_are_corrected_for_all_methods(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ apart, what to expect on other scenes, at what cost, how big, and where it fails
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
 from framework.report.statistics.compare import Comparison
@@ -12,7 +13,7 @@ from framework.report.statistics.estimates import SIGNIFICANCE
 from framework.report.statistics.numbers import average, mean_text, p_text
 from framework.report.statistics.outcomes import Outcomes
 from framework.report.statistics.robustness import failure_rate, worst_case
-from framework.report.study.labels import outside
+from framework.report.study.labels import listed, outside
 from framework.report.study.roles import CHOSE, role
 from framework.report.study.runs import ReportRun, Study
 from framework.report.verdict.lead import (
@@ -59,8 +60,15 @@ def points(study: Study, found: Outcomes, beside: str = "") -> list[str]:
 
 def _fewer(study: Study, tested: Sequence[Comparison]) -> str:
     """Who is compared on some of the scenes only, as the others have too few seeds in common."""
-    some = [c for c in tested if len(c.scenes) < len(study.tested)]
-    told = [f"{c.method} on {study.listed(c.scenes)}" for c in some]
+    alike: dict[Sequence[str], list[str]] = defaultdict(list)
+    for c in tested:
+        if len(c.scenes) < len(study.tested):
+            alike[c.scenes].append(c.method)
+    told = [
+        f"{'all' if 1 < len(methods) == len(tested) else listed(methods, 'and')}"
+        f" on {study.listed(scenes)}"
+        for scenes, methods in alike.items()
+    ]
     return f"Compared where two seeds or more are common: {'; '.join(told)}." if told else ""
 
 
