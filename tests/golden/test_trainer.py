@@ -33,13 +33,16 @@ def _plugins(**changes: Plugged) -> Plugins:
     return Plugins(**{**built, **changes})
 
 
-def _train(plugins: Plugins | None = None, evaluate: Any = None, **options: Any) -> Trained:
+def _trainer(plugins: Plugins | None = None, evaluate: Any = None, **options: Any) -> Trainer:
     settings = TrainerOptions(**{"steps": 12, "evaluations": 1, "sh_every": 4, **options})
     training, depth, gaussians = _plane(settings.sh_degree)
-    trainer = Trainer(
+    return Trainer(
         training, depth, gaussians, settings, plugins or _plugins(), 0, Silent(), evaluate
     )
-    return trainer.run()
+
+
+def _train(plugins: Plugins | None = None, evaluate: Any = None, **options: Any) -> Trained:
+    return _trainer(plugins, evaluate, **options).run()
 
 
 def test_training_lowers_the_loss() -> None:
@@ -301,6 +304,19 @@ def test_a_view_is_made_ready_once_while_it_is_the_same() -> None:
     assert items.get(made, 2) is not items.get(made, 2)
     items.begin([replace(pseudo, name="pseudo-3")])
     assert not items._kept
+
+
+def test_a_training_forgets_the_pseudo_views_of_earlier_epochs() -> None:
+    @dataclass(frozen=True)
+    class Fresh(Augmenter):
+        def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[View], Any]:
+            return [replace(ctx.views[0], name=f"pseudo-{ctx.epoch}")], state
+
+    trainer = _trainer(_plugins(augment=Plugged(Fresh(), 1.0, 0.0, 1.0)))
+    trainer.run()
+    assert trainer.epoch > 2
+    kept = {name for pseudo, name in trainer.items._kept if pseudo}
+    assert kept == {view.name for view in trainer.pseudo} and len(kept) == 1
 
 
 def test_coarse_views_keep_the_field_of_view() -> None:

@@ -28,6 +28,7 @@ def test_methods_over_studies(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     _study(folder / "one", {"none": 0.0, "safi": 3.0, "dba": 0.02})
     other = _study(folder / "two", {"none": 0.0, "safi": 3.0, "euclidean": -3.0})
     shutil.rmtree(other.parent / "runs")  # its table remains
+    _study(folder / "alone", {"euclidean": 0.0})  # has a row, but no comparison
     assert command(["leaderboard", str(folder)]) == 0
     assert capsys.readouterr().out.startswith("leaderboard: ")
     text = (folder / "leaderboard.md").read_text(encoding="utf-8")

@@ -53,6 +53,14 @@ def test_common_seeds_are_pairs() -> None:
     assert more is not None and (more.n, more.other_n, more.p) == (9, 9, found.p)
 
 
+def test_of_seeds_that_move_as_one_the_ratio_is_nearly_known() -> None:
+    """A correlation of exactly 1 leaves no noise; what stands for it must not be noise either."""
+    found = compare_sigmas("a", by_seed([1.0, 2.0, 4.0, 7.0]), "b", by_seed([2.0, 4.0, 8.0, 14.0]))
+    assert found is not None and found.interval is not None and found.rho is not None
+    assert found.ratio == pytest.approx(0.5) and 1 - 1e-8 < found.rho < 1
+    assert 0.499 < found.interval.low < 0.5 < found.interval.high < 0.501
+
+
 @pytest.mark.parametrize(("ratio", "rho"), [(1.0, 0.6), (0.5, 0.8), (0.4, 0.0), (2.0, 0.5)])
 def test_power_of_pairs_is_that_of_the_test(ratio: float, rho: float) -> None:
     """Against other draws and scipy's own tests; at most 5 % where there is nothing to find."""

@@ -163,6 +163,16 @@ def test_a_part_that_hardly_acted_is_told_by_its_name(tmp_path: Path) -> None:
     )
 
 
+def test_scenes_with_one_share_are_told_together(tmp_path: Path) -> None:
+    shares = {"dtu_scan24": 0.1, "llff_fern": 0.1, "llff_room": 0.3}
+    for scene, share in shares.items():
+        path = fake_run(tmp_path, "safi", scene=scene) / "record.json"
+        content = json.loads(path.read_text())
+        path.write_text(json.dumps(content | {"dose": {"acted_share": share}}))
+    told = idle_sentence(collect(tmp_path))
+    assert "safi + none (10 % on dtu_scan24 and llff_fern, 30 % on llff_room)" in told
+
+
 @pytest.mark.parametrize(
     ("shares", "expected"),
     [

@@ -12,6 +12,7 @@ from framework.report.statistics.numbers import ABSENT
 from framework.report.study.labels import outside
 from framework.report.study.runs import ReportRun, Study
 
+Share = tuple[str, str]  # what is told of a share, before and after the scenes where it is so
 ACTED, ENOUGH = "acted_share", 0.5
 HEADINGS = {
     "views_asked": "Epochs that asked for pseudo views",
@@ -63,43 +64,45 @@ def idle_sentence(study: Study) -> str:
     return " ".join(text for text, named in found if named)
 
 
-def _listed(study: Study, told: Callable[[Sequence[ReportRun], str], str]) -> str:
-    """`safi + none (12 % on SCENE)`: the methods of which there is something to tell."""
+def _listed(study: Study, told: Callable[[Sequence[ReportRun]], Sequence[Share]]) -> str:
+    """`safi + none (12 % on SCENE and SCENE)`: the methods of which there is something to tell."""
     found = []
     for method in study.methods:
-        own = [told(study.of(scene, method), scene) for scene in study.scenes]
-        named = [text for text in own if text]
-        if named:
-            found.append(f"{method} ({', '.join(named)})")
+        where: dict[Share, list[str]] = {}
+        for scene in study.scenes:
+            for share in told(study.of(scene, method)):
+                where.setdefault(share, []).append(scene)
+        if where:
+            own = (f"{text} on {study.listed(at)}{runs}" for (text, runs), at in where.items())
+            found.append(f"{method} ({', '.join(own)})")
     return "; ".join(found)
 
 
-def _hardly(runs: Sequence[ReportRun], scene: str) -> str:
-    """`12 % on SCENE`: the mean share, where that of every part is little."""
+def _hardly(runs: Sequence[ReportRun]) -> list[Share]:
+    """`12 %`: the mean share, where that of every part is little."""
     share, parts = _share(runs, ACTED), _part_shares(runs)
     little = share is not None and share < ENOUGH
     if not little or any(own >= ENOUGH for own in parts.values()):
-        return ""
-    return f"{_percent(share or 0.0)} on {scene}"
+        return []
+    return [(_percent(share or 0.0), "")]
 
 
-def _parts(runs: Sequence[ReportRun], scene: str) -> str:
-    """`occlusion: 0 % on SCENE`: of the parts those that hardly acted, where others did."""
+def _parts(runs: Sequence[ReportRun]) -> list[Share]:
+    """`occlusion: 0 %`: of the parts those that hardly acted, where others did."""
     parts = _part_shares(runs)
     idle = {part: own for part, own in parts.items() if own < ENOUGH}
     if len(idle) == len(parts):
-        return ""
-    return ", ".join(f"{part}: {_percent(own)} on {scene}" for part, own in idle.items())
+        return []
+    return [(f"{part}: {_percent(own)}", "") for part, own in idle.items()]
 
 
-def _partly(runs: Sequence[ReportRun], scene: str) -> str:
-    """`12 % on SCENE in 1 of 3 runs`, where neither the mean nor that of a part is little."""
+def _partly(runs: Sequence[ReportRun]) -> list[Share]:
+    """`12 %` and `in 1 of 3 runs`, where neither the mean nor that of a part is little."""
     shares = _shares(runs, ACTED)
     few = [share for share in shares if share < ENOUGH]
-    if not few or _hardly(runs, scene) or _parts(runs, scene):
-        return ""
-    mean = _percent(float(np.mean(few)))
-    return f"{mean} on {scene} in {len(few)} of {len(shares)} runs"
+    if not few or _hardly(runs) or _parts(runs):
+        return []
+    return [(_percent(float(np.mean(few))), f" in {len(few)} of {len(shares)} runs")]
 
 
 def _part_shares(runs: Sequence[ReportRun]) -> dict[str, float]:
