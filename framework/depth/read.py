@@ -172,6 +172,16 @@ def straightened(values: NDArray[np.float64], view: View) -> NDArray[np.float64]
     return np.where(there, values[j.clip(0, height - 1), i.clip(0, width - 1)], 0.0)
 
 
+def _as_cut(values: NDArray[np.float64], width: int, height: int) -> NDArray[np.float64]:
+    """The map of a stored photo without the last rows and columns that reducing the photo by an
+    integer to width x height has cut off, as fewer than that integer remained."""
+    h, w = values.shape
+    factor = max(1, round(min(w / width, h / height)))
+    if 0 <= w - factor * width < factor and 0 <= h - factor * height < factor:
+        return values[: factor * height, : factor * width]
+    return values
+
+
 def read_view(
     training: TrainingSet, index: int, file: Path, options: DepthFileOptions
 ) -> NDArray[np.float32]:
@@ -185,7 +195,7 @@ def read_view(
         f"depth=file: expected the aspect ratio of the {width}x{height} image in {file}, got"
         f" {w}x{h}; crop the depth map like the image",
     )
-    sized = resample(values, width, height)
+    sized = resample(_as_cut(values, width, height), width, height)
     if view.lens and not options.straight:
         sized = straightened(sized, view)
     return align(training, index, sized, options.kind == "inverse_depth", options.align).astype(

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from framework.types import Camera, Gaussians
 
+LEVEL = 1e-6  # a direction with less of it along the ground is up or down
 SAMPLES = 64  # directions at which turned harmonics are compared; 16 would do
 
 
@@ -31,7 +32,8 @@ def upright(stood: Rig, distance: float) -> Array:
         forward = stood.forward[0]
     turn = looking(np.zeros(3), forward, -stood.up)[:3, :3]
     if stood.kind == "orbit":  # tilted cameras must not tilt the ground
-        level = unit(forward - stood.up * (forward @ stood.up))
+        ahead = [way - stood.up * (way @ stood.up) for way in (forward, *stood.forward)]
+        level = unit(next((way for way in ahead if np.linalg.norm(way) > LEVEL), ahead[0]))
         turn = looking(np.zeros(3), level, -stood.up)[:3, :3]
         middle = stood.focus
     else:

@@ -9,7 +9,9 @@ from pathlib import Path
 def cache_dir() -> Path:
     """The cache folder, made if missing."""
     base = os.environ.get("FISHERSPLAT_CACHE")
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    path = Path(base) if base else Path(home) / "fishersplat"
+    if base:  # before the home is asked for, which not every user has
+        path = Path(base)
+    else:
+        path = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fishersplat"
     path.mkdir(parents=True, exist_ok=True)
     return path

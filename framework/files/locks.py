@@ -19,7 +19,7 @@ import os
 import platform
 import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -54,11 +54,12 @@ def locked(folder: Path, wait: bool = False) -> Iterator[None]:
         file.close()
 
 
-def remove_stale(folder: Path) -> None:
-    """Remove the lock file in `folder` of a process that was killed when its work was done."""
+def remove_stale(folder: Path, also: Callable[[Path], None]) -> None:
+    """Remove the lock file in `folder` of a process that was killed when its work was done, and
+    what `also` removes; nothing where a process is at work there."""
     if (folder / LOCK).exists():
         with contextlib.suppress(UserError), locked(folder):
-            pass
+            also(folder)
 
 
 def _sign(file: IO[str]) -> None:

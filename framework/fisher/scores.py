@@ -197,7 +197,8 @@ def _log_det(blocks: np.ndarray, prior: np.ndarray) -> np.ndarray:
     that says otherwise is corrected.
     """
     size = prior.shape[1]
-    a = np.ascontiguousarray(np.moveaxis(blocks, 0, -1))  # [D, D, N]: one Gaussian per lane
+    # [D, D, N]: one Gaussian per lane; a copy, also of one Gaussian's, which would be contiguous
+    a = np.array(np.moveaxis(blocks, 0, -1), order="C")
     total = np.zeros(blocks.shape[0])
     for i in range(size):
         pivot = np.maximum(a[i, i] + prior[:, i], prior[:, i])

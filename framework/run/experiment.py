@@ -113,12 +113,13 @@ def _experiment(
     done = _reusable(config, run_dir, identity)
     if done is not None and not lacks_lpips(done, network):
         progress.done(_reused(done))
-        remove_stale(run_dir)  # as the checkpoints; within the lock it would be our own
+        remove_stale(run_dir, remove_checkpoints)  # of one killed just after it wrote the record
         return done
     with locked(run_dir):
         # whoever held the lock before us may have done it
         done = _reusable(config, run_dir, identity)
         if done is not None:
+            remove_checkpoints(run_dir)
             done = with_lpips(run_dir, done, network)
             progress.done(_reused(done))
             return done
@@ -170,11 +171,7 @@ def _read_anew_if_changed(shared: Shared) -> Iterator[None]:
 
 def _reusable(config: Mapping[str, Any], run_dir: Path, identity: str) -> RunRecord | None:
     """The complete record of the same run, unless it is to be repeated."""
-    done = find_complete(run_dir, identity)
-    if done is None or config["force"]:
-        return None
-    remove_checkpoints(run_dir)  # of a process killed just after its record was written
-    return done
+    return None if config["force"] else find_complete(run_dir, identity)
 
 
 def _trained(

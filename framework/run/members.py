@@ -31,6 +31,11 @@ def member_seed(seed: int, member: int) -> int:
     return seed if member == 0 else int(stream(seed, "member", member).integers(2**62))
 
 
+def second_seed(seed: int) -> int:
+    """The seed of the first Gaussians of a second field that has a draw of its own."""
+    return int(stream(seed, "second field").integers(2**62))
+
+
 def join(members: Sequence[Gaussians]) -> Gaussians:
     """All Gaussians of the members, each as much thinner as there are members."""
     return concatenate([_thinner(gaussians, len(members)) for gaussians in members])

@@ -29,7 +29,14 @@ from framework.rasterizers import NUMBA, Rasterizer
 from framework.records.progress import Part, Parts, Progress, Silent
 from framework.records.record import DIVERGED
 from framework.run import answers
-from framework.run.members import IDLE, in_turn, join, member_seed, tuning_options
+from framework.run.members import (
+    IDLE,
+    in_turn,
+    join,
+    member_seed,
+    second_seed,
+    tuning_options,
+)
 from framework.train import schedule
 from framework.train.guard import Diverged
 from framework.train.resume.checkpoint import Checkpoints, pack, remove_checkpoints
@@ -151,11 +158,14 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
     if n == 1:
         return rounds[0][0]
     gaussians = join([member.gaussians for members in rounds for member in members])
+    # of one that lost all of its bands, as evidence may decide, the others' must not go
+    degree = max(member.sh_degree for members in rounds for member in members)
     if len(parts) == n:
-        return _untuned(run, in_turn(rounds, options.steps, gaussians), options)
+        together = replace(in_turn(rounds, options.steps, gaussians), sh_degree=degree)
+        return _untuned(run, together, options)
     progress.stage("tuning of the members together")
     starts[n] = gaussians
-    tuned = task(n, lambda: None, sh_from=rounds[-1][-1].sh_degree)
+    tuned = task(n, lambda: None, sh_from=degree)
     return in_turn([*rounds, [tuned]], options.steps, tuned.gaussians)
 
 
@@ -242,6 +252,7 @@ def _train(
         sh_from,
         part.tells,
         run.rasterizer,
+        run.start(second_seed(part.seed)) if opened.plugins.second_drawn else None,
     )
     del gaussians  # the trainer has its own
     trainer.resumed = resumed

@@ -15,7 +15,7 @@ import numpy as np
 
 from framework.compute import portable
 from framework.errors import require
-from framework.scenes.cameras import check_bounds, check_places
+from framework.scenes.cameras import check_bounds, check_places, check_rounding
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -173,6 +173,8 @@ def assemble(
         _check(shot)
     check_bounds(near, far, where)
     check_places(_centers(both), [shot.name for shot in both], far, where)
+    focal = max(float(shot.K[:2, :2].max()) for shot in both)
+    check_rounding(_centers(both), focal, near, far, where)
     if not len(points.xyz):
         points = points.for_training(range(len(train)))
     training = TrainingSet(name, tuple(map(_view, train)), _points(points), near, far)

@@ -29,6 +29,7 @@ FARTHEST = 1e9  # scene units, of whatever is in a scene: float32 has to hold it
 FOCAL = (0.01, 1000.0)  # focal lengths, over the longer side of the image
 OFF_CENTER = 10.0  # of the principal point from the image's middle, over the longer side
 BENT = 100.0  # largest coefficient of a lens distortion
+ROUNDED = 0.1  # pixels by which float32 may round a place that is seen
 ASTRAY = 1000.0  # times the rig's size and the far bound: from there nothing is seen
 
 
@@ -134,3 +135,21 @@ def check_places(
 
 def _few(numbers: Sequence[float]) -> str:
     return ", ".join(f"{number:.4g}" for number in numbers[:9])
+
+
+def check_rounding(
+    centers: NDArray[np.float64], focal: float, near: float, far: float, where: str
+) -> None:
+    """Raise UserError for a scene so far from the origin that float32, in which Gaussians are kept,
+    rounds what its cameras see: geographic coordinates, for instance. centers: [n, 3] of the
+    cameras. focal: the longest focal length in pixels."""
+    places = np.abs(centers).max(axis=1) + min(near, far)
+    away = float(places.max())
+    pixels = away * float(np.finfo(np.float32).eps) * focal / near
+    middle = ", ".join(f"{value:.6g}" for value in np.median(centers, axis=0))
+    require(
+        pixels <= ROUNDED,
+        f"{where}: expected cameras near the origin, got one {away:.3g} from it, where 32-bit"
+        f" numbers round places by {pixels:.2g} pixels; subtract ({middle}) from all positions and"
+        " points",
+    )

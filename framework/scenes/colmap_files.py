@@ -119,9 +119,9 @@ def _points(path: Path, images: dict[int, int]) -> None:
     reader.finish()
 
 
-def check(folder: Path) -> list[Path]:
-    """The three files of the model in `folder`: .bin (preferred, as pycolmap does) or .txt. Raises
-    UserError unless they are whole."""
+def check(folder: Path) -> tuple[list[Path], dict[int, str]]:
+    """The three files of the model in `folder`: .bin (preferred, as pycolmap does) or .txt; and of
+    the latter the names of the images by id. Raises UserError unless they are whole."""
     for suffix in (".bin", ".txt"):
         files = [folder / f"{stem}{suffix}" for stem in STEMS]
         missing = [file.name for file in files if not is_file(file)]
@@ -135,8 +135,6 @@ def check(folder: Path) -> list[Path]:
     for file in files:
         inside(folder, file.name)
     if suffix == ".txt":
-        check_text(files)
-    else:
-        images = _images(files[1], _cameras(files[0]))
-        _points(files[2], images)
-    return files
+        return files, check_text(files)
+    _points(files[2], _images(files[1], _cameras(files[0])))
+    return files, {}

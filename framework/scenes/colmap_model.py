@@ -117,19 +117,22 @@ def _quiet(pycolmap: Any) -> Iterator[None]:
 def _reconstruction(folder: Path) -> Any:
     """pycolmap's reading of the checked cameras, images and points3D. Newer models also have rigs
     and frames, which repeat the poses and cannot be checked: a copy without them is read."""
-    files = colmap_files.check(folder)
+    files, names = colmap_files.check(folder)
     pycolmap = _pycolmap()
     with tempfile.TemporaryDirectory() as copy, _quiet(pycolmap):
         for file in files:
             (Path(copy) / file.name).write_bytes(read_bytes(file, MODEL_BYTES))
         try:
-            return pycolmap.Reconstruction(copy)
+            model = pycolmap.Reconstruction(copy)
         except (ValueError, IndexError, RuntimeError, OSError, KeyError) as error:
             reason = " ".join(str(error).split())[:120]
             raise UserError(
                 f"{folder}: expected a readable COLMAP model, got damaged files ({reason});"
                 " rebuild it"
             ) from None
+    for image, name in names.items():
+        model.image(image).name = name
+    return model
 
 
 def read_model(folder: Path) -> Model:
@@ -137,7 +140,8 @@ def read_model(folder: Path) -> Model:
     model = _reconstruction(folder)
     images = sorted((model.image(i) for i in model.reg_image_ids()), key=lambda image: image.name)
     require(len(images) > 0, f"{folder}: expected images with poses, got none; rebuild the model")
-    lenses = {i: _lens(camera, folder) for i, camera in model.cameras.items()}
+    used = {image.camera_id for image in images}  # another may be of a kind that is not read
+    lenses = {i: _lens(camera, folder) for i, camera in model.cameras.items() if i in used}
     return Model(
         names=[image.name for image in images],
         lenses=[lenses[image.camera_id] for image in images],

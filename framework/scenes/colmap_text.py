@@ -21,16 +21,18 @@ INTEGER = re.compile(r"-?\d{1,18}", re.ASCII)
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|nan)", re.ASCII | re.I)
 
 
-def check_text(files: Sequence[Path]) -> None:
-    """Raise UserError unless cameras.txt, images.txt and points3D.txt are sound."""
+def check_text(files: Sequence[Path]) -> dict[int, str]:
+    """The names of the images by id, which pycolmap ends at their first blank. Raises UserError
+    unless cameras.txt, images.txt and points3D.txt are sound."""
     cameras = _cameras(files[0])
-    images = _images(files[1], cameras)
-    _points(files[2], images)
+    points, names = _images(files[1], cameras)
+    _points(files[2], points)
+    return names
 
 
 def _cameras(path: Path) -> set[int]:
     ids = set()
-    for number, row in _records(path, "cameras"):
+    for number, row, _ in _records(path, "cameras"):
         good = len(row) >= 7 and _integers([row[0], *row[2:4]]) and _numbers(row[4:])
         _require(good, path, number, "id, model, width, height and its parameters", row)
         _require(int(row[0]) not in ids, path, number, "each camera once", row)
@@ -38,30 +40,30 @@ def _cameras(path: Path) -> set[int]:
     return ids
 
 
-def _images(path: Path, cameras: set[int]) -> dict[int, int]:
-    """image id -> number of its 2D points."""
+def _images(path: Path, cameras: set[int]) -> tuple[dict[int, int], dict[int, str]]:
+    """Of the image ids: the number of 2D points, and the name."""
     points: dict[int, int] = {}
-    names: set[str] = set()
+    names: dict[int, str] = {}
     rows = _records(path, "images", pairs=True)
-    for number, row in rows:
+    for number, row, line in rows:
         good = len(row) >= 10 and _integers([row[0], row[8]]) and _numbers(row[1:8])
         _require(good, path, number, "id, 7 numbers of the pose, camera id and name", row)
-        image, camera, name = int(row[0]), int(row[8]), " ".join(row[9:])
-        known = camera in cameras and image not in points and name not in names
+        image, camera, name = int(row[0]), int(row[8]), line.split(maxsplit=9)[9].rstrip()
+        known = camera in cameras and image not in points and name not in names.values()
         _require(known, path, number, "each image once, with a camera of cameras.txt", row)
         check_quaternion([float(word) for word in row[1:5]], f"{path}: image '{name[:80]}'")
-        number, triples = next(rows, (number, ["missing"]))
+        number, triples, _ = next(rows, (number, ["missing"], ""))
         good = len(triples) % 3 == 0 and _integers(triples[2::3])
         good = good and _numbers(triples[0::3]) and _numbers(triples[1::3])
         _require(good, path, number, "triples of x, y and point id", triples)
         points[image] = len(triples) // 3
-        names.add(name)
-    return points
+        names[image] = name
+    return points, names
 
 
 def _points(path: Path, images: dict[int, int]) -> None:
     ids = set()
-    for number, row in _records(path, "points"):
+    for number, row, _ in _records(path, "points"):
         good = len(row) >= 8 and len(row) % 2 == 0 and _integers([row[0], *row[4:7], *row[8:]])
         good = good and _numbers([*row[1:4], row[7]])
         _require(good, path, number, "id, xyz, rgb, error and its track", row)
@@ -72,9 +74,9 @@ def _points(path: Path, images: dict[int, int]) -> None:
         ids.add(int(row[0]))
 
 
-def _records(path: Path, noun: str, pairs: bool = False) -> Iterator[tuple[int, list[str]]]:
-    """(line number, words) of the lines that are no comment; blank ones only where the format gives
-    them a meaning (`pairs`). As many records as the header says, if it does."""
+def _records(path: Path, noun: str, pairs: bool = False) -> Iterator[tuple[int, list[str], str]]:
+    """(line number, words, line) of the lines that are no comment; blank ones only where the format
+    gives them a meaning (`pairs`). As many records as the header says, if it does."""
     text = read_text(path, MODEL_BYTES).replace("\r\n", "\n")
     lines = text.removesuffix("\n").split("\n")
     found = 0
@@ -83,7 +85,7 @@ def _records(path: Path, noun: str, pairs: bool = False) -> Iterator[tuple[int, 
         if line.startswith("#") or (not words and not (pairs and found % 2)):
             continue
         found += 1
-        yield number, words
+        yield number, words, line
     said = re.search(rf"^# Number of {noun}: (\d{{1,18}})", "\n".join(lines[:5]), re.MULTILINE)
     records = -(-found // 2) if pairs else found
     expected = int(said.group(1)) if said else records

@@ -64,11 +64,15 @@ def pinhole_shot(
     mask: NDArray[np.float32] | None = None,
     downscale: int = 1,
 ) -> Shot:
-    """The shot of `image` [H, W, 3]; `mask` [H, W] of a photo without distortion."""
+    """The shot of `image` [H, W, 3], of which counts where `mask` [H, W] is 1."""
     if not distortion.none:
-        assert mask is None, "a mask would have to be undistorted too"
-        image, mask = undistort(image, K, distortion)
-        shot = Shot(name, viewmat, K, image, mask=mask, lens=astuple(distortion))
+        image, covered = undistort(image, K, distortion)
+        if mask is not None:  # only what is made of pixels that count alone
+            white = (255 * mask).astype(np.uint8)
+            kept, _ = undistort(np.repeat(white[..., None], 3, axis=2), K, distortion)
+            whole = (kept[..., 0] == 255).astype(np.float32)
+            covered = whole if covered is None else covered * whole
+        shot = Shot(name, viewmat, K, image, mask=covered, lens=astuple(distortion))
         return downscaled(shot, downscale, share=1.0)
     return downscaled(Shot(name, viewmat, K, image, mask=mask), downscale)
 

@@ -20,6 +20,10 @@ best model of a scene, of which then nothing is measured.
 may train but do not, six at most and evenly spaced, in place of the test views, which are not even
 read. For choosing among settings (`fishersplat search`): test views may not choose.
 
+`file` (of `scene=transforms`): as the scene's own file names its test photos, in `test_filenames`
+or, where there are none, `val_filenames`; training views by `llff`'s rule, of `train_filenames` or
+of all that remain. `file_held_out` judges by others of these.
+
 `llff_drawn0`, `llff_drawn1`, ... (and so for each of the above, with `_held_out` at the end): the
 same test views, but training views drawn at random from all that may train; the number is the
 draw's seed. For asking whether an answer depends on which photos one has: a study over draws has
@@ -31,8 +35,9 @@ n_views is a number or `all`: as many as the protocol leaves for training.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from os.path import splitext
 
 from framework.errors import UserError, nearest_hint, require
 
@@ -41,6 +46,7 @@ DTU_EXCLUDED = (3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 36, 37, 38, 39)
 DTU_POSITIONS = 49
 ALL = "all"  # as the number of views: every one that the protocol leaves for training
 UNTESTED = "none"  # the protocol without test views
+FILE = "file"  # the protocol that a scene's own file names
 HELD_OUT = "_held_out"  # ends the names of those that judge by training views
 DRAWN = "_drawn"  # with a number ends the names of those that draw their training views
 MOST_HELD_OUT = 6
@@ -78,6 +84,11 @@ class Protocol:
         )
         pool, test = self.divide(len(names))
         count = len(pool) if n_views == ALL else int(n_views)
+        require(
+            count > 0,
+            f"{where}: expected a photo to train on, got none of {len(names)}: scene.split="
+            f"{self.name} keeps {len(test)} for testing; scene.split=none trains on all",
+        )
         if count > len(pool):
             raise UserError(
                 f"{where}: expected n_views of at most {len(pool)} ({len(names)} images, of which"
@@ -98,7 +109,7 @@ class Protocol:
                 f"{where}: expected a view that is neither trained on nor tested on for"
                 f" scene.split={self.name}, got none of {len(names)}; lower n_views",
             )
-            test = others[:: max(1, len(others) // MOST_HELD_OUT)][:MOST_HELD_OUT]
+            test = _spaced(others, min(len(others), MOST_HELD_OUT))
         return Split(tuple(train), tuple(test))
 
 
@@ -165,6 +176,24 @@ PROTOCOLS |= {
 }
 
 
+def told(
+    names: Sequence[str], train: Collection[str], test: Collection[str], split: str = FILE
+) -> Protocol:
+    """`FILE`, or that with `HELD_OUT`: of the sorted `names` those in `test` test; those in
+    `train`, or all others where none are named, may train. Both may lack the suffix."""
+
+    def among(these: Collection[str]) -> list[int]:
+        own = [{name, splitext(name)[0]} for name in names]
+        return [i for i, both in enumerate(own) if not both.isdisjoint(these)]
+
+    tests = among(test)
+    pool = [i for i in (among(train) if train else range(len(names))) if i not in tests]
+    source = "the test photos that the scene's file names"
+    return Protocol(
+        split, source, lambda n: (pool, tests), _spaced, held_out=split.endswith(HELD_OUT)
+    )
+
+
 def _drawn(rule: Protocol, name: str, seed: int) -> Protocol:
     """`rule` under that name with training views drawn from its pool by `seed`."""
 
@@ -187,8 +216,9 @@ def untested(name: str) -> bool:
 
 
 def published_split(name: str) -> bool:
-    """Whether papers judge by it: not by lot, not by held-out views, not without a test."""
-    return not (untested(name) or DRAWN in name or name.endswith(HELD_OUT))
+    """Whether papers judge by it: not by lot, not by held-out views, not without a test, not as one
+    file says."""
+    return not (untested(name) or DRAWN in name or name.endswith(HELD_OUT) or name == FILE)
 
 
 def protocol(name: str) -> Protocol:

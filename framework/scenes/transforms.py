@@ -8,11 +8,14 @@ kept: `applied_transform`, `scale` and `aabb_scale` say how others turned or fra
 photos are laid on white or black (then use the same `trainer.background`).
 
 `split=llff` names no standard of these scenes; it is the usual every-8th rule on the sorted paths.
+`split=file` takes the file's own `test_filenames` (or `val_filenames`) and `train_filenames`.
+A frame's `mask_path` is a picture, black where the photo does not count.
 Depth bounds are those of the training views' points, as in `scene=colmap`, unless given.
 """
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,14 +24,17 @@ from typing import TYPE_CHECKING
 from framework.errors import UserError, require
 from framework.files.paths import inside
 from framework.scenes.options import check_choice, check_folder_options
-from framework.scenes.splits import Split, protocol
+from framework.scenes.splits import FILE, HELD_OUT, Split, protocol, told
 
 if TYPE_CHECKING:
     from framework.scenes.assemble import Shot, Tracks
     from framework.scenes.transforms_file import Frame
     from framework.types import Scene
 
+log = logging.getLogger(__name__)
+
 PAPERS = {"white": 255, "black": 0}
+FILES = (FILE, f"{FILE}{HELD_OUT}")  # splits that only a file's own words make
 
 
 @dataclass(frozen=True)
@@ -48,10 +54,11 @@ class Transforms:
     points: str = "auto"
     near: float | None = None
     far: float | None = None
-    split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
+    split: str = "llff"  # which views train and which test: llff, mip360, dtu, file; none = no test
 
     def __post_init__(self) -> None:
-        check_folder_options("transforms", self.path, self.n_views, self.split, self.downscale)
+        split = "llff" if self.split in FILES else self.split
+        check_folder_options("transforms", self.path, self.n_views, split, self.downscale)
         check_choice("transforms", "paper", self.paper, tuple(PAPERS))
         given = [bound for bound in (self.near, self.far) if bound is not None]
         require(
@@ -68,9 +75,10 @@ class Transforms:
         from framework.scenes.transforms_file import read_frames
 
         folder = scene_folder("transforms", self.path)
-        frames = read_frames(inside(folder, self.file))
+        file = inside(folder, self.file)
+        frames = read_frames(file)
         where = f"scene=transforms: {folder}"
-        split = protocol(self.split).split([f.name for f in frames], self.n_views, where)
+        split = self._split(file, [f.name for f in frames], where)
         check_memory([frames[i].file for i in (*split.train, *split.test)], self.downscale)
         train, test = ([self._shot(frames[i]) for i in part] for part in (split.train, split.test))
         tracks = self._tracks(folder, frames, split, train)
@@ -78,16 +86,43 @@ class Transforms:
         points = tracks.for_training(split.train)
         return assemble(folder.resolve().name, self.split, train, test, points, near, far)
 
+    def _split(self, file: Path, names: list[str], where: str) -> Split:
+        """By the rule, or by what the file says; warns where the rule trains on its test photos."""
+        from framework.scenes.transforms_file import read_roles
+
+        train, test = read_roles(file)
+        own = told(names, train, test, self.split)
+        if self.split in FILES:
+            require(
+                bool(test),
+                f"{file}: expected test_filenames or val_filenames for scene.split={self.split},"
+                " got none; name test photos there or take scene.split=llff",
+            )
+            return own.split(names, self.n_views, where)
+        split = protocol(self.split).split(names, self.n_views, where)
+        both = sorted(set(own.divide(len(names))[1]) & set(split.train))
+        if both:
+            log.warning(
+                f"{file} names test photos, and scene.split={self.split} trains on {len(both)} of"
+                f" them (first: {names[both[0]]}); scene.split=file tests on them"
+            )
+        return split
+
     def _shot(self, frame: Frame) -> Shot:
-        from framework.scenes.images import read_image
+        from framework.scenes.images import read_image, read_mask
         from framework.scenes.photo import pinhole_shot, resized
 
         image = read_image(frame.file, PAPERS[self.paper])
         height, width = image.shape[:2]
         lens = frame.lens(width, height)
         K = resized(frame.file, image, lens)
-        distortion, downscale = lens.distortion, self.downscale
-        return pinhole_shot(frame.name, frame.viewmat, K, image, distortion, downscale=downscale)
+        mask = None if frame.mask is None else read_mask(frame.mask, height, width)
+        require(
+            mask is None or bool(mask.any()),
+            f"{frame.mask}: expected a mask with some white pixels, got none; replace the mask",
+        )
+        options = (image, lens.distortion, mask, self.downscale)
+        return pinhole_shot(frame.name, frame.viewmat, K, *options)
 
     def _tracks(self, folder: Path, frames: list[Frame], split: Split, train: list[Shot]) -> Tracks:
         """Points with their tracks over all frames; those of a PLY only over the training ones."""

@@ -35,14 +35,15 @@ OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])  # the signs of a camera's axes
 @dataclass(frozen=True)
 class Frame:
     """name: the file path as written, suffix included. file: the photo; the transforms.json where
-    only cameras are read. viewmat: [4, 4] OpenCV world-to-camera.
-    values: the intrinsics that apply to it; where: opens an error about them."""
+    only cameras are read. viewmat: [4, 4] OpenCV world-to-camera. values: the intrinsics that apply
+    to it; where: opens an error about them. mask: a picture, black where nothing counts."""
 
     name: str
     file: Path
     viewmat: NDArray[np.float64]
     values: Mapping[str, float]
     where: str
+    mask: Path | None = None
 
     def lens(self, width: int, height: int) -> Lens:
         """The intrinsics, for a photo of width x height where the file states no size.
@@ -81,9 +82,10 @@ def read_frames(path: Path) -> list[Frame]:
     """The frames, sorted by name. Raises UserError for whatever is missing or unsound."""
     frames = []
     for frame in read_cameras(path):
-        file = _photo(path.parent, frame.name)
-        name = frame.name.removeprefix("./")
-        frames.append(replace(frame, name=_with_suffix(name, file), file=file))
+        name = _relative(path.parent, frame.name)
+        file = _photo(path.parent, name)
+        mask = None if frame.mask is None else inside(path.parent, frame.mask)
+        frames.append(replace(frame, name=_with_suffix(name, file), file=file, mask=mask))
     _check_files(path, frames)
     return sorted(frames, key=lambda frame: frame.name)
 
@@ -101,9 +103,47 @@ def read_cameras(path: Path) -> list[Frame]:
     for i, entry in enumerate(entries):
         where = f"{path}: frame {i} ({entry['file_path'][:200]})"
         viewmat = _viewmat(entry.get("transform_matrix"), where)
-        values = {**common, **_values(entry, where)}
-        frames.append(Frame(entry["file_path"], path, viewmat, values, where))
+        values = _merged(common, _values(entry, where))
+        mask = _text(entry, "mask_path", where)
+        own = None if mask is None else Path(mask)
+        frames.append(Frame(entry["file_path"], path, viewmat, values, where, own))
     return frames
+
+
+def read_roles(path: Path) -> tuple[set[str], set[str]]:
+    """(names of the photos that the file lets train, of those that it tests on), with or without
+    their suffix; both are empty where it says nothing. Raises UserError for what is no list of
+    names."""
+    data = _read_json(path)
+    roles = []
+    for key in ("train_filenames", "test_filenames", "val_filenames"):
+        names = data.get(key) or []
+        require(
+            isinstance(names, list) and all(isinstance(name, str) for name in names),
+            f"{path}: expected {key} to be a list of names, got something else; correct it",
+        )
+        roles.append({_relative(path.parent, name) for name in names})
+    train, test, val = roles
+    return train, test or val
+
+
+def _merged(common: Mapping[str, float], own: Mapping[str, float]) -> dict[str, float]:
+    """Intrinsics of one frame: its own come first, its own angle of view before a common focal
+    length too."""
+    told = dict(common)
+    for key, angle in (("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")):
+        if angle in own and key not in own:
+            told.pop(key, None)
+    return {**told, **own}
+
+
+def _text(entry: Mapping[str, Any], key: str, where: str) -> str | None:
+    value = entry.get(key)
+    require(
+        value is None or (isinstance(value, str) and value != ""),
+        f"{where}: expected {key} to be a file's name, got {value!r}; correct or remove it",
+    )
+    return value
 
 
 def _file_paths(path: Path, entries: list[Any]) -> list[str]:
@@ -172,14 +212,25 @@ def _photo(folder: Path, file_path: str) -> Path:
     exact = inside(folder, file_path)
     if exact.suffix.lower() in SUFFIXES or is_file(exact):
         return exact
-    candidates = [exact.with_name(exact.name + suffix) for suffix in sorted(SUFFIXES)]
-    found = [inside(folder, c.relative_to(folder)) for c in candidates if is_file(c)]
+    for suffixes in (sorted(SUFFIXES), sorted(map(str.upper, SUFFIXES))):
+        candidates = [exact.with_name(exact.name + suffix) for suffix in suffixes]
+        found = [inside(folder, c.relative_to(folder)) for c in candidates if is_file(c)]
+        if found:
+            break
     require(
         len(found) <= 1,
         f"{exact}: expected one photo of that name, found {', '.join(f.name for f in found)};"
         " write the suffix into file_path",
     )
     return found[0] if found else exact.with_name(exact.name + ".png")
+
+
+def _relative(folder: Path, file_path: str) -> str:
+    """An absolute path below the folder as one from there; others as they are, without `./`."""
+    absolute = Path(file_path)
+    if not absolute.is_absolute() or not absolute.is_relative_to(folder.resolve()):
+        return file_path.removeprefix("./")
+    return absolute.relative_to(folder.resolve()).as_posix()
 
 
 def _with_suffix(name: str, file: Path) -> str:

@@ -67,7 +67,8 @@ def view_gradient(
     absolute: bool = False,
     **rendered: Any,
 ) -> ViewGradient:
-    """The loss on a view, its gradient by the parameters' names, and what capacity plugins see.
+    """The photometric loss on a view, the gradient of it and of all terms beside by the parameters'
+    names, and what capacity plugins see.
 
     penalty: a term that is added, of whatever its plugin likes, hence by autograd, which cannot
     tell pixels apart: `absolute` takes a render of its own beside one. Without a penalty the
@@ -116,7 +117,8 @@ def _by_autograd(
     view, offset = item.view, params.means.new_zeros(len(params), 2, requires_grad=True)
     render = rasterizer.render(params, view.camera, means2d_offset=offset, **rendered)
     loss = rasterizer.loss(render.rgb, item.target, ssim_weight) * view.weight
-    check_loss(float(loss.detach()), where, params)
+    photometric = float(loss.detach())
+    check_loss(photometric, where, params)
     loss = loss + penalty(view, render)  # one that is not finite is its plugin's
     tensors, outputs, pulls = dict(params.items()), [loss], [torch.ones_like(loss)]
     terms = DepthTerms(params, item, rasterizer, **rendered)
@@ -127,4 +129,4 @@ def _by_autograd(
         outputs, [*tensors.values(), offset], pulls, materialize_grads=True
     )
     stats = step_stats(item, means2d, render.radii, **rendered)
-    return float(loss.detach()), terms.added(dict(zip(tensors, gradients, strict=True))), stats
+    return photometric, terms.added(dict(zip(tensors, gradients, strict=True))), stats

@@ -398,13 +398,16 @@ def _unheard(name: str, value: float) -> None:
 
 def _followed(stats: StepStats, rows: Tensor) -> StepStats:
     """The measures of a step on the Gaussians that a capacity made of those measured; of new ones
-    nothing was. rows: which each was, -1 for a new one."""
+    nothing was measured, and nobody dropped them. rows: which each was, -1 for a new one."""
     old, there = rows.clamp(min=0), rows >= 0
 
     def follow(values: Tensor) -> Tensor:
         return values[old] * there.view(-1, *[1] * (values.dim() - 1))
 
-    return stats.map(follow)
+    followed = stats.map(follow)
+    if followed.factors is None:
+        return followed
+    return replace(followed, factors=torch.where(there, followed.factors, 1.0))
 
 
 def _brought(tensors: Mapping[str, Tensor], device: str | torch.device) -> Mapping[str, Tensor]:

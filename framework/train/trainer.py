@@ -55,7 +55,8 @@ class Trainer:
     every step. start: a kept state of the same training, to go on from instead of `gaussians`.
     sh_from: the degree of SH that is active in the first step. tells: whether to warn of a method
     that did nothing. rasterizer: who draws; parameters, moments and targets are on its device, what
-    is given and what comes out on the CPU.
+    is given and what comes out on the CPU. second: what a second field begins with; None: with what
+    the first does.
     """
 
     def __init__(
@@ -73,6 +74,7 @@ class Trainer:
         sh_from: int = 0,
         tells: bool = True,
         rasterizer: Rasterizer = NUMBA,
+        second: Gaussians | None = None,
     ) -> None:
         require(
             len(gaussians) > 0,
@@ -102,7 +104,9 @@ class Trainer:
         if plugins.second_field:
             conditions = replace(conditions, field="second/")
             self.second = Field.of(
-                gaussians, PluginsAtWork(plugins, conditions, Dose()), rasterizer
+                gaussians if second is None else second,
+                PluginsAtWork(plugins, conditions, Dose()),
+                rasterizer,
             )
         self.items = Items(options.pseudo_mean == "covered", rasterizer, self._smoothness())
         self.binocular = self._binocular()

@@ -56,9 +56,8 @@ class FisherPrune(Capacity):
     def _steps(self, n_steps: int) -> list[int]:
         """After which steps a round is due; never after the last."""
         lengths = ((1 - self.begin) * k / self.rounds for k in range(self.rounds))
-        return sorted(
-            {min(int((self.begin + length) * n_steps), n_steps - 1) for length in lengths}
-        )
+        last = max(0, n_steps - 2)  # edits come after a step, and what is left trains once more
+        return sorted({min(int((self.begin + length) * n_steps), last) for length in lengths})
 
     def _most_sensitive(self, ctx: StepContext, n: int) -> Tensor:
         """[N] bool: the `n` with the largest log determinant."""

@@ -23,12 +23,17 @@ if TYPE_CHECKING:
 @register("reg", "co_register")
 @dataclass(frozen=True)
 class CoRegister(Regularizer):
-    """ssim_weight: w."""
+    """ssim_weight: w. second_drawn: the second field begins with a draw of its own of the first
+    Gaussians. Otherwise with those of the first, as in CoR-GS, where random splits make them
+    differ; with a capacity that draws nothing (`evidence`) it would stay the same field, and what
+    they disagree about would be rounding.
+    """
 
     second_field: ClassVar[bool] = True
     defaults: ClassVar[dict[str, float]] = {"start": 0.05}
 
     ssim_weight: float = 0.2
+    second_drawn: bool = False
 
     def __post_init__(self) -> None:
         self.check("ssim_weight", 0 <= self.ssim_weight <= 1, "a number in [0, 1]")

@@ -54,14 +54,14 @@ class Frequency(Regularizer):
         from framework.geometry import project
 
         seen = render.radii > 0
-        if ctx.progress >= self.opened or not seen.any():
+        if view.pseudo or ctx.progress >= self.opened or not seen.any():
             return None
         camera = view.camera
         _, z = project(ctx.gaussians.means.detach(), camera)
         z = z.clamp(min=ctx.near)[seen]
         # the view may be smaller than its photo: pixels are those of the photo
         widths = {photo.name: photo.camera.width for photo in ctx.views}
-        focal_px = float(camera.K[0, 0]) * widths.get(view.name, camera.width) / camera.width
+        focal_px = float(camera.K[0, 0]) * widths[view.name] / camera.width
         limit = torch.from_numpy(log(self.limit(ctx.progress) * z / focal_px)).to(z.dtype)
         middle = ctx.gaussians.log_scales[seen].sort(1).values[:, 1]
         return (limit - middle).clamp(min=0).square().mean()

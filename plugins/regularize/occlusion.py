@@ -35,6 +35,8 @@ class Occlusion(Regularizer):
         from framework.compute.tensors import sigmoid
         from framework.geometry import project
 
+        if view.pseudo:  # what is near to where no photo was taken is nobody's artefact
+            return None
         _, z = project(ctx.gaussians.means.detach(), view.camera)
         near = (render.radii > 0) & (z < self.depth * ctx.near)
         ctx.log(f"{self.name}_near", float(near.sum()))

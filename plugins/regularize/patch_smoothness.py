@@ -51,7 +51,10 @@ class PatchSmoothness(Regularizer):
 
 def roughness(depth: Tensor, alpha: Tensor, patch: int) -> Tensor:
     """Mean over whole patches of the image [H, W] of the mean over a patch's pixels, but the last
-    row and column, of (d_ij - d_i,j+1)^2 + (d_ij - d_i+1,j)^2, times its alpha."""
+    row and column, of (d_ij - d_i,j+1)^2 + (d_ij - d_i+1,j)^2, times its alpha. A pixel that shows
+    nothing has no depth, so a pair with one does not count."""
+    from framework.methods.elsewhere import SEEN
+
     rows, columns = (n // patch * patch for n in depth.shape)
     if rows == 0 or columns == 0:
         return depth.sum() * 0
@@ -59,8 +62,9 @@ def roughness(depth: Tensor, alpha: Tensor, patch: int) -> Tensor:
     def cut(values: Tensor) -> Tensor:
         return values[:rows, :columns].reshape(rows // patch, patch, columns // patch, patch)
 
-    tiles, weights = cut(depth), cut(alpha.detach())[:, :-1, :, :-1]
-    down = (tiles[:, 1:, :, :-1] - tiles[:, :-1, :, :-1]).square()
-    right = (tiles[:, :-1, :, 1:] - tiles[:, :-1, :, :-1]).square()
-    mean: Tensor = ((down + right) * weights).mean()
+    tiles, weights, shown = cut(depth), cut(alpha.detach()), cut(alpha > SEEN)
+    here = weights[:, :-1, :, :-1] * shown[:, :-1, :, :-1]
+    down = (tiles[:, 1:, :, :-1] - tiles[:, :-1, :, :-1]).square() * shown[:, 1:, :, :-1]
+    right = (tiles[:, :-1, :, 1:] - tiles[:, :-1, :, :-1]).square() * shown[:, :-1, :, 1:]
+    mean: Tensor = ((down + right) * here).mean()
     return mean

@@ -60,13 +60,20 @@ def test_the_lock_of_a_killed_process_is_free(
 
 
 def test_only_a_stale_lock_is_removed(holder: subprocess.Popen[str], tmp_path: Path) -> None:
-    remove_stale(tmp_path / "run")
-    assert (tmp_path / "run" / LOCK).exists()
+    """And what was left beside it, which is another's while somebody holds the lock."""
+    left = tmp_path / "run" / "left"
+    left.touch()
+
+    def also(folder: Path) -> None:
+        (folder / left.name).unlink()
+
+    remove_stale(tmp_path / "run", also)
+    assert (tmp_path / "run" / LOCK).exists() and left.exists()
     holder.send_signal(signal.SIGKILL)
     holder.wait()
-    remove_stale(tmp_path / "run")
-    remove_stale(tmp_path / "run")
-    assert not (tmp_path / "run" / LOCK).exists()
+    remove_stale(tmp_path / "run", also)
+    remove_stale(tmp_path / "run", also)
+    assert not (tmp_path / "run" / LOCK).exists() and not left.exists()
 
 
 def test_waiting_for_the_lock(holder: subprocess.Popen[str], tmp_path: Path) -> None:

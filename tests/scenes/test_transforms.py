@@ -231,3 +231,88 @@ def test_fox_agrees_with_its_colmap_model() -> None:
         assert torch.equal(a.image, b.image)
     assert torch.equal(scene.training.points.xyz, twin.training.points.xyz)
     assert (scene.training.points.visible.sum(1) >= 2).all()
+
+
+def test_masks_of_frames(tmp_path: Path) -> None:
+    """Black does not count, of a photo with a lens no pixel that is made of some of it."""
+
+    def masked(data: Data) -> None:
+        for i, frame in enumerate(data["frames"]):
+            frame["mask_path"] = f"masks/{i}.png"
+
+    with pytest.raises(UserError, match=r"masks/1\.png: expected a mask, found no file"):
+        load(write(tmp_path, masked), **BOUNDS)
+    (tmp_path / "masks").mkdir()
+    pixels = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    pixels[:, :10] = 0
+    for i in range(10):
+        Image.fromarray(pixels).save(tmp_path / f"masks/{i}.png")
+    mask = load(tmp_path, **BOUNDS).training.views[0].mask
+    assert mask is not None and mask[:, :10].sum() == 0 and bool(mask[:, 10:].all())
+    bent = load(write(tmp_path, lambda data: (masked(data), data.update(k1=0.2))), **BOUNDS)
+    mask = bent.training.views[0].mask
+    assert mask is not None and mask[:, :10].sum() == 0 and bool(mask[5:-5, 14:-5].all())
+    Image.fromarray(0 * pixels).save(tmp_path / "masks/1.png")
+    with pytest.raises(UserError, match="expected a mask with some white pixels"):
+        load(tmp_path, **BOUNDS)
+    with pytest.raises(UserError, match="expected mask_path to be a file's name, got 3"):
+        load(write(tmp_path, lambda data: data["frames"][0].update(mask_path=3)), **BOUNDS)
+
+
+def test_test_photos_that_the_file_names(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    names = [frame["file_path"] for frame in frames()]
+    tested = [names[1], f"./{names[4]}", names[5].removesuffix(".png")]
+    folder = write(tmp_path, lambda data: data.update(test_filenames=tested))
+    load(folder, **BOUNDS)
+    assert "names test photos, and scene.split=llff trains on 2 of them" in caplog.text
+    caplog.clear()
+    scene = load(folder, split="file", **BOUNDS)
+    assert [v.name for v in scene.test] == [names[i] for i in (1, 4, 5)]
+    assert [v.name for v in scene.training.views] == [names[i] for i in (0, 6, 9)]
+    assert scene.protocol == "file" and not caplog.text
+    held = load(folder, split="file_held_out", **BOUNDS)
+    assert {v.name for v in held.test}.isdisjoint(
+        v.name for v in [*scene.test, *scene.training.views]
+    )
+    write(folder, lambda data: data.update(val_filenames=names[:2], train_filenames=names[4:]))
+    scene = load(folder, split="file", n_views="all", **BOUNDS)
+    assert [v.name for v in scene.test] == names[:2]
+    assert [v.name for v in scene.training.views] == names[4:]
+    with pytest.raises(
+        UserError, match=r"expected test_filenames or val_filenames for scene\.split"
+    ):
+        load(write(folder), split="file", **BOUNDS)
+    with pytest.raises(UserError, match="expected test_filenames to be a list of names"):
+        load(write(folder, lambda data: data.update(test_filenames="all")), **BOUNDS)
+
+
+def test_how_photos_may_be_named(tmp_path: Path) -> None:
+    """By an absolute path in the folder, or without a suffix in capitals."""
+    folder = write(tmp_path)
+    (folder / "images/im00.png").rename(folder / "images/im00.PNG")
+
+    def renamed(data: Data) -> None:
+        data["frames"][0]["file_path"] = "images/im00"
+        data["frames"][1]["file_path"] = str((folder / "images/im01.png").resolve())
+
+    scene = load(write(folder, renamed), **BOUNDS)
+    assert [v.name for v in scene.training.views] == [f"images/im{i:02d}.png" for i in (1, 5, 9)]
+    assert scene.test[0].name == "images/im00.PNG"
+    with pytest.raises(UserError, match="expected names inside this folder"):
+        load(write(folder, lambda data: data["frames"][1].update(file_path="/x/a.png")), **BOUNDS)
+
+
+def test_a_frames_own_angle_comes_before_a_common_focal_length(tmp_path: Path) -> None:
+    def wide(data: Data) -> None:
+        for frame in data["frames"]:
+            frame["camera_angle_x"] = 2.0
+
+    K = load(write(tmp_path, wide), **BOUNDS).training.views[0].camera.K
+    assert K[0, 0].item() == pytest.approx(WIDTH / 2 / math.tan(1.0))
+    assert K[1, 1].item() == pytest.approx(K[0, 0].item())
+
+
+def test_one_photo_cannot_both_train_and_test(tmp_path: Path) -> None:
+    folder = write(tmp_path, lambda data: data.update(frames=frames(1)))
+    with pytest.raises(UserError, match="expected a photo to train on, got none of 1"):
+        load(folder, **{**BOUNDS, "n_views": "all"})

@@ -47,6 +47,7 @@ REFUSED_FLAGS = {
     "config_dir": "use hydra.searchpath=[file://DIR]",
 }
 OF_GRAMMAR = set("'\"[]{}(),\\$")  # signs that mean something in the value of an override
+NAMES = ("study", "metrics.lpips_weights", "scene.images", "scene.file")  # values that are names
 NO_WORDS = "#&;<>!~^`"  # of ASCII, what it reads only in quotation marks
 QUIET = {"version": 1, "root": None, "disable_existing_loggers": False}  # hydra/*_logging=none
 
@@ -141,9 +142,12 @@ def check_composed(config: DictConfig) -> None:
 
 def quoted(argument: str) -> str:
     """`scene.path=my phötos` as `scene.path='my phötos'`: a value with letters that Hydra's grammar
-    does not know is a text, unless it has signs of a list, a sweep or a quotation of its own."""
+    does not know is a text, unless it has signs of a list, a sweep or a quotation of its own. So is
+    one that names a file, a folder or a study: `2024_05_12` is no number there."""
     key, equals, value = argument.partition("=")
-    strange = any(not sign.isascii() or sign in NO_WORDS for sign in value)
+    named = key.lstrip("+") in NAMES or key.endswith(".path")
+    strange = named or any(not sign.isascii() or sign in NO_WORDS for sign in value)
+    strange = strange and value != "" and value != "null"
     return f"{key}='{value}'" if equals and strange and not set(value) & OF_GRAMMAR else argument
 
 

@@ -128,9 +128,9 @@ def read_plan(folder: Path) -> Plan:
 
 
 def plans(sweep_dir: Path) -> list[Path]:
-    """The folders of all submissions, the newest last."""
-    found = [path.parent for path in (sweep_dir / SUBMITTED).glob(f"*/{PLAN}")]
-    return sorted(found, key=lambda folder: (folder.stat().st_mtime, folder.name))
+    """The folders of all submissions, the newest last, by the time of their plans."""
+    found = list((sweep_dir / SUBMITTED).glob(f"*/{PLAN}"))
+    return [path.parent for path in sorted(found, key=lambda path: (path.stat().st_mtime_ns, path))]
 
 
 def running(plan: Plan, ended: Sequence[int] | dict[int, Outcome]) -> dict[int, str]:

@@ -20,7 +20,7 @@ from framework.command.job import Job
 from framework.command.program import program
 from framework.command.studies.failures import tell
 from framework.compute.orphans import end_with_parent
-from framework.errors import printable_line
+from framework.errors import UserError, printable_line
 from framework.metrics.values import Missing
 from framework.records.progress import Silent, say
 from framework.records.record import RECORD, read_record
@@ -75,7 +75,11 @@ def run(words: list[str], label: str, metric: str) -> Result:
     """Do a run; what goes wrong is in its record, as a study's."""
     from framework.run.experiment import run_experiment
 
-    job = job_of(words)
+    try:
+        job = job_of(words)
+    except UserError as error:  # a value that others of the trial do not go with
+        say(printable_line(f"{label}: {error}"))
+        return Result("", None, error=printable_line(str(error)))
     say(printable_line(label))
     try:
         run_experiment(job.config, Path(job.run_dir), Silent(), job.overrides)

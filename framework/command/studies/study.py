@@ -261,7 +261,8 @@ def build_reports() -> None:
             for line in closing(report):
                 say(line)
         except Exception as error:
-            number = len(outcomes())
+            # none of a run's, of which a killed one has told no outcome
+            number = max(job_count() or 0, 1 + max(outcome.number for outcome in outcomes()))
             bad_input, again = isinstance(error, UserError), f"{program()} report {folder}"
             reason = f"{type(error).__name__}: {error}"
             if isinstance(error, OSError) and mendable(error):

@@ -27,6 +27,10 @@ ORIENTATION, MAKE, MODEL, EXIF = 0x0112, 0x010F, 0x0110, 0x8769
 FOCAL_MM, FOCAL_35MM, PLANE_X, PLANE_UNIT, PIXELS = 0x920A, 0xA405, 0xA20E, 0xA210, (0xA002, 0xA003)
 # Pillow's plugins, no dependencies: their wheels hold libheif (LGPL), the second one's x265 (GPL)
 HEIF_READERS = ("pi_heif", "pillow_heif")
+TURNS: dict[object, str] = {  # EXIF's orientation -> what makes the photo upright
+    **{2: "FLIP_LEFT_RIGHT", 3: "ROTATE_180", 4: "FLIP_TOP_BOTTOM", 5: "TRANSPOSE"},
+    **{6: "ROTATE_270", 7: "TRANSVERSE", 8: "ROTATE_90"},
+}
 UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0}  # inch, cm, mm
 
 log = logging.getLogger(__name__)
@@ -63,7 +67,7 @@ def prepare(file: Path, folder: Path, number: int, side: int) -> Photo:
             shutil.copyfile(file, stored)
             width, height = size
         else:
-            width, height = _store(image, side, stored)
+            width, height = _store(image, turn, side, stored)
         focal = _focal_px(exif, size)
     scale = max(width, height) / max(size)
     camera = (width, height, exif.get(MAKE), exif.get(MODEL), None if not focal else round(focal))
@@ -106,13 +110,16 @@ def _check_plain(file: Path, image: Image.Image) -> None:
     )
 
 
-def _store(image: Image.Image, side: int, path: Path) -> tuple[int, int]:
-    """Write the upright, reduced image; returns its size."""
-    from PIL import ImageOps
-    from PIL.Image import Resampling
+def _store(image: Image.Image, turn: object, side: int, path: Path) -> tuple[int, int]:
+    """Write the reduced image, turned upright from EXIF's orientation; returns its size."""
+    from PIL.Image import Resampling, Transpose
 
+    if image.mode not in ("RGB", "L"):  # Pillow reduces a palette without any filter
+        image = image.convert("RGB")
     image.thumbnail((side, side), Resampling.LANCZOS, reducing_gap=3.0)  # a JPEG is read reduced
-    upright = ImageOps.exif_transpose(image).convert("RGB")
+    upright = image.convert("RGB")
+    if turn in TURNS:  # not by exif_transpose, which writes EXIF anew and so stumbles over odd ones
+        upright = upright.transpose(Transpose[TURNS[turn]])
     for key in ("exif", "icc_profile", "xmp"):
         upright.info.pop(key, None)
     if path.suffix == ".png":

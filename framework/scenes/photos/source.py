@@ -28,7 +28,8 @@ MOST = 2000
 @dataclass(frozen=True)
 class Source:
     """Distinct photos, or one video. title: what the scene is called. beside: the folder in which
-    the poses are kept. copies: photo -> the earlier one with the same bytes."""
+    the poses are kept. copies: photo -> the earlier one with the same bytes, or the JPEG that a
+    phone's HEIC photo was also stored as."""
 
     title: str
     beside: Path
@@ -59,15 +60,23 @@ def find_source(path: str, side: int, frames: int) -> Source:
             f"{place}: expected photos ({', '.join(sorted(SUFFIXES | HEIC))}), got"
             f" {_instead(folder)}"
         )
-    hashes = {file: _sha256(file) for file in files}
+    twins = _twins(files)
+    hashes = {file: _sha256(file) for file in files if file.name not in twins}
     first: dict[str, Path] = {}
     for file, sha in hashes.items():
         first.setdefault(sha, file)
-    copies = {f.name: first[sha].name for f, sha in hashes.items() if first[sha] != f}
+    copies = {f.name: first[sha].name for f, sha in hashes.items() if first[sha] != f} | twins
     distinct = tuple(first.values())
     _check_count(place, len(files), len(distinct))
     key = _key([side, *((file.name, hashes[file]) for file in distinct)])
     return Source(place.resolve().name, folder, distinct, False, key, side, frames, copies)
+
+
+def _twins(files: Sequence[Path]) -> dict[str, str]:
+    """Names of HEIC photos -> those of the JPEGs beside them that are called the same."""
+    jpegs = {f.stem.lower(): f.name for f in files if f.suffix.lower() in (".jpg", ".jpeg")}
+    heic = [f for f in files if f.suffix.lower() in HEIC]
+    return {f.name: jpegs[f.stem.lower()] for f in heic if f.stem.lower() in jpegs}
 
 
 def _video(file: Path, side: int, frames: int) -> Source:

@@ -37,6 +37,11 @@ class Plugins:
         """Whether any of them compares the Gaussians with a second set."""
         return any(getattr(one.plugin, "second_field", False) for one in self.each().values())
 
+    @property
+    def second_drawn(self) -> bool:
+        """Whether that set begins with a draw of its own."""
+        return any(getattr(one.plugin, "second_drawn", False) for one in self.each().values())
+
 
 @dataclass(frozen=True)
 class Trained:
