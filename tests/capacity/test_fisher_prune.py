@@ -30,9 +30,10 @@ def test_the_defaults_are_the_papers_shares() -> None:
 
 def test_a_short_training_is_pruned_too() -> None:
     plugin = FisherPrune(begin=0.9, rounds=3)
-    ctx = replace(watched(wall_of_gaussians(30), 1), n_steps=2)
+    ctx = replace(watched(wall_of_gaussians(30), 0), n_steps=2)
     edits, _ = plugin.update(ctx, None, pulls(torch.ones(30)))
     assert edits is not None and edits.keep is not None and int(edits.keep.sum()) == 6
+    assert FisherPrune(begin=0.97, rounds=1)._steps(30) == [28]  # what is left trains once more
 
 
 def test_what_no_view_sees_goes_first() -> None:

@@ -30,6 +30,7 @@ from framework.run.warmup import _plane
 from framework.train.descent import Fading, fade
 from framework.train.edits import apply_edits, rows_after
 from framework.train.optim import Adam
+from framework.train.plugged import _followed
 from framework.train.resume.checkpoint import pack, state_classes, unpack
 from framework.train.resume.training_state import Plugins, TrainerState
 from framework.train.trainer import Trainer
@@ -44,12 +45,14 @@ def plugged(*plugins: Any) -> Plugged:
     return each[0][1] if len(each) == 1 else Plugged(None, 1.0, 0.0, 1.0, tuple(each))
 
 
-def trainer(keeper: Any = None, start: Any = None, options: Any = None, **chosen: Any) -> Trainer:
+def trainer(
+    keeper: Any = None, start: Any = None, options: Any = None, second: Any = None, **chosen: Any
+) -> Trainer:
     settings = {"steps": 4, "evaluations": 1, "coarse_factor": 1, **(options or {})}
     training, depth, gaussians = _plane(0)
     plugins = {g: registry.build(g, {"name": name}) for g, name in CHOSEN.items()} | chosen
     of = (training, depth, gaussians, TrainerOptions(**settings), Plugins(**plugins), 0, Silent())
-    return Trainer(*of, keeper=keeper, start=start, tells=False)
+    return Trainer(*of, keeper=keeper, start=start, tells=False, second=second)
 
 
 def bits(of: Trainer) -> str:
@@ -344,3 +347,26 @@ def test_a_hook_that_fails_or_writes_is_named_with_its_step(hook: str) -> None:
     with pytest.raises(UserError, match=rf"^reg=Odd: {hook}, step {step}: expected ctx\.gaussians"):
         trainer(reg=plugged(Odd(hook, writes=True))).run()
     trainer(reg=plugged(Odd(""))).run()
+
+
+def test_nobody_dropped_what_an_earlier_capacity_made() -> None:
+    stats = StepStats(torch.ones(2, 2), torch.ones(2), 8, 8, factors=torch.tensor([0.0, 0.5]))
+    followed = _followed(stats, torch.tensor([1, 0, -1, -1]))
+    assert followed.factors is not None and followed.factors.tolist() == [0.5, 0.0, 1.0, 1.0]
+    assert followed.radii.tolist() == [1, 1, 0, 0]
+
+
+def test_a_second_field_of_its_own_draw() -> None:
+    """With a capacity that draws nothing both are one field, unless the second begins elsewhere."""
+    quiet = registry.build("reg", {"name": "co_register", "weight": 0.0})
+    other = _plane(0)[2]
+    for second in (None, other.replace(sh0=other.sh0 + 0.1)):
+        both = trainer(reg=quiet, second=second)
+        both.run()
+        assert both.second is not None
+        same = torch.equal(both.field.params.sh0, both.second.params.sh0)
+        assert same is (second is None)
+    plugins = {g: registry.build(g, {"name": name}) for g, name in CHOSEN.items()}
+    for drawn in (False, True):
+        reg = registry.build("reg", {"name": "co_register", "second_drawn": drawn})
+        assert Plugins(**plugins | {"reg": reg}).second_drawn is drawn

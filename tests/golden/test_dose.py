@@ -228,6 +228,10 @@ def test_the_dose_of_a_training() -> None:
     assert found["reg_acted_share"] == 1.0 and found["acted_share"] == 0.5
     assert found["share_dropped_mean"] == pytest.approx(0.25)  # half of them in half of the steps
     assert told(train(plugins())[0].dose) == {}
+    term = registry.build("reg", {"name": "patch_smoothness", "weight": 1e4})
+    shares = [told(train(plugins(**darker(), **reg))[0].dose) for reg in ({}, {"reg": term})]
+    photometric = [float(share["pseudo_share_of_loss"]) for share in shares]  # type: ignore[arg-type]
+    assert photometric[1] == pytest.approx(photometric[0], rel=0.2)  # without what the term adds
     more = [told(train(plugins(**darker(weight=w)))[0].dose) for w in (0.3, 1.0)]
     assert 0 < more[0]["pseudo_share_of_loss"] < more[1]["pseudo_share_of_loss"] < 0.5  # type: ignore[operator]
 

@@ -11,6 +11,7 @@ import torch
 from framework.compute.rng import stream
 from framework.fisher.scores import (
     NOISE,
+    _log_det,
     block_prior,
     information_gains,
     shared_prior,
@@ -204,3 +205,11 @@ def test_bad_input_is_refused() -> None:
         information_gain(a * math.nan, a, 0.1)
     with pytest.raises(ValueError, match="extent"):
         uncertainty(blocks(0), torch.ones(100, dtype=torch.bool), 0.0, 1e-3)
+
+
+def test_the_blocks_of_a_single_gaussian_stay_as_they_are() -> None:
+    draws = torch.from_numpy(stream(1, "blocks").standard_normal((2, 1, 11, 11)))
+    known = draws @ draws.mT
+    before, prior = known.clone(), np.ones((1, 11))
+    found = [_log_det(known[0].numpy(), prior) for _ in range(2)]
+    assert torch.equal(known, before) and float(found[0][0]) == float(found[1][0])

@@ -152,6 +152,10 @@ def test_smoothness_of_a_patch() -> None:
     step = torch.zeros(8, 16)
     step[:, 8:] = 5.0  # a step between patches is free
     assert float(roughness(step, torch.ones(8, 16), 8)) == 0
+    seen = torch.ones(8, 8)
+    seen[:, 4:] = 0  # a pixel that shows nothing has no depth, not that of the camera
+    assert float(roughness(5.0 * seen, seen, 8)) == 0
+    assert float(roughness(5.0 * seen.T, seen.T, 8)) == 0
     ctx = at_work(step=0)
     falling = PatchSmoothness(initial=100.0, falling=0.5)
     first = falling.loss(ctx, None, ctx.views[0], shown(ctx.depth[0].depth))
@@ -219,3 +223,12 @@ def test_a_warped_photo_is_of_one_view_drawn_evenly() -> None:
     error = (view.image - photo.image).abs().mean(0)[valid]
     assert 0.3 < float(valid.float().mean()) < 1 and float(error.median()) < 0.03
     assert float(view.image[:, ~valid].abs().max()) == 0
+
+
+def test_where_no_photo_was_taken_nothing_is_said_of_cameras() -> None:
+    ctx, (views, _) = context(), stage()
+    render = Render(torch.zeros(3, 60, 80), *torch.ones(2, 60, 80), torch.ones(400))
+    asked = replace(ctx, step=0, gaussians=wall_of_gaussians(), near=100.0)
+    for plugin in (Occlusion(), Frequency()):
+        assert plugin.loss(asked, None, views[0], render) is not None
+        assert plugin.loss(asked, None, replace(views[0], tags=(PSEUDO,)), render) is None

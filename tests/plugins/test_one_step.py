@@ -19,7 +19,7 @@ from framework.compute.rng import stream
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
 from framework.run.warmup import _plane
-from framework.train.field import Field, parameter
+from framework.train.field import Field
 from framework.train.trainer import Plugins, Trainer
 from framework.types import Gaussians
 
@@ -87,9 +87,8 @@ def trained(weight: float = 1.0, steps: int = 2, **options: dict[str, Any]) -> T
         0,
         Silent(),
         tells=False,
+        second=scattered(1),
     )
-    if trainer.second is not None:
-        trainer.second.params = scattered(1).map(parameter)
     trainer.run()
     return trainer
 
