@@ -223,6 +223,12 @@ def a_plan(tmp_path: Path, n_runs: int = 4) -> Plan:
     )
 
 
+def test_the_newest_submission_is_the_last_one_made(tmp_path: Path) -> None:
+    first, second = a_plan(tmp_path), a_plan(tmp_path)
+    (first.folder / "page.html").write_text("whoever looks at it writes this")
+    assert plan.plans(tmp_path) == [first.folder, second.folder]
+
+
 @pytest.fixture
 def no_ledger(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plan, "build_reports", lambda: None)

@@ -14,7 +14,7 @@ from framework.command.search import driver
 from framework.command.search.command import to_judge
 from framework.command.search.driver import Search, run_search
 from framework.command.search.space import Dimension, space_of
-from framework.command.search.trial import Result
+from framework.command.search.trial import Result, run
 from framework.errors import UserError
 from framework.records.search import SEARCH, read_search
 from framework.scenes.splits import HELD_OUT, PROTOCOLS, UNTESTED, protocol
@@ -206,3 +206,8 @@ def test_the_report_of_a_search_says_what_judged(tmp_path: Path) -> None:
     (tmp_path / SEARCH).write_text(json.dumps(table))
     text = build_report(tmp_path).read_text()
     assert "Best of 3 trials by PSNR (21.00): `x=1`" in text and "broken" in text
+
+
+def test_a_trial_with_values_that_do_not_go_together_is_a_failed_one() -> None:
+    found = run(["trainer.opacity_decay=20.0"], "[trial 0]", "psnr")
+    assert found.value is None and "opacity_decay" in found.error

@@ -67,6 +67,10 @@ def test_what_replaces_a_part_of_a_method_is_told(capsys: pytest.CaptureFixture[
         ("scene.path=a&b", "scene.path='a&b'"),
         ("scene.path=plain/of letters", "scene.path=plain/of letters"),
         ("scene.path='é'", "scene.path='é'"),
+        ("scene.path=2024_05_12", "scene.path='2024_05_12'"),  # no number
+        ("+depth.path=1e3", "+depth.path='1e3'"),
+        ("study=True", "study='True'"),
+        ("seed=2024", "seed=2024"),
         ("scene.path=é,b", "scene.path=é,b"),  # a sweep
         ("-m", "-m"),
     ],

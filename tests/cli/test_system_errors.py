@@ -16,6 +16,7 @@ from framework.command.complaints import one_line, with_variant
 from framework.command.config.schema import ROOT
 from framework.command.studies.failures import kind_of
 from framework.errors import mendable, os_line, out_of_memory
+from framework.files import cache
 from framework.report.__main__ import main as report
 from tests.cli.conftest import FakeRuns, runs
 
@@ -201,3 +202,12 @@ def test_a_missing_depth_names_the_recipe_without_a_network() -> None:
         ("scene.path: expected a folder", ["method=fsgs"]),
     ):
         assert with_variant(message, words) == message
+
+
+def test_a_cache_of_its_own_needs_no_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def nobody() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", nobody)
+    monkeypatch.setenv("FISHERSPLAT_CACHE", str(tmp_path / "own"))
+    assert cache.cache_dir() == tmp_path / "own"

@@ -15,7 +15,7 @@ import torch
 from framework.compute.rng import stream
 from framework.depth import PROVIDERS, build_provider
 from framework.depth.align import fit_scale, fit_scale_shift
-from framework.depth.read import find_file, resample
+from framework.depth.read import _as_cut, find_file, resample
 from framework.errors import UserError
 from framework.types import TrainingSet
 from tests.depth.plane import plane_depth, plane_scene
@@ -277,3 +277,12 @@ def test_importing_the_package_stays_light() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
     assert sorted(PROVIDERS) == ["depth_anything_3", "file", "ground_truth", "plane_sweep"]
+
+
+def test_a_map_is_cut_as_reducing_its_photo_did() -> None:
+    """Of 1007x500 pixels eighths are 125x62: the last seven columns and four rows are in none."""
+    columns = np.tile(np.arange(1007.0), (500, 1))
+    assert _as_cut(columns, 125, 62).shape == (496, 1000)
+    assert _as_cut(columns[::2, ::2], 125, 62).shape == (248, 500)  # a map of half that size
+    for height, width in ((62, 125), (31, 63), (500, 1010)):  # of its size, smaller, of another cut
+        assert _as_cut(np.zeros((height, width)), 125, 62).shape == (height, width)

@@ -51,6 +51,12 @@ def test_a_moved_scene_looks_the_same_from_a_moved_camera() -> None:
     assert float((before - after).abs().max()) < 2e-3
 
 
+def test_cameras_that_look_at_the_middle_from_four_sides_do_not_flatten_the_scene() -> None:
+    four = [camera_at((x, -2.0, z)) for x, z in ((3, 0), (0, 3), (-3, 0), (0, -3))]
+    turn = upright(rig(four), 4.0)[:3, :3]
+    assert np.allclose(turn @ turn.T, np.eye(3), atol=1e-9)
+
+
 @pytest.mark.parametrize("cameras", [all_around(up=ODD_UP), side_by_side()])
 def test_upright_means_y_down_and_the_middle_at_the_origin(cameras: list) -> None:  # type: ignore[type-arg]
     moved = upright(rig(cameras), 4.0)

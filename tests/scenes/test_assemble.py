@@ -39,3 +39,16 @@ def test_a_scene_without_points_needs_no_tracks() -> None:
         shots.append(Shot(f"{i}.png", pose, np.eye(3), IMAGE))
     scene = assemble("s", "p", shots, [], Tracks(), 1.0, 2.0)
     assert scene.training.points.visible.shape == (0, 3)
+
+
+def test_geographic_coordinates_are_refused() -> None:
+    """Gaussians are kept in 32 bits, which round places in another zone by pixels."""
+
+    def far_off(away: float) -> None:
+        pose, K = np.eye(4), np.diag([600.0, 600.0, 1.0])
+        pose[:3, 3] = -away, -3.0, 0.0
+        assemble("s", "p", [Shot("a.png", pose, K, IMAGE)], [], Tracks(), 1.0, 2.0)
+
+    far_off(500.0)
+    with pytest.raises(UserError, match=r"round places by 36 pixels; subtract \(500000, 3, 0\)"):
+        far_off(5e5)

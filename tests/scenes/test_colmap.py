@@ -125,6 +125,19 @@ def test_photos_may_lie_in_folders_of_the_folder(tmp_path: Path) -> None:
     assert torch.equal(found.training.views[0].image, flat.training.views[0].image)
 
 
+def test_names_with_blanks_and_a_camera_that_no_photo_has(tmp_path: Path) -> None:
+    pytest.importorskip("pycolmap")
+    folder = write_scene(tmp_path)
+    for photo in (folder / "images").glob("*.png"):
+        photo.rename(photo.with_name(photo.name.replace("im", "my  photo ")))
+    images, cameras = (folder / f"sparse/0/{name}.txt" for name in ("images", "cameras"))
+    images.write_text(images.read_text().replace(" im", " my  photo "))
+    fisheye = "2 OPENCV_FISHEYE 40 30 50 50 20 15 0 0 0 0\n"
+    cameras.write_text(cameras.read_text().replace("cameras: 1", "cameras: 2") + fisheye)
+    scene = load(folder)
+    assert [v.name for v in scene.training.views] == [f"my  photo {i:02d}.png" for i in (1, 5, 9)]
+
+
 def test_the_cameras_that_colmap_knows_are_whole_here() -> None:
     pycolmap = pytest.importorskip("pycolmap")
     for number, parameters in enumerate(PARAMETERS):

@@ -19,6 +19,7 @@ from framework.scenes.photos.attempt import Attempt
 from framework.scenes.photos.found import Try
 from framework.scenes.photos.model import store
 from framework.scenes.photos.prepare import prepare
+from framework.scenes.photos.source import find_source
 from tests.scenes.pictures import FOCAL, HEIGHT, WIDTH, exif_of, photograph, rig
 from tests.scenes.unplaced import SIDE, load, noise_photos, source_of
 
@@ -70,6 +71,27 @@ def test_large_photos_are_reduced(tmp_path: Path) -> None:
     assert photo.reduced and (photo.width, photo.height) == (400, 300)
     assert photo.focal_px == pytest.approx(FOCAL * 400 / WIDTH, rel=0.02)
     assert Image.open(tmp_path / photo.stored).size == (400, 300)
+
+
+def test_a_palette_is_reduced_as_its_colours_are(tmp_path: Path) -> None:
+    stripes = np.zeros((600, 800, 3), np.uint8)
+    stripes[:, ::2] = 255
+    for name, image in (
+        ("rgb", Image.fromarray(stripes)),
+        ("p", Image.fromarray(stripes).quantize()),
+    ):
+        image.save(tmp_path / f"{name}.png")
+        photo = prepare(tmp_path / f"{name}.png", tmp_path, 7, 400)
+        assert 120 < read_image(tmp_path / photo.stored).mean() < 135
+
+
+def test_a_jpeg_beside_the_heic_of_its_name_is_the_same_photo(tmp_path: Path) -> None:
+    for i, png in enumerate(sorted(noise_photos(tmp_path).glob("*.png"))):
+        png.rename(tmp_path / f"IMG_{i}.jpg")
+    (tmp_path / "img_1.HEIC").write_bytes(b"the same photo")
+    found = find_source(str(tmp_path), SIDE, 0)
+    assert found.copies == {"img_1.HEIC": "IMG_1.jpg"}
+    assert [file.name for file in found.files] == ["IMG_0.jpg", "IMG_1.jpg", "IMG_2.jpg"]
 
 
 def test_focal_length_of_the_sensor(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import functools
 import math
 import os
+import re
 import sys
 import urllib.parse
 from collections.abc import Iterable, Mapping, Sequence
@@ -48,6 +49,7 @@ REFUSED_FLAGS = {
 }
 OF_GRAMMAR = set("'\"[]{}(),\\$")  # signs that mean something in the value of an override
 NAMES = ("study", "metrics.lpips_weights", "scene.images", "scene.file")  # values that are names
+NO_NAME = re.compile(r"[0-9+\-._e]+|true|false|[+-]?(inf|nan)", re.ASCII | re.I)  # a value of those
 NO_WORDS = "#&;<>!~^`"  # of ASCII, what it reads only in quotation marks
 QUIET = {"version": 1, "root": None, "disable_existing_loggers": False}  # hydra/*_logging=none
 
@@ -146,8 +148,8 @@ def quoted(argument: str) -> str:
     one that names a file, a folder or a study: `2024_05_12` is no number there."""
     key, equals, value = argument.partition("=")
     named = key.lstrip("+") in NAMES or key.endswith(".path")
-    strange = named or any(not sign.isascii() or sign in NO_WORDS for sign in value)
-    strange = strange and value != "" and value != "null"
+    strange = any(not sign.isascii() or sign in NO_WORDS for sign in value)
+    strange = strange or (named and NO_NAME.fullmatch(value) is not None)
     return f"{key}='{value}'" if equals and strange and not set(value) & OF_GRAMMAR else argument
 
 
