@@ -91,7 +91,9 @@ def main(argv: Sequence[str]) -> int:
                 return 0 if detached() else conclude()
     except KeyboardInterrupt:
         line = f"{program()} {shlex.join(argv)}"
-        print(f"error: interrupted; what is done is kept, go on with: {line}", file=sys.stderr)
+        forced = any(word.lower() == "force=true" for word in argv)
+        kept = "force=true begins anew with all runs" if forced else "what is done is kept, go on"
+        print(f"error: interrupted; {kept} with: {line}", file=sys.stderr)
         return 130
     except (Refused, *USER_ERRORS) as error:
         if "traceback=true" in argv:

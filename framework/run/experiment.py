@@ -51,6 +51,7 @@ from framework.records.provenance import (
 from framework.records.record import (
     EXPOSURE,
     LPIPS,
+    RECORD,
     TRAIN_STAGE,
     RunRecord,
     SceneInfo,
@@ -232,6 +233,7 @@ def _written(
     """The run's files; the record last, as it says that all others are there. photos: the training
     views as they were taken, whatever the exposures of those of `run` were evened by."""
     run_dir, test = run.folder, run.scene.test
+    (run_dir / RECORD).unlink(missing_ok=True)  # of a run before, with other files than these
     with following(run_dir) as before:
         factors = None if run.exposures is None else run.exposures.factors
         write_cameras(run_dir, photos, test, near, factors)
