@@ -29,7 +29,7 @@ FARTHEST = 1e9  # scene units, of whatever is in a scene: float32 has to hold it
 FOCAL = (0.01, 1000.0)  # focal lengths, over the longer side of the image
 OFF_CENTER = 10.0  # of the principal point from the image's middle, over the longer side
 BENT = 100.0  # largest coefficient of a lens distortion
-ROUNDED = 0.1  # pixels by which float32 may round a place that is seen
+ROUNDED = 0.5  # pixels by which float32 may round a place that is seen
 ASTRAY = 1000.0  # times the rig's size and the far bound: from there nothing is seen
 
 
