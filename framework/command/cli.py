@@ -91,9 +91,10 @@ def main(argv: Sequence[str]) -> int:
                 return 0 if detached() else conclude()
     except KeyboardInterrupt:
         line = f"{program()} {shlex.join(argv)}"
-        forced = any(word.lower() == "force=true" for word in argv)
-        kept = "force=true begins anew with all runs" if forced else "what is done is kept, go on"
-        print(f"error: interrupted; {kept} with: {line}", file=sys.stderr)
+        kept = "what is done is kept, go on with"
+        if any(word.lower() == "force=true" for word in argv):
+            kept = "force=true begins anew with all runs"
+        print(f"error: interrupted; {kept}: {line}", file=sys.stderr)
         return 130
     except (Refused, *USER_ERRORS) as error:
         if "traceback=true" in argv:

@@ -174,10 +174,10 @@ def straightened(values: NDArray[np.float64], view: View) -> NDArray[np.float64]
 
 def _as_cut(values: NDArray[np.float64], width: int, height: int) -> NDArray[np.float64]:
     """The map of a stored photo without the last rows and columns that reducing the photo by an
-    integer to width x height has cut off: fewer than that integer (as many, if half a one more)."""
+    integer to width x height has cut off: fewer than that integer."""
     h, w = values.shape
-    factor = max(1, round(min(w / width, h / height)))
-    if 0 <= w - factor * width <= factor and 0 <= h - factor * height <= factor:
+    factor = round(min(w / width, h / height))
+    if 0 <= w - factor * width < factor and 0 <= h - factor * height < factor:
         return values[: factor * height, : factor * width]
     return values
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 BYTES_PER_PIXEL = 12  # three float32
+REACH = 6  # pixels from which taking a lens out mixes a pixel: half of 8, and what overshoots
 MOST_STRETCH = 1.1  # by which the two axes of a resized photo may differ
 
 
@@ -68,7 +69,9 @@ def pinhole_shot(
     if not distortion.none:
         image, covered = undistort(image, K, distortion)
         if mask is not None:  # only what is made of pixels that count alone
-            white = (255 * mask).astype(np.uint8)
+            import cv2
+
+            white = cv2.erode((255 * mask).astype(np.uint8), np.ones((2 * REACH + 1,) * 2))
             kept, _ = undistort(np.repeat(white[..., None], 3, axis=2), K, distortion)
             whole = (kept[..., 0] == 255).astype(np.float32)
             covered = whole if covered is None else covered * whole

@@ -20,14 +20,14 @@ best model of a scene, of which then nothing is measured.
 may train but do not, six at most and evenly spaced, in place of the test views, which are not even
 read. For choosing among settings (`fishersplat search`): test views may not choose.
 
-`file` (of `scene=transforms`): as the scene's own file names its test photos, in `test_filenames`
-or, where there are none, `val_filenames`; training views by `llff`'s rule, of `train_filenames` or
-of all that remain. `file_held_out` judges by others of these.
-
 `llff_drawn0`, `llff_drawn1`, ... (and so for each of the above, with `_held_out` at the end): the
 same test views, but training views drawn at random from all that may train; the number is the
 draw's seed. For asking whether an answer depends on which photos one has: a study over draws has
 many triples of photos where a protocol has one.
+
+`file` (of `scene=transforms`): as the scene's own file names its test photos, in `test_filenames`
+or, where there are none, `val_filenames`; training views by `llff`'s rule, of `train_filenames` or
+of all that remain. `file_held_out` judges by others of these.
 
 n_views is a number or `all`: as many as the protocol leaves for training.
 """

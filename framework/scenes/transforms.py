@@ -18,6 +18,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass
+from os.path import splitext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -97,6 +98,14 @@ class Transforms:
                 bool(test),
                 f"{file}: expected test_filenames or val_filenames for scene.split={self.split},"
                 " got none; name test photos there or take scene.split=llff",
+            )
+            known = {*names, *(splitext(name)[0] for name in names)}
+            strange = sorted((train | test) - known)
+            require(
+                not strange,
+                f"{file}: expected the photos of train_filenames and test_filenames among its"
+                f" frames, {len(strange)} are not (first: {strange[0] if strange else ''}); correct"
+                " their names or take scene.split=llff",
             )
             return own.split(names, self.n_views, where)
         split = protocol(self.split).split(names, self.n_views, where)

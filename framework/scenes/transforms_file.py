@@ -84,7 +84,7 @@ def read_frames(path: Path) -> list[Frame]:
     for frame in read_cameras(path):
         name = _relative(path.parent, frame.name)
         file = _photo(path.parent, name)
-        mask = None if frame.mask is None else inside(path.parent, frame.mask)
+        mask = frame.mask and inside(path.parent, _relative(path.parent, str(frame.mask)))
         frames.append(replace(frame, name=_with_suffix(name, file), file=file, mask=mask))
     _check_files(path, frames)
     return sorted(frames, key=lambda frame: frame.name)
@@ -128,13 +128,12 @@ def read_roles(path: Path) -> tuple[set[str], set[str]]:
 
 
 def _merged(common: Mapping[str, float], own: Mapping[str, float]) -> dict[str, float]:
-    """Intrinsics of one frame: its own come first, its own angle of view before a common focal
-    length too."""
-    told = dict(common)
-    for key, angle in (("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")):
-        if angle in own and key not in own:
-            told.pop(key, None)
-    return {**told, **own}
+    """Intrinsics of one frame: its own come first, its own focal length or angle of view before
+    the common ones of that axis, and one across before those of both, as half of each is none."""
+    across, up = ("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")
+    gone = {*across, *up} if any(key in own for key in across) else set[str]()
+    gone |= {*up} if any(key in own for key in up) else set()
+    return {**{key: value for key, value in common.items() if key not in gone}, **own}
 
 
 def _text(entry: Mapping[str, Any], key: str, where: str) -> str | None:
@@ -228,9 +227,10 @@ def _photo(folder: Path, file_path: str) -> Path:
 def _relative(folder: Path, file_path: str) -> str:
     """An absolute path below the folder as one from there; others as they are, without `./`."""
     absolute = Path(file_path)
-    if not absolute.is_absolute() or not absolute.is_relative_to(folder.resolve()):
-        return file_path.removeprefix("./")
-    return absolute.relative_to(folder.resolve()).as_posix()
+    for root in (folder.absolute(), folder.resolve()):  # the folder may be a link
+        if absolute.is_absolute() and absolute.is_relative_to(root):
+            return absolute.relative_to(root).as_posix()
+    return file_path.removeprefix("./")
 
 
 def _with_suffix(name: str, file: Path) -> str:

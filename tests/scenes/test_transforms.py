@@ -251,7 +251,7 @@ def test_masks_of_frames(tmp_path: Path) -> None:
     assert mask is not None and mask[:, :10].sum() == 0 and bool(mask[:, 10:].all())
     bent = load(write(tmp_path, lambda data: (masked(data), data.update(k1=0.2))), **BOUNDS)
     mask = bent.training.views[0].mask
-    assert mask is not None and mask[:, :10].sum() == 0 and bool(mask[5:-5, 14:-5].all())
+    assert mask is not None and mask[:, :10].sum() == 0 and bool(mask[5:-5, 22:-5].all())
     Image.fromarray(0 * pixels).save(tmp_path / "masks/1.png")
     with pytest.raises(UserError, match="expected a mask with some white pixels"):
         load(tmp_path, **BOUNDS)
@@ -282,6 +282,12 @@ def test_test_photos_that_the_file_names(tmp_path: Path, caplog: pytest.LogCaptu
         UserError, match=r"expected test_filenames or val_filenames for scene\.split"
     ):
         load(write(folder), split="file", **BOUNDS)
+    with pytest.raises(UserError, match=r"among its frames, 1 are not \(first: images/IM01\.png"):
+        load(
+            write(folder, lambda data: data.update(test_filenames=["images/IM01.png"])),
+            split="file",
+            **BOUNDS,
+        )
     with pytest.raises(UserError, match="expected test_filenames to be a list of names"):
         load(write(folder, lambda data: data.update(test_filenames="all")), **BOUNDS)
 
@@ -304,6 +310,7 @@ def test_how_photos_may_be_named(tmp_path: Path) -> None:
 
 def test_a_frames_own_angle_comes_before_a_common_focal_length(tmp_path: Path) -> None:
     def wide(data: Data) -> None:
+        data["fl_y"] = FOCAL
         for frame in data["frames"]:
             frame["camera_angle_x"] = 2.0
 
