@@ -146,10 +146,13 @@ def check_rounding(
     places = np.abs(centers).max(axis=1) + min(near, far)
     away = float(places.max())
     pixels = away * float(np.finfo(np.float32).eps) * focal / near
-    middle = ", ".join(f"{value:.6g}" for value in np.median(centers, axis=0))
+    median = np.median(centers, axis=0)
+    middle = ", ".join(f"{value:.6g}" for value in median)
+    hint = f"subtract ({middle}) from all positions and points"
+    if 2 * float(np.abs(median).max()) < away:  # the scene is there, and something very near to it
+        hint = "raise the near bound or scene.downscale"
     require(
         pixels <= ROUNDED,
         f"{where}: expected cameras near the origin, got one {away:.3g} from it, where 32-bit"
-        f" numbers round places by {pixels:.2g} pixels; subtract ({middle}) from all positions and"
-        " points",
+        f" numbers round what is {near:.3g} before it by {pixels:.2g} pixels; {hint}",
     )

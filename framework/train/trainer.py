@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from framework.compute.stopwatch import Stopwatch
@@ -103,6 +104,11 @@ class Trainer:
         self.second: Field | None = None
         if plugins.second_field:
             conditions = replace(conditions, field="second/")
+            if second is not None and torch.equal(second.means, gaussians.means):
+                LOG.warning(
+                    "second_drawn: this init draws nothing, so the second field begins with the"
+                    " Gaussians of the first all the same"
+                )
             self.second = Field.of(
                 gaussians if second is None else second,
                 PluginsAtWork(plugins, conditions, Dose()),

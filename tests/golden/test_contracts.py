@@ -356,10 +356,13 @@ def test_nobody_dropped_what_an_earlier_capacity_made() -> None:
     assert followed.radii.tolist() == [1, 1, 0, 0]
 
 
-def test_a_second_field_of_its_own_draw() -> None:
+def test_a_second_field_of_its_own_draw(caplog: pytest.LogCaptureFixture) -> None:
     """With a capacity that draws nothing both are one field, unless the second begins elsewhere."""
     quiet = registry.build("reg", {"name": "co_register", "weight": 0.0})
     other = _plane(0)[2]
+    with caplog.at_level("WARNING"):
+        trainer(reg=quiet, second=other)
+    assert "this init draws nothing" in caplog.text
     for second in (None, other.replace(sh0=other.sh0 + 0.1)):
         both = trainer(reg=quiet, second=second)
         both.run()

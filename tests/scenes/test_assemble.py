@@ -50,5 +50,5 @@ def test_geographic_coordinates_are_refused() -> None:
         assemble("s", "p", [Shot("a.png", pose, K, IMAGE)], [], Tracks(), 1.0, 2.0)
 
     far_off(500.0)
-    with pytest.raises(UserError, match=r"round places by 36 pixels; subtract \(500000, 3, 0\)"):
+    with pytest.raises(UserError, match=r"before it by 36 pixels; subtract \(500000, 3, 0\)"):
         far_off(5e5)
