@@ -39,6 +39,7 @@ USUAL = {  # unnamed
 VARIANTS = {  # plugins that one option makes another method, as `conf/reg/` names it
     ("uniform", "reg.compensate", True): "dropgaussian",
     ("uar", "reg.mode", "hard"): "uar_hard",
+    ("co_register", "reg.second_drawn", True): "co_register_drawn",
 }
 NO_METHOD = ("seed", "scene", "metrics", *NEUTRAL_KEYS)
 WATCHING = ("trainer.evaluations",)  # changes what is told, not what comes out

@@ -36,6 +36,7 @@ MEANING = {  # docs/methods.md has their equations
     "dropgaussian": "dropout of Gaussians at random that the others make up for",
     "uar_hard": "dropout of Gaussians that the photos determine well",
     "uar": "dimming of Gaussians that the photos determine well",
+    "co_register_drawn": "agreement with a second field that begins as another draw",
 }
 
 
