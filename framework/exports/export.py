@@ -22,9 +22,10 @@ def main(arguments: list[str], prog: str) -> int:
     """Exit status 0. Raises UserError for bad input."""
     options = _parser(prog).parse_args(arguments)
     kinds = _kinds(options.format)
-    folder = options.out or options.run / "export"
     from framework.records.record import RECORD
+    from framework.records.run_files import EXPORT
 
+    folder = options.out or options.run / EXPORT
     require(
         folder.resolve() != options.run.resolve(),
         f"--out: expected another folder than the run's, got {folder}; the cameras of the run would"

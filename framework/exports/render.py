@@ -33,12 +33,12 @@ def main(arguments: list[str], prog: str) -> int:
     from framework.exports.ticks import Ticks
     from framework.records.photos import PHOTOS
     from framework.records.record import RECORD
-    from framework.records.run_files import RENDERS, file_stems
+    from framework.records.run_files import PICTURES, RENDERS, file_stems
 
     given = read_given(options.cameras)
     cameras = [_resized(one.camera, options.size) for one in given]
     run = open_run(options.run)
-    folder = options.out or options.run / "pictures"
+    folder = options.out or options.run / PICTURES
     require(
         not (folder.parent / RECORD).exists() or folder.name not in (RENDERS, PHOTOS),
         f"--out: expected a folder for new pictures, got {folder}, which holds those of a run;"

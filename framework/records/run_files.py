@@ -37,6 +37,9 @@ STEM_LENGTH = 180  # characters of a view's name in those of its files, which ta
 METRICS_CSV, HISTORY_CSV, RENDERS = "metrics.csv", "history.csv", "renders"
 VIDEOS = ("video.mp4", "video.webm", "video.webp", "video.gif")  # of `fishersplat video RUN`
 VIEW = "view.html"  # the run's page, if `fishersplat view RUN --static` made it
+EXPORT, PICTURES = "export", "pictures"  # folders of `fishersplat export` and `fishersplat render`
+# what these commands made of a run's model; a training in its place removes it
+MADE_OF_MODEL = (VIEW, *VIDEOS, f"{EXPORT}/scene.*", f"{PICTURES}/*.png")
 METRIC_COLUMNS = ("view", "tags", *METRICS, "render_s", "file", "missing")
 # metrics that runs of before do not have, and why
 LATER = {"lpips_01": "the run was recorded before this was measured"}

@@ -59,7 +59,7 @@ from framework.records.record import (
     find_complete,
     write_run,
 )
-from framework.records.run_files import VIDEOS, VIEW
+from framework.records.run_files import MADE_OF_MODEL
 from framework.run import answers, budget, trackers
 from framework.run.lpips_later import lacks_lpips, with_lpips
 from framework.run.training import Run, initial, renderer, thinned, train, try_out
@@ -251,8 +251,9 @@ def _written(
         before,
     )
     remove_checkpoints(run_dir)
-    for left in (budget.FILE, VIEW, *VIDEOS):  # a page and a film are of the model of before
-        (run_dir / left).unlink(missing_ok=True)
+    for left in (budget.FILE, *MADE_OF_MODEL):  # these are of the model of before
+        for file in run_dir.glob(left):
+            file.unlink(missing_ok=True)
     return record
 
 

@@ -16,7 +16,7 @@ from framework.metrics.values import Missing
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
 from framework.records.record import RunRecord
-from framework.records.run_files import METRICS_CSV, VIDEOS, VIEW
+from framework.records.run_files import EXPORT, METRICS_CSV, PICTURES, VIDEOS, VIEW
 from framework.run import experiment
 from framework.run.experiment import run_experiment
 from framework.scenes import load_scene
@@ -124,12 +124,15 @@ def test_a_damaged_table_is_no_complete_run(tmp_path: Path) -> None:
     assert run(config, tmp_path / "run")[1]
 
 
-def test_a_page_and_a_film_of_an_older_model_go_with_it(tmp_path: Path) -> None:
+def test_what_was_made_of_an_older_model_goes_with_it(tmp_path: Path) -> None:
     config = small_config(group("depth", "plane_sweep"))
     run(config, tmp_path / "run")
-    left = [tmp_path / "run" / name for name in (VIEW, *VIDEOS)]
-    for path in left:
+    made = [VIEW, *VIDEOS, f"{EXPORT}/scene.compressed.ply", f"{PICTURES}/IMG 1.png"]
+    left = [tmp_path / "run" / name for name in made]
+    theirs = tmp_path / "run" / EXPORT / "notes.txt"
+    for path in (*left, theirs):
+        path.parent.mkdir(exist_ok=True)
         path.touch()
     assert run(config, tmp_path / "run")[1] and all(path.exists() for path in left)
     run({**config, "force": True}, tmp_path / "run")
-    assert not any(path.exists() for path in left)
+    assert not any(path.exists() for path in left) and theirs.exists()
