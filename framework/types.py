@@ -116,13 +116,15 @@ class SparsePoints:
 
 @dataclass(frozen=True)
 class TrainingSet:
-    """All that training may know of a scene: no test view can be reached from here."""
+    """All that training may know of a scene: no test view can be reached from here. paper: the
+    grey in [0, 1] that transparent photos were laid on, None where all are opaque."""
 
     scene: str
     views: tuple[View, ...]
     points: SparsePoints
     near: float
     far: float
+    paper: float | None = None
 
     @cached_property  # asked for in every step
     def extent(self) -> float:

@@ -1,11 +1,13 @@
 """Colours behind the Gaussians: what a ray sees where nothing absorbs it.
 
 A constant colour near the scene's mean leaves the Gaussians the least to explain where no training
-view supports them, hence `mean` is the default.
+view supports them, hence `mean` is the default. Behind transparent photos there is nothing but the
+paper they were laid on: there `mean` is its grey.
 """
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING
 
 from framework.errors import require
@@ -15,9 +17,12 @@ if TYPE_CHECKING:
 
     from framework.types import TrainingSet
 
+log = logging.getLogger(__name__)
+
 
 def background_color(kind: str, training: TrainingSet) -> Tensor:
-    """[3] float32 of one of `BACKGROUNDS`: `mean` (of the valid training pixels), `black`, `white`.
+    """[3] float32 of one of `BACKGROUNDS`: `mean` (of the valid training pixels; of transparent
+    photos their paper), `black`, `white`, of which a warning tells where the paper is another.
 
     For `random`, of which a training step draws `random_background`, renders for evaluation stand
     on the mean, the colour they differ least from on average. Raises UserError where the masks
@@ -25,10 +30,16 @@ def background_color(kind: str, training: TrainingSet) -> Tensor:
     """
     import torch
 
-    mean = _mean_color(training)
+    mean, paper = _mean_color(training), training.paper
     if kind in ("mean", "random"):
-        return mean
-    return torch.full((3,), 1.0 if kind == "white" else 0.0)
+        return mean if paper is None else torch.full((3,), paper)
+    plain = 1.0 if kind == "white" else 0.0
+    if paper not in (None, plain):
+        log.warning(
+            f"transparent photos were laid on {'white' if paper else 'black'}, renders on {kind}:"
+            f" what is clear must be painted; trainer.background=mean takes the photos' paper"
+        )
+    return torch.full((3,), plain)
 
 
 def random_background(seed: int, step: int) -> Tensor:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from framework.errors import UserError, nearest_hint
+from framework.scenes.blender import Blender
 from framework.scenes.colmap import Colmap
 from framework.scenes.dtu import Dtu
 from framework.scenes.embedded import Embedded
@@ -28,6 +29,7 @@ __all__ = [
     "HELD_OUT",
     "LOADERS",
     "UNTESTED",
+    "Blender",
     "Colmap",
     "Dtu",
     "Embedded",
@@ -48,6 +50,7 @@ LOADERS: dict[str, type] = {
     "llff": Llff,
     "dtu": Dtu,
     "mip360": Mip360,
+    "blender": Blender,
     "transforms": Transforms,
     "colmap": Colmap,
     "photos": Photos,

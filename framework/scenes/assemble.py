@@ -32,6 +32,7 @@ class Shot:
 
     viewmat: [4, 4] world-to-camera (OpenCV axes). K: [3, 3] pixels. image: [H, W, 3] uint8.
     depth: [H, W] float32 or None. mask: [H, W] float32 or None (all valid). lens: see `View`.
+    clear: the photo is transparent and was laid on paper.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Shot:
     mask: NDArray[np.float32] | None = None
     tags: tuple[str, ...] = ()
     lens: tuple[float, ...] = ()
+    clear: bool = False
 
 
 @dataclass(frozen=True)
@@ -162,9 +164,11 @@ def assemble(
     points: Tracks,
     near: float,
     far: float,
+    paper: float | None = None,
 ) -> Scene:
     """The scene. `points.seen` is over the training shots, in their order. Test shots without tags
-    get that of their camera's place. Raises UserError for bounds or places that no scene has."""
+    get that of their camera's place. paper: the grey in [0, 1] that transparent photos are laid on.
+    Raises UserError for bounds or places that no scene has."""
     from framework.scenes.placement import placement
     from framework.types import Scene, TrainingSet
 
@@ -177,7 +181,8 @@ def assemble(
     check_rounding(_centers(both), focal, near, far, where)
     if not len(points.xyz):
         points = points.for_training(range(len(train)))
-    training = TrainingSet(name, tuple(map(_view, train)), _points(points), near, far)
+    paper = paper if any(shot.clear for shot in train) else None
+    training = TrainingSet(name, tuple(map(_view, train)), _points(points), near, far, paper)
     fingerprint = _fingerprint(protocol, train, test, points, (float(near), float(far)))
     found = placement(_centers(test), _centers(train))
     tagged = [s if s.tags else replace(s, tags=t) for s, t in zip(test, found, strict=True)]

@@ -121,12 +121,32 @@ def bits(image: Image.Image) -> str:
     return deep[0] if deep and image.mode in EIGHT_BIT else image.mode
 
 
-def read_image(path: Path, paper: int | None = None) -> NDArray[np.uint8]:
-    """[H, W, 3] uint8. paper: grey value 0 to 255 to lay a transparent image on, alpha blending the
-    stored (sRGB) values as the NeRF synthetic data set is used; None refuses transparency.
+def read_image(path: Path) -> NDArray[np.uint8]:
+    """[H, W, 3] uint8. Raises UserError for a damaged, deeper than 8-bit or transparent image."""
+    rgb, alpha = _pixels(path)
+    require(alpha is None, f"{path}: expected an opaque image, got transparency; flatten it")
+    return rgb
 
-    Raises UserError for a damaged, deeper than 8-bit or (with None) transparent image.
+
+def read_on_paper(path: Path, paper: int) -> tuple[NDArray[np.uint8], bool]:
+    """([H, W, 3] uint8, whether the image is transparent). paper: the grey value 0 to 255 that it
+    is laid on, alpha blending the stored (sRGB) values as the NeRF synthetic data set is used.
+
+    Raises UserError for a damaged or deeper than 8-bit image.
     """
+    import numpy as np
+
+    rgb, alpha = _pixels(path)
+    if alpha is None:
+        return rgb, False
+    for row, opaque in zip(rgb, alpha, strict=True):  # by rows: float64 takes eight times as much
+        share = opaque[:, None].astype(np.float64) / 255.0
+        row[:] = np.rint(row * share + float(paper) * (1.0 - share))
+    return rgb, True
+
+
+def _pixels(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
+    """([H, W, 3], [H, W] alpha or None where every pixel is opaque), as stored."""
     import numpy as np
 
     with opened(path) as image:
@@ -138,15 +158,9 @@ def read_image(path: Path, paper: int | None = None) -> NDArray[np.uint8]:
         clear = image.has_transparency_data
         pixels = np.asarray(image.convert("RGBA" if clear else "RGB"), dtype=np.uint8)
     if not clear:
-        return pixels
-    rgb = pixels[..., :3].copy()
-    if pixels[..., 3].min() == 255:
-        return rgb
-    require(paper is not None, f"{path}: expected an opaque image, got transparency; flatten it")
-    for row, stored in zip(rgb, pixels, strict=True):  # by rows: float64 takes eight times as much
-        alpha = stored[:, 3:].astype(np.float64) / 255.0
-        row[:] = np.rint(stored[:, :3] * alpha + float(paper or 0) * (1.0 - alpha))
-    return rgb
+        return pixels, None
+    rgb, alpha = pixels[..., :3].copy(), pixels[..., 3]
+    return rgb, None if alpha.min() == 255 else alpha
 
 
 def read_mask(path: Path, height: int, width: int) -> NDArray[np.float32]:

@@ -13,12 +13,18 @@ variant truncates instead of rounding and so takes other frames.
 positions that are neither among these nine nor among 3-7, 16-21, 36-39, which pixelNeRF's
 evaluation leaves out as badly exposed, whatever n_views is.
 
+`blender`: the 100 training and 200 test frames of NeRF's synthetic objects in the order of their
+files, numbered from 0. Training = the first n_views of 26, 86, 2, 55, 75, 93, 16, 73, 8 (DietNeRF,
+Jain et al. 2021, has the first eight; FreeNeRF, DNGaussian), usually 8; more than nine are evenly
+spaced among the 100. Test = every 8th of the 200, starting with the first (25 views).
+
 `none`: every image may train, none tests; n_views are taken of all of them as by `llff`. For the
 best model of a scene, of which then nothing is measured.
 
-`llff_held_out`, `mip360_held_out`, `dtu_held_out`: the same training views, judged on others that
-may train but do not, six at most and evenly spaced, in place of the test views, which are not even
-read. For choosing among settings (`fishersplat search`): test views may not choose.
+`llff_held_out`, `mip360_held_out`, `dtu_held_out`, `blender_held_out`: the same training views,
+judged on others that may train but do not, six at most and evenly spaced, in place of the test
+views, which are not even read. For choosing among settings (`fishersplat search`): test views may
+not choose.
 
 `llff_drawn0`, `llff_drawn1`, ... (and so for each of the above, with `_held_out` at the end): the
 same test views, but training views drawn at random from all that may train; the number is the
@@ -27,7 +33,8 @@ many triples of photos where a protocol has one.
 
 `file` (of `scene=transforms`): as the scene's own file names its test photos, in `test_filenames`
 or, where there are none, `val_filenames`; training views by `llff`'s rule, of `train_filenames` or
-of all that remain. `file_held_out` judges by others of these.
+of all that remain. `file_held_out` judges by others of these. (Of `scene=blender`: as its two files
+list them.)
 
 n_views is a number or `all`: as many as the protocol leaves for training.
 """
@@ -44,10 +51,13 @@ from framework.errors import UserError, nearest_hint, require
 DTU_TRAINING = (25, 22, 28, 40, 44, 48, 0, 8, 13)
 DTU_EXCLUDED = (3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 36, 37, 38, 39)
 DTU_POSITIONS = 49
+BLENDER_TRAINING = (26, 86, 2, 55, 75, 93, 16, 73, 8)
+BLENDER_FILES = (100, 200)  # frames for training and testing
 ALL = "all"  # as the number of views: every one that the protocol leaves for training
 UNTESTED = "none"  # the protocol without test views
 FILE = "file"  # the protocol that a scene's own file names
 HELD_OUT = "_held_out"  # ends the names of those that judge by training views
+FILES = (FILE, f"{FILE}{HELD_OUT}")  # splits that only a file's own words make
 DRAWN = "_drawn"  # with a number ends the names of those that draw their training views
 MOST_HELD_OUT = 6
 
@@ -137,6 +147,20 @@ def _dtu(n: int) -> tuple[list[int], list[int]]:
     return list(DTU_TRAINING), [i for i in range(n) if i not in taken]
 
 
+def _blender(n: int) -> tuple[list[int], list[int]]:
+    training, _ = BLENDER_FILES
+    return list(range(training)), list(range(training, n, 8))
+
+
+def _usual(pool: list[int], count: int) -> list[int]:
+    """Those that papers take of a rendered object."""
+    return (
+        [pool[i] for i in BLENDER_TRAINING[:count]]
+        if count <= len(BLENDER_TRAINING)
+        else _spaced(pool, count)
+    )
+
+
 PROTOCOLS: dict[str, Protocol] = {
     p.name: p
     for p in (
@@ -158,6 +182,13 @@ PROTOCOLS: dict[str, Protocol] = {
             _dtu,
             _first,
             images=DTU_POSITIONS,
+        ),
+        Protocol(
+            "blender",
+            "DietNeRF's eight training views and every 8th of NeRF's 200 test views",
+            _blender,
+            _usual,
+            images=sum(BLENDER_FILES),
         ),
         Protocol(
             UNTESTED, "all views train, rounded linspace; nothing is tested", _everything, _spaced

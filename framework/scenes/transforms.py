@@ -5,7 +5,7 @@ Each of `frames` has a `file_path` (relative to the file, with or without the su
 `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` or `camera_angle_x` (radians), once for all or per frame;
 `k1`, `k2`, `k3`, `p1`, `p2` are OpenCV's, and the photos are undistorted. The world of the file is
 kept: `applied_transform`, `scale` and `aabb_scale` say how others turned or framed it. Transparent
-photos are laid on white or black (then use the same `trainer.background`).
+photos are laid on white or black, on which renders are then drawn too.
 
 `split=llff` names no standard of these scenes; it is the usual every-8th rule on the sorted paths.
 `split=file` takes the file's own `test_filenames` (or `val_filenames`) and `train_filenames`.
@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os.path import splitext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 from framework.errors import UserError, require
 from framework.files.paths import inside
 from framework.scenes.options import check_choice, check_folder_options
-from framework.scenes.splits import FILE, HELD_OUT, Split, protocol, told
+from framework.scenes.splits import FILES, Split, protocol, told
 
 if TYPE_CHECKING:
     from framework.scenes.assemble import Shot, Tracks
@@ -34,8 +34,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-PAPERS = {"white": 255, "black": 0}
-FILES = (FILE, f"{FILE}{HELD_OUT}")  # splits that only a file's own words make
+PAPERS = {"white": 255, "black": 0}  # grey values
 
 
 @dataclass(frozen=True)
@@ -61,12 +60,7 @@ class Transforms:
         split = "llff" if self.split in FILES else self.split
         check_folder_options("transforms", self.path, self.n_views, split, self.downscale)
         check_choice("transforms", "paper", self.paper, tuple(PAPERS))
-        given = [bound for bound in (self.near, self.far) if bound is not None]
-        require(
-            all(0 < bound < math.inf for bound in given) and given == sorted(set(given)),
-            f"scene=transforms: expected 0 < near < far, got near={self.near}, far={self.far};"
-            " correct scene.near and scene.far",
-        )
+        check_range("transforms", self.near, self.far)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where file and photos do not hold what they must."""
@@ -81,11 +75,15 @@ class Transforms:
         where = f"scene=transforms: {folder}"
         split = self._split(file, [f.name for f in frames], where)
         check_memory([frames[i].file for i in (*split.train, *split.test)], self.downscale)
-        train, test = ([self._shot(frames[i]) for i in part] for part in (split.train, split.test))
+        train, test = (
+            [shot(frames[i], self.paper, self.downscale) for i in part]
+            for part in (split.train, split.test)
+        )
         tracks = self._tracks(folder, frames, split, train)
         near, far = self._bounds(tracks, frames, split, where)
         points = tracks.for_training(split.train)
-        return assemble(folder.resolve().name, self.split, train, test, points, near, far)
+        name, paper = folder.resolve().name, PAPERS[self.paper] / 255
+        return assemble(name, self.split, train, test, points, near, far, paper)
 
     def _split(self, file: Path, names: list[str], where: str) -> Split:
         """By the rule, or by what the file says; warns where the rule trains on its test photos."""
@@ -116,22 +114,6 @@ class Transforms:
                 f" them (first: {names[both[0]]}); scene.split=file tests on them"
             )
         return split
-
-    def _shot(self, frame: Frame) -> Shot:
-        from framework.scenes.images import read_image, read_mask
-        from framework.scenes.photo import pinhole_shot, resized
-
-        image = read_image(frame.file, PAPERS[self.paper])
-        height, width = image.shape[:2]
-        lens = frame.lens(width, height)
-        K = resized(frame.file, image, lens)
-        mask = None if frame.mask is None else read_mask(frame.mask, height, width)
-        require(
-            mask is None or bool(mask.any()),
-            f"{frame.mask}: expected a mask with some white pixels, got none; replace the mask",
-        )
-        options = (image, lens.distortion, mask, self.downscale)
-        return pinhole_shot(frame.name, frame.viewmat, K, *options)
 
     def _tracks(self, folder: Path, frames: list[Frame], split: Split, train: list[Shot]) -> Tracks:
         """Points with their tracks over all frames; those of a PLY only over the training ones."""
@@ -171,3 +153,32 @@ class Transforms:
             " the points); give both",
         )
         return near, far
+
+
+def check_range(loader: str, near: float | None, far: float | None) -> None:
+    """Bounds of depth, of which either may be None."""
+    given = [bound for bound in (near, far) if bound is not None]
+    require(
+        all(0 < bound < math.inf for bound in given) and given == sorted(set(given)),
+        f"scene={loader}: expected 0 < near < far, got near={near}, far={far}; correct scene.near"
+        " and scene.far",
+    )
+
+
+def shot(frame: Frame, paper: str, downscale: int) -> Shot:
+    """The photo of a frame with its camera and mask, reduced; transparent ones on that of
+    `PAPERS`. Raises UserError for a bad file or one of another size."""
+    from framework.scenes.images import read_mask, read_on_paper
+    from framework.scenes.photo import pinhole_shot, resized
+
+    image, clear = read_on_paper(frame.file, PAPERS[paper])
+    height, width = image.shape[:2]
+    lens = frame.lens(width, height)
+    K = resized(frame.file, image, lens)
+    mask = None if frame.mask is None else read_mask(frame.mask, height, width)
+    require(
+        mask is None or bool(mask.any()),
+        f"{frame.mask}: expected a mask with some white pixels, got none; replace the mask",
+    )
+    made = pinhole_shot(frame.name, frame.viewmat, K, image, lens.distortion, mask, downscale)
+    return replace(made, clear=clear)

@@ -80,6 +80,11 @@ class Frame:
 
 def read_frames(path: Path) -> list[Frame]:
     """The frames, sorted by name. Raises UserError for whatever is missing or unsound."""
+    return sorted(read_in_order(path), key=lambda frame: frame.name)
+
+
+def read_in_order(path: Path) -> list[Frame]:
+    """The frames as the file lists them. Raises UserError for whatever is missing or unsound."""
     frames = []
     for frame in read_cameras(path):
         name = _relative(path.parent, frame.name)
@@ -87,7 +92,7 @@ def read_frames(path: Path) -> list[Frame]:
         mask = frame.mask and inside(path.parent, _relative(path.parent, str(frame.mask)))
         frames.append(replace(frame, name=_with_suffix(name, file), file=file, mask=mask))
     _check_files(path, frames)
-    return sorted(frames, key=lambda frame: frame.name)
+    return frames
 
 
 def read_cameras(path: Path) -> list[Frame]:
@@ -164,7 +169,12 @@ def _check_once(path: Path, names: list[str]) -> None:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    require(is_file(path), f"{path}: expected camera poses, found no file; is scene.path right?")
+    if not is_file(path):
+        parted = path.with_name(f"{path.stem}_train{path.suffix}")  # NeRF's rendered objects
+        other = f", but {parted.name}; take scene=blender" if is_file(parted) else None
+        raise UserError(
+            f"{path}: expected camera poses, found no file{other or '; is scene.path right?'}"
+        )
     try:
         data = json.loads(read_text(path, TEXT_BYTES))
     except UserError:

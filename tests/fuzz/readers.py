@@ -32,7 +32,7 @@ from framework.records.ply import read_ply, write_ply
 from framework.records.record import read_run, write_failed
 from framework.report.build import build_report
 from framework.scenes import load_scene
-from framework.scenes.images import read_image
+from framework.scenes.images import read_image, read_on_paper
 from framework.train.resume.checkpoint import pack, unpack
 from framework.types import Gaussians, Scene
 from framework.view import find_run, read_viewed, view_page
@@ -41,6 +41,7 @@ from tests.metrics.test_lpips import features, state_dict
 from tests.record.fakes import fake_run, make_config, make_gaussians
 from tests.resume.test_checkpoint import state
 from tests.scenes.synthetic import write_llff, write_model, write_scene, write_table
+from tests.scenes.test_blender import write as write_blender
 from tests.scenes.test_dtu import write_dtu
 from tests.scenes.test_transforms import BOUNDS
 from tests.scenes.test_transforms import write as write_transforms
@@ -251,6 +252,11 @@ READERS: dict[str, Reader] = {
     "transforms json": Reader(
         write_transforms, ("transforms.json",), _scene("transforms", **BOUNDS)
     ),
+    "blender json": Reader(
+        write_blender,
+        ("transforms_train.json", "transforms_test.json"),
+        _scene("blender", downscale=1, split="file"),
+    ),
     "points ply text": Reader(
         lambda f: _points(f, True),
         ("points.ply",),
@@ -263,7 +269,7 @@ READERS: dict[str, Reader] = {
     ),
     "image png": Reader(_photo("a.png", "RGB"), ("a.png",), lambda f: read_image(f / "a.png")),
     "image png alpha": Reader(
-        _photo("a.png", "RGBA"), ("a.png",), lambda f: read_image(f / "a.png", 255)
+        _photo("a.png", "RGBA"), ("a.png",), lambda f: read_on_paper(f / "a.png", 255)
     ),
     "image jpeg": Reader(_photo("a.jpg", "RGB"), ("a.jpg",), lambda f: read_image(f / "a.jpg")),
     "depth npy": Reader(lambda f: np.save(f / "a.npy", VALUES), ("a.npy",), _depth("a.npy")),

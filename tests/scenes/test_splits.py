@@ -68,11 +68,12 @@ def test_too_many_views_says_how_many_there_are() -> None:
 @pytest.mark.parametrize("name", sorted(n for n in PROTOCOLS if not n.endswith(HELD_OUT)))
 def test_all_views_are_those_that_no_protocol_takes_for_testing(name: str) -> None:
     rule = protocol(name)
-    split = rule.split(names(49), ALL, "here")
-    pool, test = rule.divide(49)
+    photos = names(rule.images or 49)
+    split = rule.split(photos, ALL, "here")
+    pool, test = rule.divide(len(photos))
     assert (split.train, split.test) == (tuple(sorted(pool)), tuple(test))
-    assert len(split.train) == {UNTESTED: 49, "dtu": 9}.get(name, 42)
-    assert split == rule.split(names(49), len(pool), "here")
+    assert len(split.train) == {UNTESTED: 49, "dtu": 9, "blender": 100}.get(name, 42)
+    assert split == rule.split(photos, len(pool), "here")
 
 
 def test_without_test_views_the_few_are_spread_over_all() -> None:
@@ -169,7 +170,7 @@ def test_unknown_loader_option_and_missing_path() -> None:
 def test_importing_the_package_stays_light() -> None:
     code = (
         "import sys, framework.scenes as s; s.Embedded();"
-        "[s.LOADERS[n]('x') for n in ('llff', 'colmap', 'dtu', 'mip360', 'transforms')];"
+        "[s.LOADERS[n]('x') for n in ('llff', 'colmap', 'dtu', 'mip360', 'blender')];"
         "print([m for m in ('torch', 'numba', 'cv2', 'pycolmap', 'numpy') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -1,0 +1,78 @@
+"""`scene=blender`: a rendered object in the layout of NeRF's synthetic data set (Mildenhall et al.
+2020): `transforms_train.json` and `transforms_test.json` with their PNG files, each as
+`scene=transforms` reads one. Transparent photos are laid on white, as papers do; near and far are
+NeRF's.
+
+`split=blender` is the literature's choice of few views (see `splits`), counted in the order of the
+files. `split=file` is for objects of your own: what the one file lists trains, evenly spaced, and
+all of the other tests.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from framework.errors import require
+from framework.files.paths import inside
+from framework.scenes.options import check_choice, check_folder_options
+from framework.scenes.splits import FILES, protocol, told
+from framework.scenes.transforms import PAPERS, check_range, shot
+
+if TYPE_CHECKING:
+    from framework.scenes.splits import Split
+    from framework.types import Scene
+
+TRAINING, TESTING = "transforms_train.json", "transforms_test.json"
+
+
+@dataclass(frozen=True)
+class Blender:
+    """Options of `scene=blender`."""
+
+    path: str  # folder of the scene
+    n_views: int | str = 8  # training views; all = every one that is not for testing
+    downscale: int = 2  # photos are reduced by it, averaging boxes of pixels; 2 = papers' 400x400
+    paper: str = "white"  # what transparent photos are laid on: white, black
+    near: float = 2.0
+    far: float = 6.0
+    split: str = "blender"  # which views train and which test: blender, file; none = no test
+
+    def __post_init__(self) -> None:
+        split = "blender" if self.split in FILES else self.split
+        check_folder_options("blender", self.path, self.n_views, split, self.downscale)
+        check_choice("blender", "paper", self.paper, tuple(PAPERS))
+        check_range("blender", self.near, self.far)
+
+    def load(self) -> Scene:
+        """The scene. Raises UserError where files and photos do not hold what they must."""
+        from framework.scenes.assemble import Tracks, assemble
+        from framework.scenes.images import scene_folder
+        from framework.scenes.photo import check_memory
+        from framework.scenes.transforms_file import read_in_order
+
+        folder = scene_folder("blender", self.path)
+        first, second = (read_in_order(inside(folder, file)) for file in (TRAINING, TESTING))
+        both = sorted({f.file.resolve() for f in first} & {f.file.resolve() for f in second})
+        require(
+            not both,
+            f"{folder / TESTING}: expected photos that {TRAINING} does not list, {len(both)} are in"
+            f" both (first: {both[0].name if both else ''}); remove them from one of the files",
+        )
+        frames = [*first, *second]
+        split = self._split(len(first), len(frames), f"scene=blender: {folder}")
+        check_memory([frames[i].file for i in (*split.train, *split.test)], self.downscale)
+        train, test = (
+            [shot(frames[i], self.paper, self.downscale) for i in part]
+            for part in (split.train, split.test)
+        )
+        bounds, paper = (self.near, self.far), PAPERS[self.paper] / 255
+        name = folder.resolve().name
+        return assemble(name, self.split, train, test, Tracks(), *bounds, paper)
+
+    def _split(self, training: int, images: int, where: str) -> Split:
+        """Of all frames in their order, the first `training` of which the one file lists."""
+        names = [f"{i:06d}" for i in range(images)]
+        rule = protocol(self.split) if self.split not in FILES else None
+        rule = rule or told(names, names[:training], names[training:], self.split)
+        return rule.split(names, self.n_views, where)
