@@ -36,6 +36,7 @@ def main(arguments: list[str], prog: str) -> int:
         f"--out: expected a folder that is no run's, got {folder}; the cameras of that run would be"
         " lost",
     )
+    _check_no_cameras_of_others(folder)
     from framework.exports.flight import distance, lens_of
     from framework.exports.opened import open_run
     from framework.exports.rig import rig
@@ -60,6 +61,20 @@ def main(arguments: list[str], prog: str) -> int:
         f"export: {len(run.gaussians):,} Gaussians in {folder}, with their cameras and {SETTINGS}"
     )
     return 0
+
+
+def _check_no_cameras_of_others(folder: Path) -> None:
+    """Raises UserError where camera files would be lost that no export wrote, which has a first
+    view beside them: a folder of photos may have a transforms.json of its own."""
+    from framework.records.cameras import CAMERAS, TRANSFORMS
+    from framework.records.first_view import SETTINGS
+
+    theirs = [name for name in (CAMERAS, TRANSFORMS) if (folder / name).exists()]
+    require(
+        not theirs or (folder / SETTINGS).exists(),
+        f"--out: expected a new folder or one of an earlier export, got {folder} with a"
+        f" {theirs[0] if theirs else ''} of its own, which would be lost; choose another",
+    )
 
 
 def _kinds(asked: list[str]) -> list[str]:

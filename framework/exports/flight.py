@@ -29,6 +29,7 @@ WIDTH = 0.9  # quantile of the cameras' offsets that a spiral reaches
 LEAST_WIDTH = 0.03  # of the distance looked at; a single camera moves too
 WAVES = 2  # terms of an orbit's distance and height
 DAMPED = 0.1  # as if a tenth of the cameras stood in the mean circle
+ALONG = 1e-6  # sine of the angle below which a camera looks along the axis that is to be up
 
 
 def usual_seconds(kind: str, n: int) -> float:
@@ -65,9 +66,12 @@ def lens_of(cameras: Sequence[Camera], side: int | None) -> Camera:
 
 def looking(center: Array, forward: Array, down: Array) -> Array:
     """[4, 4] world-to-camera at `center`, with the picture's down side as near to `down` as can
-    be."""
+    be; that is some axis where it looks along `down`."""
     z = unit(forward)
-    x = unit(np.cross(down, z))
+    across = np.cross(down, z)
+    if np.linalg.norm(across) < ALONG:
+        across = np.cross(np.eye(3)[np.abs(z).argmin()], z)
+    x = unit(across)
     rotation = np.stack([x, np.cross(z, x), z])
     viewmat = np.eye(4)
     viewmat[:3, :3], viewmat[:3, 3] = rotation, -rotation @ center

@@ -15,6 +15,7 @@ from framework.files.whole import make_folder, write_whole
 if TYPE_CHECKING:
     from framework.types import Camera
 
+SOFTWARE, WRITER = "Software", "fishersplat render"  # written into each picture
 MOST_PIXELS = 20_000_000  # of a picture; the kernels take about 100 bytes for each
 
 
@@ -44,12 +45,13 @@ def main(arguments: list[str], prog: str) -> int:
         f"--out: expected a folder for new pictures, got {folder}, which holds those of a run;"
         " choose another",
     )
+    stems = file_stems([_bare(one.name) for one in given])
+    _check_no_pictures_of_others([folder / f"{stem}.png" for stem in stems])
     make_folder(folder)
     bent = sum(one.bent for one in given)
     if bent:
         print(f"note: {bent} of {len(given)} cameras have a distorting lens; drawn without it")
     brush, tick = painter(run, options.show, cameras), Ticks("pictures")
-    stems = file_stems([_bare(one.name) for one in given])
     for number, (stem, camera) in enumerate(zip(stems, cameras, strict=True)):
         write_whole(folder / f"{stem}.png", _png(brush.picture(camera)))
         tick(number + 1, len(cameras))
@@ -107,11 +109,34 @@ def _bare(name: str) -> str:
     return file.rsplit(".", 1)[0] if known else file
 
 
+def _check_no_pictures_of_others(files: list[Path]) -> None:
+    """Raises UserError where a picture would be lost that this command did not write, as a photo is
+    named like its camera."""
+    theirs = [file for file in files if file.exists() and not _is_rendered(file)]
+    require(
+        not theirs,
+        f"--out: expected a folder for new pictures, got one with"
+        f" {theirs[0] if theirs else ''}, which fishersplat render did not write and which would be"
+        " lost; choose another",
+    )
+
+
+def _is_rendered(file: Path) -> bool:
+    from PIL import Image
+
+    try:
+        with Image.open(file) as image:
+            return image.info.get(SOFTWARE) == WRITER
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return False
+
+
 def _png(picture: object) -> bytes:
     import io
 
-    from PIL import Image
+    from PIL import Image, PngImagePlugin
 
-    out = io.BytesIO()
-    Image.fromarray(picture).save(out, "PNG")  # type: ignore[arg-type]
+    told, out = PngImagePlugin.PngInfo(), io.BytesIO()
+    told.add_text(SOFTWARE, WRITER)
+    Image.fromarray(picture).save(out, "PNG", pnginfo=told)  # type: ignore[arg-type]
     return out.getvalue()

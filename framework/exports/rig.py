@@ -30,8 +30,10 @@ class Rig:
 
     @property
     def up(self) -> Array:
-        """[3], the mean of the cameras' up directions."""
-        return unit(-self.down.mean(axis=0))
+        """[3], the mean of the cameras' up directions; that of the first where they have none in
+        common, as above a field that was flown to and fro."""
+        mean = self.down.mean(axis=0)
+        return unit(-(self.down[0] if np.linalg.norm(mean) < TILTED else mean))
 
     @property
     def focus(self) -> Array:

@@ -77,9 +77,10 @@ def _keep_fuller_report(study: Study) -> None:
 
 def _keep_other_table(study: Study) -> None:
     """Raises UserError where the report would overwrite the table of runs that are not in it, as
-    that may be all that is left of them."""
-    if not is_tabled(study.out_dir) or run_dirs(study.out_dir):
+    that may be all that is left of them. A run whose folder is there may have been repeated."""
+    if not is_tabled(study.out_dir):
         return
+    folders = {folder.name for folder in run_dirs(study.out_dir)}
     known = {run.run.run_dir.name: run.mean("psnr") for run in study.runs}
     damaged = {run.run_dir.name for run in study.failed}
     there = {
@@ -89,7 +90,7 @@ def _keep_other_table(study: Study) -> None:
     lost = sorted(
         name
         for name, psnr in there.items()
-        if name not in damaged and (name not in known or known[name] != psnr)
+        if name not in damaged | folders and (name not in known or known[name] != psnr)
     )
     require(
         not lost,

@@ -58,7 +58,7 @@ def test_no_space(words: list[str]) -> None:
 )
 @pytest.mark.parametrize("n_views", [1, 3, 6])
 def test_held_out_views_train_as_before_and_test_nothing(name: str, n_views: int) -> None:
-    names = [f"{i:02d}" for i in range(49)]
+    names = [f"{i:03d}" for i in range(protocol(name).images or 49)]
     usual = protocol(name).split(names, n_views, "here")
     held = protocol(f"{name}{HELD_OUT}").split(names, n_views, "here")
     assert held.train == usual.train
@@ -77,6 +77,9 @@ def test_without_a_view_to_hold_out() -> None:
         ("trainer.lr_scale=interval(1.0,2.0)", "choose another, test views may not choose"),
         ("+augment=safi reg=none,[uar,depth_rank]", "choose another, test views may not choose"),
         ("trainer.lr_scale=2", "expected an option that varies"),
+        ("reg=none,uar seed=0,1,2", "got seed, which would choose what is measured; give one"),
+        ("scene.split=llff,llff_drawn0 scene=llff scene.path=x", "got scene.split, which would"),
+        ("+scene=llff,dtu seed=0,1", "got scene and seed, which would choose what is measured"),
         ("hydra.sweep.dir=x reg=none,uar", "expected options of a run"),
         ("reg=none,uar trainer.lr_scale=interval(-1.0,2.0)", "trainer.lr_scale"),
     ],

@@ -129,6 +129,18 @@ def test_a_run_s_own_pictures_are_not_written_over(run: Path) -> None:
             render.main([*line, str(run / name)], "render")
 
 
+def test_a_users_photos_are_not_written_over(run: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "mine"
+    line = [str(run), "--cameras", str(run / "cameras.json"), "--out", str(mine)]
+    assert render.main(line, "render") == render.main(line, "render") == 0
+    photo = sorted(mine.glob("*.png"))[-1]
+    Image.new("RGB", (4, 4)).save(photo)
+    before = photo.read_bytes()
+    with pytest.raises(UserError, match=f"one with {photo}, which fishersplat render did not"):
+        render.main(line, "render")
+    assert photo.read_bytes() == before
+
+
 def test_pictures_can_be_of_another_size_and_of_depth(run: Path) -> None:
     line = [str(run), "--cameras", str(run / "cameras.json"), "--size", "24", "--show", "depth"]
     assert render.main(line, "render") == 0

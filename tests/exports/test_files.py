@@ -179,3 +179,13 @@ def test_the_runs_own_files_are_not_written_over(tmp_path: Path) -> None:
     (other / "record.json").touch()
     with pytest.raises(UserError, match=r"--out: expected a folder that is no run's, got "):
         main([str(run), "--out", str(other)], "export")
+
+
+def test_a_users_cameras_are_not_written_over(tmp_path: Path) -> None:
+    run, mine = run_folder(tmp_path / "run", side_by_side()), tmp_path / "mine"
+    mine.mkdir()
+    (mine / "transforms.json").write_text("poses")
+    with pytest.raises(UserError, match=r"mine with a transforms\.json of its own, which would be"):
+        main([str(run), "--out", str(mine)], "export")
+    assert (mine / "transforms.json").read_text() == "poses"
+    assert [main([str(run), "--out", str(tmp_path / "new")], "export") for _ in range(2)] == [0, 0]

@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from framework.exports.flight import flight, lens_of, usual_seconds
+from framework.exports import export
+from framework.exports.flight import flight, lens_of, looking, usual_seconds
 from framework.exports.opened import open_run
 from framework.exports.rig import rig
+from framework.exports.upright import moved_camera, upright
+from framework.types import Camera
 from tests.exports.folders import all_around, camera_at, run_folder, side_by_side
 
 ARC = [camera_at((3 * math.cos(a), -1.0, 3 * math.sin(a))) for a in np.linspace(0, 2.5, 6)]
@@ -75,3 +78,24 @@ def test_sides_are_even() -> None:
 
 def test_a_spline_takes_longer_with_more_cameras() -> None:
     assert usual_seconds("spline", 3) < usual_seconds("spline", 8) <= usual_seconds("spline", 99)
+
+
+def above_a_field(n: int = 6) -> list[Camera]:
+    """A drone's way: all look straight down, every second one flies back."""
+    return [camera_at((0, -4, 0), (0, 0, (-1) ** k)) for k in range(n)]
+
+
+def test_cameras_without_a_common_up_have_that_of_the_first(tmp_path: Path) -> None:
+    stood = rig(above_a_field())
+    assert np.allclose(stood.up, [0, 0, 1], atol=1e-9)
+    folder = run_folder(tmp_path / "run", above_a_field())
+    assert export.main([str(folder)], "export") == 0
+    motion = upright(stood, 4.0)
+    assert np.allclose(motion[:3, :3] @ motion[:3, :3].T, np.eye(3), atol=1e-9)
+    moved = moved_camera(above_a_field()[0], motion)
+    assert np.allclose(moved.viewmat[:3, :3], np.eye(3), atol=1e-9)
+
+
+def test_a_camera_that_looks_along_down_has_some_down() -> None:
+    pose = looking(np.zeros(3), np.array([0, 1.0, 0]), np.array([0, 2.0, 0]))
+    assert np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3)) and pose[2, 1] == 1

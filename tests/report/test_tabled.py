@@ -62,6 +62,26 @@ def test_no_report_of_a_table_alone_takes_the_place_of_one_of_runs(tmp_path: Pat
     assert build_report(folder, out_dir=tmp_path / "other").exists()
 
 
+def test_a_new_run_does_not_take_the_place_of_a_table_whose_runs_are_gone(tmp_path: Path) -> None:
+    """What a study passed on as a table held was lost when it got one more seed."""
+    folder = _table(_study(tmp_path / "runs"), tmp_path / "table")
+    before = (folder / "runs.csv").read_text(encoding="utf-8")
+    fake_run(folder, "none", seed=7, run_name="none7")
+    with pytest.raises(UserError, match=r"got one with 6 others \(as none0\), whose folders are"):
+        build_report(folder)
+    assert (folder / "runs.csv").read_text(encoding="utf-8") == before
+    together = build_report([folder, tmp_path / "runs"], out_dir=tmp_path / "other")
+    assert len((together.parent / "runs.csv").read_text(encoding="utf-8").splitlines()) == 8
+
+
+def test_a_run_that_was_repeated_takes_its_place_in_the_table(tmp_path: Path) -> None:
+    folder = _study(tmp_path / "runs").parent
+    before = (folder / "runs.csv").read_text(encoding="utf-8")
+    fake_run(folder, "safi", seed=2, gain=2.0, run_name="safi2")
+    build_report(folder)
+    assert (folder / "runs.csv").read_text(encoding="utf-8") != before
+
+
 def test_a_table_is_read_back_to_the_same_runs(tmp_path: Path) -> None:
     report = _study(tmp_path / "runs")
     before = collect(report.parent)

@@ -69,6 +69,12 @@ def main(arguments: Sequence[str], prog: str) -> int:
 
 def _search(options: Any) -> Search:
     fixed, space = space_of(normalise(options.words))
+    outer = [d.key for d in space if d.key.lstrip("+").partition(".")[0] in ("seed", "scene")]
+    require(
+        not outer,
+        f"search: expected options of a training to vary, got {' and '.join(outer)}, which would"
+        " choose what is measured; give one value, and judge the best with several",
+    )
     first = [dimension.first for dimension in space]
     check_command(argument_parser().parse_args([*fixed, *first]))
     scene = job_of([*fixed, *first]).config["scene"]
