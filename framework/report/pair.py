@@ -13,6 +13,7 @@ from pathlib import Path
 
 from framework.errors import Arguments, printable_line, require
 from framework.files.whole import make_folder, write_whole
+from framework.metrics.values import AVERAGE
 from framework.records.provenance import NEUTRAL_KEYS
 from framework.records.record import METHOD_GROUPS, RECORD, Run, read_run
 from framework.report.figures.closeup import draw_closeup
@@ -172,7 +173,8 @@ def _cells(a: ReportRun, b: ReportRun, values: Sequence[str]) -> dict[str, str]:
 
 def _views(a: ReportRun, b: ReportRun) -> list[dict[str, str]]:
     """PSNR of both on every common view with its difference, and the other metrics."""
-    metrics = [m for m in ("psnr", "ssim", "flip", "lpips") if a.mean(m) is not None]
+    shown = ("psnr", "ssim", "flip", "lpips", AVERAGE)
+    metrics = [m for m in shown if any(run.mean(m) is not None for run in (a, b))]
     columns = [{m: _column(run, m) for m in metrics} for run in (a, b)]
     rows = []
     for view in _common(a, b):
@@ -190,6 +192,8 @@ def _views(a: ReportRun, b: ReportRun) -> list[dict[str, str]]:
 
 def _column(run: ReportRun, metric: str) -> Mapping[str, float]:
     found = run.run.metrics
+    if metric not in found.numbers:
+        return {}
     return dict(zip(found.texts["view"], found.numbers[metric].tolist(), strict=True))
 
 

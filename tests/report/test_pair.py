@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
 from framework.command.cli import main as command
 from framework.errors import UserError
+from framework.records.run_files import Table
+from framework.report.pair import _views as pair_views
 from framework.report.pair import compare_runs
+from framework.report.study.names import heading_of
+from framework.report.study.runs import ReportRun
 from tests.record.fakes import fake_run
 
 
@@ -49,3 +56,19 @@ def test_different_scenes_are_not_compared(tmp_path: Path) -> None:
     runs = [fake_run(tmp_path, scene=name, run_name=name) for name in ("fern", "fox")]
     text = compare_runs(*runs, tmp_path / "out").read_text(encoding="utf-8")
     assert "Different scenes, hence not compared: fern and fox." in text
+
+
+def test_a_metric_that_one_run_alone_has_is_shown_whichever_comes_first() -> None:
+    def measured(method: str, **numbers: float) -> ReportRun:
+        table = Table({"view": ["v"]}, {k: np.array([x]) for k, x in numbers.items()})
+        found: Any = SimpleNamespace(
+            method=method, run=SimpleNamespace(metrics=table), mean=numbers.get, psnr={"v": 1.0}
+        )
+        return found  # type: ignore[no-any-return]
+
+    few, more = measured("a", psnr=20.0), measured("b", psnr=21.0, lpips=0.25, avge=0.1)
+    for pair, absent in (((few, more), 0), ((more, few), 1)):
+        (row,) = pair_views(*pair)
+        told = [row[f"{heading_of('lpips')}, {run.method}"] for run in pair]
+        assert told[absent] == "–" and told[1 - absent] == "0.2500"
+        assert row[f"{heading_of('avge')}, b"] == "0.1000"
