@@ -17,6 +17,7 @@ from framework.report.statistics.bootstrap import sd_interval
 from framework.report.statistics.compare import block
 from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
+from framework.report.text import budgets
 from framework.report.text.capacities import contests
 from tests.record.fakes import fake_run
 
@@ -126,6 +127,46 @@ def test_more_time_pays_is_corrected_for_all_others(tmp_path: Path) -> None:
         found = entries(collect(table(tmp_path / f"{len(others)}", fast + slow + others)), "a")
         kept = worth(found, train_s)
         assert [found[k].method for k in kept] == ["none + none", "safi + none"][: len(indices)]
+
+
+LEVELS = (18.0, 18.1, 18.2, 22.0, 22.1)  # of seeds, which one method may lack the best of
+
+
+def test_advice_by_time_is_by_pairs(tmp_path: Path) -> None:
+    """A method that lacks the easy seeds is no worse for it: the advice is that of the verdict."""
+    slow = [row("a", "none + none", k, v, train_cpu_s=12) for k, v in enumerate(LEVELS)]
+    fast = [row("a", "safi + none", k, LEVELS[k] + 0.5) for k in range(3)]
+    text = build_report(table(tmp_path / "t", slow + fast), out_dir=tmp_path / "o").read_text()
+    assert "**Use safi + none: it gains 0.5" in text
+    (advice,) = budgets.advice(collect(tmp_path / "t"), "a")
+    assert re.search(r": safi \+ none, .*; every other choice within that time is really", advice)
+
+
+def test_more_time_pays_by_pairs(tmp_path: Path) -> None:
+    """Not where it is the pairs that tell it to be worse, and so where only they tell that it is
+    better."""
+    full = [row("a", "none + none", k, v) for k, v in enumerate(LEVELS)]
+    for seconds, kept in ((5, ["safi + none"]), (20, ["none + none", "safi + none"])):
+        part = [
+            row("a", "safi + none", k, LEVELS[k] + 0.5, train_wall_s=seconds, train_cpu_s=seconds)
+            for k in range(3)
+        ]
+        found = entries(collect(table(tmp_path / f"{seconds}", full + part)), "a")
+        assert [found[k].method for k in worth(found, train_s)] == kept
+
+
+def test_what_is_really_better_is_not_told_as_worse(tmp_path: Path) -> None:
+    """Of the advised family the quickest that is nearly as good may lie below another method."""
+    values = {"none + none": (20.0, 20.0), "none + none, steps=9": (20.02, 20.1)}
+    values |= {"safi + none": (20.05, 20.05)}
+    rows = [
+        row("a", m, k, f"{v[k % 2] + 0.001 * k}", train_cpu_s=9 + len(m), train_wall_s=9 + len(m))
+        for m, v in values.items()
+        for k in range(4)
+    ]
+    advice = "".join(budgets.advice(collect(table(tmp_path, rows)), "a"))
+    assert "really worse" not in advice
+    assert "safi + none takes 20.0 s and is really better, by 0.05 dB" in advice
 
 
 def test_a_baseline_without_a_seed_on_all_scenes_is_no_crash(tmp_path: Path) -> None:

@@ -437,6 +437,19 @@ def test_capacities_are_compared_all_else_equal(tmp_path: Path) -> None:
     assert evidence(found) == " (3 seeds, ranges hold for all 4 comparisons at once)"
 
 
+def test_draws_of_one_scene_are_not_scenes_like_these(tmp_path: Path) -> None:
+    """Of capacities, as of every other comparison."""
+    for draw in range(3):
+        for name, gain in (("fixed", 0.0), ("adc", 2.0)):
+            capacity = {"name": name, "weight": 1.0}
+            condition = {"split": f"llff_drawn{draw}"}
+            for seed in range(2):
+                fake_run(tmp_path, seed=seed, gain=gain, capacity=capacity, condition=condition,
+                         run_name=f"{draw}{name}{seed}")  # fmt: skip
+    (contest,) = contests(collect(tmp_path))
+    assert len(contest.comparison.scenes) == 3 and contest.comparison.like is None
+
+
 def test_one_capacity_makes_no_contest(tmp_path: Path) -> None:
     for steps in (100, 400):
         fake_run(tmp_path, trainer={"steps": steps}, run_name=f"{steps}")

@@ -15,6 +15,7 @@ from framework.report.study.collect import collect
 from framework.report.text.drawn import over_draws
 from framework.report.verdict.points import points
 from tests.record.fakes import fake_run
+from tests.report.test_choice import row, table
 
 GAINS = {2: 1.0, 10: -1.0, 0: 0.5}  # of uar, by draw
 
@@ -94,6 +95,22 @@ def test_draws_of_other_options_are_apart(tmp_path: Path) -> None:
             fake_run(tmp_path, "none", reg, scene="fern", run_name=name, condition=condition)
     (found,) = draws(collect(tmp_path))
     assert len(found.gains) == 2
+
+
+def test_draws_with_another_depth_error_are_apart(tmp_path: Path) -> None:
+    """What helps with plain depth costs with noise, on every draw."""
+    rows = [
+        row(f"fern (corruption={name}, split=llff_drawn{draw})", method, seed, 20.0 + own,
+            **{"scene.split": f"llff_drawn{draw}", "depth.corruption": name})
+        for name, gain in (("none", 1.0), ("noise", -1.0))
+        for draw in range(3)
+        for method, own in (("none + none", 0.0), ("safi + none", gain))
+        for seed in range(2)
+    ]  # fmt: skip
+    found = {own.scene: own for own in draws(collect(table(tmp_path, rows)))}
+    assert list(found) == ["fern (corruption=noise)", "fern (corruption=none)"]
+    means = [round(own.over.mean) for own in found.values()]
+    assert means == [-1, 1] and all(len(own.gains) == 3 for own in found.values())
 
 
 def test_other_studies_have_no_such_part(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ def entry(method: str, psnr: float, gaussians: int) -> tradeoff.Entry:
     record = RunRecord(identity="", scene=None, gaussians=gaussians, sh_degree=1, **blank)
     run: Any = SimpleNamespace(record=record, mean=lambda _: psnr)
     size = 1e-6 * 92 * gaussians
-    return tradeoff.Entry(method, method, "", spread([psnr]), 1.0, gaussians, size, (run,))
+    return tradeoff.Entry(method, method, "", spread([psnr]), 1.0, gaussians, size, (run,), psnr)
 
 
 def told(monkeypatch: pytest.MonkeyPatch, *found: tradeoff.Entry) -> str | None:

@@ -17,6 +17,7 @@ from framework.report.study.axes import STRESSES
 from framework.report.study.collect import collect
 from framework.report.verdict.limits import behind, sentence, verdict
 from tests.record.fakes import fake_run
+from tests.report.test_choice import row, table
 
 VIEWS = next(axis for axis in STRESSES if axis.short == "n_views")
 STRENGTH = next(axis for axis in STRESSES if axis.short == "strength")
@@ -83,6 +84,51 @@ def test_intervals_hold_for_all_methods_and_panels_at_once(tmp_path: Path) -> No
     assert [p.y_high for s in drawn for p in s.points] == [
         inside.high for own in found for _, inside in own.gains if inside
     ]
+
+
+@pytest.mark.parametrize(
+    ("option", "values", "titles"),
+    [
+        ("split", ("llff_drawn0", "llff_drawn1"), ("fern (split=llff_drawn0)",)),
+        ("path", ("/a/fern", "/b/fern"), ("fern (path=/a/fern)", "fern (path=/b/fern)")),
+    ],
+)
+def test_draws_and_folders_have_panels_of_their_own(
+    tmp_path: Path, option: str, values: tuple[str, str], titles: tuple[str, ...]
+) -> None:
+    """What costs with the first of them helps with the second; no run is dropped."""
+    rows = [
+        row(f"fern (n_views={views}, {option}={value})", method, seed, 20.0 + own,
+            **{f"scene.{option}": value, "scene.n_views": views})
+        for value, gain in zip(values, (-1.0, 1.0), strict=True)
+        for views in (3, 6, 9)
+        for method, own in (("none + none", 0.0), ("safi + none", gain))
+        for seed in range(4)
+    ]  # fmt: skip
+    study = collect(table(tmp_path, rows))
+    shown = panels(study)
+    assert len(shown) == 2 and {*titles} <= {panel.title for panel in shown}
+    cells = [runs for panel in shown for by in panel.runs.values() for runs in by.values()]
+    assert all([run.seed for run in runs] == [0, 1, 2, 3] for runs in cells)
+    assert sum(map(len, cells)) == len(rows)
+    costs, helps = (sentence(own) for own in limits(study, shown))
+    assert costs.startswith("safi + none costs quality at every tested strength")
+    assert helps.startswith("safi + none helps at every tested strength")
+
+
+def test_all_views_and_their_number_are_pairs_of_one_strength(tmp_path: Path) -> None:
+    """Both labels have nine views: a seed has the mean of both."""
+    cells = {"3": (3, 0.5), "all": (9, 0.2), "9": (9, 0.6)}
+    rows = [
+        row(f"fern (n_views={name})", method, seed, str(20.0 + own), **{"scene.n_views": views})
+        for name, (views, gain) in cells.items()
+        for method, own in (("none + none", 0.0), ("safi + none", gain))
+        for seed in range(3)
+    ]
+    study = collect(table(tmp_path, rows))
+    (panel,) = panels(study)
+    (found,) = limits(study, [panel])
+    assert found.found.n == 3 and found.ends == ((9, pytest.approx(0.4)), (3, pytest.approx(0.5)))
 
 
 def test_the_verdict_of_a_stress() -> None:

@@ -1,8 +1,9 @@
 """Stress studies: PSNR and the gain over the baseline against the strength of a stress, and where
 each method stops helping.
 
-A panel is a scene with all its other conditions fixed, along one stress with at least
-`FEWEST_LEVELS` tested strengths (two, where some run is in no such panel).
+A panel is a scene with all fixed that else tells it from others of its name, such as the draw of
+its photos, along one stress with at least `FEWEST_LEVELS` tested strengths (two, where some run is
+in no such panel).
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ import numpy as np
 from framework.report.parts.chart import MIN_SPAN_DB, Chart, Point, Series
 from framework.report.parts.palette import looks
 from framework.report.statistics.breakdown import Breakdown, break_down, gains_of_levels
-from framework.report.statistics.compare import block
+from framework.report.statistics.compare import Pairs, block
 from framework.report.statistics.estimates import Interval, spread
 from framework.report.statistics.numbers import mean_text
+from framework.report.statistics.outcomes import by_pair
 from framework.report.study.axes import STRESSES, Axis
 from framework.report.study.labels import slug, text_of
 from framework.report.study.runs import ReportRun, Study
@@ -195,7 +197,7 @@ def _panels_along(study: Study, axis: Axis) -> list[Panel]:
         if run.tested and run.level(axis) is not None:
             label = run.scene_label
             others = tuple((k, text_of(v)) for k, v in label.data.items() if k != axis.key)
-            groups[label.name, others].append(run)
+            groups[label.without(axis.short), others].append(run)
     found = []
     for runs in groups.values():
         levels = {level for run in runs if (level := run.level(axis)) is not None}
@@ -215,17 +217,30 @@ def _panel(study: Study, axis: Axis, runs: list[ReportRun], levels: list[float])
 
 
 def _title(study: Study, axis: Axis, run: ReportRun) -> str:
-    """The scene and those of its conditions that differ in the study."""
-    named = []
+    """The scene with what tells it from others of its name, and those of its conditions that
+    differ in the study."""
+    title, named = run.scene_label.without(axis.short), []
     for key, value in run.scene_label.data.items():
-        if key != axis.key and len({text_of(r.scene_label.data.get(key)) for r in study.runs}) > 1:
-            named.append(f"{key.rpartition('.')[2]}={text_of(value)}")
-    name = run.scene_label.name
-    return f"{name} ({', '.join(named)})" if named else name
+        short = key.rpartition(".")[2]
+        varies = len({text_of(r.scene_label.data.get(key)) for r in study.runs}) > 1
+        if key != axis.key and varies and f"{short}=" not in title:
+            named.append(f"{short}={text_of(value)}")
+    return f"{title} ({', '.join(named)})" if named else title
 
 
-def _seed_values(runs: Sequence[ReportRun]) -> dict[int, float]:
-    return {run.seed: psnr for run in runs if (psnr := run.mean("psnr")) is not None}
+def _by_seed(values: Pairs) -> dict[int, float]:
+    """Seed -> mean over its scenes, which are several where two labels have one strength, as
+    `n_views=all` and the number of all."""
+    found: dict[int, list[float]] = defaultdict(list)
+    for (_, seed), value in values.items():
+        found[seed].append(value)
+    return {seed: float(np.mean(own)) for seed, own in found.items()}
+
+
+def _differences(runs: Sequence[ReportRun], base: Sequence[ReportRun]) -> dict[int, float]:
+    """Seed -> what `runs` have over `base`, of the scenes that both have with it."""
+    own, others = by_pair(runs), by_pair(base)
+    return _by_seed({key: own[key] - others[key] for key in own if key in others})
 
 
 def _gains(study: Study, panel: Panel, method: str) -> tuple[np.ndarray, np.ndarray] | None:
@@ -234,20 +249,22 @@ def _gains(study: Study, panel: Panel, method: str) -> tuple[np.ndarray, np.ndar
     base = study.baseline_of(method)
     if base == method or base not in panel.runs:
         return None
-    pairs = [
-        (_seed_values(panel.runs[method].get(v, [])), _seed_values(panel.runs[base].get(v, [])))
+    found = [
+        _differences(panel.runs[method].get(v, []), panel.runs[base].get(v, []))
         for v in panel.levels
     ]
-    keys = [(k, seed) for k, (a, b) in enumerate(pairs) for seed in a.keys() & b.keys()]
+    keys = [(k, seed) for k, own in enumerate(found) for seed in own]
     used, seeds = block(keys) if keys else ([], [])
     if len(used) < 2 or not seeds:
         return None
-    gains = [[pairs[k][0][seed] - pairs[k][1][seed] for seed in seeds] for k in used]
+    gains = [[found[k][seed] for seed in seeds] for k in used]
     return np.array([panel.levels[k] for k in used]), np.array(gains)
 
 
 def _psnr_points(panel: Panel, by_level: dict[float, list[ReportRun]]) -> tuple[Point, ...]:
-    found = {level: list(_seed_values(by_level.get(level, [])).values()) for level in panel.levels}
+    found = {
+        level: list(_by_seed(by_pair(by_level.get(level, []))).values()) for level in panel.levels
+    }
     return tuple(point(level, values) for level, values in found.items() if values)
 
 

@@ -1,9 +1,10 @@
 """Speed against accuracy: what every method and budget costs, and which of them are worth it.
 
 A configuration is a method with its budget. It lies on the Pareto front of a scene if no other has
-at least its mean PSNR at no more of the cost. It is *worth its cost* if it is the cheapest of the
-front, or really better than the last cheaper one that is: the paired t test, corrected for all
-others there. Seconds are those of the training alone.
+at least its mean PSNR at no more of the cost. As some may lack seeds, all are measured by what they
+have over the one with the most, over the seeds of both. It is *worth its cost* if it is the
+cheapest of the front, or really better than the last cheaper one that is: the paired t test,
+corrected for all others there. Seconds are those of the training alone.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from framework.report.parts.chart import MIN_SPAN_DB, Band, Chart, Point, Series
 from framework.report.parts.palette import LIGHT, looks
-from framework.report.statistics.compare import compare
+from framework.report.statistics.compare import Comparison, compare
 from framework.report.statistics.estimates import Spread, spread
 from framework.report.statistics.numbers import average
 from framework.report.statistics.outcomes import by_pair
@@ -30,7 +31,8 @@ LOG_FROM = 4  # ratio of costs from which an axis is logarithmic; a lesser one h
 @dataclass(frozen=True)
 class Entry:
     """A method with a budget on one scene: means over its runs. train_s: by the wall clock, or of
-    CPU time where other programs disturbed the study."""
+    CPU time where other programs disturbed the study. gain: what it is ranked by, PSNR `above` the
+    entry of the scene with the most seeds."""
 
     method: str
     family: str
@@ -40,6 +42,7 @@ class Entry:
     gaussians: float
     megabytes: float
     runs: tuple[ReportRun, ...]
+    gain: float = 0.0
 
 
 def entries(study: Study, scene: str) -> list[Entry]:
@@ -59,16 +62,33 @@ def entries(study: Study, scene: str) -> list[Entry]:
         found.append(
             Entry(method, label.family, label.budget, spread(psnr), seconds, count, size, (*runs,))
         )
-    return found
+    most = max(found, key=lambda entry: entry.psnr.n, default=None)
+    return [replace(entry, gain=above(entry, most)) for entry in found] if most else []
+
+
+def _pairs(one: Entry, other: Entry) -> Comparison | None:
+    return compare(one.method, by_pair(one.runs), other.method, by_pair(other.runs))
+
+
+def above(one: Entry, other: Entry) -> float:
+    """What `one` has over `other` in dB, in the seeds of both; of their means where none is."""
+    found = _pairs(one, other)
+    return one.psnr.mean - other.psnr.mean if found is None else found.difference
+
+
+def better(one: Entry, other: Entry, tests: int) -> bool:
+    """Whether the paired test, corrected for so many, tells that `one` is above `other`."""
+    found = _pairs(one, other)
+    return found is not None and found.difference > 0 and replace(found, tests=tests).significant
 
 
 def front(found: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
     """Indices of the entries on the Pareto front, the cheapest first."""
-    order = sorted(range(len(found)), key=lambda k: (cost(found[k]), -found[k].psnr.mean))
+    order = sorted(range(len(found)), key=lambda k: (cost(found[k]), -found[k].gain))
     best, kept = -np.inf, []
     for k in order:
-        if found[k].psnr.mean > best:
-            best = found[k].psnr.mean
+        if found[k].gain > best:
+            best = found[k].gain
             kept.append(k)
     return kept
 
@@ -81,8 +101,7 @@ def worth(found: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
     if not kept or found[kept[0]].psnr.n < 2:
         return []
     for k in on_front[1:]:
-        c = compare("", by_pair(found[k].runs), "", by_pair(found[kept[-1]].runs))
-        if c is not None and replace(c, tests=len(found) - 1).significant:
+        if better(found[k], found[kept[-1]], len(found) - 1):
             kept.append(k)
     return kept
 

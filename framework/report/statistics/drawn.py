@@ -37,9 +37,9 @@ class Variance:
 
 @dataclass(frozen=True)
 class Draws:
-    """`method` minus `baseline` on a scene in dB. differences: draw -> of its seeds. plain: draw ->
-    mean PSNR of the baseline. over: the mean over draws. alike: whether draws differ, of those
-    with two seeds or more; None where these are fewer than two."""
+    """`method` minus `baseline` in dB on a scene, told with its conditions. differences: draw -> of
+    its seeds. plain: draw -> mean PSNR of the baseline. over: the mean over draws. alike: whether
+    draws differ, of those with two seeds or more; None where these are fewer than two."""
 
     scene: str
     method: str
@@ -56,12 +56,15 @@ class Draws:
 
 
 def draws(study: Study) -> list[Draws]:
-    """Of every scene with two draws or more and every method with a baseline on two of them."""
+    """Of every scene with two draws or more, all its other conditions fixed, and every method with
+    a baseline on two of them."""
     groups: dict[tuple[str, str], list[ReportRun]] = defaultdict(list)
     for run in study.runs:
         if DRAWN in _draw(run):
             options = {k: v for k, v in run.record.config["scene"].items() if k != "split"}
-            groups[run.scene_label.name, repr(sorted(options.items()))].append(run)
+            label = run.scene_label
+            fixed = repr(sorted((options | dict(label.data)).items()))
+            groups[label.without("split"), fixed].append(run)
     found = [
         _draws(name, method, study.baseline_of(method), runs)
         for (name, _), runs in groups.items()

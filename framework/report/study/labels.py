@@ -86,6 +86,11 @@ class SceneLabel:
     name: str
     data: Flat
 
+    def without(self, option: str) -> str:
+        """`fern (split=llff)` of `fern (n_views=3, split=llff)` without `n_views`."""
+        part = rf"{re.escape(option)}=[^,()]*"
+        return re.sub(rf" \({part}\)$|(?<=\(){part}, |, {part}(?=[,)])", "", self.full)
+
 
 def flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Dotted keys of a nested config."""

@@ -4,14 +4,20 @@ its size."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from framework.report.figures.tradeoff import Entry, differs, entries, megabytes, train_s, worth
-from framework.report.statistics.compare import compare
+from framework.report.figures.tradeoff import (
+    Entry,
+    above,
+    better,
+    differs,
+    entries,
+    megabytes,
+    train_s,
+    worth,
+)
 from framework.report.statistics.numbers import mean_text
-from framework.report.statistics.outcomes import by_pair
 from framework.report.study.labels import listed
 from framework.report.study.runs import ReportRun, Study
 from framework.report.verdict.lead import AS_GOOD_DB, comparable, one_machine
@@ -61,23 +67,23 @@ def _choice(study: Study, found: Sequence[Entry], limit_s: float) -> Entry | Non
     within = [entry for entry in found if entry.train_s <= limit_s]
     if not within:
         return None
-    best = max(within, key=_mean)
-    plain = [entry for entry in within if entry.family == study.families[0]]
     tests = max(1, len(within) - 1)
-    if plain and best.psnr.n > 1 and _alike(best, max(plain, key=_mean), tests):
-        best = max(plain, key=_mean)
+    best = max(within, key=_gain)
+    plain = max((e for e in within if e.family == study.families[0]), key=_gain, default=None)
+    if plain is not None and any(entry.psnr.n > 1 for entry in within):
+        best = max((e for e in within if better(e, plain, tests)), key=_gain, default=plain)
     as_good = [
         entry
         for entry in within
         if entry.family == best.family
-        and entry.psnr.mean >= best.psnr.mean - AS_GOOD_DB
-        and (entry is best or _alike(best, entry, tests))
+        and entry.gain >= best.gain - AS_GOOD_DB
+        and not better(best, entry, tests)
     ]
     return min(as_good, key=train_s)
 
 
-def _mean(entry: Entry) -> float:
-    return entry.psnr.mean
+def _gain(entry: Entry) -> float:
+    return entry.gain
 
 
 def smallest(study: Study, scene: str) -> str | None:
@@ -86,8 +92,8 @@ def smallest(study: Study, scene: str) -> str | None:
     found = entries(study, scene)
     if len(found) < 2 or not differs([megabytes(entry) for entry in found]):
         return None
-    best = max(found, key=lambda entry: entry.psnr.mean)
-    close = [entry for entry in found if entry.psnr.mean >= best.psnr.mean - AS_GOOD_DB]
+    best = max(found, key=_gain)
+    close = [entry for entry in found if entry.gain >= best.gain - AS_GOOD_DB]
     least = min(close, key=megabytes)
     text = f"The smallest model within {AS_GOOD_DB} dB of the best: {_told(least)}"
     return f"{text}, the best itself." if least is best else f"{text}; the best: {_told(best)}."
@@ -147,13 +153,22 @@ def _advice(study: Study, found: Sequence[Entry], limit_s: float) -> str:
 
 
 def _rival(best: Entry, within: Sequence[Entry]) -> str:
-    """The quickest configuration that the paired test does not tell from the best one."""
+    """What the paired test tells to be better than the best one, which may be a little worse than
+    another; else the quickest that it does not tell from it."""
     if best.psnr.n < 2:
         return "single runs, so the order may be chance"
     if len(within) == 1:
         return "nothing else fits"
     others = [entry for entry in within if entry is not best]
-    alike = [entry for entry in others if _alike(best, entry, len(others))]
+    n = len(others)
+    ahead = [entry for entry in others if better(entry, best, n)]
+    if ahead:
+        most = max(ahead, key=lambda entry: above(entry, best))
+        return (
+            f"{most.method} takes {most.train_s:.1f} s and is really better, by"
+            f" {above(most, best):.2f} dB"
+        )
+    alike = [entry for entry in others if not better(best, entry, n)]
     quicker = [entry for entry in alike if entry.train_s < best.train_s]
     if not alike:
         return "every other choice within that time is really worse"
@@ -161,20 +176,14 @@ def _rival(best: Entry, within: Sequence[Entry]) -> str:
         rest = "1 other, which is" if len(alike) == 1 else f"{len(alike)} others, which are"
         return f"not told apart from {rest} no quicker"
     quickest = min(quicker, key=train_s)
-    lower = best.psnr.mean - quickest.psnr.mean
+    lower = above(best, quickest)
     side = "lower" if lower >= 0 else "higher"
     return (
         f"{quickest.method} takes {quickest.train_s:.1f} s and is {abs(lower):.2f} dB {side} on"
-        f" average, which is not told from chance {_among(len(others))}"
+        f" average, which is not told from chance {_among(n)}"
     )
 
 
 def _among(n: int) -> str:
     """The family of comparisons that the claim holds for."""
     return "by these seeds" if n == 1 else f"among the {n + 1} choices within that time"
-
-
-def _alike(best: Entry, other: Entry, tests: int) -> bool:
-    """Whether the paired test, corrected for so many, does not tell them apart."""
-    found = compare("", by_pair(best.runs), "", by_pair(other.runs))
-    return found is None or not replace(found, tests=tests).significant

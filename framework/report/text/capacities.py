@@ -108,7 +108,8 @@ def rows(found: Sequence[Contest]) -> list[dict[str, str]]:
 
 def _contest(study: Study, label: MethodLabel, first: MethodLabel) -> Contest | None:
     own, base = study.of(method=label.full), study.of(method=first.full)
-    comparison = compare(label.full, by_pair(own), first.full, by_pair(base))
+    names = {run.scene: run.scene_label.name for run in own}
+    comparison = compare(label.full, by_pair(own), first.full, by_pair(base), names)
     if comparison is None:
         return None
     keys = by_pair(own).keys() & by_pair(base).keys()
