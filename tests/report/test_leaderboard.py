@@ -55,6 +55,33 @@ def test_trainings_of_two_studies_are_told(tmp_path: Path) -> None:
     assert "in two studies count in both: one and two (8)." in text
 
 
+def test_studies_at_any_depth_are_read(tmp_path: Path) -> None:
+    """With their runs or with their table alone."""
+    _study(tmp_path / "top", {"none": 0.0, "safi": 3.0})
+    other = _study(tmp_path / "mine" / "deep" / "s1", {"none": 0.0, "dba": 3.0})
+    shutil.rmtree(other.parent / "runs")
+    for name in ("s2", "s3"):
+        _study(tmp_path / "mine" / name, {"none": 0.0, "safi": 3.0})
+    path, studies = leaderboard(tmp_path, tmp_path / "out")
+    text = path.read_text(encoding="utf-8")
+    assert studies == 4 and "Not read" not in text
+    assert "[mine/deep/s1](../mine/deep/s1/report.md)" in text and "[mine/s3](" in text
+
+
+def test_conditions_of_a_scene_are_one_scene(tmp_path: Path) -> None:
+    for n_views in (2, 3, 6):
+        for augment in ("none", "safi"):
+            for seed in range(3):
+                name = f"{augment}{n_views}{seed}"
+                views = {"n_views": n_views}
+                fake_run(tmp_path / "one", augment, seed=seed, condition=views, run_name=name)
+    leaderboard(tmp_path, tmp_path)
+    (row,) = csv.DictReader((tmp_path / "leaderboard.csv").read_text("utf-8").splitlines())
+    assert row["scenes"] == "1"
+    text = (tmp_path / "leaderboard.md").read_text(encoding="utf-8")
+    assert re.search(r"\| 1 +\| +3 +\| +2 +\|", text)  # scenes, seeds, methods
+
+
 def test_a_folder_without_studies_and_a_broken_table(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="expected studies with runs"):
         leaderboard(tmp_path, tmp_path / "out")
