@@ -11,6 +11,7 @@ import pytest
 
 from framework.command.cli import main as command
 from framework.errors import UserError
+from framework.records.search import SEARCH
 from framework.report import build_report
 from framework.report.leaderboard import leaderboard
 from tests.record.fakes import fake_run
@@ -80,6 +81,20 @@ def test_conditions_of_a_scene_are_one_scene(tmp_path: Path) -> None:
     assert row["scenes"] == "1"
     text = (tmp_path / "leaderboard.md").read_text(encoding="utf-8")
     assert re.search(r"\| 1 +\| +3 +\| +2 +\|", text)  # scenes, seeds, methods
+
+
+def test_searches_are_no_studies(tmp_path: Path) -> None:
+    """Nor are runs that were judged by training photos: both were made to choose options."""
+    searched = tmp_path / "searched"
+    for folder, condition in ((searched, {}), (tmp_path / "held", {"split": "llff_held_out"})):
+        for seed in range(2):
+            fake_run(folder, seed=seed, condition=condition, run_name=f"{seed}")
+    found = '{"metric": "psnr", "fixed": [], "trials": []}'
+    (searched / SEARCH).write_text(found, encoding="utf-8")
+    path, studies = leaderboard(tmp_path, tmp_path)
+    text = path.read_text(encoding="utf-8")
+    assert studies == 0 and "the trials of a search" in text
+    assert "judged by training photos (scene.split=llff_held_out)" in text
 
 
 def test_a_folder_without_studies_and_a_broken_table(tmp_path: Path) -> None:
