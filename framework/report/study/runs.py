@@ -192,11 +192,14 @@ class Study:
 
     def baseline_of(self, method: str) -> str:
         """The baseline with the budget and, for another method, the other options of `method`, as
-        far as there is one; `method` itself where its budget has no run of the baseline's pair."""
+        far as there is one; plain training where the `rival` has no run of that budget; `method`
+        itself where neither has."""
         if len(self.families) < 2 or method not in self._labels:
             return self.baseline
         own, plain = self._labels[method], self._labels[self.baseline].pair
         equal = [m for m in self.methods if self._labels[m].budget == own.budget]
+        if all(self._labels[m].pair != plain for m in equal):
+            plain = BASELINE
         bases = [m for m in equal if self._labels[m].pair == plain]
         alike = [m for m in bases if self._labels[m].options == own.options]
         if own.pair != plain and alike:
@@ -206,9 +209,9 @@ class Study:
     @cached_property
     def baselines(self) -> list[str]:
         """What methods are compared with, each once."""
-        plain = self._labels[self.baseline].pair if self.runs else ""
+        plain = {BASELINE, self._labels[self.baseline].pair} if self.runs else set()
         bases = dict.fromkeys(map(self.baseline_of, self.methods))
-        return [base for base in bases if self._labels[base].pair == plain]
+        return [base for base in bases if self._labels[base].pair in plain]
 
     @cached_property
     def without_baseline(self) -> list[str]:
