@@ -107,7 +107,8 @@ def _build(study: Study, title: str | None, photos: bool) -> Path:
         _keep_other_table(study)
     make_folder(study.out_dir)
     shown = study.scenes if photos else own_scenes(study)
-    remove_pictures(study, [scene for scene in study.scenes if scene not in shown])
+    if not photos:
+        remove_pictures(study.out_dir, shown)
     with ThreadPoolExecutor(1) as beside:  # photos are encoded while charts are drawn
         shots = beside.submit(gallery, study, shown)
         made = document(study, title or study.out_dir.resolve().name, shown)

@@ -30,12 +30,14 @@ from framework.report.statistics.compare import Comparison
 from framework.report.statistics.numbers import ABSENT, interval_text, mean_text, p_text, signed
 from framework.report.statistics.outcomes import Outcomes, outcomes
 from framework.report.study.collect import collect
-from framework.report.study.folders import run_dirs
-from framework.report.study.labels import listed, outside
+from framework.report.study.folders import RUN_FOLDERS, holds_run, walked
+from framework.report.study.labels import flatten, listed, outside
 from framework.report.study.order import method_order, natural
 from framework.report.study.runs import Study
+from framework.report.study.tabled import TABLE as TABLE_OF_RUNS
 from framework.report.study.tabled import is_tabled
 from framework.report.verdict.lead import has_budgets
+from framework.scenes import HELD_OUT
 
 REPORT, PAGE, TABLE = "leaderboard.md", "leaderboard.html", "leaderboard.csv"
 WORDS = ("Study", "Use", "Method", "Scenes", "Against", "Why", "Told")
@@ -111,25 +113,48 @@ def _entries(folder: Path, out_dir: Path) -> tuple[list[Entry], dict[str, str]]:
         except UserError as error:
             broken[name] = outside(str(error))
             continue
-        if study.runs:
+        if study.runs and (why := _chose(study)):
+            broken[name] = why
+        elif study.runs:
             found.append(Entry(name, study, outcomes(study)))
         else:
             broken[name] = "no run of it finished"
     return sorted(found, key=lambda entry: natural(entry.name)), broken
 
 
+def _chose(study: Study) -> str:
+    """Why a study judges no method, as its runs were made to choose options; "" where it does."""
+    if study.searched is not None:
+        return "the trials of a search, which were made to choose options"
+    splits = {flatten(run.record.config).get("scene.split") for run in study.runs}
+    splits |= {run.record.scene.protocol for run in study.runs if run.record.scene}
+    held = sorted(split for split in splits if isinstance(split, str) and split.endswith(HELD_OUT))
+    return f"judged by training photos (scene.split={outside(held[0])})" if held else ""
+
+
 def _study_dirs(folder: Path) -> list[Path]:
-    """The folder itself and those in it, as far as they are studies."""
-    try:
-        with os.scandir(folder) as entries:
-            inside = [Path(entry.path) for entry in entries if entry.is_dir(follow_symlinks=False)]
-    except OSError:
-        inside = []
-    own = [folder] if is_tabled(folder) or (folder / "runs").is_dir() else []
-    below = [path for path in sorted(inside) if path.name != "runs"]
-    studies = [*own, *(p for p in below if is_tabled(p) or run_dirs(p))]
-    require(len(studies) <= RUNS, f"{folder}: expected at most {RUNS:,} studies, got more")
-    return studies
+    """The folder itself and those below it, as far as they are studies, sorted."""
+    found = {folder} if (folder / RUN_FOLDERS).is_dir() else set()
+    for here, names in walked(folder):
+        inside = here.relative_to(folder).parts
+        if inside and holds_run(names):
+            found.add(_study_of(folder, inside))
+        elif TABLE_OF_RUNS in names and RUN_FOLDERS not in inside and is_tabled(here):
+            found.add(here)
+    require(len(found) <= RUNS, f"{folder}: expected at most {RUNS:,} studies, got more")
+    return sorted(found)
+
+
+def _study_of(folder: Path, inside: tuple[str, ...]) -> Path:
+    """Of which study a run is, whose folder lies so `inside`: that with the `runs` it is in, else
+    the one above it."""
+    place = inside.index(RUN_FOLDERS) if RUN_FOLDERS in inside[:-1] else len(inside) - 1
+    return folder.joinpath(*inside[:place])
+
+
+def _names(study: Study, scenes: Sequence[str]) -> int:
+    """How many scenes these are; conditions of one are one."""
+    return len({study.name_of(scene) for scene in scenes})
 
 
 def _matches(entry: Entry) -> list[Match]:
@@ -197,7 +222,7 @@ def _studies(entries: Sequence[Entry], out_dir: Path) -> list[Block]:
         row: dict[str, str | Link] = {
             "Study": _link(entry, out_dir),
             "Use": best if _matches(entry) else "no advice",
-            "Scenes": str(len(study.scenes)),
+            "Scenes": str(_names(study, study.scenes)),
             "Seeds": str(len(values)),
             "Methods": str(len(study.methods)),
             "PSNR (dB)": mean_text(values, 2, show_half=True) if values else ABSENT,
@@ -285,7 +310,7 @@ def _rows(matches: Sequence[Match]) -> list[dict[str, str]]:
                 "Study": match.entry.name,
                 "Method": c.method,
                 "Against": c.baseline,
-                "Scenes": str(len(c.scenes)),
+                "Scenes": str(_names(match.entry.study, c.scenes)),
                 "Seeds": str(c.n),
                 "ΔPSNR (dB)": signed(c.difference, c.joint),
                 "95 %, corrected": interval_text(c.joint),
@@ -305,7 +330,8 @@ def _csv(matches: Sequence[Match]) -> str:
     for match in matches:
         c = match.comparison
         ends = (None, None) if c.joint is None else (c.joint.low, c.joint.high)
-        told = (match.entry.name, c.method, c.baseline, len(c.scenes), c.n)
+        scenes = _names(match.entry.study, c.scenes)
+        told = (match.entry.name, c.method, c.baseline, scenes, c.n)
         writer.writerow([*told, c.difference, *ends, c.p_joint])
     return buffer.getvalue()
 

@@ -11,7 +11,10 @@ import yaml
 
 from framework.errors import UserError
 from framework.records.record import SceneInfo, write_failed
+from framework.report import build_report
 from framework.report.figures import tradeoff
+from framework.report.statistics.outcomes import outcomes
+from framework.report.statistics.robustness import failure_rate
 from framework.report.study.collect import collect
 from framework.report.study.labels import USUAL, VARIANTS, method_labels, scene_labels
 from framework.report.text import budgets
@@ -195,6 +198,31 @@ def test_the_baseline_has_the_same_budget(tmp_path: Path) -> None:
             fake_run(tmp_path, augment, trainer={"steps": steps}, run_name=f"{augment}{steps}")
     study = collect(tmp_path)
     assert study.baseline_of("safi + none, steps=400") == "none + none, steps=400"
+
+
+def test_a_budget_without_the_baseline_has_no_comparison(tmp_path: Path) -> None:
+    """As where plain training failed there: another method is no baseline in its place."""
+    for augment, reg, steps in (
+        *(("none", "none", 100), ("none", "uar", 100)),
+        *(("none", "uar", 400), ("safi", "none", 400)),
+    ):
+        for seed in range(3):
+            fake_run(
+                *(tmp_path, augment, reg, seed),
+                gain=6.0 if augment == "safi" else 0.0,
+                trainer={"steps": steps},
+                run_name=f"{augment}{reg}{steps}{seed}",
+            )
+    study = collect(tmp_path)
+    assert study.baselines == ["none + none, steps=100"]
+    alone = ["none + uar, steps=400", "safi + none, steps=400"]
+    assert study.without_baseline == alone
+    assert [study.baseline_of(method) for method in alone] == alone
+    assert list(outcomes(study).comparisons) == ["none + uar, steps=100"]
+    rate = failure_rate(study, "none + uar, steps=400")  # 6 dB below safi, which is no plain one
+    assert rate is not None and rate.failed == 0
+    text = build_report(tmp_path).read_text(encoding="utf-8")
+    assert f"No baseline has their budget, hence compared with nothing: {', '.join(alone)}." in text
 
 
 def test_a_method_is_compared_under_its_own_options(tmp_path: Path) -> None:

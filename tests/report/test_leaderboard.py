@@ -11,6 +11,7 @@ import pytest
 
 from framework.command.cli import main as command
 from framework.errors import UserError
+from framework.records.search import SEARCH
 from framework.report import build_report
 from framework.report.leaderboard import leaderboard
 from tests.record.fakes import fake_run
@@ -53,6 +54,47 @@ def test_trainings_of_two_studies_are_told(tmp_path: Path) -> None:
     _study(tmp_path / "two", {"dba": 0.02})
     text = leaderboard(tmp_path, tmp_path)[0].read_text(encoding="utf-8")
     assert "in two studies count in both: one and two (8)." in text
+
+
+def test_studies_at_any_depth_are_read(tmp_path: Path) -> None:
+    """With their runs or with their table alone."""
+    _study(tmp_path / "top", {"none": 0.0, "safi": 3.0})
+    other = _study(tmp_path / "mine" / "deep" / "s1", {"none": 0.0, "dba": 3.0})
+    shutil.rmtree(other.parent / "runs")
+    for name in ("s2", "s3"):
+        _study(tmp_path / "mine" / name, {"none": 0.0, "safi": 3.0})
+    path, studies = leaderboard(tmp_path, tmp_path / "out")
+    text = path.read_text(encoding="utf-8")
+    assert studies == 4 and "Not read" not in text
+    assert "[mine/deep/s1](../mine/deep/s1/report.md)" in text and "[mine/s3](" in text
+
+
+def test_conditions_of_a_scene_are_one_scene(tmp_path: Path) -> None:
+    for n_views in (2, 3, 6):
+        for augment in ("none", "safi"):
+            for seed in range(3):
+                name = f"{augment}{n_views}{seed}"
+                views = {"n_views": n_views}
+                fake_run(tmp_path / "one", augment, seed=seed, condition=views, run_name=name)
+    leaderboard(tmp_path, tmp_path)
+    (row,) = csv.DictReader((tmp_path / "leaderboard.csv").read_text("utf-8").splitlines())
+    assert row["scenes"] == "1"
+    text = (tmp_path / "leaderboard.md").read_text(encoding="utf-8")
+    assert re.search(r"\| 1 +\| +3 +\| +2 +\|", text)  # scenes, seeds, methods
+
+
+def test_searches_are_no_studies(tmp_path: Path) -> None:
+    """Nor are runs that were judged by training photos: both were made to choose options."""
+    searched = tmp_path / "searched"
+    for folder, condition in ((searched, {}), (tmp_path / "held", {"split": "llff_held_out"})):
+        for seed in range(2):
+            fake_run(folder, seed=seed, condition=condition, run_name=f"{seed}")
+    found = '{"metric": "psnr", "fixed": [], "trials": []}'
+    (searched / SEARCH).write_text(found, encoding="utf-8")
+    path, studies = leaderboard(tmp_path, tmp_path)
+    text = path.read_text(encoding="utf-8")
+    assert studies == 0 and "the trials of a search" in text
+    assert "judged by training photos (scene.split=llff_held_out)" in text
 
 
 def test_a_folder_without_studies_and_a_broken_table(tmp_path: Path) -> None:

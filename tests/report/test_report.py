@@ -201,7 +201,11 @@ def test_a_report_can_be_built_without_photos(tmp_path: Path) -> None:
     line = [str(tmp_path / "study"), "--out", str(out)]
     assert main(line) == 0 and (out / "images_fern.jpg").exists()
     assert "/runs/" in (out / "report.md").read_text(encoding="utf-8")
+    for kind in ("images", "sigma", "closeup"):  # of a report in which the scene was called so
+        shutil.copy(out / "images_fern.jpg", out / f"{kind}_fern_n_views_3.jpg")
+    (out / "images_notes.txt").write_text("mine", encoding="utf-8")
     assert main([*line, "--without-photos"]) == 0
+    assert (out / "images_notes.txt").exists()
     text = (out / "report.md").read_text(encoding="utf-8")
     assert "/runs/" not in text and "fern-safi-none-s0" in text
     assert "No pictures of fern: this report was built without photos" in text

@@ -8,6 +8,7 @@ mean square over the channels, in units of the full range.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -28,6 +29,7 @@ from framework.report.statistics.numbers import significant
 from framework.report.study.labels import outside, slug
 from framework.report.study.runs import ReportRun, Study
 
+KINDS = ("images", "sigma", "closeup")  # begin the names of files of photos and renders
 SIGMA_SCALE, SIGMA_COLORS = 0.1, "viridis"
 BESIDE = COLUMNS - 1  # methods beside the ground truth, each above its own error
 FEWEST_SEEDS = 3  # a deviation of two values says little about a pixel
@@ -57,11 +59,13 @@ def draw_images(study: Study, scene: str) -> Picture | None:
     return grid_picture(study.out_dir, name, bands, f"Images of {scene}", caption, in_viewer=True)
 
 
-def remove_pictures(study: Study, scenes: Sequence[str]) -> None:
-    """Remove what an earlier report drew of these scenes."""
-    for scene in scenes:
-        for kind in ("images", "sigma", "closeup"):
-            (study.out_dir / f"{kind}_{slug(scene)}.jpg").unlink(missing_ok=True)
+def remove_pictures(out_dir: Path, scenes: Sequence[str]) -> None:
+    """Remove what an earlier report drew, perhaps under other names, but that of these scenes."""
+    kept = {f"{kind}_{slug(scene)}.jpg" for kind in KINDS for scene in scenes}
+    for kind in KINDS:
+        for path in out_dir.glob(f"{kind}_*.jpg"):
+            if path.name not in kept and not path.is_dir():
+                path.unlink()
 
 
 def draw_sigma_maps(study: Study, scene: str) -> Picture | None:

@@ -73,7 +73,7 @@ def _best(study: Study, psnr: Collection[str], found: Mapping[str, Comparison]) 
     if not better:
         return study.methods[0] if study.methods else ""
     values = {method: by_pair(study.of(method=method)) for method in study.methods}
-    bases = {study.baseline_of(method) for method in study.methods}
+    bases = {*study.baselines}
 
     def above(method: str, other: str) -> Comparison | None:
         own = compare(method, values[method], other, values[other])

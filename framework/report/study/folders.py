@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from framework.records.failure import FAILED
@@ -12,17 +13,25 @@ RUN_FOLDERS = "runs"  # in the folder of a study
 DEPTH = 12  # folders between a study and its runs; links are not followed
 
 
-def run_dirs(folder: Path) -> list[Path]:
-    """Those with a record, or with what a failed run left, sorted."""
-    found, waiting = [], [(folder, 0)]
+def walked(folder: Path) -> Iterator[tuple[Path, set[str]]]:
+    """`folder` and the folders below it, each with the names in it."""
+    waiting = [(folder, 0)]
     while waiting:
         here, depth = waiting.pop()
         names, below = _listed(here)
-        if RECORD in names or FAILED in names:
-            found.append(here)
+        yield here, names
         if depth < DEPTH:
             waiting += [(here / name, depth + 1) for name in below]
-    return sorted(found)
+
+
+def run_dirs(folder: Path) -> list[Path]:
+    """Those with a record, or with what a failed run left, sorted."""
+    return sorted(here for here, names in walked(folder) if holds_run(names))
+
+
+def holds_run(names: Collection[str]) -> bool:
+    """Whether a folder with these names in it is that of a run."""
+    return RECORD in names or FAILED in names
 
 
 def begun_dirs(folder: Path) -> list[Path]:

@@ -185,19 +185,38 @@ class Study:
         """The same, with plain training to compare with."""
         return replace(self, rival="") if self.rival else self
 
+    @cached_property
+    def _labels(self) -> dict[str, MethodLabel]:
+        """Method -> its parts."""
+        return {run.method: run.method_label for run in self.runs}
+
     def baseline_of(self, method: str) -> str:
         """The baseline with the budget and, for another method, the other options of `method`, as
-        far as there is one; else the study's."""
-        if len(self.families) < 2:
+        far as there is one; plain training where the `rival` has no run of that budget; `method`
+        itself where neither has."""
+        if len(self.families) < 2 or method not in self._labels:
             return self.baseline
-        labels = {run.method: run.method_label for run in self.runs}
-        own = labels.get(method, MethodLabel(method))
-        equal = [m for m in self.methods if labels[m].budget == own.budget]
-        plain = labels[self.baseline].pair
-        alike = [m for m in equal if (labels[m].pair, labels[m].options) == (plain, own.options)]
+        own, plain = self._labels[method], self._labels[self.baseline].pair
+        equal = [m for m in self.methods if self._labels[m].budget == own.budget]
+        if all(self._labels[m].pair != plain for m in equal):
+            plain = BASELINE
+        bases = [m for m in equal if self._labels[m].pair == plain]
+        alike = [m for m in bases if self._labels[m].options == own.options]
         if own.pair != plain and alike:
             return alike[0]
-        return equal[0] if equal else self.baseline
+        return bases[0] if bases else method
+
+    @cached_property
+    def baselines(self) -> list[str]:
+        """What methods are compared with, each once."""
+        plain = {BASELINE, self._labels[self.baseline].pair} if self.runs else set()
+        bases = dict.fromkeys(map(self.baseline_of, self.methods))
+        return [base for base in bases if self._labels[base].pair in plain]
+
+    @cached_property
+    def without_baseline(self) -> list[str]:
+        """The methods that are compared with nothing, as no baseline has their budget."""
+        return [m for m in self.methods if self.baseline_of(m) not in self.baselines]
 
     def of(self, scene: str | None = None, method: str | None = None) -> list[ReportRun]:
         """The runs of a scene and method (None = any), by seed."""

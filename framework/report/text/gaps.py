@@ -42,13 +42,16 @@ def gap_notes(study: Study, pooled: bool = True) -> list[Block]:
     if any(run.record.scene.protocol.endswith(HELD_OUT) for run in study.runs if run.record.scene):
         texts.append(searched.HELD_OUT)
     if study.rival and study.searched is None:
-        bases = list(dict.fromkeys(study.baseline_of(method) for method in study.methods))
+        bases = study.baselines
         told = f"As `--baseline` asks, methods are compared with {bases[0]}"
         if len(bases) > 1:
             told += f"; where budget or options are others, with {listed(bases[1:], 'and')}"
         texts.append(f"{told}.")
     elif study.searched is None and len(study.methods) > 1 and not study.has_plain:
         texts.append(f"No run of `none + none`: the others are compared with {study.baseline}.")
+    if study.searched is None and study.without_baseline:
+        alone = ", ".join(study.without_baseline)
+        texts.append(f"No baseline has their budget, hence compared with nothing: {alone}.")
     return [Text(text, "note") for text in (*texts, *study.notes)]
 
 
