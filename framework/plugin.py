@@ -127,13 +127,16 @@ class Plugin:
     """Base of all plugins. `defaults` changes the framework keys' defaults for a method. `idle`:
     it does nothing by design; of others a run without any effect is told. `second_field`: beside
     the Gaussians a second set is trained, from the same start on the same photos with draws, an
-    optimizer, regularizers and capacities of its own, which `StepContext.other` shows."""
+    optimizer, regularizers and capacities of its own, which `StepContext.other` shows.
+    `second_drawn`: its start is another draw of the first Gaussians; a plugin may let an option
+    decide it (`reg=co_register_drawn`)."""
 
     name: ClassVar[str]
     group: ClassVar[str]
     defaults: ClassVar[dict[str, float]] = {}
     idle: ClassVar[bool] = False
     second_field: ClassVar[bool] = False
+    second_drawn: bool = False
 
     @classmethod
     def weighted(cls) -> bool:

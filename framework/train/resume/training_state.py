@@ -35,12 +35,12 @@ class Plugins:
     @property
     def second_field(self) -> bool:
         """Whether any of them compares the Gaussians with a second set."""
-        return any(getattr(one.plugin, "second_field", False) for one in self.each().values())
+        return any(one.plugin.second_field for one in self.each().values())
 
     @property
     def second_drawn(self) -> bool:
         """Whether that set begins with a draw of its own."""
-        return any(getattr(one.plugin, "second_drawn", False) for one in self.each().values())
+        return any(one.plugin.second_drawn for one in self.each().values())
 
 
 @dataclass(frozen=True)
