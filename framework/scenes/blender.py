@@ -28,7 +28,10 @@ TRAINING, TESTING = "transforms_train.json", "transforms_test.json"
 
 @dataclass(frozen=True)
 class Blender:
-    """Options of `scene=blender`."""
+    """Options of `scene=blender`.
+
+    near, far: depth bounds in scene units, between which the object lies.
+    """
 
     path: str  # folder of the scene
     n_views: int | str = 8  # training views; all = every one that is not for testing
