@@ -163,7 +163,7 @@ def test_pseudo_views_are_never_kept() -> None:
     """An augmenter may return a changed real view under its old name: it must be trained on."""
 
     @dataclass(frozen=True)
-    class Brighter:
+    class Brighter(Augmenter):
         name = "brighter"
         by: float
 
