@@ -253,7 +253,8 @@ def _written(
     remove_checkpoints(run_dir)
     for left in (budget.FILE, *MADE_OF_MODEL):  # these are of the model of before
         for file in run_dir.glob(left):
-            file.unlink(missing_ok=True)
+            if not file.is_dir():
+                file.unlink(missing_ok=True)
     return record
 
 

@@ -131,8 +131,9 @@ def _fingerprint(
     test: Sequence[Shot],
     points: Tracks,
     bounds: tuple[float, float],
+    paper: float | None,
 ) -> str:
-    """SHA-256 over split, names, cameras, pixels, masks, depths, points, near and far."""
+    """SHA-256 over split, names, cameras, pixels, masks, depths, points, near, far and paper."""
     digest = hashlib.sha256()
 
     def add(value: str | NDArray | None) -> None:
@@ -150,6 +151,8 @@ def _fingerprint(
             if s.lens:
                 add(repr(s.lens))
     add(repr(bounds))
+    if paper is not None:
+        add(repr(paper))
     add(points.xyz)
     add(points.rgb)
     add(points.seen)
@@ -183,7 +186,7 @@ def assemble(
         points = points.for_training(range(len(train)))
     paper = paper if any(shot.clear for shot in train) else None
     training = TrainingSet(name, tuple(map(_view, train)), _points(points), near, far, paper)
-    fingerprint = _fingerprint(protocol, train, test, points, (float(near), float(far)))
+    fingerprint = _fingerprint(protocol, train, test, points, (float(near), float(far)), paper)
     found = placement(_centers(test), _centers(train))
     tagged = [s if s.tags else replace(s, tags=t) for s, t in zip(test, found, strict=True)]
     return Scene(name, protocol, training, tuple(map(_view, tagged)), fingerprint)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from framework.errors import require
 from framework.files.paths import inside
 from framework.scenes.options import check_choice, check_folder_options
-from framework.scenes.splits import FILES, protocol, told
+from framework.scenes.splits import BLENDER_FILES, FILES, protocol, told
 from framework.scenes.transforms import PAPERS, check_range, shot
 
 if TYPE_CHECKING:
@@ -75,6 +75,12 @@ class Blender:
 
     def _split(self, training: int, images: int, where: str) -> Split:
         """Of all frames in their order, the first `training` of which the one file lists."""
+        counts = (training, images - training)
+        require(
+            not self.split.startswith("blender") or counts == BLENDER_FILES,
+            f"{where}: expected 100 frames in {TRAINING} and 200 in {TESTING} for scene.split="
+            f"{self.split}, got {counts[0]} and {counts[1]}; scene.split=file takes any numbers",
+        )
         names = [f"{i:06d}" for i in range(images)]
         rule = protocol(self.split) if self.split not in FILES else None
         rule = rule or told(names, names[:training], names[training:], self.split)

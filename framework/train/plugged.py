@@ -214,7 +214,7 @@ class PluginsAtWork:
     def _tell_of_capacity(self, running: _Running) -> None:
         capacity = running.plugged.plugin
         if capacity.second_field:  # what it does there is not counted here
-            if not any(getattr(r.plugged.plugin, "second_field", False) for r in self._regs):
+            if not any(r.plugged.plugin.second_field for r in self._regs):
                 LOG.warning(
                     f"capacity={_name(capacity)}: changes the second field alone, and no"
                     " regularizer compares the two, so it changed nothing; add one that does, as"

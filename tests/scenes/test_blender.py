@@ -83,8 +83,10 @@ def test_more_views_all_views_and_held_out_ones(lego: Path) -> None:
 
 def test_an_object_of_ones_own(tmp_path: Path) -> None:
     folder = write(tmp_path)
-    with pytest.raises(UserError, match=r"expected 300 images for scene\.split=blender, got 8; .*"):
+    with pytest.raises(UserError, match=r"split=blender, got 5 and 3; scene\.split=file takes any"):
         load(folder)
+    with pytest.raises(UserError, match=r"split=blender_drawn1, got 5 and 3; scene\.split=file"):
+        load(folder, split="blender_drawn1")
     assert numbers(load(folder, split="file", n_views=3)) == ([0, 2, 4], [0, 1, 2])
     assert numbers(load(folder, split="file", n_views="all"))[0] == [0, 1, 2, 3, 4]
 
@@ -125,6 +127,19 @@ def test_opaque_photos_lie_on_no_paper(tmp_path: Path, caplog: pytest.LogCapture
     mean = background_color("mean", training)
     assert float(mean.min()) > 0.3 and float(mean.max()) < 0.7
     assert background_color("black", training).tolist() == [0, 0, 0] and not caplog.records
+
+
+def test_flattened_photos_are_another_scene(tmp_path: Path) -> None:
+    """Of the same pixels, but their mean is then what renders stand on."""
+    clear = load(write(tmp_path), split="file", n_views=3)
+    for file in tmp_path.glob("*/*.png"):
+        image = Image.open(file)
+        rgb, share = np.asarray(image)[..., :3], np.asarray(image)[..., 3:] / 255.0
+        flat = np.rint(rgb * share + 255 * (1 - share)).astype(np.uint8)
+        Image.fromarray(flat).save(file)
+    flat_scene = load(tmp_path, split="file", n_views=3)
+    assert torch.equal(clear.training.views[0].image, flat_scene.training.views[0].image)
+    assert clear.fingerprint != flat_scene.fingerprint
 
 
 def test_a_test_photo_may_not_train(tmp_path: Path) -> None:

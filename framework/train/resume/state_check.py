@@ -46,7 +46,7 @@ def check_state(
     check_count("left", state.left, len(training.views))
     _check_history(state)
     terms = (options.sh_degree + 1) ** 2 - 1
-    wants = any(getattr(plugin, "second_field", False) for plugin in plugins.values())
+    wants = any(plugin.second_field for plugin in plugins.values())
     check_kind("second field", state.second, FieldState if wants else type(None))
     updates = sum(state.dose.get(name, (0, 0.0))[0] for name in ("steps", "substeps"))
     changes = state.step * sum(key.partition(".")[0] == "capacity" for key in plugins)
