@@ -72,6 +72,20 @@ def test_the_paper_s_loss_and_its_threshold_are_in_the_same_units() -> None:
     assert [adc[key] for key in others] == [100, 500, 0.005, 3000, 0.01, 0.01]
 
 
+def test_what_comes_late_in_a_coarse_first_training_comes_together() -> None:
+    """Large images and new Gaussians; of the method's dose nothing changes."""
+    words = ("preset=paper", "method=safi_uar")
+    config, plain = composed(*words, "experiment=coarse_first"), composed(*words)
+    check(config)
+    options = TrainerOptions(**config["trainer"])
+    late = round(config["capacity"]["start"] * options.steps)
+    assert [schedule.coarse_factor(options, step) for step in (0, late - 1, late)] == [2, 2, 1]
+    assert config["capacity"]["start"] + 0.2 < config["capacity"]["stop"]
+    assert [config[group] for group in ("augment", "reg", "init")] == [
+        plain[group] for group in ("augment", "reg", "init")
+    ]
+
+
 def test_a_preset_can_be_changed_like_anything_else(runs: FakeRuns) -> None:
     line = "+preset=paper trainer.steps=50 init=sparse capacity=fixed method=safi_uar"
     assert main(line.split()) == 0
