@@ -20,7 +20,6 @@ from framework import registry
 from framework.compute.parallel import run_tasks, run_together, threads
 from framework.depth.exposure import Exposures
 from framework.files.whole import write_whole
-from framework.initialize import INITIALIZERS
 from framework.metrics.evaluate import psnr
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
@@ -58,11 +57,9 @@ def initial(
     seed: int,
 ) -> Gaussians:
     """The Gaussians that the chosen initializer starts from."""
-    rest = dict(config["init"])
-    name = rest.pop("name")
-    builder = INITIALIZERS[name](**rest)
+    builder = registry.part("init", config["init"])
     gaussians: Gaussians = builder.build(scene.training, depth, options.sh_degree, seed)
-    return answers.gaussians(name, type(builder), gaussians, options.sh_degree)
+    return answers.gaussians(config["init"]["name"], type(builder), gaussians, options.sh_degree)
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,6 @@ from framework.compute.compiling import noticed
 from framework.compute.jit import KERNEL_CACHE
 from framework.compute.parallel import alone, threads
 from framework.compute.rng import stream
-from framework.depth import build_provider
-from framework.initialize import INITIALIZERS
 from framework.options import TrainerOptions
 from framework.rasterizers import Rasterizer, build_rasterizer
 from framework.records.notices import QUIET
@@ -169,18 +167,16 @@ def _start_beside(depth: Mapping[str, Any]) -> subprocess.Popen[bytes]:
 
 
 def _estimate(depth: Mapping[str, Any], training: TrainingSet) -> None:
-    options = dict(depth)
     # a provider of files knows nothing of synthetic views, nor does a plugin that reads by name
     with contextlib.suppress(Exception):
-        build_provider(options.pop("name"), options).estimate(training)
+        registry.part("depth", depth).estimate(training)
 
 
 def _initialize(
     init: Mapping[str, Any], training: TrainingSet, depth: tuple[DepthMap, ...]
 ) -> None:
-    options = dict(init)
     with contextlib.suppress(Exception):  # whatever it misses here; it is told in the run itself
-        INITIALIZERS[options.pop("name")](**options).build(training, depth, 0, 0)
+        registry.part("init", init).build(training, depth, 0, 0)
 
 
 def _train(

@@ -213,7 +213,7 @@ def test_a_class_that_is_no_plugin_is_told_at_its_definition() -> None:
             register("reg", name)(Hookless)
     with pytest.raises(UserError, match="expected the method `pseudo_views`, got none"):
         register("augment", "bad")(Other)
-    assert "bad" not in (*registry.names("reg"), *registry.names("augment"))
+    assert "bad" not in (*registry.table("reg"), *registry.table("augment"))
 
 
 def test_what_a_plugin_s_own_checks_raise_names_it() -> None:

@@ -36,7 +36,7 @@ EXAMPLES = {
     if block.title
 }
 PARTS = {"scene": "checker", "depth": "flat", "init": "sprinkle", "metric": "edges"}
-OWN = [(group, name) for group in registry.PARTS for name in registry.parts(group)]
+OWN = [(group, name) for group in registry.PARTS for name in registry.table(group)]
 ALL = [*OWN, *PARTS.items()]
 
 
@@ -45,7 +45,7 @@ def examples() -> Iterator[None]:
     """The tutorial's examples are registered; afterwards nothing of it is left."""
     with as_before():
         for group, name in PARTS.items():
-            registry.parts(group)[name] = loaded(name)
+            registry.table(group)[name] = loaded(name)
         yield
 
 
@@ -67,7 +67,7 @@ def made(name: str) -> ModuleType:
 
 def from_defaults(group: str, name: str) -> Any:
     """The part with its defaults; skips one that needs files or a package."""
-    cls = registry.parts(group)[name]
+    cls = registry.table(group)[name]
     fields = registry.plain_fields(cls)
     if any(f.name == "path" or f.default is dataclasses.MISSING for _, _, f in fields):
         pytest.skip(f"{group}={name} needs an option: a folder of files")
@@ -82,7 +82,7 @@ def tensors_of(value: Any) -> list[torch.Tensor]:
 
 @pytest.mark.parametrize(("group", "name"), ALL)
 def test_it_is_frozen_documented_and_typed(group: str, name: str) -> None:
-    cls: Any = registry.parts(group)[name]
+    cls: Any = registry.table(group)[name]
     assert cls.__dataclass_params__.frozen
     assert cls.__doc__ and not cls.__doc__.startswith(f"{cls.__name__}(")
     assert all(kind is not None for _, kind, _ in registry.plain_fields(cls))

@@ -34,7 +34,7 @@ from framework.run.warmup import _plane
 from framework.train.trainer import Plugins, Trained, Trainer
 from framework.types import View
 
-ALL = [(group, name) for group in registry.GROUPS for name in registry.names(group)]
+ALL = [(group, name) for group in registry.GROUPS for name in sorted(registry.table(group))]
 NEUTRAL = {"augment": "none", "reg": "none", "capacity": "fixed"}
 ACTING = {"augment": "safi", "reg": "uar", "capacity": "adc"}
 SEEN_ELSEWHERE = (  # a second field is the first one's twin here

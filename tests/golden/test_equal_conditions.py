@@ -140,4 +140,4 @@ def test_the_order_differs_between_epochs_and_seeds() -> None:
 
 def test_every_registered_method_is_compared() -> None:
     for group, position in (("augment", 0), ("reg", 1)):
-        assert set(registry.names(group)) <= {method[position] for method in METHODS}
+        assert set(registry.table(group)) <= {method[position] for method in METHODS}

@@ -31,7 +31,7 @@ registry.discover()
 METHODS = [
     {group: name}
     for group in registry.GROUPS
-    for name in registry.names(group)
+    for name in sorted(registry.table(group))
     if name != IDLE[group]
 ]
 

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from framework import registry
-from framework.depth import build_provider
 from framework.errors import UserError
 from framework.initialize import INITIALIZERS
 from framework.options import TrainerOptions
@@ -29,6 +28,7 @@ from framework.train.optimizer import AdamState
 from framework.train.resume.checkpoint import unpack
 from framework.train.trainer import Plugins, Trained, Trainer
 from framework.types import Camera, Gaussians, Scene, TrainingSet, View
+from tests.built import build_provider
 from tests.record.fakes import make_gaussians
 
 OPTIONS = TrainerOptions(steps=6, evaluations=1)

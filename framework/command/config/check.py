@@ -19,7 +19,6 @@ from framework.command.config.schema import (
     choices,
     class_rows,
     rows,
-    tables,
 )
 from framework.errors import UserError, nearest_hint, require
 from framework.files.documents import read_yaml
@@ -45,11 +44,8 @@ def check(config: Mapping[str, Any]) -> None:
         _check_choice(group, config[group])
     for group in registry.GROUPS:
         registry.build(group, config[group])
-    for group, table in tables().items():
-        options = dict(config[group])
-        name = options.pop("name")
-        registry.made(f"{group}={name}", table[name], options)
-    registry.parts("metric")
+    for group in [group for group in OBJECT_GROUPS if group not in registry.GROUPS]:
+        registry.part(group, config[group])
     measures(config["metrics"].get("also"))
     TrainerOptions(**config["trainer"])
     _check_scalars(config["seed"], config["threads"], config["study"])

@@ -24,7 +24,6 @@ from omegaconf import MISSING, OmegaConf
 import framework
 from framework import registry
 from framework.command.hydra_inside import JoinedChoices
-from framework.errors import nearest_hint, require
 from framework.options import TrainerOptions
 
 PACKAGE = Path(framework.__file__).resolve().parent
@@ -49,17 +48,9 @@ SCALARS = {
 METRICS = {"lpips_weights": str | None, "also": str | None, "coadaptation": bool}
 
 
-def tables() -> dict[str, dict[str, type]]:
-    """group -> name -> options class, for the parts of a run that are chosen by a group."""
-    from framework.rasterizers import RASTERIZERS
-
-    chosen = {group: registry.parts(group) for group in registry.PARTS if group in OBJECT_GROUPS}
-    return chosen | {"rasterizer": RASTERIZERS}
-
-
 def choices(group: str) -> list[str]:
     """The names that `group=` accepts without the YAML variants, sorted."""
-    return registry.names(group) if group in registry.GROUPS else sorted(tables()[group])
+    return sorted(registry.table(group))
 
 
 def rows(group: str, name: str) -> list[Row]:
@@ -67,11 +58,8 @@ def rows(group: str, name: str) -> list[Row]:
     for an unknown name."""
     if len(registry.parts_of(group, name)) > 1:
         return []
-    if group in registry.GROUPS:
-        return registry.option_fields(registry.lookup(group, name))
-    table = tables()[group]
-    require(name in table, f"{group}={name}: unknown {group}; {nearest_hint(name, table)}")
-    return registry.plain_fields(table[name])
+    cls = registry.lookup(group, name)
+    return registry.option_fields(cls) if group in registry.GROUPS else registry.plain_fields(cls)
 
 
 def class_rows(cls: type) -> list[Row]:
