@@ -168,7 +168,7 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
 
 def try_out(run: Run, config: Mapping[str, Any], options: TrainerOptions) -> Trained:
     """One training with other options, without a look at the test views; nothing of it is kept."""
-    plugins = Plugins(*(registry.build(group, config[group]) for group in registry.GROUPS))
+    plugins = Plugins.of(config)
     seed, n_views = int(config["seed"]), len(run.scene.training.views)
     return Trainer(
         run.scene.training,
@@ -215,7 +215,7 @@ def _untuned(run: Run, joined: Trained, options: TrainerOptions) -> Trained:
 
 def _open(run: Run, part: _Part) -> _Opened:
     """The part with what an earlier process kept of it."""
-    plugins = Plugins(*(registry.build(group, part.choices[group]) for group in registry.GROUPS))
+    plugins = Plugins.of(part.choices)
     plugins = replace(plugins, capacity=plugins.capacity.shared(part.options.members))
     chosen: dict[str, Plugin] = {key: one.plugin for key, one in plugins.each().items()}
     checkpoints = Checkpoints(run.folder, run.identity, chosen.values(), part.name)

@@ -113,7 +113,7 @@ def trained(
     )
     idle, chosen = {"name": "none"}, {"name": "evidence", **options}
     choices = {"augment": idle, "reg": idle, "capacity": chosen}
-    plugins = Plugins(*(registry.build(group, choice) for group, choice in choices.items()))
+    plugins = Plugins.of(choices)
     trainer = TrainerOptions(steps=steps, evaluations=1)
     return Trainer(training, depth, start, trainer, plugins, 0, Silent(), evaluate).run()
 

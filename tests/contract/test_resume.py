@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from framework import registry
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
@@ -51,13 +50,9 @@ class Files:
 
 
 def plugins(**names: str) -> Plugins:
-    chosen = {**NEUTRAL, **names}
-    return Plugins(
-        *(
-            registry.build(group, {"name": name, **EAGER.get(name, {}), "start": 0.0, "stop": 1.0})
-            for group, name in chosen.items()
-        )
-    )
+    span = {"start": 0.0, "stop": 1.0}
+    chosen = {**NEUTRAL, **names}.items()
+    return Plugins.of({group: {"name": n, **EAGER.get(n, {}), **span} for group, n in chosen})
 
 
 def train(

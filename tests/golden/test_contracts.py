@@ -4,7 +4,7 @@ steps and gradients of their own."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import pytest
@@ -26,6 +26,7 @@ from framework.plugin import (
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
 from framework.registry import Plugged
+from framework.run.members import IDLE
 from framework.run.warmup import _plane
 from framework.train.descent import Fading, fade
 from framework.train.edits import apply_edits, rows_after
@@ -35,8 +36,6 @@ from framework.train.resume.checkpoint import pack, state_classes, unpack
 from framework.train.resume.training_state import Plugins, TrainerState
 from framework.train.trainer import Trainer
 from framework.types import Gaussians, Render, View
-
-CHOSEN = {"augment": "none", "reg": "none", "capacity": "fixed"}
 
 
 def plugged(*plugins: Any) -> Plugged:
@@ -50,8 +49,8 @@ def trainer(
 ) -> Trainer:
     settings = {"steps": 4, "evaluations": 1, "coarse_factor": 1, **(options or {})}
     training, depth, gaussians = _plane(0)
-    plugins = {g: registry.build(g, {"name": name}) for g, name in CHOSEN.items()} | chosen
-    of = (training, depth, gaussians, TrainerOptions(**settings), Plugins(**plugins), 0, Silent())
+    plugins = replace(Plugins.of(IDLE), **chosen)
+    of = (training, depth, gaussians, TrainerOptions(**settings), plugins, 0, Silent())
     return Trainer(*of, keeper=keeper, start=start, tells=False, second=second)
 
 
@@ -369,10 +368,9 @@ def test_a_second_field_of_its_own_draw(caplog: pytest.LogCaptureFixture) -> Non
         assert both.second is not None
         same = torch.equal(both.field.params.sh0, both.second.params.sh0)
         assert same is (second is None)
-    plugins = {g: registry.build(g, {"name": name}) for g, name in CHOSEN.items()}
     for drawn in (False, True):
         reg = registry.build("reg", {"name": "co_register", "second_drawn": drawn})
-        assert Plugins(**plugins | {"reg": reg}).second_drawn is drawn
+        assert replace(Plugins.of(IDLE), reg=reg).second_drawn is drawn
 
 
 def test_a_plugin_says_what_its_second_field_begins_with(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -387,8 +385,7 @@ def test_a_plugin_says_what_its_second_field_begins_with(monkeypatch: pytest.Mon
         loss = Pair.loss
 
     reg = registry.build("reg", {"name": "drawn"})
-    plugins = {g: registry.build(g, {"name": name}) for g, name in CHOSEN.items()}
-    both = Plugins(**plugins | {"reg": reg})
+    both = replace(Plugins.of(IDLE), reg=reg)
     assert both.second_field and both.second_drawn
     with pytest.raises(UserError, match="second_drawn"):
         registry.build("reg", {"name": "drawn", "second_drawn": False})

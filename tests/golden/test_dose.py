@@ -19,7 +19,7 @@ from framework.rasterize.losses import photometric_gradient
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
 from framework.registry import Plugged
-from framework.run.members import in_turn
+from framework.run.members import IDLE, in_turn
 from framework.run.warmup import _plane
 from framework.train.dose import NEVER, joined, told
 from framework.train.epoch import Item, Items
@@ -60,9 +60,7 @@ class Noting(Trainer):
 
 
 def plugins(**changes: Plugged) -> Plugins:
-    chosen = {"augment": "none", "reg": "none", "capacity": "fixed"}
-    built = {group: registry.build(group, {"name": name}) for group, name in chosen.items()}
-    return Plugins(**{**built, **changes})
+    return replace(Plugins.of(IDLE), **changes)
 
 
 def darker(every: int = 1, weight: float = 1.0) -> dict[str, Plugged]:

@@ -18,6 +18,7 @@ from framework.rasterize import ScreenGradient
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
 from framework.registry import Plugged
+from framework.run.members import IDLE
 from framework.run.warmup import _plane
 from framework.train import schedule
 from framework.train.epoch import Items, box_mean
@@ -28,9 +29,7 @@ from plugins.capacity.fixed import Fixed
 
 
 def _plugins(**changes: Plugged) -> Plugins:
-    chosen = {"augment": "none", "reg": "none", "capacity": "fixed"}
-    built = {group: registry.build(group, {"name": name}) for group, name in chosen.items()}
-    return Plugins(**{**built, **changes})
+    return replace(Plugins.of(IDLE), **changes)
 
 
 def _trainer(plugins: Plugins | None = None, evaluate: Any = None, **options: Any) -> Trainer:

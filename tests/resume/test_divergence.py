@@ -21,6 +21,7 @@ from framework.rasterize.losses import photometric_gradient
 from framework.records.progress import Silent
 from framework.registry import Plugged
 from framework.run import training
+from framework.run.members import IDLE
 from framework.run.warmup import _plane
 from framework.train.guard import Diverged, diverged
 from framework.train.optim import Adam
@@ -56,9 +57,8 @@ class NoChildren(Capacity):
 
 
 def plugins(**changes: Any) -> Plugins:
-    names = {"augment": "none", "reg": "none", "capacity": "fixed"}
-    built = {group: registry.build(group, {"name": name}) for group, name in names.items()}
-    return Plugins(**built | {group: Plugged(p, 1.0, 0.0, 1.0) for group, p in changes.items()})
+    acting = {group: Plugged(plugin, 1.0, 0.0, 1.0) for group, plugin in changes.items()}
+    return replace(Plugins.of(IDLE), **acting)
 
 
 def train(
