@@ -37,6 +37,7 @@ __all__ = [
     "rasterize",
     "reference",
     "render_gradient",
+    "rendered",
     "roughness",
 ]
 
@@ -243,11 +244,8 @@ def render_gradient(
     gradients in them that are added. Raises UserError as `rasterize`, and for a gradient of
     another shape or dtype.
     """
-    tensors = _tensors(gaussians, opacity_factors, None)
-    seen = camera, _colour(background), _degree(gaussians, sh_degree), near
-    work = borrow()
-    deep = depth_gradient is not None
-    image, radii = _render(work, tensors, *seen, with_depth=deep, kept=True)
+    how = background, sh_degree, near, opacity_factors
+    work, image, radii = rendered(gaussians, camera, *how, with_depth=depth_gradient is not None)
     in_rgb = image_gradient(image.rgb)
     if in_rgb.shape != image.rgb.shape or in_rgb.dtype != np.float32:
         raise UserError(
@@ -260,6 +258,24 @@ def render_gradient(
         elsewhere = depth_gradient(image.alpha, image.depth)
     work.blend_backward(image, Image(in_rgb, *elsewhere))
     return ScreenGradient(work, gaussians, radii, pulls)
+
+
+def rendered(
+    gaussians: Gaussians,
+    camera: Camera,
+    background: Tensor | None,
+    sh_degree: int | None,
+    near: float,
+    opacity_factors: Tensor | None = None,
+    *,
+    with_depth: bool = False,
+) -> tuple[Workspace, Image, np.ndarray]:
+    """Render as `rasterize` does; the image, radii [N], and the workspace with all that was made
+    on the way, for who gives it back. Raises UserError as `rasterize`."""
+    tensors = _tensors(gaussians, opacity_factors, None)
+    seen = camera, _colour(background), _degree(gaussians, sh_degree), near
+    work = borrow()
+    return work, *_render(work, tensors, *seen, with_depth=with_depth, kept=True)
 
 
 def _degree(gaussians: Gaussians, wanted: int | None) -> int:
