@@ -182,7 +182,7 @@ class Gaussians:
 
     def items(self) -> tuple[tuple[str, Tensor], ...]:
         """(name, tensor) pairs in the order of declaration."""
-        return tuple((name, getattr(self, name)) for name in _NAMES)
+        return tuple((name, getattr(self, name)) for name in NAMES)
 
     def map(self, function) -> Gaussians:  # type: ignore[no-untyped-def]
         """A new set with `function` applied to every tensor."""
@@ -194,6 +194,10 @@ class Gaussians:
 
     def detach(self) -> Gaussians:
         return self.map(Tensor.detach)
+
+    def leaves(self) -> Gaussians:
+        """The same memory where it is contiguous, as leaves that gradients are taken in."""
+        return self.map(lambda t: t.detach().contiguous().requires_grad_())
 
     def clone(self) -> Gaussians:
         return self.map(lambda t: t.detach().clone())
@@ -226,14 +230,14 @@ class Gaussians:
         return replace(self, **changes)
 
 
-_NAMES = tuple(f.name for f in fields(Gaussians))  # looked up many times a step
+NAMES = tuple(f.name for f in fields(Gaussians))  # looked up many times a step
 
 
 def concatenate(parts: list[Gaussians]) -> Gaussians:
     """The Gaussians of all `parts`, in order: first all that have SH bands above 0."""
     pieces = [part.rows(0, len(part.shN)) for part in parts]
     pieces += [part.rows(len(part.shN), len(part)) for part in parts]
-    return Gaussians(**{name: torch.cat([getattr(p, name) for p in pieces]) for name in _NAMES})
+    return Gaussians(**{name: torch.cat([getattr(p, name) for p in pieces]) for name in NAMES})
 
 
 def edited(

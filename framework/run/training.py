@@ -307,7 +307,7 @@ def thinned(
     background: Tensor,
     sh_degree: int,
     near: float,
-    rasterizer: Rasterizer = NUMBA,
+    rasterizer: Rasterizer,
 ) -> Callable[[Camera, Tensor | None], Render]:
     """As `renderer`, with opacities times factors [N] if there are any, and with alpha."""
     placed = gaussians.detach().to(rasterizer.device)
