@@ -170,7 +170,11 @@ class Gaussians:
     @property
     def sh_degree(self) -> int:
         """The highest degree of any: 0 to 3."""
-        return {0: 0, 3: 1, 8: 2, 15: 3}[self.shN.shape[1]] if len(self.shN) else 0
+        return degree_of(self.shN.shape[1]) if len(self.shN) else 0
+
+    def active_degree(self, asked: int | None) -> int:
+        """The degree of a render that asks for this one, None for the highest."""
+        return self.sh_degree if asked is None else min(asked, self.sh_degree)
 
     @property
     def scales(self) -> Tensor:
@@ -228,6 +232,11 @@ class Gaussians:
 
     def replace(self, **changes: Tensor) -> Gaussians:
         return replace(self, **changes)
+
+
+def degree_of(terms: int) -> int:
+    """The SH degree of so many coefficients above degree 0."""
+    return {0: 0, 3: 1, 8: 2, 15: 3}[terms]
 
 
 NAMES = tuple(f.name for f in fields(Gaussians))  # looked up many times a step

@@ -178,7 +178,7 @@ def rasterize(
     Raises UserError for other dtypes than float32 and for wrong shapes.
     """
     tensors = _tensors(gaussians, opacity_factors, means2d_offset)
-    degree, colour = _degree(gaussians, sh_degree), _colour(background)
+    degree, colour = gaussians.active_degree(sh_degree), _colour(background)
     return Render(*_Rasterize.apply(*tensors, camera, colour, degree, float(near), depth))
 
 
@@ -273,13 +273,9 @@ def rendered(
     """Render as `rasterize` does; the image, radii [N], and the workspace with all that was made
     on the way, for who gives it back. Raises UserError as `rasterize`."""
     tensors = _tensors(gaussians, opacity_factors, None)
-    seen = camera, _colour(background), _degree(gaussians, sh_degree), near
+    seen = camera, _colour(background), gaussians.active_degree(sh_degree), near
     work = borrow()
     return work, *_render(work, tensors, *seen, with_depth=with_depth, kept=True)
-
-
-def _degree(gaussians: Gaussians, wanted: int | None) -> int:
-    return gaussians.sh_degree if wanted is None else min(wanted, gaussians.sh_degree)
 
 
 def _colour(background: Tensor | None) -> np.ndarray:
