@@ -28,7 +28,7 @@ from types import ModuleType, UnionType
 from typing import Any, TypeVar
 
 from framework.errors import UserError, nearest_hint, require
-from framework.files.paths import own_plugins
+from framework.files.paths import ENTRY_POINTS, own_plugins
 
 GROUPS = {"augment": "plugins.augment", "reg": "plugins.regularize", "capacity": "plugins.capacity"}
 PARTS = {
@@ -232,7 +232,7 @@ def _guarded(told: str, repair: str, load: Callable[[], object]) -> None:
 @functools.cache
 def _installed() -> tuple[EntryPoint, ...]:
     """The entry points of installed packages; looking for them takes milliseconds, so once."""
-    return tuple(entry_points(group="fishersplat.plugins"))
+    return tuple(entry_points(group=ENTRY_POINTS))
 
 
 def lookup(group: str, name: str) -> type:

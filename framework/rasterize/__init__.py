@@ -24,7 +24,6 @@ from framework.types import Camera, Gaussians, Render
 
 __all__ = [
     "Arrays",
-    "Image",
     "ScreenGradient",
     "Workspace",
     "binocular",

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from typing import Any
 
 from omegaconf import MISSING
@@ -17,7 +18,6 @@ from framework.command.config.schema import (
     OBJECT_GROUPS,
     SCALARS,
     choices,
-    class_rows,
     rows,
 )
 from framework.errors import UserError, nearest_hint, require
@@ -27,6 +27,7 @@ from framework.options import TrainerOptions
 from framework.run import trackers
 
 MOST_THREADS = 1024
+TRAINER = [option.name for option in fields(TrainerOptions)]
 FEW = 4  # choices that have an option, told by name
 
 
@@ -37,7 +38,7 @@ def check(config: Mapping[str, Any]) -> None:
     `+key=value` through); then the chosen classes check their own options. Reads no scene.
     """
     _known_keys("", config, [*SCALARS, "trainer", "metrics", *OBJECT_GROUPS])
-    _known_keys("trainer.", config["trainer"], [row[0] for row in class_rows(TrainerOptions)])
+    _known_keys("trainer.", config["trainer"], TRAINER)
     _known_keys("metrics.", config["metrics"], METRICS)
     _check_integers("", config)
     for group in OBJECT_GROUPS:
@@ -140,7 +141,7 @@ def hint(section: str, key: str, known: Iterable[str]) -> str:
 
 def _places(section: str, key: str) -> str:
     """Where there is an option of this name: `trainer.steps`, `augment.eta of augment=safi`."""
-    sections = {"trainer": [row[0] for row in class_rows(TrainerOptions)], "metrics": [*METRICS]}
+    sections = {"trainer": TRAINER, "metrics": [*METRICS]}
     found = [f"'{name}.{key}'" for name, options in sections.items() if key in options]
     groups = [section] if section in OBJECT_GROUPS else OBJECT_GROUPS
     for group in groups:

@@ -12,7 +12,6 @@ nor numba: `--help` and every configuration error stay instant.
 from __future__ import annotations
 
 import dataclasses
-import typing
 from collections.abc import Iterable
 from dataclasses import field, make_dataclass
 from pathlib import Path
@@ -25,6 +24,7 @@ import framework
 from framework import registry
 from framework.command.hydra_inside import JoinedChoices
 from framework.options import TrainerOptions
+from framework.records import record_check
 
 PACKAGE = Path(framework.__file__).resolve().parent
 ROOT = PACKAGE.parent  # of the repository, or where packages are installed
@@ -34,7 +34,7 @@ CONF_DIR, SWEEPS_DIR = ((PACKAGE if INSTALLED else ROOT) / name for name in ("co
 
 # Groups that choose an object; `preset` (training conditions), `method` (an augmenter and a
 # regularizer), `experiment` and `sweep` only bundle choices of these.
-OBJECT_GROUPS = ("scene", "depth", "init", "augment", "reg", "capacity", "rasterizer")
+OBJECT_GROUPS = record_check.GROUPS
 GROUPS = (*OBJECT_GROUPS, "preset", "method", "experiment", "sweep")
 
 Row = tuple[str, Any, Any]  # (option name, type, dataclasses.field)
@@ -62,12 +62,6 @@ def rows(group: str, name: str) -> list[Row]:
     return registry.option_fields(cls) if group in registry.GROUPS else registry.plain_fields(cls)
 
 
-def class_rows(cls: type) -> list[Row]:
-    """The options of a plain options dataclass, in the order of declaration."""
-    hints = typing.get_type_hints(cls)
-    return [(f.name, hints[f.name], f) for f in dataclasses.fields(cls)]
-
-
 def node(title: str, options: Iterable[Row], **fixed: str) -> type:
     """A structured-config class with the keys `fixed` and then `options`.
 
@@ -88,7 +82,7 @@ def _with_default(option: Any) -> Any:
 def _top_level() -> type:
     """The schema of the whole configuration; the values are in conf/config.yaml."""
     sections = {
-        "trainer": node("trainer", class_rows(TrainerOptions)),
+        "trainer": node("trainer", registry.plain_fields(TrainerOptions)),
         "metrics": node("metrics", [_required(*item) for item in METRICS.items()]),
     }
     fields = [_required(*item) for item in SCALARS.items()]
