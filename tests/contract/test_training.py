@@ -31,7 +31,7 @@ from framework.plugin import (
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
 from framework.run.members import IDLE
-from framework.run.warmup import _plane
+from framework.run.plane import textured_plane
 from framework.train.trainer import Plugins, Trained, Trainer
 from framework.types import View
 
@@ -82,7 +82,7 @@ def train(**names: str) -> tuple[Trained, bool]:
         return {"name": name, **EAGER.get(name, {}), "start": 0.0, "stop": 1.0}
 
     plugins = Plugins.of({group: options_of(name) for group, name in chosen.items()})
-    training, depth, gaussians = _plane(1)
+    training, depth, gaussians = textured_plane(1)
     tilt = torch.linspace(0.99, 1.01, depth[0].depth.shape[1])  # of a flat one nothing correlates
     depth = tuple(dataclasses.replace(each, depth=each.depth * tilt) for each in depth)
     given = training, depth, gaussians
@@ -97,9 +97,9 @@ def bits(**names: str) -> str:
 
 
 def test_the_digest_sees_every_tensor() -> None:
-    given = _plane(0)
+    given = textured_plane(0)
     whole = content_sha256(given)
-    assert content_sha256(_plane(0)) == whole
+    assert content_sha256(textured_plane(0)) == whole
     for tensor in (
         *(given[0].views[1].image, given[0].views[2].camera.K, given[0].points.rgb),
         *(given[1][2].confidence, given[2].quats),
@@ -233,7 +233,9 @@ def test_a_regularizer_that_ended_has_no_word_in_what_is_evaluated() -> None:
     for stop in (0.5, 1.0):
         reg = registry.build("reg", {"name": "removal", "start": 0.0, "stop": stop, "p": 0.5})
         plugins = dataclasses.replace(Plugins.of(IDLE), reg=reg)
-        trainer = Trainer(*_plane(1), TrainerOptions(steps=4, evaluations=1), plugins, 0, Silent())
+        trainer = Trainer(
+            *textured_plane(1), TrainerOptions(steps=4, evaluations=1), plugins, 0, Silent()
+        )
         kept = trainer.run().gaussians.opacities.mean()
         thinned[stop] = float(kept / trainer.field.params.detach().opacities.mean())
     assert thinned[0.5] == 1.0 and thinned[1.0] == pytest.approx(0.5, abs=1e-3)

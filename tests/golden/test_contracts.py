@@ -27,7 +27,7 @@ from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
 from framework.registry import Plugged
 from framework.run.members import IDLE
-from framework.run.warmup import _plane
+from framework.run.plane import textured_plane
 from framework.train.descent import Fading, fade
 from framework.train.edits import apply_edits, rows_after
 from framework.train.optim import Adam
@@ -48,7 +48,7 @@ def trainer(
     keeper: Any = None, start: Any = None, options: Any = None, second: Any = None, **chosen: Any
 ) -> Trainer:
     settings = {"steps": 4, "evaluations": 1, "coarse_factor": 1, **(options or {})}
-    training, depth, gaussians = _plane(0)
+    training, depth, gaussians = textured_plane(0)
     plugins = replace(Plugins.of(IDLE), **chosen)
     of = (training, depth, gaussians, TrainerOptions(**settings), plugins, 0, Silent())
     return Trainer(*of, keeper=keeper, start=start, tells=False, second=second)
@@ -215,7 +215,7 @@ def test_several_capacities_follow_each_other() -> None:
 
 
 def test_new_values_keep_the_moments_and_rows_are_told() -> None:
-    gaussians = _plane(1)[2].rows(0, 4)
+    gaussians = textured_plane(1)[2].rows(0, 4)
     optimizer = Adam(gaussians)
     optimizer.step(gaussians, {n: torch.ones_like(t) for n, t in gaussians.items()}, RATES)
     moments = optimizer.state().first.opacity_logits.clone()
@@ -287,7 +287,7 @@ def test_a_second_field_has_parameters_draws_and_capacity_of_its_own(tmp_path: A
 
 def test_what_the_photos_hold_on_to_fades_less() -> None:
     """By hand: opacity 1/2, gradients in it 0, 1, 2 and so 0, 1, 2 times their mean."""
-    gaussians = _plane(0)[2].rows(0, 3).replace(opacity_logits=torch.zeros(3))
+    gaussians = textured_plane(0)[2].rows(0, 3).replace(opacity_logits=torch.zeros(3))
     fade(gaussians, torch.tensor([0.0, 0.25, -0.5]), Fading(decay=0.9, spare=0.5))
     expected = 0.5 * (1 - 0.1 * (-0.5 * torch.tensor([0.0, 1.0, 2.0])).exp())
     assert torch.allclose(gaussians.opacities, expected, atol=1e-6)
@@ -358,7 +358,7 @@ def test_nobody_dropped_what_an_earlier_capacity_made() -> None:
 def test_a_second_field_of_its_own_draw(caplog: pytest.LogCaptureFixture) -> None:
     """With a capacity that draws nothing both are one field, unless the second begins elsewhere."""
     quiet = registry.build("reg", {"name": "co_register", "weight": 0.0})
-    other = _plane(0)[2]
+    other = textured_plane(0)[2]
     with caplog.at_level("WARNING"):
         trainer(reg=quiet, second=other)
     assert "this init draws nothing" in caplog.text

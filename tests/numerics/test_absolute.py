@@ -10,7 +10,7 @@ import torch
 from framework.errors import UserError
 from framework.rasterize import rasterize, render_gradient
 from framework.rasterizers.readable import Reference
-from framework.run.warmup import _plane
+from framework.run.plane import textured_plane
 from framework.types import Camera
 from tests.plugins.fakes import stage, wall_of_gaussians
 
@@ -55,7 +55,7 @@ def test_a_capacity_that_asks_sees_it_and_others_do_not(penalty: str) -> None:
     from framework.records.progress import Silent
     from framework.train.trainer import Plugins, Trainer
 
-    training, depth, gaussians = _plane(0)
+    training, depth, gaussians = textured_plane(0)
     seen: dict[bool, list[StepStats]] = {False: [], True: []}
     for asked, told in seen.items():
         names = {"augment": {"name": "none"}, "reg": {"name": penalty}}
@@ -77,7 +77,7 @@ def test_a_rasterizer_without_single_pixels_says_so_before_the_first_step() -> N
     from framework.records.progress import Silent
     from framework.train.trainer import Plugins, Trainer
 
-    training, depth, gaussians = _plane(0)
+    training, depth, gaussians = textured_plane(0)
     names = {"augment": {"name": "none"}, "reg": {"name": "none"}}
     names["capacity"] = {"name": "adc", "absolute": True}
     plugins = Plugins.of(names)
