@@ -15,7 +15,6 @@ sys.path.insert(0, str(ROOT))
 import torch  # noqa: E402
 from hydra import compose, initialize_config_dir  # noqa: E402
 
-from framework import registry  # noqa: E402
 from framework.command.config.check import check  # noqa: E402
 from framework.command.config.naming import plain  # noqa: E402
 from framework.command.config.schema import CONF_DIR, register_config  # noqa: E402
@@ -46,7 +45,7 @@ class Prepared:
         if members > 1:
             raise SystemExit(f"expected trainer.members=1, got {members}: one is seen here")
         gaussians = initial(self.config, self.scene, self.depth, options, seed)
-        plugins = Plugins(*(registry.build(g, self.config[g]) for g in registry.GROUPS))
+        plugins = Plugins.of(self.config)
         return Trainer(
             self.scene.training,
             self.depth,

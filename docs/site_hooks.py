@@ -139,8 +139,9 @@ def options_page() -> str:
     """Every choice of every group with its options, as `--help` has them."""
     from framework.command.config.help import option_meanings, summary
     from framework.command.config.meanings import meanings
-    from framework.command.config.schema import OBJECT_GROUPS, choices, class_rows, rows
+    from framework.command.config.schema import OBJECT_GROUPS, choices, rows
     from framework.options import TrainerOptions
+    from framework.registry import plain_fields
 
     parts = ["# Options\n", "Of this version, from the tables behind `--help`.\n"]
     for group in OBJECT_GROUPS:
@@ -149,7 +150,7 @@ def options_page() -> str:
             parts.append(f"### `{group}={name}`\n\n{cell(summary(group, name))}\n")
             parts.append(table(group, rows(group, name), option_meanings(group, name)))
     parts.append("## `trainer`\n")
-    parts.append(table("trainer", class_rows(TrainerOptions), meanings(TrainerOptions)))
+    parts.append(table("trainer", plain_fields(TrainerOptions), meanings(TrainerOptions)))
     return "\n".join(parts)
 
 

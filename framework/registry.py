@@ -2,7 +2,7 @@
 
 Two kinds of groups: of plugins that act on a training (`GROUPS`), built by `build` with framework
 keys beside their options, and of parts of a run (`PARTS`: scene loaders, depth providers,
-initializers, metrics), which join the table of the built-in ones in their room.
+initializers, metrics), built by `part`, which join the table of the built-in ones in their room.
 
 Plugins are found in the `plugins/` folder, in installed packages that declare the entry point group
 `fishersplat.plugins`, and in the folder of the user's own that the command line asks for. Launchers
@@ -20,7 +20,7 @@ import pkgutil
 import re
 import sys
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -28,7 +28,7 @@ from types import ModuleType, UnionType
 from typing import Any, TypeVar
 
 from framework.errors import UserError, nearest_hint, require
-from framework.files.paths import own_plugins
+from framework.files.paths import ENTRY_POINTS, own_plugins
 
 GROUPS = {"augment": "plugins.augment", "reg": "plugins.regularize", "capacity": "plugins.capacity"}
 PARTS = {
@@ -73,8 +73,8 @@ def register(group: str, name: str) -> Callable[[C], C]:
         known = [*GROUPS, *PARTS]
         require(group in known, f"register: unknown group {group}; {nearest_hint(group, known)}")
         _check_class(group, name, cls)
-        table = _classes[group] if group in GROUPS else _parts(group)
-        other = table.get(name)
+        classes = _table(group)
+        other = classes.get(name)
         if other is not None and (other.__module__, other.__qualname__) != (
             cls.__module__,
             cls.__qualname__,
@@ -84,26 +84,28 @@ def register(group: str, name: str) -> Callable[[C], C]:
                 f" {cls.__module__}; rename one"
             )
         cls.name, cls.group = name, group  # type: ignore[attr-defined]
-        table[name] = cls
+        classes[name] = cls
         return cls
 
     return add
 
 
-def _parts(group: str) -> dict[str, type]:
-    """The table of a group of `PARTS`, in the room that uses it: name -> class."""
+def _table(group: str) -> dict[str, type]:
+    """The table of a group, of a part of a run in the room that uses it: name -> class."""
     from framework.depth import PROVIDERS
     from framework.initialize import INITIALIZERS
     from framework.metrics.values import MEASURES
+    from framework.rasterizers import RASTERIZERS
     from framework.scenes import LOADERS
 
-    return {"scene": LOADERS, "depth": PROVIDERS, "init": INITIALIZERS, "metric": MEASURES}[group]
+    parts = {"scene": LOADERS, "depth": PROVIDERS, "init": INITIALIZERS, "metric": MEASURES}
+    return {**_classes, **parts, "rasterizer": RASTERIZERS}[group]
 
 
-def parts(group: str) -> dict[str, type]:
-    """The table of a group of `PARTS`, built-in classes and plugins: name -> class."""
+def table(group: str) -> dict[str, type]:
+    """The table of a group, built-in classes and plugins: name -> class."""
     discover()
-    return _parts(group)
+    return _table(group)
 
 
 def _check_class(group: str, name: str, cls: type) -> None:
@@ -230,21 +232,14 @@ def _guarded(told: str, repair: str, load: Callable[[], object]) -> None:
 @functools.cache
 def _installed() -> tuple[EntryPoint, ...]:
     """The entry points of installed packages; looking for them takes milliseconds, so once."""
-    return tuple(entry_points(group="fishersplat.plugins"))
-
-
-def names(group: str) -> list[str]:
-    """The registered names of a group, sorted."""
-    discover()
-    return sorted(_classes[group])
+    return tuple(entry_points(group=ENTRY_POINTS))
 
 
 def lookup(group: str, name: str) -> type:
     """The class behind `group=name`; an unknown name lists the options and the nearest."""
-    known = names(group)
-    if name not in known:
-        raise UserError(f"{group}={name}: unknown {group} plugin; {nearest_hint(name, known)}")
-    return _classes[group][name]
+    classes = table(group)
+    require(name in classes, f"{group}={name}: unknown {group}; {nearest_hint(name, classes)}")
+    return classes[name]
 
 
 def option_fields(cls: type) -> list[tuple[str, Any, Any]]:
@@ -327,7 +322,27 @@ def parts_of(group: str, name: str) -> list[str]:
     return names
 
 
-def made(where: str, cls: Any, options: Mapping[str, Any]) -> Any:
+def part(group: str, config: Mapping[str, Any]) -> Any:
+    """The part of a run that `config` (key `name` + options) describes. Raises UserError."""
+    options = dict(config)
+    name = str(options.pop("name", ""))
+    cls = lookup(group, name)
+    known = {key: option for key, _, option in plain_fields(cls)}
+    _check_known(f"{group}={name}", options, known)
+    for key, option in known.items():
+        require(
+            key in options or option.default is not dataclasses.MISSING,
+            f"{group}={name}: expected {key}, got nothing; give {group}.{key}=...",
+        )
+    return _made(f"{group}={name}", cls, options)
+
+
+def _check_known(where: str, options: Iterable[str], known: Mapping[str, Any]) -> None:
+    for key in options:
+        require(key in known, f"{where}: unknown option '{key}'; {nearest_hint(key, known)}")
+
+
+def _made(where: str, cls: Any, options: Mapping[str, Any]) -> Any:
     """A plugin or part of these options; what its own checks raise is told with its name. What the
     machine lacks, a file or memory, has words of its own."""
     try:
@@ -350,9 +365,7 @@ def build(group: str, config: Mapping[str, Any]) -> Plugged:
         return Plugged(None, 1.0, 0.0, 1.0, tuple(parts))
     cls: Any = lookup(group, name)
     known = {row[0]: row for row in option_fields(cls)}
-    for key in options:
-        if key not in known:
-            raise UserError(f"{group}={name}: unknown option '{key}'; {nearest_hint(key, known)}")
+    _check_known(f"{group}={name}", options, known)
     keys = {key: float(options.pop(key, known[key][2].default)) for key in FRAMEWORK_KEYS}
     require(
         keys["weight"] == known["weight"][2].default or cls.weighted(),
@@ -368,6 +381,6 @@ def build(group: str, config: Mapping[str, Any]) -> Plugged:
         f"{group}={name}: expected 0 <= start <= stop <= 1 (shares of the training), got"
         f" start={keys['start']}, stop={keys['stop']}",
     )
-    plugin = made(f"{group}={name}", cls, options)
+    plugin = _made(f"{group}={name}", cls, options)
     plugin.check_span(keys["start"], keys["stop"])
     return Plugged(plugin, keys["weight"], keys["start"], keys["stop"])

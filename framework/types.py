@@ -170,7 +170,11 @@ class Gaussians:
     @property
     def sh_degree(self) -> int:
         """The highest degree of any: 0 to 3."""
-        return {0: 0, 3: 1, 8: 2, 15: 3}[self.shN.shape[1]] if len(self.shN) else 0
+        return degree_of(self.shN.shape[1]) if len(self.shN) else 0
+
+    def active_degree(self, asked: int | None) -> int:
+        """The degree of a render that asks for this one, None for the highest."""
+        return self.sh_degree if asked is None else min(asked, self.sh_degree)
 
     @property
     def scales(self) -> Tensor:
@@ -182,7 +186,7 @@ class Gaussians:
 
     def items(self) -> tuple[tuple[str, Tensor], ...]:
         """(name, tensor) pairs in the order of declaration."""
-        return tuple((name, getattr(self, name)) for name in _NAMES)
+        return tuple((name, getattr(self, name)) for name in NAMES)
 
     def map(self, function) -> Gaussians:  # type: ignore[no-untyped-def]
         """A new set with `function` applied to every tensor."""
@@ -194,6 +198,10 @@ class Gaussians:
 
     def detach(self) -> Gaussians:
         return self.map(Tensor.detach)
+
+    def leaves(self) -> Gaussians:
+        """The same memory where it is contiguous, as leaves that gradients are taken in."""
+        return self.map(lambda t: t.detach().contiguous().requires_grad_())
 
     def clone(self) -> Gaussians:
         return self.map(lambda t: t.detach().clone())
@@ -226,14 +234,19 @@ class Gaussians:
         return replace(self, **changes)
 
 
-_NAMES = tuple(f.name for f in fields(Gaussians))  # looked up many times a step
+def degree_of(terms: int) -> int:
+    """The SH degree of so many coefficients above degree 0."""
+    return {0: 0, 3: 1, 8: 2, 15: 3}[terms]
+
+
+NAMES = tuple(f.name for f in fields(Gaussians))  # looked up many times a step
 
 
 def concatenate(parts: list[Gaussians]) -> Gaussians:
     """The Gaussians of all `parts`, in order: first all that have SH bands above 0."""
     pieces = [part.rows(0, len(part.shN)) for part in parts]
     pieces += [part.rows(len(part.shN), len(part)) for part in parts]
-    return Gaussians(**{name: torch.cat([getattr(p, name) for p in pieces]) for name in _NAMES})
+    return Gaussians(**{name: torch.cat([getattr(p, name) for p in pieces]) for name in NAMES})
 
 
 def edited(

@@ -38,7 +38,6 @@ from framework.report.statistics.estimates import estimate
 from framework.report.study.collect import collect
 from framework.report.study.runs import ReportRun
 from framework.run.training import renderer
-from framework.scenes import load_scene
 from framework.train.context import Conditions, Moment, step_context
 from framework.types import Gaussians
 
@@ -106,7 +105,7 @@ def measured(run: ReportRun) -> list[dict[str, Any]]:
     gaussians, background = read_ply(run.run.run_dir / PLY)
     assert background is not None
     options = TrainerOptions(**config["trainer"])
-    scene = load_scene(config["scene"]["name"], _options(config["scene"]))
+    scene = registry.part("scene", config["scene"]).load()
     near = options.near_plane * scene.training.near
     conditions = Conditions(scene.training, (), options, background, near, run.seed)
     last = Moment(options.steps - 1, 0, 0, gaussians, gaussians.sh_degree)
@@ -129,10 +128,6 @@ def measured(run: ReportRun) -> list[dict[str, Any]]:
     assert kept is not None and abs(row["psnr"] - kept) < SAME, (run.run.run_dir, row["psnr"], kept)
     more = {f"dim_{name}": value for name, value in means(dim).items()}
     return [{"scene": run.scene, "method": run.method, "seed": run.seed, **row, **more}]
-
-
-def _options(scene: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in scene.items() if name != "name"}
 
 
 if __name__ == "__main__":

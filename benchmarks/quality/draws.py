@@ -30,12 +30,12 @@ from scipy import stats
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from framework import registry
 from framework.report.statistics.drawn import Draws, draws
 from framework.report.statistics.estimates import estimate
 from framework.report.study.collect import collect
 from framework.report.study.order import BASELINE
 from framework.report.study.runs import Study
-from framework.scenes import load_scene
 
 BOTH = "safi + uar"
 FEATURES = ("plain", "apart", "reach")
@@ -85,7 +85,7 @@ def table(study: Study) -> pd.DataFrame:
 
 def distances(options: dict[str, Any]) -> dict[str, float]:
     """Mean distance between the training cameras, and of test cameras to the nearest of them."""
-    scene = load_scene(options["name"], {k: v for k, v in options.items() if k != "name"})
+    scene = registry.part("scene", options).load()
     train, test = (
         np.stack([np.linalg.inv(view.camera.viewmat.numpy())[:3, 3] for view in views])
         for views in (scene.training.views, scene.test)

@@ -22,13 +22,13 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks.prepare import Prepared, configured, prepared
+from framework import registry
 from framework.compute import parallel
 from framework.metrics.evaluate import psnr
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
 from framework.records.provenance import cpu_model
 from framework.run.training import renderer
-from framework.scenes import load_scene
 from framework.types import View
 
 MOST_VIEWS = 6  # to judge by, evenly spread over those held out
@@ -46,17 +46,16 @@ class Result:
 
 def held_out_views(overrides: list[str], count: int | None) -> tuple[View, ...]:
     """Without a count the test views, of the embedded scene alone."""
-    options = dict(configured(overrides)["scene"])
-    name = options.pop("name")
-    chosen = load_scene(name, options)
+    options = configured(overrides)["scene"]
+    chosen = registry.part("scene", options).load()
     if count is None:
-        if name != "embedded":
+        if (name := options["name"]) != "embedded":
             raise SystemExit(
                 f"--scene {name}: expected held_out=N, got none; test views may not choose"
             )
         return chosen.test
     used = {view.name for view in chosen.training.views}
-    larger = load_scene(name, {**options, "n_views": count}).training.views
+    larger = registry.part("scene", {**options, "n_views": count}).load().training.views
     others = [view for view in larger if view.name not in used]
     return tuple(others[:: max(1, len(others) // MOST_VIEWS)][:MOST_VIEWS])
 

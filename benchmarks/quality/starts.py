@@ -35,8 +35,8 @@ from scipy.interpolate import griddata
 from benchmarks.prepare import Prepared, prepared
 from benchmarks.quality.budgets import SCENES
 from benchmarks.quality.matches import matched_points
+from framework import registry
 from framework.compute import parallel
-from framework.depth import build_provider
 from framework.geometry import project
 from framework.initialize import completion
 from framework.initialize.fusion import Mapped
@@ -165,7 +165,7 @@ def result(ready: Prepared) -> float:
 
 def without(ready: Prepared, photo: int) -> Prepared:
     """As if training photo number `photo` were the only test view, and unknown to the start."""
-    scene, options = ready.scene, dict(ready.config["depth"])
+    scene = ready.scene
     known, points = scene.training, scene.training.points
     kept = [v for v in range(len(known.views)) if v != photo]
     both = points.visible[:, kept].sum(1) >= 2
@@ -173,7 +173,7 @@ def without(ready: Prepared, photo: int) -> Prepared:
         points, xyz=points.xyz[both], rgb=points.rgb[both], visible=points.visible[both][:, kept]
     )
     training = replace(known, views=tuple(known.views[v] for v in kept), points=fewer)
-    depth = build_provider(options.pop("name"), options).estimate(training)
+    depth = registry.part("depth", ready.config["depth"]).estimate(training)
     return Prepared(
         ready.config, replace(scene, training=training, test=(known.views[photo],)), depth
     )

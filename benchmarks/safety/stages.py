@@ -81,16 +81,11 @@ def _of_scene(scene: Any) -> Iterable[Any]:
 
 def scene(folder: Path) -> dict[str, str]:
     """The embedded scene, with every option that computes."""
-    from framework.scenes import load_scene
-
     kinds: dict[str, dict[str, Any]] = {
         "plain": {},
         "changed": {"gloss": 0.5, "texture": 0.5, "pose_noise": 1.0, "spread": 0.5},
     }
-    return {
-        f"scene {kind}": digest(_of_scene(load_scene("embedded", {**SCENE, **more})))
-        for kind, more in kinds.items()
-    }
+    return {f"scene {kind}": digest(_of_scene(_embedded(more))) for kind, more in kinds.items()}
 
 
 def photos(folder: Path) -> dict[str, str]:
@@ -98,8 +93,8 @@ def photos(folder: Path) -> dict[str, str]:
     import numpy as np
     from PIL import Image
 
+    from framework import registry
     from framework.compute.rng import stream
-    from framework.scenes import load_scene
 
     found = {}
     for suffix in ("png", "jpg"):
@@ -116,37 +111,42 @@ def photos(folder: Path) -> dict[str, str]:
         lens |= {"k1": 0.05, "k2": -0.01, "p1": 0.001, "p2": -0.002}
         (where / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
         options = {"path": str(where), "n_views": 3, "downscale": 2, "near": 1.0, "far": 9.0}
-        found[f"photos {suffix}"] = digest(_of_scene(load_scene("transforms", options)))
+        loader = registry.part("scene", {"name": "transforms", **options})
+        found[f"photos {suffix}"] = digest(_of_scene(loader.load()))
     return found
 
 
-def _training() -> Any:
-    from framework.scenes import load_scene
+def _embedded(options: dict[str, Any]) -> Any:
+    from framework import registry
 
-    return load_scene("embedded", SCENE).training
+    return registry.part("scene", {"name": "embedded", **SCENE, **options}).load()
+
+
+def _training() -> Any:
+    return _embedded({}).training
 
 
 def depth(folder: Path) -> dict[str, str]:
     """Depth maps by stereo and with every corruption."""
-    from framework.depth import build_provider
+    from framework import registry
 
     found = {}
     for kind, options in DEPTHS.items():
-        maps = build_provider(options["name"], {k: v for k, v in options.items() if k != "name"})
-        parts = [x for m in maps.estimate(_training()) for x in (m.depth, m.confidence)]
+        maps = registry.part("depth", options).estimate(_training())
+        parts = [x for m in maps for x in (m.depth, m.confidence)]
         found[f"depth {kind}"] = digest(parts)
     return found
 
 
 def init(folder: Path) -> dict[str, str]:
-    """Initial Gaussians of every initializer."""
-    from framework.depth import build_provider
-    from framework.initialize import INITIALIZERS
+    """Initial Gaussians of every built-in initializer."""
+    from framework.depth.plane_sweep import PlaneSweep
+    from framework.initialize import Sparse, Stereo
 
     training, found = _training(), {}
-    maps = build_provider("plane_sweep", {"planes": 48}).estimate(training)
-    for name, builder in INITIALIZERS.items():
-        gaussians = builder().build(training, maps, 1, 0)
+    maps = PlaneSweep(planes=48).estimate(training)
+    for name, builder in (("stereo", Stereo()), ("sparse", Sparse())):
+        gaussians = builder.build(training, maps, 1, 0)
         found[f"init {name}"] = digest(x for _, x in gaussians.items())
     return found
 
@@ -174,10 +174,11 @@ def plugins(folder: Path) -> dict[str, str]:
     from framework import registry
     from framework.command import cli
 
-    registry.discover()
     found = {}
     size = [f"scene.{key}={value}" for key, value in SCENE.items()]
-    chosen = [f"{group}={name}" for group in registry.GROUPS for name in registry.names(group)]
+    chosen = [
+        f"{group}={name}" for group in registry.GROUPS for name in sorted(registry.table(group))
+    ]
     chosen += ["init=patch_growth init.rounds=20", "init=epipolar", "trainer.opacity_spare=0.5"]
     for k, words in enumerate(chosen):
         run = folder / f"run{k}"

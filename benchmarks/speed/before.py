@@ -37,12 +37,14 @@ def child(root: Path, n: int, steps: int) -> None:
     from framework.options import TrainerOptions
     from framework.rasterize import rasterize
     from framework.records.progress import Silent
-    from framework.run.warmup import _plane
+    from framework.run import warmup
     from framework.train.trainer import Plugins, Trainer
 
     assert Path(framework.__file__).resolve().parents[1] == root.resolve(), framework.__file__
     registry.discover()
-    training, depth, gaussians = _plane(3)
+    known = vars(warmup)
+    plane = known.get("textured_plane") or known["_plane"]  # as it was called before
+    training, depth, gaussians = plane(3)
     if n:
         from benchmarks.scene import layered_scene
 

@@ -33,7 +33,7 @@ sys.path.insert(0, str(ROOT))
 CHILD = "--child"
 # stage -> functions, as module and name, whose time it is
 STAGES = {
-    "scene": ["framework.run.experiment:load_scene"],
+    "scene": ["framework.run.experiment:_scene"],
     "depth, and loading kernels beside it": [
         "framework.run.experiment:_depth",
         "framework.run.warmup:Warmup.begin",

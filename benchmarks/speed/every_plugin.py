@@ -109,8 +109,7 @@ def started(ready: Prepared, chunk: int) -> Turns:
 
 def rows(only: Sequence[str]) -> list[tuple[str, str]]:
     """(group, name) of all that is measured."""
-    registry.discover()
-    found = [(group, name) for group in registry.GROUPS for name in registry.names(group)]
+    found = [(group, name) for group in registry.GROUPS for name in sorted(registry.table(group))]
     chosen = [pair for pair in found if pair[1] != ALONE[pair[0]]]
     return [pair for pair in chosen if not only or pair[1] in only or pair[1] == NOTHING]
 
@@ -151,7 +150,7 @@ def starts(overrides: Sequence[str]) -> list[str]:
     """A line per initializer: CPU milliseconds of one build, and Gaussians."""
     lines = []
     ready = prepared([*DEFAULTS, *overrides])
-    for name, cls in sorted(registry.parts("init").items()):
+    for name, cls in sorted(registry.table("init").items()):
         build = cls().build
         known = ready.scene.training, ready.depth, 0, 0
         build(*known)

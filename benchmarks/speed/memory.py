@@ -52,10 +52,10 @@ def train(count: int, factor: float) -> tuple[int, int]:
     import torch
 
     from benchmarks.scene import layered_scene
-    from framework import registry
     from framework.compute.rng import stream
     from framework.options import TrainerOptions
     from framework.records.progress import Silent
+    from framework.run.members import IDLE
     from framework.train.trainer import Plugins, Trainer
     from framework.types import Camera, SparsePoints, TrainingSet, View
 
@@ -71,13 +71,9 @@ def train(count: int, factor: float) -> tuple[int, int]:
         )
     seen = torch.ones(1, VIEWS, dtype=torch.bool)
     points = SparsePoints(torch.ones(1, 3, dtype=torch.float64), torch.ones(1, 3), seen)
-    neutral = {"augment": "none", "reg": "none", "capacity": "fixed"}
-    plugins = (
-        registry.build(g, {"name": n, "start": 0.0, "stop": 1.0}) for g, n in neutral.items()
-    )
     options = TrainerOptions(steps=STEPS, sh_degree=3, sh_every=1)
     training = TrainingSet("memory", tuple(views), points, 1.0, 30.0)
-    trainer = Trainer(training, (), gaussians, options, Plugins(*plugins), 0, Silent())
+    trainer = Trainer(training, (), gaussians, options, Plugins.of(IDLE), 0, Silent())
     del gaussians  # as `framework.run.training` does
     trainer.run()
     return width, height

@@ -17,9 +17,9 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from framework import registry
 from framework.exports.opened import open_run
 from framework.records.record import RECORD, read_record
-from framework.scenes import load_scene
 from framework.train.epoch import Items
 from framework.train.gradient import screen_gradient
 
@@ -31,8 +31,7 @@ def main() -> None:
     parser.add_argument("runs", type=Path, nargs="+", metavar="RUN")
     for folder in parser.parse_args().runs:
         run, config = open_run(folder), read_record(folder / RECORD).config
-        options = {key: value for key, value in config["scene"].items() if key != "name"}
-        scene = load_scene(config["scene"]["name"], options)
+        scene = registry.part("scene", config["scene"]).load()
         n, items = len(run.gaussians), Items()
         print(f"{folder.name}: {n} Gaussians, SH of degree {run.gaussians.sh_degree}")
         for view in scene.training.views:

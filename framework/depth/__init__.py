@@ -9,21 +9,15 @@ tells the files that were read. Importing this package loads neither torch nor n
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
-from typing import Any
-
 from framework.depth.depth_anything_3 import DepthAnything3
 from framework.depth.from_file import DepthFile
 from framework.depth.ground_truth import GroundTruth
 from framework.depth.plane_sweep import PlaneSweep
 from framework.depth.provider import DepthProvider, unspoiled
-from framework.errors import UserError, nearest_hint
 
 __all__ = [
     "PROVIDERS",
     "DepthProvider",
-    "build_provider",
     "consistency",
     "exposure",
     "matching",
@@ -38,16 +32,3 @@ PROVIDERS: dict[str, type] = {
     "file": DepthFile,
     "depth_anything_3": DepthAnything3,
 }
-
-
-def build_provider(name: str, options: Mapping[str, Any]) -> DepthProvider:
-    """The provider `depth=name` with `options`. Raises UserError on an unknown name or option."""
-    if name not in PROVIDERS:
-        raise UserError(f"depth={name}: unknown depth provider; {nearest_hint(name, PROVIDERS)}")
-    cls = PROVIDERS[name]
-    known = [field.name for field in dataclasses.fields(cls)]
-    for key in options:
-        if key not in known:
-            raise UserError(f"depth={name}: unknown option '{key}'; {nearest_hint(key, known)}")
-    provider: DepthProvider = cls(**options)
-    return provider

@@ -3,11 +3,9 @@ knows of them, below the providers themselves. Light to import."""
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 
 from framework.depth.provider import DepthProvider
-from framework.errors import check_option
 
 KINDS = ("depth", "inverse_depth")
 FILE_ALIGNMENTS = ("scale", "scale_shift", "none")
@@ -31,18 +29,17 @@ class PlaneSweepOptions(DepthProvider):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check = functools.partial(check_option, self, "depth")
-        check("planes", 3 <= self.planes <= 2048, "3 to 2048")
-        check("radius", 1 <= self.radius <= 15, "1 to 15 pixels")
-        check("neighbours", self.neighbours >= 1, "an integer >= 1")
-        check("penalty_small", 0 <= self.penalty_small <= 1, "a number in [0, 1]")
-        check(
+        self.check("planes", 3 <= self.planes <= 2048, "3 to 2048")
+        self.check("radius", 1 <= self.radius <= 15, "1 to 15 pixels")
+        self.check("neighbours", self.neighbours >= 1, "an integer >= 1")
+        self.check("penalty_small", 0 <= self.penalty_small <= 1, "a number in [0, 1]")
+        self.check(
             "penalty_large",
             self.penalty_small <= self.penalty_large <= 1,
             f"a number from penalty_small = {self.penalty_small} to 1",
         )
-        check("edge", self.edge >= 0, "a number >= 0")
-        check("tolerance", 0 < self.tolerance < 1, "a share in (0, 1)")
+        self.check("edge", self.edge >= 0, "a number >= 0")
+        self.check("tolerance", 0 < self.tolerance < 1, "a share in (0, 1)")
 
 
 @dataclass(frozen=True)
@@ -59,13 +56,12 @@ class DepthFileOptions(DepthProvider):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check = functools.partial(check_option, self, "depth")
-        check("path", self.path != "", "the folder of the depth maps")
-        check("kind", self.kind in KINDS, f"one of {', '.join(KINDS)}")
-        check("align", self.align in FILE_ALIGNMENTS, f"one of {', '.join(FILE_ALIGNMENTS)}")
-        check("invalid", self.invalid in INVALID, f"one of {', '.join(INVALID)}")
-        check("png_scale", self.png_scale > 0, "a number > 0")
-        check("tolerance", 0 <= self.tolerance < 1, "a share in [0, 1)")
+        self.check("path", self.path != "", "the folder of the depth maps")
+        self.check("kind", self.kind in KINDS, f"one of {', '.join(KINDS)}")
+        self.check("align", self.align in FILE_ALIGNMENTS, f"one of {', '.join(FILE_ALIGNMENTS)}")
+        self.check("invalid", self.invalid in INVALID, f"one of {', '.join(INVALID)}")
+        self.check("png_scale", self.png_scale > 0, "a number > 0")
+        self.check("tolerance", 0 <= self.tolerance < 1, "a share in [0, 1)")
 
 
 @dataclass(frozen=True)
@@ -81,10 +77,11 @@ class DepthAnything3Options(DepthProvider):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check = functools.partial(check_option, self, "depth")
-        check("weights", self.weights != "", "a name on the hub or a folder")
-        check("revision", self.revision != "", "a branch, tag or commit of the hub")
-        check("align", self.align in NETWORK_ALIGNMENTS, f"one of {', '.join(NETWORK_ALIGNMENTS)}")
-        check("process_res", self.process_res >= PATCH, f"at least {PATCH} pixels")
-        check("device", self.device != "", "a torch device (cpu, cuda)")
-        check("tolerance", 0 <= self.tolerance < 1, "a share in [0, 1)")
+        self.check("weights", self.weights != "", "a name on the hub or a folder")
+        self.check("revision", self.revision != "", "a branch, tag or commit of the hub")
+        self.check(
+            "align", self.align in NETWORK_ALIGNMENTS, f"one of {', '.join(NETWORK_ALIGNMENTS)}"
+        )
+        self.check("process_res", self.process_res >= PATCH, f"at least {PATCH} pixels")
+        self.check("device", self.device != "", "a torch device (cpu, cuda)")
+        self.check("tolerance", 0 <= self.tolerance < 1, "a share in [0, 1)")

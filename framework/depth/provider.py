@@ -41,13 +41,13 @@ class DepthProvider:
                 f"depth.corruption: unknown corruption '{kind}'; {nearest_hint(kind, CORRUPTIONS)},"
                 f" several joined by +, or {NONE}",
             )
-        check_option(self, "depth", "strength", 0 <= self.strength <= 1, "a number in [0, 1]")
+        self.check("strength", 0 <= self.strength <= 1, "a number in [0, 1]")
         require(
             self.strength == DEFAULT_STRENGTH or self.corruption != NONE,
             "depth.strength: it is the strength of a corruption, and depth.corruption is none; add"
             f" depth.corruption=KIND ({', '.join(CORRUPTIONS)}) or drop depth.strength",
         )
-        check_option(self, "depth", "corruption_seed", self.corruption_seed >= 0, "an integer >= 0")
+        self.check("corruption_seed", self.corruption_seed >= 0, "an integer >= 0")
 
     def check(self, option: str, ok: bool, expected: str) -> None:
         """Raise UserError, with the option's value and what it should be, unless `ok`."""

@@ -167,7 +167,7 @@ def _for_gsply(gaussians: Gaussians) -> Any:
         opacities=gaussians.opacity_logits.numpy(),
         sh0=gaussians.sh0.reshape(n, 3).numpy(),
         shN=bands,
-        _format=gsply.create_ply_format({0: 0, 3: 1, 8: 2, 15: 3}[rest]),
+        _format=gsply.create_ply_format(gaussians.sh_degree),
     )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from framework.errors import require
 from framework.files.opened import is_file
-from framework.records.cameras import TRANSFORMS
+from framework.records.cameras import NEAR, TRANSFORMS
 from framework.records.record import PLY
 
 if TYPE_CHECKING:
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from framework.exports.given import Given
     from framework.types import Camera, Gaussians, Render
-
-NEAR = 0.01  # scene units; of runs that did not write theirs down
 
 
 @dataclass(frozen=True)

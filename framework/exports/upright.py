@@ -76,10 +76,11 @@ def turned_bands(shN: Tensor, turn: Tensor) -> Tensor:
     import torch
 
     from framework.rasterize.reference import sh_basis
+    from framework.types import degree_of
 
-    degree = {0: 0, 3: 1, 8: 2, 15: 3}[shN.shape[1]] if len(shN) else 0
-    if degree == 0:
+    if shN.numel() == 0:
         return shN
+    degree = degree_of(shN.shape[1])
     random = torch.Generator().manual_seed(0)
     directions = torch.randn(SAMPLES, 3, generator=random, dtype=torch.float64)
     directions = torch.nn.functional.normalize(directions, dim=1)

@@ -12,6 +12,7 @@ from pathlib import Path
 from framework.errors import UserError, require
 
 OWN_VARIABLE = "FISHERSPLAT_PLUGINS"  # the folder of `--plugins`, for every process of a command
+ENTRY_POINTS = "fishersplat.plugins"  # the group under which installed packages declare theirs
 NAME_BYTES = 255  # of one part of a path, on the usual file systems
 
 

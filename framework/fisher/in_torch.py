@@ -56,8 +56,7 @@ def fisher_in_torch(
     are."""
     shown = None if mask is None else counted(mask, camera).to(gaussians.means.device) > 0.5
     exact = gaussians.map(lambda t: t.detach().double().requires_grad_())
-    n, degree = len(gaussians), gaussians.sh_degree
-    degree = degree if sh_degree is None else min(sh_degree, degree)
+    n, degree = len(gaussians), gaussians.active_degree(sh_degree)
     with torch.enable_grad():
         seen = project(exact, camera, degree, near=near)
         if len(seen.index) == 0:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from framework.errors import require
-from framework.rasterize import Arrays, Image, borrow, give_back
+from framework.rasterize import give_back, rendered
 from framework.types import Camera, Gaussians
 
 
@@ -42,19 +42,10 @@ def fisher_information(
     """Information of `camera`'s image on each Gaussian, exactly: one render, one second-moment
     pass, one pull-back (see `rasterize.project.information` for the equation). mask [H, W]: pixels
     that it has not, at or below 0.5, tell nothing. The other arguments as `rasterize`. Raises
-    UserError for a mask of another shape or dtype."""
+    UserError as `rasterize`, and for a mask of another shape or dtype."""
     n = len(gaussians)
-    degree = gaussians.sh_degree if sh_degree is None else min(sh_degree, gaussians.sh_degree)
-    colour = np.zeros(3, np.float32) if background is None else background.numpy()
-    work = borrow()
-    arrays = [t.detach().contiguous().numpy() for _, t in gaussians.items()]
-    arrays += [np.ones(n, np.float32), np.zeros((n, 2), np.float32)]
-    (planes,) = work.images.lend([(4, camera.height, camera.width)])
-    nothing = np.empty((0, 0), np.float32)
-    image = Image(planes[:3], planes[3], nothing)  # the moments need no depth
-    radii = np.empty(n, np.float32)
-    work.render(Arrays(*arrays), camera, colour, degree, near, image, radii)
-    pixels = nothing if mask is None else counted(mask, camera).numpy()
+    pixels = np.empty((0, 0), np.float32) if mask is None else counted(mask, camera).numpy()
+    work, image, _ = rendered(gaussians, camera, background, sh_degree, near)
     work.blend_moments(image, pixels)
     block, diagonal = work.blocks.lend([(n, 6, 6), (n, 14)])
     work.information(block, diagonal)

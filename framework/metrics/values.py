@@ -9,6 +9,7 @@ from framework.errors import nearest_hint, require
 
 # what every run measures; `MEASURES` has the plugins that `metrics.also` chooses among
 METRICS = ("psnr", "ssim", "flip", "lpips", "lpips_01")
+LOWER = ("flip", "lpips", "lpips_01")  # of these less is better
 # of some runs: the mean of errors where there is LPIPS, score and rank where they are asked for
 AVERAGE, COADAPTATION, RANK = "avge", "coadaptation", "effective_rank"
 MEASURES: dict[str, type] = {}
@@ -23,6 +24,11 @@ RESERVED = (
     "file",
     "missing",
 )  # columns of metrics.csv
+
+
+def digits(metric: str) -> int:
+    """Decimal places that a table shows of a metric."""
+    return 2 if metric == "psnr" else 4
 
 
 @dataclass(frozen=True)

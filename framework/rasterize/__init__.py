@@ -24,7 +24,6 @@ from framework.types import Camera, Gaussians, Render
 
 __all__ = [
     "Arrays",
-    "Image",
     "ScreenGradient",
     "Workspace",
     "binocular",
@@ -37,6 +36,7 @@ __all__ = [
     "rasterize",
     "reference",
     "render_gradient",
+    "rendered",
     "roughness",
 ]
 
@@ -177,7 +177,7 @@ def rasterize(
     Raises UserError for other dtypes than float32 and for wrong shapes.
     """
     tensors = _tensors(gaussians, opacity_factors, means2d_offset)
-    degree, colour = _degree(gaussians, sh_degree), _colour(background)
+    degree, colour = gaussians.active_degree(sh_degree), _colour(background)
     return Render(*_Rasterize.apply(*tensors, camera, colour, degree, float(near), depth))
 
 
@@ -243,11 +243,8 @@ def render_gradient(
     gradients in them that are added. Raises UserError as `rasterize`, and for a gradient of
     another shape or dtype.
     """
-    tensors = _tensors(gaussians, opacity_factors, None)
-    seen = camera, _colour(background), _degree(gaussians, sh_degree), near
-    work = borrow()
-    deep = depth_gradient is not None
-    image, radii = _render(work, tensors, *seen, with_depth=deep, kept=True)
+    how = background, sh_degree, near, opacity_factors
+    work, image, radii = rendered(gaussians, camera, *how, with_depth=depth_gradient is not None)
     in_rgb = image_gradient(image.rgb)
     if in_rgb.shape != image.rgb.shape or in_rgb.dtype != np.float32:
         raise UserError(
@@ -262,8 +259,22 @@ def render_gradient(
     return ScreenGradient(work, gaussians, radii, pulls)
 
 
-def _degree(gaussians: Gaussians, wanted: int | None) -> int:
-    return gaussians.sh_degree if wanted is None else min(wanted, gaussians.sh_degree)
+def rendered(
+    gaussians: Gaussians,
+    camera: Camera,
+    background: Tensor | None,
+    sh_degree: int | None,
+    near: float,
+    opacity_factors: Tensor | None = None,
+    *,
+    with_depth: bool = False,
+) -> tuple[Workspace, Image, np.ndarray]:
+    """Render as `rasterize` does; the image, radii [N], and the workspace with all that was made
+    on the way, for who gives it back. Raises UserError as `rasterize`."""
+    tensors = _tensors(gaussians, opacity_factors, None)
+    seen = camera, _colour(background), gaussians.active_degree(sh_degree), near
+    work = borrow()
+    return work, *_render(work, tensors, *seen, with_depth=with_depth, kept=True)
 
 
 def _colour(background: Tensor | None) -> np.ndarray:

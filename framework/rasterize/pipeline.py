@@ -237,20 +237,17 @@ class Workspace:
         kept += [aligned((size + size // 4, 16), np.float32) for _ in range(n - len(kept))]
         return [slots.reshape(-1) for slots in kept]
 
+    def _strip_inputs(self) -> tuple[Any, ...]:
+        """What every pass over the strips reads first."""
+        lists = self.rows, self.offsets, self.lists
+        return self.width, self.height, *lists, self.strips, self.bounds, self.parts, self.n_slots
+
     def blend_backward(self, image: Image, gradient: Image) -> None:
         """Gradient in the image -> per (Gaussian, strip) sums in `sums`."""
         self.sums = grown(self.sums, int(self.bounds[-1]))
         run_blocks(
             blend.blend_backward,
-            self.width,
-            self.height,
-            self.rows,
-            self.offsets,
-            self.lists,
-            self.strips,
-            self.bounds,
-            self.parts,
-            self.n_slots,
+            *self._strip_inputs(),
             image.rgb.reshape(-1),
             image.depth.reshape(-1),
             image.alpha.reshape(-1),
@@ -269,15 +266,7 @@ class Workspace:
         nothing = self.sums.reshape(-1)[:0]
         run_blocks(
             absolute.blend_absolute,
-            self.width,
-            self.height,
-            self.rows,
-            self.offsets,
-            self.lists,
-            self.strips,
-            self.bounds,
-            self.parts,
-            self.n_slots,
+            *self._strip_inputs(),
             image.rgb.reshape(-1),
             in_rgb.reshape(-1),
             nothing,
@@ -319,15 +308,7 @@ class Workspace:
             )
         run_blocks(
             moments.blend_moments,
-            self.width,
-            self.height,
-            self.rows,
-            self.offsets,
-            self.lists,
-            self.strips,
-            self.bounds,
-            self.parts,
-            self.n_slots,
+            *self._strip_inputs(),
             image.rgb.reshape(-1),
             mask.reshape(-1),
             self.sums.reshape(-1),

@@ -159,7 +159,7 @@ def cutoff_margin(seen: Footprints, camera: Camera) -> Tensor:
 
 def shade(gaussians: Gaussians, center: Tensor, sh_degree: int | None = None) -> Tensor:
     """[N, 3] colours max(0, 0.5 + SH(d)), d the unit direction from the camera `center` [3]."""
-    degree = gaussians.sh_degree if sh_degree is None else min(sh_degree, gaussians.sh_degree)
+    degree = gaussians.active_degree(sh_degree)
     directions = torch.nn.functional.normalize(gaussians.means - center, dim=1)
     without = gaussians.shN.new_zeros(len(gaussians) - len(gaussians.shN), *gaussians.shN.shape[1:])
     bands = torch.cat([gaussians.shN, without])

@@ -163,7 +163,7 @@ def _colours(g: Gaussians, camera: Camera, sh_degree: int | None, seen: Tensor) 
     import gsplat
     import torch
 
-    degree = g.sh_degree if sh_degree is None else min(sh_degree, g.sh_degree)
+    degree = g.active_degree(sh_degree)
     missing = g.shN.new_zeros(len(g) - len(g.shN), *g.shN.shape[1:])
     coefficients = torch.cat([g.sh0, torch.cat([g.shN, missing])], 1)
     directions = g.means - camera.center.to(g.means)

@@ -2,7 +2,10 @@
 `run_files`, `ply`, `cameras`, `photos`; what may stand there: `record_check`), with where it comes
 from (`provenance`)."""
 
+RUN_FOLDERS = "runs"  # in the folder of a study; each of its runs has one there
+
 __all__ = [
+    "RUN_FOLDERS",
     "cameras",
     "failure",
     "first_view",

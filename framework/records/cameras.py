@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from framework.types import Camera, View
 
 CAMERAS, TRANSFORMS = "cameras.json", "transforms.json"
+NEAR = 0.01  # scene units; of runs that did not write theirs down
 
 
 def write_cameras(

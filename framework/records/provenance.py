@@ -24,7 +24,7 @@ from typing import Any
 
 import framework
 from framework.compute.parallel import threads
-from framework.files.paths import own_plugins
+from framework.files.paths import ENTRY_POINTS, own_plugins
 
 ROOT = Path(framework.__file__).resolve().parent.parent
 NEUTRAL_KEYS = ("threads", "force", "study", "traceback", "estimate", "tracker", "hydra")
@@ -35,7 +35,6 @@ PACKAGES = (
 MAKING = ("run.py", "pyproject.toml", "framework", "plugins", "conf", "sweeps")  # a result
 SHOWING = ("framework/report/", "framework/view/")  # rooms that no result depends on
 BITS = "bits"  # of a run whose rasterizer does not keep them: why its repetition differs
-PLUGIN_ENTRY_POINTS = "fishersplat.plugins"
 
 
 def provenance() -> dict[str, Any]:
@@ -171,7 +170,7 @@ def _own_sources(root: Path) -> list[tuple[str, Path]]:
 
 def _foreign_sources() -> Iterable[tuple[str, Path]]:
     yield from ((f"own {place}", file) for place, file in own_plugins())
-    for point in sorted(entry_points(group=PLUGIN_ENTRY_POINTS), key=lambda p: (p.name, p.value)):
+    for point in sorted(entry_points(group=ENTRY_POINTS), key=lambda p: (p.name, p.value)):
         told = f"entry point {point.name} = {point.value}"
         spec = importlib.util.find_spec(point.module.partition(".")[0])  # with all that it imports
         if spec is None:

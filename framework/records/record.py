@@ -40,10 +40,9 @@ from framework.files.whole import Disturbed, Written, following, write_whole
 from framework.metrics.evaluate import mean_of
 from framework.metrics.values import METRICS, Measurement, Missing, ViewMetrics
 from framework.records.failure import FAILED
-from framework.records.provenance import code_hash, identity_of, provenance, strict_json
+from framework.records.provenance import provenance, strict_json
 from framework.records.record_check import check_record
 from framework.records.run_files import (
-    ERROR_SCALE,
     HISTORY_CSV,
     LATER,
     METRICS_CSV,
@@ -61,26 +60,6 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from framework.types import Gaussians, View
-
-__all__ = [
-    "ERROR_SCALE",
-    "LPIPS",
-    "TRAIN_STAGE",
-    "HistoryRow",
-    "Run",
-    "RunRecord",
-    "SceneInfo",
-    "StageTime",
-    "code_hash",
-    "find_complete",
-    "identity_of",
-    "parameters_sha256",
-    "provenance",
-    "read_record",
-    "read_run",
-    "write_failed",
-    "write_run",
-]
 
 TRAIN_STAGE = "train"  # the stage whose wall time the report calls train seconds
 EXPOSURE = "exposure_rms"  # in the provenance: of the photos' log gains, where they were evened

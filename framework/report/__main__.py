@@ -76,7 +76,8 @@ def main(arguments: list[str] | None = None, prog: str = "python -m framework.re
 
 def _check_place(out_dir: Path) -> None:
     """Raise UserError for a report inside a study, in the folder of a run or of all runs."""
-    from framework.report.study.folders import RUN_FOLDERS, run_dirs
+    from framework.records import RUN_FOLDERS
+    from framework.report.study.folders import run_dirs
 
     place = out_dir.resolve()
     if RUN_FOLDERS not in place.parts:  # nor is a large folder searched

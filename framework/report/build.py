@@ -9,7 +9,7 @@ from pathlib import Path
 
 from framework.errors import require
 from framework.files.whole import make_folder, write_whole
-from framework.report.export import LATEX, TABLE, comparisons_tex, runs_csv
+from framework.report.export import LATEX, comparisons_tex, runs_csv
 from framework.report.figures.images import remove_pictures
 from framework.report.figures.views import DamagedRun, damaged_pictures, own_scenes
 from framework.report.page import html as page
@@ -20,7 +20,7 @@ from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
 from framework.report.study.folders import run_dirs
 from framework.report.study.runs import ReportRun, Study
-from framework.report.study.tabled import is_tabled, read_tabled
+from framework.report.study.tabled import TABLE, is_tabled, read_tabled
 
 REPORT, PAGE = "report.md", "report.html"
 

@@ -14,10 +14,8 @@ from framework.report.statistics.outcomes import Outcomes
 from framework.report.study.axes import VIEWS
 from framework.report.study.labels import outside
 from framework.report.study.runs import ReportRun, Study
-from framework.report.study.tabled import ALSO, CODE, DOSE, TABLE
+from framework.report.study.tabled import ALSO, CODE, DOSE
 from framework.report.text.provenance import code_of
-
-__all__ = ["LATEX", "TABLE", "comparisons_tex", "runs_csv"]
 
 LATEX = "comparisons.tex"
 ESCAPES = {

@@ -19,6 +19,7 @@ from urllib.parse import quote
 from framework.errors import Arguments, UserError, printable_line, require
 from framework.files.limits import RUNS
 from framework.files.whole import make_folder, write_whole
+from framework.records import RUN_FOLDERS
 from framework.report.figures.files import forest_picture
 from framework.report.page import html as page
 from framework.report.page import markdown
@@ -30,7 +31,7 @@ from framework.report.statistics.compare import Comparison
 from framework.report.statistics.numbers import ABSENT, interval_text, mean_text, p_text, signed
 from framework.report.statistics.outcomes import Outcomes, outcomes
 from framework.report.study.collect import collect
-from framework.report.study.folders import RUN_FOLDERS, holds_run, walked
+from framework.report.study.folders import holds_run, walked
 from framework.report.study.labels import flatten, listed, outside
 from framework.report.study.order import method_order, natural
 from framework.report.study.runs import Study

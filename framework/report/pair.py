@@ -13,7 +13,7 @@ from pathlib import Path
 
 from framework.errors import Arguments, printable_line, require
 from framework.files.whole import make_folder, write_whole
-from framework.metrics.values import AVERAGE
+from framework.metrics.values import AVERAGE, digits
 from framework.records.provenance import NEUTRAL_KEYS
 from framework.records.record import METHOD_GROUPS, RECORD, Run, read_run
 from framework.report.figures.closeup import draw_closeup
@@ -181,11 +181,10 @@ def _views(a: ReportRun, b: ReportRun) -> list[dict[str, str]]:
         row = {"View": outside(view)}
         for metric in metrics:
             one, other = (own[metric].get(view, math.nan) for own in columns)
-            digits = 2 if metric == "psnr" else 4
             for run, value in ((a, one), (b, other)):
-                row[f"{heading_of(metric)}, {run.method}"] = _text(value, digits)
+                row[f"{heading_of(metric)}, {run.method}"] = _text(value, digits(metric))
             if metric == "psnr":
-                row["difference (dB)"] = _text(one - other, 2, "+")
+                row["difference (dB)"] = _text(one - other, digits(metric), "+")
         rows.append(row)
     return rows
 
@@ -197,8 +196,8 @@ def _column(run: ReportRun, metric: str) -> Mapping[str, float]:
     return dict(zip(found.texts["view"], found.numbers[metric].tolist(), strict=True))
 
 
-def _text(value: float, digits: int, sign: str = "") -> str:
-    return f"{value:{sign}.{digits}f}" if math.isfinite(value) else ABSENT
+def _text(value: float, places: int, sign: str = "") -> str:
+    return f"{value:{sign}.{places}f}" if math.isfinite(value) else ABSENT
 
 
 def _curves(study: Study) -> Picture | None:

@@ -24,7 +24,7 @@ from torch import Tensor
 from framework import registry
 from framework.compute import parallel, rng
 from framework.compute.stopwatch import Stopwatch
-from framework.depth import build_provider, unspoiled
+from framework.depth import unspoiled
 from framework.depth.exposure import ENOUGH, Exposures, find_exposures
 from framework.files.locks import locked, remove_stale
 from framework.files.whole import following, remove_temporaries
@@ -33,7 +33,7 @@ from framework.metrics.evaluate import evaluate
 from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
 from framework.metrics.rank import with_rank
-from framework.metrics.values import COADAPTATION, MEASURES, Missing, ViewMetrics, measures
+from framework.metrics.values import COADAPTATION, Missing, ViewMetrics, measures
 from framework.options import TrainerOptions
 from framework.rasterizers import build_rasterizer
 from framework.records.cameras import write_cameras
@@ -65,7 +65,6 @@ from framework.run.lpips_later import lacks_lpips, with_lpips
 from framework.run.training import Run, initial, renderer, thinned, train, try_out
 from framework.run.untouched import Shared, depth_parts, foreign, scene_parts
 from framework.run.warmup import Warmup
-from framework.scenes import LOADERS, load_scene
 from framework.train.dose import told
 from framework.train.resume.checkpoint import remove_checkpoints
 from framework.train.trainer import Trained
@@ -290,7 +289,8 @@ def _measured(
     """What the test views say of a trained model, and its renders of them."""
     seen = trained.gaussians, trained.background, trained.sh_degree
     render = renderer(*seen, near, run.rasterizer, run.exposures)
-    also = {name: MEASURES[name]() for name in measures(config["metrics"].get("also"))}
+    names = measures(config["metrics"].get("also"))
+    also = {name: registry.part("metric", {"name": name}) for name in names}
     metrics, renders = evaluate(render, test, network, also)
     metrics = with_average(metrics)
     if config["metrics"].get(COADAPTATION):
@@ -307,25 +307,20 @@ def _key(options: Mapping[str, Any]) -> str:
     return json.dumps(dict(options), sort_keys=True)
 
 
-def _options(key: str) -> tuple[str, dict[str, Any]]:
-    options = json.loads(key)
-    return options.pop("name"), options
-
-
 @functools.lru_cache(maxsize=2)
 def _scene(key: str) -> tuple[Scene, StageTime]:
     timings: dict[str, StageTime] = {}
     with _timed(timings, "scene"):
-        name, options = _options(key)
-        scene = answers.scene(name, LOADERS[name], load_scene(name, options))
+        options = json.loads(key)
+        loader = registry.part("scene", options)
+        scene = answers.scene(options["name"], type(loader), loader.load())
     return scene, timings["scene"]
 
 
 def _files(config: Mapping[str, Any], scene: Scene) -> dict[str, str]:
     """Purpose -> fingerprint of the files beside the scene's that the run reads; "" for none."""
-    provider = build_provider(*_options(_key(config["depth"])))
     return {
-        "depth": provider.fingerprint(scene.training),
+        "depth": registry.part("depth", config["depth"]).fingerprint(scene.training),
         "lpips_weights": fingerprint(config["metrics"]["lpips_weights"]),
     }
 
@@ -335,9 +330,10 @@ def _depth(scene_key: str, key: str, fingerprint: str) -> tuple[tuple[DepthMap, 
     """The depth maps; `fingerprint` tells files that were replaced since they were last read."""
     timings: dict[str, StageTime] = {}
     with _timed(timings, "depth"):
-        name, options = _options(key)
-        training, provider = _scene(scene_key)[0].training, build_provider(name, options)
-        depth = answers.depth(name, type(provider), provider.estimate(training), training)
+        options = json.loads(key)
+        training, provider = _scene(scene_key)[0].training, registry.part("depth", options)
+        maps = provider.estimate(training)
+        depth = answers.depth(options["name"], type(provider), maps, training)
     return depth, timings["depth"]
 
 

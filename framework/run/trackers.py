@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from framework.errors import UserError, nearest_hint, printable_line, require
+from framework.records import RUN_FOLDERS
 
 if TYPE_CHECKING:
     from framework.records.progress import Progress
@@ -176,7 +177,7 @@ def tracked(run: Run) -> Tracked:
     )
     ended = {**record.summary, "gaussians": record.gaussians, "train_s": record.train_s}
     folder = run.run_dir.resolve()
-    inside = folder.parent.name == "runs"
+    inside = folder.parent.name == RUN_FOLDERS
     return Tracked(
         study=folder.parent.parent.name if inside else folder.parent.name,
         name=folder.name,

@@ -20,7 +20,6 @@ from framework import registry
 from framework.compute.parallel import run_tasks, run_together, threads
 from framework.depth.exposure import Exposures
 from framework.files.whole import write_whole
-from framework.initialize import INITIALIZERS
 from framework.metrics.evaluate import psnr
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
@@ -58,11 +57,9 @@ def initial(
     seed: int,
 ) -> Gaussians:
     """The Gaussians that the chosen initializer starts from."""
-    rest = dict(config["init"])
-    name = rest.pop("name")
-    builder = INITIALIZERS[name](**rest)
+    builder = registry.part("init", config["init"])
     gaussians: Gaussians = builder.build(scene.training, depth, options.sh_degree, seed)
-    return answers.gaussians(name, type(builder), gaussians, options.sh_degree)
+    return answers.gaussians(config["init"]["name"], type(builder), gaussians, options.sh_degree)
 
 
 @dataclass(frozen=True)
@@ -171,7 +168,7 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
 
 def try_out(run: Run, config: Mapping[str, Any], options: TrainerOptions) -> Trained:
     """One training with other options, without a look at the test views; nothing of it is kept."""
-    plugins = Plugins(*(registry.build(group, config[group]) for group in registry.GROUPS))
+    plugins = Plugins.of(config)
     seed, n_views = int(config["seed"]), len(run.scene.training.views)
     return Trainer(
         run.scene.training,
@@ -218,7 +215,7 @@ def _untuned(run: Run, joined: Trained, options: TrainerOptions) -> Trained:
 
 def _open(run: Run, part: _Part) -> _Opened:
     """The part with what an earlier process kept of it."""
-    plugins = Plugins(*(registry.build(group, part.choices[group]) for group in registry.GROUPS))
+    plugins = Plugins.of(part.choices)
     plugins = replace(plugins, capacity=plugins.capacity.shared(part.options.members))
     chosen: dict[str, Plugin] = {key: one.plugin for key, one in plugins.each().items()}
     checkpoints = Checkpoints(run.folder, run.identity, chosen.values(), part.name)
@@ -310,7 +307,7 @@ def thinned(
     background: Tensor,
     sh_degree: int,
     near: float,
-    rasterizer: Rasterizer = NUMBA,
+    rasterizer: Rasterizer,
 ) -> Callable[[Camera, Tensor | None], Render]:
     """As `renderer`, with opacities times factors [N] if there are any, and with alpha."""
     placed = gaussians.detach().to(rasterizer.device)

@@ -52,9 +52,8 @@ def foreign(config: Mapping[str, Any]) -> list[str]:
     found = []
     for group in (*registry.GROUPS, *registry.PARTS):
         chosen = config["metrics"].get("also") if group == "metric" else config[group]["name"]
-        classes = registry.parts(group) if group in registry.PARTS else {}
         for name in registry.parts_of("reg", str(chosen)) if chosen else ():
-            cls = registry.lookup(group, name) if group in registry.GROUPS else classes.get(name)
+            cls = registry.table(group).get(name)
             if cls is not None and cls.__module__.partition(".")[0] not in OURS:
                 found.append(f"{group}={name}")
     return found

@@ -22,28 +22,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
-
 from framework import registry
 from framework.compute.compiling import noticed
 from framework.compute.jit import KERNEL_CACHE
 from framework.compute.parallel import alone, threads
-from framework.compute.rng import stream
-from framework.depth import build_provider
-from framework.initialize import INITIALIZERS
 from framework.options import TrainerOptions
 from framework.rasterizers import Rasterizer, build_rasterizer
 from framework.records.notices import QUIET
 from framework.records.progress import Progress, Silent, unwarned
 from framework.records.provenance import cpu_model
+from framework.run.plane import textured_plane
 from framework.train.epoch import Items
 from framework.train.gradient import screen_gradient, view_gradient
 from framework.train.torch_adam import optimizer_of
 from framework.train.trainer import Plugins, Trainer
-from framework.types import Camera, DepthMap, Gaussians, SparsePoints, TrainingSet, View
+from framework.types import DepthMap, Gaussians, TrainingSet, View
 
-WIDTH, HEIGHT, FOCAL, DISTANCE, STEP = 64, 48, 60.0, 3.0, 0.2
 STEPS, LOAD_STEPS = 12, 6
 FIRST = "kernels: once per checkout, a minute or two on two idle cores"
 
@@ -101,7 +95,7 @@ class Warmup:
                     f"{compiled.kernels} kernels compiled in {compiled.seconds:.0f} s"
                 )
             return
-        _estimate(self.config["depth"], _plane(0)[0])
+        _estimate(self.config["depth"], textured_plane(0)[0])
         if threads() == 1:
             with unwarned():
                 self._load()
@@ -116,7 +110,7 @@ class Warmup:
         _warm.add(self.key)
 
     def _load(self) -> None:
-        training, depth, gaussians = _plane(int(self.config["trainer"]["sh_degree"]))
+        training, depth, gaussians = textured_plane(int(self.config["trainer"]["sh_degree"]))
         with alone():
             for load in (
                 partial(_initialize, self.config["init"], training, depth),
@@ -132,7 +126,7 @@ class Warmup:
             self.progress.compiling(FIRST)
 
     def _compile(self) -> None:
-        training, depth, gaussians = _plane(int(self.config["trainer"]["sh_degree"]))
+        training, depth, gaussians = textured_plane(int(self.config["trainer"]["sh_degree"]))
         done = False
         # a broken plugin fails again, on the user's scene
         with contextlib.suppress(Exception), unwarned():
@@ -169,18 +163,16 @@ def _start_beside(depth: Mapping[str, Any]) -> subprocess.Popen[bytes]:
 
 
 def _estimate(depth: Mapping[str, Any], training: TrainingSet) -> None:
-    options = dict(depth)
     # a provider of files knows nothing of synthetic views, nor does a plugin that reads by name
     with contextlib.suppress(Exception):
-        build_provider(options.pop("name"), options).estimate(training)
+        registry.part("depth", depth).estimate(training)
 
 
 def _initialize(
     init: Mapping[str, Any], training: TrainingSet, depth: tuple[DepthMap, ...]
 ) -> None:
-    options = dict(init)
     with contextlib.suppress(Exception):  # whatever it misses here; it is told in the run itself
-        INITIALIZERS[options.pop("name")](**options).build(training, depth, 0, 0)
+        registry.part("init", init).build(training, depth, 0, 0)
 
 
 def _train(
@@ -216,36 +208,5 @@ def _update(view: View, gaussians: Gaussians, rasterizer: Rasterizer) -> None:
     adam.step(gaussians, view_gradient(*how, rasterizer=rasterizer)[1], rates)
 
 
-def _plane(sh_degree: int) -> tuple[TrainingSet, tuple[DepthMap, ...], Gaussians]:
-    """Three cameras side by side before a textured plane, with exact depth and 200 Gaussians."""
-    texture = stream(0, "warmup").random((3, HEIGHT + 4, 2 * WIDTH))
-    shift = round(FOCAL * STEP / DISTANCE)
-    K = torch.tensor([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
-    views = []
-    for i in range(3):
-        viewmat = torch.eye(4)
-        viewmat[0, 3] = -STEP * i
-        pixels = texture[:, :HEIGHT, i * shift : i * shift + WIDTH]
-        image = torch.from_numpy(np.ascontiguousarray(pixels, np.float32))
-        views.append(View(f"plane-{i}", Camera(viewmat, K, WIDTH, HEIGHT), image))
-    rng = stream(0, "warmup/points")
-    xyz = rng.uniform([-1.0, -1.0, DISTANCE - 0.05], [1.4, 1.0, DISTANCE + 0.05], (200, 3))
-    points = SparsePoints(
-        torch.from_numpy(xyz), torch.full((200, 3), 0.5), torch.ones(200, 3, dtype=torch.bool)
-    )
-    full = DepthMap(torch.full((HEIGHT, WIDTH), DISTANCE), torch.ones(HEIGHT, WIDTH))
-    training = TrainingSet("warm-up", tuple(views), points, 0.5 * DISTANCE, 2 * DISTANCE)
-    terms = (sh_degree + 1) ** 2 - 1
-    gaussians = Gaussians(
-        torch.from_numpy(xyz.astype(np.float32)),
-        torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(200, 1),
-        torch.full((200, 3), -3.0),
-        torch.zeros(200),
-        torch.zeros(200, 1, 3),
-        torch.zeros(200, terms, 3),
-    )
-    return training, (full,) * 3, gaussians
-
-
 if __name__ == "__main__":
-    _estimate(json.loads(sys.argv[1]), _plane(0)[0])
+    _estimate(json.loads(sys.argv[1]), textured_plane(0)[0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -18,13 +18,12 @@ from framework.geometry import mean_neighbour_distance
 from framework.options import TrainerOptions
 from framework.plugin import StepContext
 from framework.rasterizers import NUMBA, Rasterizer
-from framework.types import Camera, DepthMap, Gaussians, Render, TrainingSet
+from framework.types import NAMES, Camera, DepthMap, Gaussians, Render, TrainingSet
 
 if TYPE_CHECKING:
     from framework.warp.zbuffer import Support
 
 CPU = "cpu"
-NAMES = tuple(field.name for field in fields(Gaussians))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from framework.compute import portable
 from framework.plugin import GradientAt, StepStats
-from framework.rasterizers import NUMBA, Rasterizer
+from framework.rasterizers import Rasterizer
 from framework.train.adam_kernels import LOWEST_LOGIT
 from framework.train.epoch import Item
 from framework.train.gradient import Penalty, screen_gradient, step_stats, view_gradient
@@ -61,9 +61,9 @@ def descend(
     fading: Fading,
     ssim_weight: float,
     acting: Regularization,
-    wanted: Sequence[str] = (),
-    rasterizer: Rasterizer = NUMBA,
-    absolute: bool = False,
+    wanted: Sequence[str],
+    rasterizer: Rasterizer,
+    absolute: bool,
     **rendered: Any,
 ) -> tuple[list[float], StepStats]:
     """Update `params` in place by the sum of the losses on the views of `items`; gives the
@@ -93,7 +93,7 @@ def descend(
 
         losses, gradients, stats = whole(params, absolute)
         if acting.mixed is not None:
-            gradients = acting.mixed(gradients, lambda other: whole(_leaves(other))[1])
+            gradients = acting.mixed(gradients, lambda other: whole(other.leaves())[1])
         decay = fading.decay if fading.alike else 1.0
         broken = optimizer.step(params, gradients, rates, decay)
         if not fading.alike:
@@ -172,10 +172,6 @@ def _summed(
         for name, gradient in more.items():
             gradients[name].add_(gradient)
     return losses, gradients, stats
-
-
-def _leaves(gaussians: Gaussians) -> Gaussians:
-    return gaussians.map(lambda tensor: tensor.detach().contiguous().requires_grad_())
 
 
 def _on(where: str, item: Item) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from framework.plugin import Edits
-from framework.rasterizers import NUMBA, Rasterizer
+from framework.rasterizers import Rasterizer
 from framework.train.edits import apply_edits, rows_after
 from framework.train.optimizer import Optimizer
 from framework.train.plugged import PluginsAtWork
@@ -29,13 +29,13 @@ class Field:
     params: Gaussians
     optimizer: Optimizer
     plugins: PluginsAtWork
-    rasterizer: Rasterizer = NUMBA
+    rasterizer: Rasterizer
     version: int = 0
 
     @staticmethod
-    def of(gaussians: Gaussians, plugins: PluginsAtWork, rasterizer: Rasterizer = NUMBA) -> Field:
+    def of(gaussians: Gaussians, plugins: PluginsAtWork, rasterizer: Rasterizer) -> Field:
         """A field that starts from a copy of `gaussians`."""
-        params = gaussians.clone().to(rasterizer.device).map(parameter)
+        params = gaussians.clone().to(rasterizer.device).leaves()
         return Field(params, optimizer_of(rasterizer, params), plugins, rasterizer)
 
     def edit(self, edits: Edits, where: str) -> Tensor | None:
@@ -43,7 +43,7 @@ class Field:
         row the one it was, -1 for an appended one."""
         rows = rows_after(self.params, edits) if edits.changes_the_rows else None
         edited = apply_edits(self.params.detach(), self.optimizer, edits, where)
-        self.params = edited.to(self.rasterizer.device).map(parameter)
+        self.params = edited.to(self.rasterizer.device).leaves()
         self.version += int(edits.changes_the_rows)
         return rows
 
@@ -56,11 +56,6 @@ class Field:
     def take_up(self, state: FieldState, logged: Mapping[str, float] | None = None) -> None:
         """Go on from what a checkpoint held."""
         self.version = state.version
-        self.params = state.gaussians.to(self.rasterizer.device).map(parameter)
+        self.params = state.gaussians.to(self.rasterizer.device).leaves()
         self.optimizer.load(state.adam)
         self.plugins.take_up(state.plugins, logged)
-
-
-def parameter(tensor: Tensor) -> Tensor:
-    """A leaf that the optimizer may change in place."""
-    return tensor.detach().contiguous().requires_grad_()

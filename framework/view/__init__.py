@@ -5,6 +5,6 @@ pictures beside them, `page` writes the page down (the drawing is in `assets`), 
 """
 
 from framework.view.page import view_page
-from framework.view.runs import ViewedRun, check_together, find_run, read_viewed
+from framework.view.runs import check_together, find_run, read_viewed
 
-__all__ = ["ViewedRun", "check_together", "find_run", "read_viewed", "view_page"]
+__all__ = ["check_together", "find_run", "read_viewed", "view_page"]

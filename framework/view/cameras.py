@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from framework.errors import UserError, require
 from framework.files.documents import read_json
 from framework.files.limits import RUN_BYTES
-from framework.records.cameras import TRANSFORMS
+from framework.records.cameras import NEAR, TRANSFORMS
 from framework.scenes.cameras import checked_lens, checked_pose
 from framework.scenes.lens import Lens
 
-NEAR = 0.01  # scene units, of runs that do not tell it
 INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
 LARGEST = 1e12  # of a number in the file; far beyond any camera
 

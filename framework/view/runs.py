@@ -13,12 +13,12 @@ import numpy as np
 from framework.errors import UserError, require
 from framework.files.opened import is_file
 from framework.files.paths import inside
-from framework.records.cameras import TRANSFORMS
+from framework.records.cameras import NEAR, TRANSFORMS
 from framework.records.photos import photo_files
 from framework.records.ply import Splats, read_splats
 from framework.records.record import PLY, RECORD, RunRecord, read_run
 from framework.records.run_files import RENDERS
-from framework.view.cameras import NEAR, RunCamera, read_cameras
+from framework.view.cameras import RunCamera, read_cameras
 
 FEW = 6  # runs that a message names
 USUAL = "reports/STUDY/runs/RUN"

@@ -22,7 +22,8 @@ from framework.options import TrainerOptions
 from framework.records.notices import QUIET, noted
 from framework.records.progress import Silent, unwarned
 from framework.records.record import parameters_sha256
-from framework.run.warmup import STEPS, _plane, _train
+from framework.run.plane import textured_plane
+from framework.run.warmup import STEPS, _train
 from framework.train.trainer import Evaluate, Plugins, Trained, Trainer
 from framework.types import Gaussians, TrainingSet
 from plugins.capacity.evidence import (
@@ -104,7 +105,7 @@ def trained(
     training: TrainingSet, steps: int, evaluate: Evaluate | None = None, **options: float
 ) -> Trained:
     """A short training on the plane's cameras, from 1,200 Gaussians before it."""
-    _, depth, few = _plane(0)
+    _, depth, few = textured_plane(0)
     draws = torch.from_numpy(stream(0, "many").uniform(-0.1, 0.1, (6, len(few), 3))).float()
     start = replace(
         few,
@@ -113,14 +114,14 @@ def trained(
     )
     idle, chosen = {"name": "none"}, {"name": "evidence", **options}
     choices = {"augment": idle, "reg": idle, "capacity": chosen}
-    plugins = Plugins(*(registry.build(group, choice) for group, choice in choices.items()))
+    plugins = Plugins.of(choices)
     trainer = TrainerOptions(steps=steps, evaluations=1)
     return Trainer(training, depth, start, trainer, plugins, 0, Silent(), evaluate).run()
 
 
 def with_images(paint) -> TrainingSet:  # type: ignore[no-untyped-def]
     """The plane's training set with other images: view index, [3, H, W] image -> image."""
-    training = _plane(0)[0]
+    training = textured_plane(0)[0]
     views = tuple(
         replace(view, image=paint(i, view.image)) for i, view in enumerate(training.views)
     )
@@ -145,7 +146,7 @@ def test_the_warm_up_tells_nothing_of_its_plane() -> None:
     notes = list[str]()
     progress = Silent()
     progress.note = notes.append  # type: ignore[method-assign]
-    train = partial(_train, config, *_plane(0), STEPS)
+    train = partial(_train, config, *textured_plane(0), STEPS)
     with noted(progress):
         with unwarned():
             train()
@@ -204,7 +205,7 @@ def test_the_test_views_have_no_say() -> None:
             tensor.zero_()
         return 99.0
 
-    plain, spoilt = (trained(_plane(0)[0], 20, evaluate) for evaluate in (None, spoiling))
+    plain, spoilt = (trained(textured_plane(0)[0], 20, evaluate) for evaluate in (None, spoiling))
     assert len(plain.gaussians) < 1200
     assert parameters_sha256(plain.gaussians) == parameters_sha256(spoilt.gaussians)
 

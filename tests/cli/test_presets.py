@@ -129,8 +129,7 @@ def test_the_paper_s_dose_is_every_method_s(name: str) -> None:
 def test_every_warping_augmenter_and_dropout_has_the_paper_s_dose() -> None:
     """A new one needs its file, or `preset=paper` would leave it at the defaults."""
     for group, base in (("augment", WarpingAugmenter), ("reg", DropoutRegularizer)):
-        named = {name: registry.lookup(group, name) for name in registry.names(group)}
-        of_family = {name for name, cls in named.items() if issubclass(cls, base)}
+        of_family = {n for n, cls in registry.table(group).items() if issubclass(cls, base)}
         files = {path.stem for path in (CONF_DIR / "for_preset" / group).glob("paper_*.yaml")}
         assert {f"paper_{name}" for name in of_family} <= files
     line = ("preset=paper", "augment=safi", "augment.weight=0.5", "augment.every=3")

@@ -13,13 +13,13 @@ from framework import registry
 from framework.command.studies.failures import _shown
 from framework.errors import UserError
 from framework.plugin import Augmenter, Capacity, Edits, Regularizer, register
-from framework.run.warmup import _plane
+from framework.run.plane import textured_plane
 from framework.train import hooks
 from framework.types import View
 from tests.documents.registered import as_before
 
-VIEW = _plane(0)[0].views[0]
-THREE = _plane(0)[2].rows(0, 3)
+VIEW = textured_plane(0)[0].views[0]
+THREE = textured_plane(0)[2].rows(0, 3)
 GRADIENT = torch.zeros((), requires_grad=True)
 
 
@@ -213,7 +213,7 @@ def test_a_class_that_is_no_plugin_is_told_at_its_definition() -> None:
             register("reg", name)(Hookless)
     with pytest.raises(UserError, match="expected the method `pseudo_views`, got none"):
         register("augment", "bad")(Other)
-    assert "bad" not in (*registry.names("reg"), *registry.names("augment"))
+    assert "bad" not in (*registry.table("reg"), *registry.table("augment"))
 
 
 def test_what_a_plugin_s_own_checks_raise_names_it() -> None:

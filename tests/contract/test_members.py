@@ -23,8 +23,8 @@ from framework.options import TrainerOptions
 from framework.records.progress import Silent
 from framework.records.record import DIVERGED, parameters_sha256
 from framework.run.members import IDLE, join, member_seed, thinner
+from framework.run.plane import textured_plane
 from framework.run.training import Run, renderer, train
-from framework.run.warmup import _plane
 from framework.train.guard import Diverged
 from framework.train.resume.checkpoint import Checkpoints
 from framework.train.trainer import Trained
@@ -66,7 +66,7 @@ def _threads() -> Iterator[None]:
 
 def start(seed: int) -> Gaussians:
     """Another set for every seed."""
-    gaussians = _plane(1)[2]
+    gaussians = textured_plane(1)[2]
     gaussians.means[:, 0] += 1e-3 * (seed % 1000)
     return gaussians
 
@@ -79,7 +79,7 @@ def trained(
     **changes: Any,
 ) -> Trained:
     set_threads(n_threads)
-    views, depth, _ = _plane(1)
+    views, depth, _ = textured_plane(1)
     run = Run(Scene("plane", "own", views, views.views[:1], "f"), depth, start, folder, "id", False)
     choices = {
         group: {"name": name, **EAGER.get(name, {}), "start": 0.0, "stop": 1.0}
@@ -103,7 +103,7 @@ def test_a_thinner_gaussian_has_its_share_of_the_optical_depth() -> None:
 
 def test_a_model_joined_with_itself_renders_as_before(tmp_path: Path) -> None:
     one = trained(tmp_path, members=1, steps=24, evaluations=1)
-    camera = _plane(1)[0].views[0].camera
+    camera = textured_plane(1)[0].views[0].camera
     before, *joined = (
         renderer(gaussians, one.background, one.sh_degree, 0.01)(camera)
         for gaussians in (one.gaussians, *(join([one.gaussians] * n) for n in (2, 3)))
@@ -114,7 +114,7 @@ def test_a_model_joined_with_itself_renders_as_before(tmp_path: Path) -> None:
 
 
 def test_gaussians_with_bands_stay_first() -> None:
-    whole = _plane(1)[2]
+    whole = textured_plane(1)[2]
     bands = torch.arange(len(whole)) % 3 == 0
     part = whole.with_bands(bands)
     joined = join([part, whole])
@@ -134,7 +134,7 @@ def test_the_first_member_is_the_training_of_one(tmp_path: Path) -> None:
 def test_members_that_diverge_at_the_same_time_end_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    broken = _plane(1)[2].map(lambda tensor: tensor * math.nan)
+    broken = textured_plane(1)[2].map(lambda tensor: tensor * math.nan)
     monkeypatch.setitem(globals(), "start", lambda seed: broken.clone())
     for k in range(10):
         with pytest.raises(Diverged, match=r"member \d, training step 0 .*the state is in"):
@@ -215,8 +215,10 @@ def test_without_tuning_the_joined_set_is_the_result(tmp_path: Path) -> None:
     joined = trained(tmp_path, tuning=0.0)
     last = joined.history[-1]
     assert last.step == 24 and last.gaussians == len(joined.gaussians)
-    views, background = _plane(1)[0].views, joined.background
-    render = renderer(joined.gaussians, background, 1, OPTIONS.near_plane * _plane(1)[0].near)
+    views, background = textured_plane(1)[0].views, joined.background
+    render = renderer(
+        joined.gaussians, background, 1, OPTIONS.near_plane * textured_plane(1)[0].near
+    )
     assert last.test_psnr == psnr(render(views[0].camera), views[0].image, views[0].mask)
 
 
@@ -225,7 +227,7 @@ def test_one_step_of_tuning_is_the_least(tmp_path: Path) -> None:
 
 
 def test_gaussians_of_no_opacity_stay_finite() -> None:
-    whole = _plane(1)[2]
+    whole = textured_plane(1)[2]
     whole.opacity_logits[:] = -80.0
     assert bool(join([whole, whole]).opacity_logits.isfinite().all())
 

@@ -24,7 +24,7 @@ from framework.metrics.values import MEASURES, Missing, measures
 from framework.plugin import DepthProvider, Initializer, Metric, SceneLoader
 from framework.records.run_files import METRICS_CSV, metrics_csv, read_table
 from framework.run import answers
-from framework.run.warmup import _plane
+from framework.run.plane import textured_plane
 from framework.types import Gaussians, Scene
 from tests.cli.conftest import composed
 from tests.documents.pages import blocks
@@ -36,7 +36,7 @@ EXAMPLES = {
     if block.title
 }
 PARTS = {"scene": "checker", "depth": "flat", "init": "sprinkle", "metric": "edges"}
-OWN = [(group, name) for group in registry.PARTS for name in registry.parts(group)]
+OWN = [(group, name) for group in registry.PARTS for name in registry.table(group)]
 ALL = [*OWN, *PARTS.items()]
 
 
@@ -45,7 +45,7 @@ def examples() -> Iterator[None]:
     """The tutorial's examples are registered; afterwards nothing of it is left."""
     with as_before():
         for group, name in PARTS.items():
-            registry.parts(group)[name] = loaded(name)
+            registry.table(group)[name] = loaded(name)
         yield
 
 
@@ -67,7 +67,7 @@ def made(name: str) -> ModuleType:
 
 def from_defaults(group: str, name: str) -> Any:
     """The part with its defaults; skips one that needs files or a package."""
-    cls = registry.parts(group)[name]
+    cls = registry.table(group)[name]
     fields = registry.plain_fields(cls)
     if any(f.name == "path" or f.default is dataclasses.MISSING for _, _, f in fields):
         pytest.skip(f"{group}={name} needs an option: a folder of files")
@@ -82,7 +82,7 @@ def tensors_of(value: Any) -> list[torch.Tensor]:
 
 @pytest.mark.parametrize(("group", "name"), ALL)
 def test_it_is_frozen_documented_and_typed(group: str, name: str) -> None:
-    cls: Any = registry.parts(group)[name]
+    cls: Any = registry.table(group)[name]
     assert cls.__dataclass_params__.frozen
     assert cls.__doc__ and not cls.__doc__.startswith(f"{cls.__name__}(")
     assert all(kind is not None for _, kind, _ in registry.plain_fields(cls))
@@ -106,7 +106,7 @@ def test_a_scene_loads_the_same_twice(name: str) -> None:
 
 @pytest.mark.parametrize("name", [name for group, name in ALL if group == "depth"])
 def test_depth_is_a_map_per_view_the_same_twice(name: str) -> None:
-    provider, (training, maps, _) = from_defaults("depth", name), _plane(0)
+    provider, (training, maps, _) = from_defaults("depth", name), textured_plane(0)
     if name == "ground_truth":
         pytest.skip("needs a scene with exact depth; tests/depth has its own")
     before = [view.image.clone() for view in training.views]
@@ -123,7 +123,7 @@ def test_depth_is_a_map_per_view_the_same_twice(name: str) -> None:
 @pytest.mark.parametrize("degree", [0, 1])
 @pytest.mark.parametrize("name", [name for group, name in ALL if group == "init"])
 def test_the_first_gaussians_come_of_their_seed_alone(name: str, degree: int) -> None:
-    builder, (training, maps, _) = from_defaults("init", name), _plane(0)
+    builder, (training, maps, _) = from_defaults("init", name), textured_plane(0)
     before = [one.depth.clone() for one in maps]
     first, second = (builder.build(training, maps, degree, 3) for _ in range(2))
     assert isinstance(first, Gaussians) and first.sh_degree == degree
@@ -147,7 +147,7 @@ def test_a_metric_measures_and_changes_nothing(name: str) -> None:
 
 
 def test_what_a_metric_measures_is_saved_and_read_again(tmp_path: Path) -> None:
-    view = _plane(0)[0].views[0]
+    view = textured_plane(0)[0].views[0]
     found, _ = evaluate(
         lambda camera: view.image * 0.9, [view], also={"edges": MEASURES["edges"]()}
     )
@@ -165,7 +165,7 @@ def test_a_metric_that_fails_costs_no_training() -> None:
         def measure(self, *_: object) -> float:
             return float("inf")
 
-    image = (_plane(0)[0].views[0].image.permute(1, 2, 0).numpy() * 255).astype("uint8")
+    image = (textured_plane(0)[0].views[0].image.permute(1, 2, 0).numpy() * 255).astype("uint8")
     assert plugged("odd", Broken(), image, image, None) == Missing(
         "odd raised RuntimeError: two; lines"
     )
@@ -185,7 +185,7 @@ def test_a_chosen_metric_passes_the_check() -> None:
 
 
 def test_wrong_answers_name_their_plugin() -> None:
-    training, maps, gaussians = _plane(0)
+    training, maps, gaussians = textured_plane(0)
     with pytest.raises(UserError, match=r"^depth=odd: measure: expected a map for each of 3"):
         answers.depth("odd", type(self_made()), maps[:2], training)
     for part, value, told in (

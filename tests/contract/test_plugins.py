@@ -13,7 +13,7 @@ from framework.errors import UserError
 from framework.plugin import Augmenter, Capacity, Regularizer
 
 BASES = {"augment": Augmenter, "reg": Regularizer, "capacity": Capacity}
-ALL = [(group, name) for group in registry.GROUPS for name in registry.names(group)]
+ALL = [(group, name) for group in registry.GROUPS for name in sorted(registry.table(group))]
 
 
 @pytest.mark.parametrize(("group", "name"), ALL)
@@ -55,9 +55,9 @@ def test_an_unknown_name_is_refused(group: str) -> None:
 
 
 def test_discovery_can_be_repeated() -> None:
-    before = {group: registry.names(group) for group in registry.GROUPS}
+    before = {group: list(registry.table(group)) for group in registry.GROUPS}
     registry.discover()
-    assert {group: registry.names(group) for group in registry.GROUPS} == before
+    assert {group: list(registry.table(group)) for group in registry.GROUPS} == before
 
 
 def test_an_option_of_another_type_is_told_by_its_plugin() -> None:

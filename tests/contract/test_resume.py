@@ -8,11 +8,10 @@ from typing import Any
 
 import pytest
 
-from framework import registry
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
-from framework.run.warmup import _plane
+from framework.run.plane import textured_plane
 from framework.train.resume.checkpoint import Checkpoints
 from framework.train.resume.state_check import check_state
 from framework.train.resume.training_state import TrainerState
@@ -42,7 +41,7 @@ class Files:
 
     def check(self, state: TrainerState) -> None:
         plugins = dict(zip(NEUTRAL, self.chosen, strict=True))
-        check_state(state, _plane(1)[0], self.options, plugins)
+        check_state(state, textured_plane(1)[0], self.options, plugins)
 
     def keep(self, state: TrainerState) -> None:
         if state.step in TAKEN_UP_AT:
@@ -51,13 +50,9 @@ class Files:
 
 
 def plugins(**names: str) -> Plugins:
-    chosen = {**NEUTRAL, **names}
-    return Plugins(
-        *(
-            registry.build(group, {"name": name, **EAGER.get(name, {}), "start": 0.0, "stop": 1.0})
-            for group, name in chosen.items()
-        )
-    )
+    span = {"start": 0.0, "stop": 1.0}
+    chosen = {**NEUTRAL, **names}.items()
+    return Plugins.of({group: {"name": n, **EAGER.get(n, {}), **span} for group, n in chosen})
 
 
 def train(
@@ -68,7 +63,7 @@ def train(
     **changes: Any,
 ) -> Trained:
     options = dataclasses.replace(OPTIONS, sh_degree=sh_degree, **changes)
-    scene = _plane(sh_degree)
+    scene = textured_plane(sh_degree)
     return Trainer(*scene, options, chosen, 0, Silent(), lambda *_: 1.5, keeper, start).run()
 
 

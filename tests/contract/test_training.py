@@ -30,11 +30,12 @@ from framework.plugin import (
 )
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
-from framework.run.warmup import _plane
+from framework.run.members import IDLE
+from framework.run.plane import textured_plane
 from framework.train.trainer import Plugins, Trained, Trainer
 from framework.types import View
 
-ALL = [(group, name) for group in registry.GROUPS for name in registry.names(group)]
+ALL = [(group, name) for group in registry.GROUPS for name in sorted(registry.table(group))]
 NEUTRAL = {"augment": "none", "reg": "none", "capacity": "fixed"}
 ACTING = {"augment": "safi", "reg": "uar", "capacity": "adc"}
 SEEN_ELSEWHERE = (  # a second field is the first one's twin here
@@ -80,14 +81,14 @@ def train(**names: str) -> tuple[Trained, bool]:
             return {"name": name, **{part: options_of(part) for part in name.split("+")}}
         return {"name": name, **EAGER.get(name, {}), "start": 0.0, "stop": 1.0}
 
-    built = [registry.build(group, options_of(name)) for group, name in chosen.items()]
-    training, depth, gaussians = _plane(1)
+    plugins = Plugins.of({group: options_of(name) for group, name in chosen.items()})
+    training, depth, gaussians = textured_plane(1)
     tilt = torch.linspace(0.99, 1.01, depth[0].depth.shape[1])  # of a flat one nothing correlates
     depth = tuple(dataclasses.replace(each, depth=each.depth * tilt) for each in depth)
     given = training, depth, gaussians
     before = content_sha256(given)
     options = TrainerOptions(steps=20, sh_degree=1, sh_every=8, evaluations=1)
-    trained = Trainer(*given, options, Plugins(*built), 0, Silent()).run()
+    trained = Trainer(*given, options, plugins, 0, Silent()).run()
     return trained, content_sha256(given) == before
 
 
@@ -96,9 +97,9 @@ def bits(**names: str) -> str:
 
 
 def test_the_digest_sees_every_tensor() -> None:
-    given = _plane(0)
+    given = textured_plane(0)
     whole = content_sha256(given)
-    assert content_sha256(_plane(0)) == whole
+    assert content_sha256(textured_plane(0)) == whole
     for tensor in (
         *(given[0].views[1].image, given[0].views[2].camera.K, given[0].points.rgb),
         *(given[1][2].confidence, given[2].quats),
@@ -231,12 +232,10 @@ def test_a_regularizer_that_ended_has_no_word_in_what_is_evaluated() -> None:
     thinned = {}
     for stop in (0.5, 1.0):
         reg = registry.build("reg", {"name": "removal", "start": 0.0, "stop": stop, "p": 0.5})
-        plugins = Plugins(
-            registry.build("augment", {"name": "none"}),
-            reg,
-            registry.build("capacity", {"name": "fixed"}),
+        plugins = dataclasses.replace(Plugins.of(IDLE), reg=reg)
+        trainer = Trainer(
+            *textured_plane(1), TrainerOptions(steps=4, evaluations=1), plugins, 0, Silent()
         )
-        trainer = Trainer(*_plane(1), TrainerOptions(steps=4, evaluations=1), plugins, 0, Silent())
         kept = trainer.run().gaussians.opacities.mean()
         thinned[stop] = float(kept / trainer.field.params.detach().opacities.mean())
     assert thinned[0.5] == 1.0 and thinned[1.0] == pytest.approx(0.5, abs=1e-3)

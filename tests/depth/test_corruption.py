@@ -7,11 +7,12 @@ import pytest
 import torch
 
 from framework.compute.rng import stream
-from framework.depth import PROVIDERS, build_provider
+from framework.depth import PROVIDERS
 from framework.depth.corruption import BIAS, BLUR_LENGTH, HOLES, NOISE, corrupt, normal_field
 from framework.depth.provider import CORRUPTIONS
 from framework.errors import UserError
 from framework.types import DepthMap
+from tests.built import build_provider
 from tests.depth.plane import plane_scene
 
 SIZE = (150, 200)

@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 import torch
 
-from framework.depth import build_provider
 from framework.depth.network import load_network, normalised_poses
 from framework.errors import UserError
 from framework.types import Camera, TrainingSet
+from tests.built import build_provider
 from tests.depth.plane import NORMAL, OFFSET, camera, no_points, plane_depth, plane_scene, view
 
 NETWORK_SIZE = (56, 84)  # multiples of 14, near the aspect ratio of the views

@@ -16,8 +16,9 @@ import torch
 from framework.depth.exposure import Exposures, find_exposures
 from framework.records.progress import Silent
 from framework.run import experiment
-from framework.scenes import load_scene
+from framework.scenes import Embedded
 from framework.types import DepthMap, Scene, View
+from tests.built import load_scene
 from tests.cli.test_config import composed
 from tests.depth import plane
 
@@ -186,7 +187,7 @@ def test_a_run_evens_the_photos_and_tests_as_they_were_exposed(
     gains = 1.5 * GAINS
     of = Exposures(tuple(view.camera for view in original.training.views), gains)
 
-    def uneven(name: str, options: object) -> Scene:
+    def uneven(_: Embedded) -> Scene:
         seen = exposed(original.training.views, gains)
         tests = [replace(v, image=of.applied(v.image, v.camera)) for v in original.test]
         training = replace(original.training, views=tuple(seen))
@@ -202,7 +203,7 @@ def test_a_run_evens_the_photos_and_tests_as_they_were_exposed(
     )
     for cached in (experiment._scene, experiment._depth, experiment._log_gains):
         cached.cache_clear()
-    monkeypatch.setattr(experiment, "load_scene", uneven)
+    monkeypatch.setattr(Embedded, "load", uneven)
     for evened in ("true", "false"):
         config = composed(*words, f"trainer.exposure={evened}")
         folder = tmp_path / evened

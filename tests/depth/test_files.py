@@ -13,11 +13,12 @@ import pytest
 import torch
 
 from framework.compute.rng import stream
-from framework.depth import PROVIDERS, build_provider
+from framework.depth import PROVIDERS
 from framework.depth.align import fit_scale, fit_scale_shift
 from framework.depth.read import _as_cut, find_file, resample
 from framework.errors import UserError
 from framework.types import TrainingSet
+from tests.built import build_provider
 from tests.depth.plane import plane_depth, plane_scene
 
 

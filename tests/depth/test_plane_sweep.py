@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from framework.compute.parallel import set_threads
-from framework.depth import build_provider
 from framework.errors import UserError
 from framework.types import Camera, DepthMap, TrainingSet
+from tests.built import build_provider
 from tests.depth.plane import camera, no_points, plane_depth, plane_scene, view
 
 

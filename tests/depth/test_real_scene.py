@@ -13,7 +13,7 @@ SCENE = Path(__file__).parents[3] / "shared" / "data" / "open" / "middlebury_mot
 @pytest.mark.skipif(not SCENE.is_dir(), reason="no shared/data/open beside the repository")
 def test_most_confident_pixels_are_right_on_a_measured_pair() -> None:
     from benchmarks.quality.depth_middlebury import load_pair
-    from framework.depth import build_provider
+    from tests.built import build_provider
 
     left = build_provider("plane_sweep", {}).estimate(load_pair(SCENE))[0]
     truth = np.load(SCENE / "depth_left.npz")["depth_mm"]

@@ -12,7 +12,7 @@ from framework import registry
 @contextmanager
 def as_before() -> Iterator[None]:
     """Every group has afterwards what it had before."""
-    tables = [*registry._classes.values(), *map(registry.parts, registry.PARTS)]
+    tables = [registry.table(group) for group in (*registry.GROUPS, *registry.PARTS)]
     before = [dict(table) for table in tables]
     try:
         yield

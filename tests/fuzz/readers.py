@@ -31,11 +31,11 @@ from framework.metrics.lpips import load as load_lpips
 from framework.records.ply import read_ply, write_ply
 from framework.records.record import read_run, write_failed
 from framework.report.build import build_report
-from framework.scenes import load_scene
 from framework.scenes.images import read_image, read_on_paper
 from framework.train.resume.checkpoint import pack, unpack
 from framework.types import Gaussians, Scene
 from framework.view import find_run, read_viewed, view_page
+from tests.built import load_scene
 from tests.fuzz import commands
 from tests.metrics.test_lpips import features, state_dict
 from tests.record.fakes import fake_run, make_config, make_gaussians

@@ -4,7 +4,7 @@ steps and gradients of their own."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import pytest
@@ -26,7 +26,8 @@ from framework.plugin import (
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
 from framework.registry import Plugged
-from framework.run.warmup import _plane
+from framework.run.members import IDLE
+from framework.run.plane import textured_plane
 from framework.train.descent import Fading, fade
 from framework.train.edits import apply_edits, rows_after
 from framework.train.optim import Adam
@@ -35,8 +36,6 @@ from framework.train.resume.checkpoint import pack, state_classes, unpack
 from framework.train.resume.training_state import Plugins, TrainerState
 from framework.train.trainer import Trainer
 from framework.types import Gaussians, Render, View
-
-CHOSEN = {"augment": "none", "reg": "none", "capacity": "fixed"}
 
 
 def plugged(*plugins: Any) -> Plugged:
@@ -49,9 +48,9 @@ def trainer(
     keeper: Any = None, start: Any = None, options: Any = None, second: Any = None, **chosen: Any
 ) -> Trainer:
     settings = {"steps": 4, "evaluations": 1, "coarse_factor": 1, **(options or {})}
-    training, depth, gaussians = _plane(0)
-    plugins = {g: registry.build(g, {"name": name}) for g, name in CHOSEN.items()} | chosen
-    of = (training, depth, gaussians, TrainerOptions(**settings), Plugins(**plugins), 0, Silent())
+    training, depth, gaussians = textured_plane(0)
+    plugins = replace(Plugins.of(IDLE), **chosen)
+    of = (training, depth, gaussians, TrainerOptions(**settings), plugins, 0, Silent())
     return Trainer(*of, keeper=keeper, start=start, tells=False, second=second)
 
 
@@ -216,7 +215,7 @@ def test_several_capacities_follow_each_other() -> None:
 
 
 def test_new_values_keep_the_moments_and_rows_are_told() -> None:
-    gaussians = _plane(1)[2].rows(0, 4)
+    gaussians = textured_plane(1)[2].rows(0, 4)
     optimizer = Adam(gaussians)
     optimizer.step(gaussians, {n: torch.ones_like(t) for n, t in gaussians.items()}, RATES)
     moments = optimizer.state().first.opacity_logits.clone()
@@ -288,7 +287,7 @@ def test_a_second_field_has_parameters_draws_and_capacity_of_its_own(tmp_path: A
 
 def test_what_the_photos_hold_on_to_fades_less() -> None:
     """By hand: opacity 1/2, gradients in it 0, 1, 2 and so 0, 1, 2 times their mean."""
-    gaussians = _plane(0)[2].rows(0, 3).replace(opacity_logits=torch.zeros(3))
+    gaussians = textured_plane(0)[2].rows(0, 3).replace(opacity_logits=torch.zeros(3))
     fade(gaussians, torch.tensor([0.0, 0.25, -0.5]), Fading(decay=0.9, spare=0.5))
     expected = 0.5 * (1 - 0.1 * (-0.5 * torch.tensor([0.0, 1.0, 2.0])).exp())
     assert torch.allclose(gaussians.opacities, expected, atol=1e-6)
@@ -359,7 +358,7 @@ def test_nobody_dropped_what_an_earlier_capacity_made() -> None:
 def test_a_second_field_of_its_own_draw(caplog: pytest.LogCaptureFixture) -> None:
     """With a capacity that draws nothing both are one field, unless the second begins elsewhere."""
     quiet = registry.build("reg", {"name": "co_register", "weight": 0.0})
-    other = _plane(0)[2]
+    other = textured_plane(0)[2]
     with caplog.at_level("WARNING"):
         trainer(reg=quiet, second=other)
     assert "this init draws nothing" in caplog.text
@@ -369,10 +368,9 @@ def test_a_second_field_of_its_own_draw(caplog: pytest.LogCaptureFixture) -> Non
         assert both.second is not None
         same = torch.equal(both.field.params.sh0, both.second.params.sh0)
         assert same is (second is None)
-    plugins = {g: registry.build(g, {"name": name}) for g, name in CHOSEN.items()}
     for drawn in (False, True):
         reg = registry.build("reg", {"name": "co_register", "second_drawn": drawn})
-        assert Plugins(**plugins | {"reg": reg}).second_drawn is drawn
+        assert replace(Plugins.of(IDLE), reg=reg).second_drawn is drawn
 
 
 def test_a_plugin_says_what_its_second_field_begins_with(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -387,8 +385,7 @@ def test_a_plugin_says_what_its_second_field_begins_with(monkeypatch: pytest.Mon
         loss = Pair.loss
 
     reg = registry.build("reg", {"name": "drawn"})
-    plugins = {g: registry.build(g, {"name": name}) for g, name in CHOSEN.items()}
-    both = Plugins(**plugins | {"reg": reg})
+    both = replace(Plugins.of(IDLE), reg=reg)
     assert both.second_field and both.second_drawn
     with pytest.raises(UserError, match="second_drawn"):
         registry.build("reg", {"name": "drawn", "second_drawn": False})

@@ -19,8 +19,8 @@ from framework.rasterize.losses import photometric_gradient
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
 from framework.registry import Plugged
-from framework.run.members import in_turn
-from framework.run.warmup import _plane
+from framework.run.members import IDLE, in_turn
+from framework.run.plane import textured_plane
 from framework.train.dose import NEVER, joined, told
 from framework.train.epoch import Item, Items
 from framework.train.optim import Adam
@@ -60,9 +60,7 @@ class Noting(Trainer):
 
 
 def plugins(**changes: Plugged) -> Plugins:
-    chosen = {"augment": "none", "reg": "none", "capacity": "fixed"}
-    built = {group: registry.build(group, {"name": name}) for group, name in chosen.items()}
-    return Plugins(**{**built, **changes})
+    return replace(Plugins.of(IDLE), **changes)
 
 
 def darker(every: int = 1, weight: float = 1.0) -> dict[str, Plugged]:
@@ -71,7 +69,7 @@ def darker(every: int = 1, weight: float = 1.0) -> dict[str, Plugged]:
 
 def train(chosen: Plugins, **options: Any) -> tuple[Trained, list[list[str]]]:
     settings = TrainerOptions(**{"steps": STEPS, "evaluations": 1, "coarse_factor": 1, **options})
-    trainer = Noting(*_plane(settings.sh_degree), settings, chosen, 0, Silent())
+    trainer = Noting(*textured_plane(settings.sh_degree), settings, chosen, 0, Silent())
     trainer.names = []
     return trainer.run(), trainer.names
 

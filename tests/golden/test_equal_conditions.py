@@ -20,8 +20,8 @@ from framework.options import TrainerOptions
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
 from framework.run import experiment, training
+from framework.run.plane import textured_plane
 from framework.run.training import Run, initial, train
-from framework.run.warmup import _plane
 from framework.train.epoch import Item, ordered
 from framework.train.trainer import Trainer
 from framework.types import View
@@ -108,14 +108,14 @@ def test_all_methods_of_a_seed_start_alike_and_see_the_real_views_alike(
 
 
 def test_every_epoch_is_a_pass_over_the_real_views() -> None:
-    views = _plane(0)[0].views
+    views = textured_plane(0)[0].views
     for epoch in range(20):
         steps = ordered(views, [], 0, epoch)
         assert Counter(v.name for (v,) in steps) == Counter(v.name for v in views)
 
 
 def test_pseudo_views_join_any_step_and_move_no_real_view() -> None:
-    views = _plane(0)[0].views
+    views = textured_plane(0)[0].views
     pseudo = [View(f"pseudo-{i}", v.camera, v.image) for i, v in enumerate(views[:2])]
     places: Counter[int] = Counter()
     for epoch in range(400):
@@ -129,7 +129,7 @@ def test_pseudo_views_join_any_step_and_move_no_real_view() -> None:
 
 
 def test_the_order_differs_between_epochs_and_seeds() -> None:
-    views = _plane(0)[0].views
+    views = textured_plane(0)[0].views
     orders = {
         tuple(v.name for (v,) in ordered(views, [], seed, epoch))
         for seed in range(3)
@@ -140,4 +140,4 @@ def test_the_order_differs_between_epochs_and_seeds() -> None:
 
 def test_every_registered_method_is_compared() -> None:
     for group, position in (("augment", 0), ("reg", 1)):
-        assert set(registry.names(group)) <= {method[position] for method in METHODS}
+        assert set(registry.table(group)) <= {method[position] for method in METHODS}

@@ -17,7 +17,8 @@ from framework.methods.elsewhere import known_depth
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
 from framework.registry import build
-from framework.run.warmup import _plane
+from framework.run.members import IDLE
+from framework.run.plane import textured_plane
 from framework.train import schedule
 from framework.train.adam_kernels import LOWEST_LOGIT
 from framework.train.descent import Fading, fade
@@ -30,10 +31,8 @@ from tests.warp.stage import camera, exact, photograph
 
 
 def trained(steps: int = 12, **chosen: Mapping[str, Any]) -> Trainer:
-    idle = {"augment": {"name": "none"}, "reg": {"name": "none"}, "capacity": {"name": "fixed"}}
-    built = {group: registry.build(group, given) for group, given in {**idle, **chosen}.items()}
     options = TrainerOptions(steps=steps, evaluations=1, coarse_factor=1)
-    trainer = Trainer(*_plane(0), options, Plugins(**built), 0, Silent())
+    trainer = Trainer(*textured_plane(0), options, Plugins.of({**IDLE, **chosen}), 0, Silent())
     trainer.run()
     return trainer
 
@@ -88,7 +87,7 @@ def test_members_share_a_limit_of_their_number() -> None:
 
 
 def test_fading_ends_where_uniform_decay_ends() -> None:
-    subject = _plane(0)[2]
+    subject = textured_plane(0)[2]
     for _ in range(200):
         fade(subject, torch.zeros(len(subject)), Fading(0.5, 0.5))
     assert float(subject.opacity_logits.max()) == LOWEST_LOGIT
@@ -114,10 +113,9 @@ def test_a_photo_that_was_evened_above_one_is_warped_as_bright() -> None:
 
 
 def test_photos_without_a_pixel_are_one_line_on_any_background() -> None:
-    training, depth, gaussians = _plane(0)
+    training, depth, gaussians = textured_plane(0)
     empty = tuple(replace(v, mask=torch.zeros(v.image.shape[1:])) for v in training.views)
-    names = {"augment": "none", "reg": "none", "capacity": "fixed"}
-    idle = Plugins(*(registry.build(group, {"name": name}) for group, name in names.items()))
+    idle = Plugins.of(IDLE)
     with pytest.raises(UserError, match="expected valid pixels in the training views"):
         Trainer(
             replace(training, views=empty), depth, gaussians,

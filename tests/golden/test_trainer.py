@@ -18,7 +18,8 @@ from framework.rasterize import ScreenGradient
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
 from framework.registry import Plugged
-from framework.run.warmup import _plane
+from framework.run.members import IDLE
+from framework.run.plane import textured_plane
 from framework.train import schedule
 from framework.train.epoch import Items, box_mean
 from framework.train.optim import Adam
@@ -28,14 +29,12 @@ from plugins.capacity.fixed import Fixed
 
 
 def _plugins(**changes: Plugged) -> Plugins:
-    chosen = {"augment": "none", "reg": "none", "capacity": "fixed"}
-    built = {group: registry.build(group, {"name": name}) for group, name in chosen.items()}
-    return Plugins(**{**built, **changes})
+    return replace(Plugins.of(IDLE), **changes)
 
 
 def _trainer(plugins: Plugins | None = None, evaluate: Any = None, **options: Any) -> Trainer:
     settings = TrainerOptions(**{"steps": 12, "evaluations": 1, "sh_every": 4, **options})
-    training, depth, gaussians = _plane(settings.sh_degree)
+    training, depth, gaussians = textured_plane(settings.sh_degree)
     return Trainer(
         training, depth, gaussians, settings, plugins or _plugins(), 0, Silent(), evaluate
     )

@@ -13,7 +13,7 @@ from framework.command.cli import main
 from framework.metrics.values import METRICS, Missing
 from framework.records.record import read_run
 from framework.report.verdict.lead import UNTESTED
-from framework.scenes import load_scene
+from tests.built import load_scene
 
 TINY = "trainer.steps=6 init.budget=500 depth.planes=24 metrics.lpips_weights=none threads=1"
 

@@ -10,7 +10,7 @@ import torch
 from framework.errors import UserError
 from framework.rasterize import rasterize, render_gradient
 from framework.rasterizers.readable import Reference
-from framework.run.warmup import _plane
+from framework.run.plane import textured_plane
 from framework.types import Camera
 from tests.plugins.fakes import stage, wall_of_gaussians
 
@@ -50,19 +50,17 @@ def test_it_sums_what_every_pixel_pulls() -> None:
 
 @pytest.mark.parametrize("penalty", ["none", "opacity_noise"])
 def test_a_capacity_that_asks_sees_it_and_others_do_not(penalty: str) -> None:
-    from framework import registry
     from framework.options import TrainerOptions
     from framework.plugin import StepStats
     from framework.records.progress import Silent
     from framework.train.trainer import Plugins, Trainer
 
-    registry.discover()
-    training, depth, gaussians = _plane(0)
+    training, depth, gaussians = textured_plane(0)
     seen: dict[bool, list[StepStats]] = {False: [], True: []}
     for asked, told in seen.items():
         names = {"augment": {"name": "none"}, "reg": {"name": penalty}}
         names["capacity"] = {"name": "adc", "absolute": asked} | {"every": 1000}
-        plugins = Plugins(*(registry.build(group, given) for group, given in names.items()))
+        plugins = Plugins.of(names)
         options = TrainerOptions(steps=3, evaluations=1, ssim_weight=0.2)
         trainer = Trainer(training, depth, gaussians, options, plugins, 0, Silent(), tells=False)
         edit = trainer._edit
@@ -75,16 +73,14 @@ def test_a_capacity_that_asks_sees_it_and_others_do_not(penalty: str) -> None:
 
 
 def test_a_rasterizer_without_single_pixels_says_so_before_the_first_step() -> None:
-    from framework import registry
     from framework.options import TrainerOptions
     from framework.records.progress import Silent
     from framework.train.trainer import Plugins, Trainer
 
-    registry.discover()
-    training, depth, gaussians = _plane(0)
+    training, depth, gaussians = textured_plane(0)
     names = {"augment": {"name": "none"}, "reg": {"name": "none"}}
     names["capacity"] = {"name": "adc", "absolute": True}
-    plugins = Plugins(*(registry.build(group, given) for group, given in names.items()))
+    plugins = Plugins.of(names)
     with pytest.raises(UserError, match=r"rasterizer=reference: .* use rasterizer=numba, or turn"):
         Trainer(
             training,

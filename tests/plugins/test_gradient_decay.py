@@ -9,12 +9,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from framework import registry
 from framework.errors import UserError
 from framework.options import TrainerOptions
 from framework.plugin import StepStats
 from framework.records.progress import Silent
-from framework.run.warmup import _plane
+from framework.run.members import IDLE
+from framework.run.plane import textured_plane
 from framework.train.trainer import Plugins, Trainer
 from plugins.capacity.gradient_decay import LOWEST, GradientDecay, fade
 from tests.plugins.fakes import Log, context, wall_of_gaussians
@@ -25,12 +25,10 @@ PLAIN = {"sh_degree": 1, "opacity_decay": 1.0, "pace_steps": 0, "pace_views": 0}
 
 def trained(steps: int = 1, capacity: Any = None, **options: Any) -> Trainer:
     """A training on three tiny views by this capacity's options, None for a fixed number."""
-    chosen = (("augment", {"name": "none"}), ("reg", {"name": "none"}))
-    plugins = [registry.build(group, own) for group, own in chosen]
-    plugins.append(registry.build("capacity", capacity or {"name": "fixed"}))
-    training, depth, _ = _plane(1)
+    plugins = Plugins.of(IDLE if capacity is None else IDLE | {"capacity": capacity})
+    training, depth, _ = textured_plane(1)
     settings = TrainerOptions(steps=steps, **{**PLAIN, **options})
-    rest = settings, Plugins(*plugins), 0, Silent()
+    rest = settings, plugins, 0, Silent()
     trainer = Trainer(training, depth, scattered(0), *rest, tells=False)
     trainer.run()
     return trainer

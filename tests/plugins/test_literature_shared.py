@@ -21,7 +21,7 @@ from framework.methods.elsewhere import (
 )
 from framework.methods.neighbours import nearest_distance, nearest_others
 from framework.options import TrainerOptions
-from framework.run.warmup import _plane
+from framework.run.plane import textured_plane
 from framework.train.context import Conditions, Moment, step_context
 from tests.plugins.at_work import true_depth
 from tests.plugins.fakes import context, stage
@@ -43,7 +43,7 @@ def test_known_depth_is_that_of_the_view_at_its_size() -> None:
 
 
 def test_what_stays_the_same_is_made_once_for_both_fields() -> None:
-    training, depth, gaussians = _plane(0)
+    training, depth, gaussians = textured_plane(0)
     options, black = TrainerOptions(steps=10), torch.zeros(3)
     conditions = Conditions(training, depth, options, black, 0.01, 0)
     found = []

@@ -18,7 +18,8 @@ from framework import registry
 from framework.compute.rng import stream
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
-from framework.run.warmup import _plane
+from framework.run.members import IDLE
+from framework.run.plane import textured_plane
 from framework.train.field import Field
 from framework.train.trainer import Plugins, Trainer
 from framework.types import Gaussians
@@ -54,13 +55,12 @@ EAGER: dict[str, dict[str, Any]] = {  # half-way through a training of degree 1
     "occlusion": {"depth": 4.0},
     "sh_dropout": {"each": 1.0},
 }
-NEUTRAL = {"augment": "none", "reg": "none", "capacity": "fixed"}
 
 
 def scattered(seed: int) -> Gaussians:
     """Gaussians before the plane of which no two are alike."""
     draws = stream(seed, "scattered")
-    return _plane(1)[2].map(
+    return textured_plane(1)[2].map(
         lambda t: t + 0.1 * torch.from_numpy(draws.standard_normal(tuple(t.shape))).float()
     )
 
@@ -68,14 +68,11 @@ def scattered(seed: int) -> Gaussians:
 def trained(weight: float = 1.0, steps: int = 2, **options: dict[str, Any]) -> Trainer:
     """A training by the plugins of these options, on photos of this weight. A second field begins
     elsewhere than the first."""
-    training, depth, _ = _plane(1)
+    training, depth, _ = textured_plane(1)
     views = tuple(replace(view, weight=weight) for view in training.views)
     tilt = torch.linspace(0.99, 1.01, views[0].camera.width)  # of a flat one nothing correlates
     depth = tuple(replace(each, depth=each.depth * tilt) for each in depth)
-    plugins = {
-        group: registry.build(group, {"name": name, **options.get(group, {})})
-        for group, name in NEUTRAL.items()
-    }
+    chosen = {group: own | options.get(group, {}) for group, own in IDLE.items()}
     trainer = Trainer(
         replace(training, views=views),
         depth,
@@ -83,7 +80,7 @@ def trained(weight: float = 1.0, steps: int = 2, **options: dict[str, Any]) -> T
         TrainerOptions(
             steps=steps, sh_degree=1, sh_every=1, opacity_decay=1.0, depth_smoothness=0.0
         ),
-        Plugins(**plugins),
+        Plugins.of(chosen),
         0,
         Silent(),
         tells=False,

@@ -15,8 +15,8 @@ from framework.compute.rng import stream
 from framework.options import TrainerOptions
 from framework.rasterizers import NUMBA, Rasterizer
 from framework.records.progress import Silent
+from framework.run.plane import textured_plane
 from framework.run.training import renderer
-from framework.run.warmup import _plane
 from framework.train.resume.training_state import Trained, TrainerState
 from framework.train.trainer import Plugins, Trainer
 from tests.rasterizers.choices import NAMES, opened
@@ -31,7 +31,7 @@ registry.discover()
 METHODS = [
     {group: name}
     for group in registry.GROUPS
-    for name in registry.names(group)
+    for name in sorted(registry.table(group))
     if name != IDLE[group]
 ]
 
@@ -53,7 +53,7 @@ def plugin(group: str, name: str) -> Any:
 
 def trainer(rasterizer: Rasterizer, steps: int, **given: Any) -> Trainer:
     """On three views of a textured plane, 64x48, with 200 Gaussians of SH degree 1."""
-    training, depth, gaussians = _plane(1)
+    training, depth, gaussians = textured_plane(1)
     draws = torch.from_numpy(stream(0, "test-start").normal(0, 0.4, (len(gaussians), 7))).float()
     gaussians = gaussians.replace(  # a round Gaussian's turn is nothing but rounding
         log_scales=gaussians.log_scales + draws[:, :3], quats=gaussians.quats + draws[:, 3:]
@@ -66,8 +66,8 @@ def trainer(rasterizer: Rasterizer, steps: int, **given: Any) -> Trainer:
 
 
 def image(trained: Trained) -> torch.Tensor:
-    camera = _plane(1)[0].views[1].camera
-    near = TrainerOptions().near_plane * _plane(1)[0].near
+    camera = textured_plane(1)[0].views[1].camera
+    near = TrainerOptions().near_plane * textured_plane(1)[0].near
     return renderer(trained.gaussians, trained.background, trained.sh_degree, near)(camera)
 
 
@@ -86,7 +86,7 @@ def test_the_first_step_is_that_of_the_kernels(rasterizer: Rasterizer) -> None:
 def test_twenty_steps_end_where_the_kernels_do(rasterizer: Rasterizer) -> None:
     """The loss to 1 %, the image of the middle view to 40 dB."""
     ours, theirs = trainer(NUMBA, 20).run(), trainer(rasterizer, 20).run()
-    photo, start = _plane(1)[0].views[1].image, trainer(rasterizer, 1).run()
+    photo, start = textured_plane(1)[0].views[1].image, trainer(rasterizer, 1).run()
     errors = [(image(t) - photo).square().mean() for t in (start, theirs)]
     assert errors[1] < errors[0], "it trains"
     assert ours.history[-1].loss == pytest.approx(theirs.history[-1].loss, rel=0.01)

@@ -11,15 +11,14 @@ from torch import Tensor
 
 from framework.compute.rng import stream
 from framework.metrics.evaluate import evaluate_view
-from framework.records.provenance import strict_json
+from framework.records.provenance import provenance, strict_json
 from framework.records.record import (
-    HistoryRow,
     RunRecord,
     SceneInfo,
     StageTime,
-    provenance,
     write_run,
 )
+from framework.records.run_files import HistoryRow
 from framework.types import Camera, Gaussians, View
 
 TAGS = (("interpolating",), ("interpolating",), ("extrapolating",), ("extrapolating",))

@@ -11,8 +11,8 @@ import torch
 from PIL import Image
 
 from framework.records.cameras import CAMERAS, TRANSFORMS, write_cameras
-from framework.scenes import load_scene
 from framework.scenes.transforms_file import read_frames
+from tests.built import load_scene
 from tests.scenes.synthetic import write_scene
 
 

@@ -22,7 +22,7 @@ from framework.metrics.values import Missing
 from framework.records import provenance, record
 from framework.records.ply import read_ply
 from framework.records.record import find_complete, read_record, read_run, write_failed, write_run
-from framework.records.run_files import error_map, file_stems
+from framework.records.run_files import ERROR_SCALE, error_map, file_stems
 from tests.record.fakes import fake_run, make_config, make_gaussians, make_view, noisy
 
 
@@ -260,7 +260,7 @@ def test_error_map_scale() -> None:
     import matplotlib
 
     magma = matplotlib.colormaps["magma"]
-    expected = [magma(x, bytes=True)[:3] for x in (0.0, 32 / 255 / record.ERROR_SCALE, 1.0)]
+    expected = [magma(x, bytes=True)[:3] for x in (0.0, 32 / 255 / ERROR_SCALE, 1.0)]
     np.testing.assert_allclose(error_map(render, truth)[0], np.array(expected, int), atol=1)
 
 

@@ -19,8 +19,8 @@ from framework.records.record import RunRecord
 from framework.records.run_files import EXPORT, METRICS_CSV, PICTURES, VIDEOS, VIEW
 from framework.run import experiment
 from framework.run.experiment import run_experiment
-from framework.scenes import load_scene
 from framework.train.resume.checkpoint import FOLDER
+from tests.built import load_scene
 
 SCENE = {"width": 96, "height": 72, "supersampling": 2}
 

@@ -16,8 +16,8 @@ from framework.records.progress import Silent
 from framework.run import experiment
 from framework.run.experiment import run_experiment
 from framework.run.untouched import Shared, foreign
-from framework.scenes import load_scene
 from framework.types import DepthMap
+from tests.built import load_scene
 from tests.documents.registered import as_before
 from tests.record.test_reuse import SCENE, group, small_config
 

@@ -21,7 +21,7 @@ from framework.errors import UserError
 from framework.files.whole import write_whole
 from framework.records.progress import Silent
 from framework.records.record import read_record
-from framework.scenes import load_scene
+from tests.built import load_scene
 from tests.cli.conftest import FakeRuns, runs
 from tests.record.fakes import make_config
 from tests.record.test_reuse import SCENE, group, run_experiment, small_config

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from framework import registry
-from framework.depth import build_provider
 from framework.errors import UserError
 from framework.initialize import INITIALIZERS
 from framework.options import TrainerOptions
@@ -22,13 +21,15 @@ from framework.rasterize.losses import photometric_gradient
 from framework.records.progress import Silent
 from framework.registry import Plugged
 from framework.run import training
-from framework.run.warmup import _plane
+from framework.run.members import IDLE
+from framework.run.plane import textured_plane
 from framework.train.guard import Diverged, diverged
 from framework.train.optim import Adam
 from framework.train.optimizer import AdamState
 from framework.train.resume.checkpoint import unpack
 from framework.train.trainer import Plugins, Trained, Trainer
 from framework.types import Camera, Gaussians, Scene, TrainingSet, View
+from tests.built import build_provider
 from tests.record.fakes import make_gaussians
 
 OPTIONS = TrainerOptions(steps=6, evaluations=1)
@@ -56,9 +57,8 @@ class NoChildren(Capacity):
 
 
 def plugins(**changes: Any) -> Plugins:
-    names = {"augment": "none", "reg": "none", "capacity": "fixed"}
-    built = {group: registry.build(group, {"name": name}) for group, name in names.items()}
-    return Plugins(**built | {group: Plugged(p, 1.0, 0.0, 1.0) for group, p in changes.items()})
+    acting = {group: Plugged(plugin, 1.0, 0.0, 1.0) for group, plugin in changes.items()}
+    return replace(Plugins.of(IDLE), **acting)
 
 
 def train(
@@ -67,7 +67,7 @@ def train(
     options: TrainerOptions = OPTIONS,
     **changes: Any,
 ) -> Trained:
-    plane, depth, start = _plane(options.sh_degree)
+    plane, depth, start = textured_plane(options.sh_degree)
     chosen = start if gaussians is None else gaussians
     trainer = Trainer(views or plane, depth, chosen, options, plugins(**changes), 0, Silent())
     return trainer.run()
@@ -147,7 +147,7 @@ def test_a_parameter_that_overflows_is_caught() -> None:
 
 
 def test_the_state_is_left_for_inspection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    views, depth, gaussians = _plane(0)
+    views, depth, gaussians = textured_plane(0)
     chosen = plugins(reg=SteepLoss())
     monkeypatch.setattr(registry, "build", lambda group, config: getattr(chosen, group))
     config = {"augment": {}, "reg": {}, "capacity": {}, "seed": 0, "trainer": asdict(OPTIONS)}
@@ -162,7 +162,7 @@ def test_the_state_is_left_for_inspection(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_no_gaussians_to_start_from() -> None:
-    nothing = _plane(0)[2][torch.zeros(0, dtype=torch.int64)]
+    nothing = textured_plane(0)[2][torch.zeros(0, dtype=torch.int64)]
     with pytest.raises(UserError, match="expected Gaussians to start from, got none"):
         train(gaussians=nothing)
 
@@ -170,7 +170,7 @@ def test_no_gaussians_to_start_from() -> None:
 def test_cameras_that_see_nothing_still_train() -> None:
     """Gaussians behind all cameras: nothing to learn from, nothing breaks, nothing moves but by
     the decay of opacities."""
-    start = _plane(0)[2]
+    start = textured_plane(0)[2]
     behind = start.replace(means=start.means * torch.tensor([1.0, 1.0, -1.0]))
     trained = train(gaussians=behind)
     assert all(torch.isfinite(tensor).all() for _, tensor in trained.gaussians.items())
@@ -179,7 +179,7 @@ def test_cameras_that_see_nothing_still_train() -> None:
 
 def plain_views(value: float) -> TrainingSet:
     """The plane with images of one colour."""
-    views = _plane(0)[0]
+    views = textured_plane(0)[0]
     flat = (replace(view, image=torch.full_like(view.image, value)) for view in views.views)
     return replace(views, views=tuple(flat))
 
@@ -214,7 +214,7 @@ def test_a_rate_too_high_never_ends_with_broken_gaussians() -> None:
 
 
 def test_a_camera_far_away_sees_nothing() -> None:
-    views = _plane(0)[0]
+    views = textured_plane(0)[0]
     away = torch.eye(4, dtype=torch.float64)
     away[2, 3] = -1e6
     cameras = [Camera(away, v.camera.K, v.camera.width, v.camera.height) for v in views.views]

@@ -16,8 +16,8 @@ from PIL import Image
 from framework.compute.rng import stream
 from framework.errors import UserError
 from framework.initialize import background_color
-from framework.scenes import load_scene
 from framework.types import Scene
+from tests.built import load_scene
 
 SIDE, ANGLE = 16, 0.8
 USUAL = (26, 86, 2, 55, 75, 93, 16, 73, 8)  # DietNeRF's eight; FreeNeRF and DNGaussian have a ninth

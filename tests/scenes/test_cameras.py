@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from framework.errors import UserError
-from framework.scenes import load_scene
 from framework.scenes.cameras import check_places, checked_lens, checked_pose
 from framework.scenes.lens import Distortion, Lens
+from tests.built import load_scene
 from tests.fuzz.readers import write_binary_model
 from tests.scenes.synthetic import write_llff, write_scene
 from tests.scenes.test_dtu import write_dtu

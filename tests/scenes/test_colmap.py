@@ -15,13 +15,13 @@ from PIL import Image
 
 from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.scenes import load_scene
 from framework.scenes.assemble import intrinsics
 from framework.scenes.colmap_files import PARAMETERS
 from framework.scenes.images import resize_ratio
 from framework.scenes.lens import Distortion, undistort
 from framework.scenes.points import FEWEST
 from framework.types import Scene
+from tests.built import load_scene
 from tests.data import open_scene
 from tests.scenes.synthetic import (
     FOCAL,
@@ -71,7 +71,7 @@ def test_text_and_binary_agree(tmp_path: Path) -> None:
 def test_a_run_that_is_told_to_end_ends_without_a_stack_trace(tmp_path: Path) -> None:
     """pycolmap's import installs a handler that prints one."""
     code = (
-        "import os, signal, sys; from framework.scenes import load_scene;"
+        "import os, signal, sys; from tests.built import load_scene;"
         f"load_scene('colmap', {{'path': {str(write_scene(tmp_path))!r}, 'n_views': 3}});"
         "assert 'pycolmap' in sys.modules; os.kill(os.getpid(), signal.SIGTERM)"
     )

@@ -15,9 +15,10 @@ import torch
 
 from framework.compute.parallel import set_threads
 from framework.errors import UserError
-from framework.scenes import Embedded, load_scene
+from framework.scenes import Embedded
 from framework.scenes.embedded import generate, rig
 from framework.types import Scene, View
+from tests.built import load_scene
 
 IMAGES_SHA256 = "d3b1dcd952fa907d8c915271f18a2c116cd6fd88c1b595f41a07c83b02fbde4c"
 SMALL = {"width": 64, "height": 48, "supersampling": 2}
@@ -126,8 +127,7 @@ def test_same_bits_on_any_thread_count(tmp_path: Path, monkeypatch: pytest.Monke
 def test_same_bits_on_a_plain_processor(tmp_path: Path) -> None:
     """Compiled for a machine without wide vectors or fused multiply-add, the bits are the same."""
     code = (
-        "from framework.scenes import load_scene;"
-        f"print(load_scene('embedded', {SMALL!r}).fingerprint)"
+        f"from tests.built import load_scene;print(load_scene('embedded', {SMALL!r}).fingerprint)"
     )
     env = {**os.environ, "NUMBA_CPU_NAME": "generic", "FISHERSPLAT_CACHE": str(tmp_path)}
     env["NUMBA_CPU_FEATURES"] = ""

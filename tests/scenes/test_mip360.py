@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from framework.errors import UserError
-from framework.scenes import load_scene
 from framework.scenes.colmap_model import read_model
 from framework.types import Scene
+from tests.built import load_scene
 from tests.data import open_scene
 from tests.scenes.synthetic import HEIGHT, WIDTH, write_images, write_scene
 

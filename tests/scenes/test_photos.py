@@ -17,11 +17,11 @@ from PIL import Image
 from framework.compute import parallel
 from framework.errors import UserError
 from framework.files.whole import Unwritable
-from framework.scenes import load_scene
 from framework.scenes.colmap_model import read_model
 from framework.scenes.photos import cached, child
 from framework.scenes.photos.found import FILE, Found, read_found, write_found
 from framework.scenes.photos.source import Source, find_source
+from tests.built import load_scene
 from tests.data import open_scene
 from tests.scenes.pictures import FOCAL, WIDTH, photograph, rig, write_photos
 from tests.scenes.unplaced import FOUND, FRAMES, kept, load, noise_photos, source_of

@@ -12,7 +12,6 @@ import pytest
 from PIL import Image
 
 from framework.errors import UserError
-from framework.scenes import load_scene
 from framework.scenes.images import read_image
 from framework.scenes.photos import Photos
 from framework.scenes.photos.attempt import Attempt
@@ -20,6 +19,7 @@ from framework.scenes.photos.found import Try
 from framework.scenes.photos.model import store
 from framework.scenes.photos.prepare import prepare
 from framework.scenes.photos.source import find_source
+from tests.built import load_scene
 from tests.scenes.pictures import FOCAL, HEIGHT, WIDTH, exif_of, photograph, rig
 from tests.scenes.unplaced import SIDE, load, noise_photos, source_of
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from framework.errors import UserError
-from framework.scenes import LOADERS, load_scene
+from framework.scenes import LOADERS
 from framework.scenes.splits import ALL, HELD_OUT, PROTOCOLS, UNTESTED, protocol
+from tests.built import load_scene
 from tests.scenes.synthetic import write_llff, write_scene
 
 FOLDERS = sorted({*LOADERS} - {"embedded"})

@@ -15,9 +15,9 @@ from PIL import Image
 
 from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.scenes import load_scene
 from framework.scenes.lens import Distortion, undistort
 from framework.types import Scene
+from tests.built import load_scene
 from tests.data import open_scene
 from tests.scenes.synthetic import FOCAL, HEIGHT, WIDTH, write_images, write_model, write_table
 

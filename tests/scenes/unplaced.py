@@ -8,10 +8,10 @@ import numpy as np
 from PIL import Image
 
 from framework.compute.rng import stream
-from framework.scenes import load_scene
 from framework.scenes.photos.found import Found, Link
 from framework.scenes.photos.source import Source, find_source
 from framework.types import Scene
+from tests.built import load_scene
 
 SIDE, FRAMES = 1200, 40
 

@@ -26,9 +26,9 @@ from framework.files.arrays import read_npy, read_npz
 from framework.metrics.lpips import load as load_lpips
 from framework.records.ply import read_ply
 from framework.records.record import read_record, read_run
-from framework.scenes import load_scene
 from framework.scenes.images import list_images, read_image
 from framework.scenes.ply_vertices import read_vertices
+from tests.built import load_scene
 from tests.metrics.test_lpips import features, state_dict
 from tests.record.fakes import fake_run
 from tests.scenes.synthetic import write_llff, write_scene

@@ -90,7 +90,7 @@ def test_one_that_does_not_import_is_named_in_one_line(tmp_path: Path, source: s
 
 
 def test_another_package_called_plugins_is_not_ours(tmp_path: Path) -> None:
-    code = "import sys; sys.path.insert(0, '.'); from framework.registry import names; names('reg')"
+    code = "import sys; sys.path.insert(0, '.'); from framework.registry import table; table('reg')"
     (tmp_path / "plugins" / "augment").mkdir(parents=True)
     for folder in ("plugins", "plugins/augment"):
         (tmp_path / folder / "__init__.py").touch()

@@ -16,7 +16,7 @@ from framework.errors import UserError
 from framework.files import limits
 from framework.files.opened import file_size, open_regular, read_bytes, read_text
 from framework.files.whole import file_sha256
-from framework.scenes import load_scene
+from tests.built import load_scene
 from tests.fuzz.readers import READERS
 from tests.fuzz.special import PUT
 

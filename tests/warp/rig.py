@@ -15,11 +15,12 @@ from framework.fisher.information import FisherInformation, fisher_information
 from framework.geometry import mean_neighbour_distance
 from framework.initialize import Stereo
 from framework.plugin import StepContext
-from framework.scenes import Embedded, load_scene
+from framework.scenes import Embedded
 from framework.scenes.embedded.build import build_world, camera_tiles
 from framework.scenes.embedded.trace import trace_rows
 from framework.types import Camera, DepthMap, Gaussians, Render, Scene, View
 from framework.warp.zbuffer import prepare
+from tests.built import load_scene
 
 SAMPLES = Embedded().supersampling
 

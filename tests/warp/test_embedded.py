@@ -16,7 +16,7 @@ from tests.warp.rig import context, embedded, truth
 
 METHODS = [
     name
-    for name in registry.names("augment")
+    for name in sorted(registry.table("augment"))
     if issubclass(registry.lookup("augment", name), WarpingAugmenter)
 ]
 # one photo alone, whose holes neighbours fill, sees less: dB of its pseudo views as measured

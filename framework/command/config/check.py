@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from typing import Any
 
 from omegaconf import MISSING
@@ -17,9 +18,7 @@ from framework.command.config.schema import (
     OBJECT_GROUPS,
     SCALARS,
     choices,
-    class_rows,
     rows,
-    tables,
 )
 from framework.errors import UserError, nearest_hint, require
 from framework.files.documents import read_yaml
@@ -28,6 +27,7 @@ from framework.options import TrainerOptions
 from framework.run import trackers
 
 MOST_THREADS = 1024
+TRAINER = [option.name for option in fields(TrainerOptions)]
 FEW = 4  # choices that have an option, told by name
 
 
@@ -38,18 +38,15 @@ def check(config: Mapping[str, Any]) -> None:
     `+key=value` through); then the chosen classes check their own options. Reads no scene.
     """
     _known_keys("", config, [*SCALARS, "trainer", "metrics", *OBJECT_GROUPS])
-    _known_keys("trainer.", config["trainer"], [row[0] for row in class_rows(TrainerOptions)])
+    _known_keys("trainer.", config["trainer"], TRAINER)
     _known_keys("metrics.", config["metrics"], METRICS)
     _check_integers("", config)
     for group in OBJECT_GROUPS:
         _check_choice(group, config[group])
     for group in registry.GROUPS:
         registry.build(group, config[group])
-    for group, table in tables().items():
-        options = dict(config[group])
-        name = options.pop("name")
-        registry.made(f"{group}={name}", table[name], options)
-    registry.parts("metric")
+    for group in [group for group in OBJECT_GROUPS if group not in registry.GROUPS]:
+        registry.part(group, config[group])
     measures(config["metrics"].get("also"))
     TrainerOptions(**config["trainer"])
     _check_scalars(config["seed"], config["threads"], config["study"])
@@ -144,7 +141,7 @@ def hint(section: str, key: str, known: Iterable[str]) -> str:
 
 def _places(section: str, key: str) -> str:
     """Where there is an option of this name: `trainer.steps`, `augment.eta of augment=safi`."""
-    sections = {"trainer": [row[0] for row in class_rows(TrainerOptions)], "metrics": [*METRICS]}
+    sections = {"trainer": TRAINER, "metrics": [*METRICS]}
     found = [f"'{name}.{key}'" for name, options in sections.items() if key in options]
     groups = [section] if section in OBJECT_GROUPS else OBJECT_GROUPS
     for group in groups:

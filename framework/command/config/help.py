@@ -27,8 +27,6 @@ from framework.command.config.schema import (
     OBJECT_GROUPS,
     SWEEPS_DIR,
     choices,
-    rows,
-    tables,
 )
 from framework.command.program import program
 from framework.command.subcommands import SUBCOMMANDS
@@ -105,10 +103,9 @@ def _explained(plain: Mapping[str, Any]) -> Iterator[str]:
 
 def option_meanings(group: str, name: str) -> dict[str, str]:
     """option -> its meaning, of the options of `group=name`. UserError for an unknown one."""
-    if group not in registry.GROUPS:
-        rows(group, name)
-        return meanings(tables()[group][name])
     cls: Any = registry.lookup(group, name)
+    if group not in registry.GROUPS:
+        return meanings(cls)
     weight = {} if cls.weighted() else {"weight": "has no effect and is refused: no loss is added"}
     return registry.MEANINGS | weight | meanings(cls)
 
@@ -134,7 +131,7 @@ def _description(group: str, name: str) -> str:
     """All that a choice's source says of it."""
     if group not in OBJECT_GROUPS or name not in choices(group):
         return _first_comment(group, name)
-    cls = registry.lookup(group, name) if group in registry.GROUPS else tables()[group][name]
+    cls = registry.lookup(group, name)
     title = f"`{group}={name}`: "
     module_doc = sys.modules[cls.__module__].__doc__ or ""
     if module_doc.startswith(title):

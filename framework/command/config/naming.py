@@ -19,6 +19,7 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from framework.command.config.check import check
 from framework.command.config.schema import rows
 from framework.command.config.trust import refuse_environment
+from framework.records import RUN_FOLDERS
 from framework.records.provenance import NEUTRAL_KEYS
 from framework.scenes import DRAWN, HELD_OUT, untested
 
@@ -70,7 +71,7 @@ def run_name(config: Mapping[str, Any], augment: str, reg: str) -> str:
 
 def study_dir(run_dir: Path) -> Path:
     """The folder whose report covers `run_dir`: the study's; for a folder given by hand, itself."""
-    return run_dir.parent.parent if run_dir.parent.name == "runs" else run_dir
+    return run_dir.parent.parent if run_dir.parent.name == RUN_FOLDERS else run_dir
 
 
 def register_resolvers() -> None:

@@ -12,7 +12,6 @@ nor numba: `--help` and every configuration error stay instant.
 from __future__ import annotations
 
 import dataclasses
-import typing
 from collections.abc import Iterable
 from dataclasses import field, make_dataclass
 from pathlib import Path
@@ -24,8 +23,8 @@ from omegaconf import MISSING, OmegaConf
 import framework
 from framework import registry
 from framework.command.hydra_inside import JoinedChoices
-from framework.errors import nearest_hint, require
 from framework.options import TrainerOptions
+from framework.records import record_check
 
 PACKAGE = Path(framework.__file__).resolve().parent
 ROOT = PACKAGE.parent  # of the repository, or where packages are installed
@@ -35,7 +34,7 @@ CONF_DIR, SWEEPS_DIR = ((PACKAGE if INSTALLED else ROOT) / name for name in ("co
 
 # Groups that choose an object; `preset` (training conditions), `method` (an augmenter and a
 # regularizer), `experiment` and `sweep` only bundle choices of these.
-OBJECT_GROUPS = ("scene", "depth", "init", "augment", "reg", "capacity", "rasterizer")
+OBJECT_GROUPS = record_check.GROUPS
 GROUPS = (*OBJECT_GROUPS, "preset", "method", "experiment", "sweep")
 
 Row = tuple[str, Any, Any]  # (option name, type, dataclasses.field)
@@ -49,17 +48,9 @@ SCALARS = {
 METRICS = {"lpips_weights": str | None, "also": str | None, "coadaptation": bool}
 
 
-def tables() -> dict[str, dict[str, type]]:
-    """group -> name -> options class, for the parts of a run that are chosen by a group."""
-    from framework.rasterizers import RASTERIZERS
-
-    chosen = {group: registry.parts(group) for group in registry.PARTS if group in OBJECT_GROUPS}
-    return chosen | {"rasterizer": RASTERIZERS}
-
-
 def choices(group: str) -> list[str]:
     """The names that `group=` accepts without the YAML variants, sorted."""
-    return registry.names(group) if group in registry.GROUPS else sorted(tables()[group])
+    return sorted(registry.table(group))
 
 
 def rows(group: str, name: str) -> list[Row]:
@@ -67,17 +58,8 @@ def rows(group: str, name: str) -> list[Row]:
     for an unknown name."""
     if len(registry.parts_of(group, name)) > 1:
         return []
-    if group in registry.GROUPS:
-        return registry.option_fields(registry.lookup(group, name))
-    table = tables()[group]
-    require(name in table, f"{group}={name}: unknown {group}; {nearest_hint(name, table)}")
-    return registry.plain_fields(table[name])
-
-
-def class_rows(cls: type) -> list[Row]:
-    """The options of a plain options dataclass, in the order of declaration."""
-    hints = typing.get_type_hints(cls)
-    return [(f.name, hints[f.name], f) for f in dataclasses.fields(cls)]
+    cls = registry.lookup(group, name)
+    return registry.option_fields(cls) if group in registry.GROUPS else registry.plain_fields(cls)
 
 
 def node(title: str, options: Iterable[Row], **fixed: str) -> type:
@@ -100,7 +82,7 @@ def _with_default(option: Any) -> Any:
 def _top_level() -> type:
     """The schema of the whole configuration; the values are in conf/config.yaml."""
     sections = {
-        "trainer": node("trainer", class_rows(TrainerOptions)),
+        "trainer": node("trainer", registry.plain_fields(TrainerOptions)),
         "metrics": node("metrics", [_required(*item) for item in METRICS.items()]),
     }
     fields = [_required(*item) for item in SCALARS.items()]

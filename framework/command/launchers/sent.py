@@ -17,12 +17,12 @@ from pathlib import Path
 
 from hydra.core.utils import JobReturn, JobStatus
 
+from framework.command.runner import VARIABLES
 from framework.command.studies.study import LEDGER_VARIABLE, Outcome, add_outcome, short_path
 from framework.compute.orphans import end_with
 from framework.errors import printable_line
 from framework.records.progress import say
 
-VARIABLES = "FISHERSPLAT_"
 PATH = "PYTHONPATH"
 
 

@@ -23,7 +23,7 @@ from framework.command.config.schema import register_config
 from framework.command.config.trust import check_command
 from framework.command.hydra_inside import argument_parser
 from framework.command.program import program
-from framework.command.search.driver import HIGHER, Search, check_search, fixed_of, run_search
+from framework.command.search.driver import JUDGES, Search, check_search, fixed_of, run_search
 from framework.command.search.space import space_of
 from framework.command.search.trial import job_of
 from framework.command.studies.study import short_path
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str], prog: str) -> int:
     parser.add_argument("words", nargs="*", metavar="KEY=VALUE")
     parser.add_argument("--trials", type=int, default=30, help="default 30")
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time (default 1)")
-    parser.add_argument("--metric", default="psnr", help=f"{', '.join(HIGHER)} (default psnr)")
+    parser.add_argument("--metric", default="psnr", help=f"{', '.join(JUDGES)} (default psnr)")
     parser.add_argument("--name", help="of the study (default: search_ and the scene's)")
     parser.add_argument("--sampler-seed", type=int, default=0, help="of the suggestions")
     options = parser.parse_intermixed_args(list(arguments))

@@ -21,11 +21,12 @@ from framework.command.search.space import Dimension
 from framework.command.search.trial import Result, Slot
 from framework.errors import UserError, require
 from framework.files.whole import write_whole
+from framework.metrics.values import LOWER
 from framework.records.progress import say
 from framework.records.search import SEARCH
 
 JOURNAL = "search.journal"
-HIGHER = {"psnr": True, "ssim": True, "flip": False, "lpips": False}
+JUDGES = ("psnr", "ssim", "flip", "lpips")  # the metrics that may choose
 MOST_KILLS = 3  # of one trial's process
 WORDS, RUN, TRAIN_S, ERROR = "words", "run", "train_s", "error"  # of a trial's attributes
 
@@ -61,7 +62,7 @@ class Trials:
         self.study = optuna.create_study(
             storage=storage,
             study_name="search",
-            direction="maximize" if HIGHER[search.metric] else "minimize",
+            direction="minimize" if search.metric in LOWER else "maximize",
             load_if_exists=True,
         )
         before = self.study.user_attrs.get("search")
@@ -185,8 +186,8 @@ def _run(search: Search, trials: Trials, slots: list[Slot]) -> None:
 def check_search(search: Search) -> None:
     """Raise UserError for numbers that no search can have."""
     require(
-        search.metric in HIGHER,
-        f"--metric: expected one of {', '.join(HIGHER)}, got {search.metric!r}; choose one",
+        search.metric in JUDGES,
+        f"--metric: expected one of {', '.join(JUDGES)}, got {search.metric!r}; choose one",
     )
     for flag, value in (("--trials", search.trials), ("--jobs", search.at_once)):
         if not 1 <= value <= 10_000:

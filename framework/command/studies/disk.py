@@ -17,6 +17,7 @@ from typing import Any
 from framework.errors import require
 from framework.initialize.stereo import LARGEST_BUDGET
 from framework.options import MOST_STEPS, members_of
+from framework.records import RUN_FOLDERS
 
 TABLES = 200_000
 TEST_VIEWS = 8  # of the embedded scene
@@ -69,8 +70,8 @@ def check_links(folder: Path) -> None:
     """Raise UserError for a link below the folder of a study or a run, where a run writes: through
     it, something elsewhere would be overwritten. What lies beside a study's `runs`, and where
     `runs` itself leads, is the user's."""
-    is_study = (folder / "runs").is_dir()
-    top = folder / "runs" if is_study else folder
+    runs = folder / RUN_FOLDERS
+    top = runs if runs.is_dir() else folder
     for parent, folders, names in os.walk(top):
         for name in (*folders, *names):
             path = os.path.join(parent, name)

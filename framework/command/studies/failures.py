@@ -37,6 +37,7 @@ from framework.errors import (
     printable_line,
 )
 from framework.files.locks import Busy
+from framework.records import RUN_FOLDERS
 
 MOST_ROWS = 20
 LAUNCHING = ("hydra.mode=", "hydra/launcher=", "hydra.launcher.")
@@ -170,7 +171,7 @@ def _discard(run_dir: Path) -> None:
     if not run_dir.is_dir() or [path.name for path in run_dir.iterdir()] != [".hydra"]:
         return  # or somebody removed it
     shutil.rmtree(run_dir / ".hydra")
-    ours = run_dir.parents[:2] if run_dir.parent.name == "runs" else ()
+    ours = run_dir.parents[:2] if run_dir.parent.name == RUN_FOLDERS else ()
     with contextlib.suppress(OSError):  # not empty: other runs are there
         for folder in (run_dir, *ours):
             folder.rmdir()

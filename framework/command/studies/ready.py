@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from framework.command.config.schema import tables
+from framework import registry
 from framework.errors import require
 from framework.rasterizers import build_rasterizer
 
@@ -24,6 +24,5 @@ def check_ready(config: Mapping[str, Any]) -> None:
             f"{group}={config[group]['name']}: expected a file or folder at '{path}', found"
             f" nothing; correct {group}.path",
         )
-    options = dict(config["depth"])
-    tables()["depth"][options.pop("name")](**options).ready()
+    registry.part("depth", config["depth"]).ready()
     build_rasterizer(config).ready()

@@ -14,10 +14,11 @@ from types import MappingProxyType
 from framework.errors import UserError, require
 from framework.files.limits import RUNS
 from framework.metrics.values import Missing
+from framework.records import RUN_FOLDERS
 from framework.records.failure import FAILED, read_failure
 from framework.records.record import RECORD, Run, read_run
 from framework.records.search import read_search
-from framework.report.study.folders import RUN_FOLDERS, run_dirs
+from framework.report.study.folders import run_dirs
 from framework.report.study.labels import MethodLabel, code, method_labels, outside, scene_labels
 from framework.report.study.notes import begun_notes, notes, table_notes, within
 from framework.report.study.order import method_order, natural

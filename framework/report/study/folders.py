@@ -6,10 +6,10 @@ import os
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
+from framework.records import RUN_FOLDERS
 from framework.records.failure import FAILED
 from framework.records.record import RECORD
 
-RUN_FOLDERS = "runs"  # in the folder of a study
 DEPTH = 12  # folders between a study and its runs; links are not followed
 
 

@@ -20,6 +20,7 @@ from framework.errors import UserError, require
 from framework.files.limits import RUNS, TEXT_BYTES
 from framework.files.opened import is_file, read_text
 from framework.metrics.values import METRICS, Measurement, Missing
+from framework.records import RUN_FOLDERS
 from framework.records.record import METHOD_GROUPS, TRAIN_STAGE, Run, RunRecord, StageTime
 from framework.records.record_check import check_number
 from framework.records.run_files import Table
@@ -89,7 +90,11 @@ def _run(folder: Path, row: Row) -> tuple[Run, MethodLabel, SceneLabel]:
     views = Table({key: [] for key in ("view", "file", "tags")}, _empty(*METRICS, "render_s"))
     course = Table({}, _empty("step", "seconds", "test_psnr"))
     record = _record(row, {"scene.name": name, "trainer.steps": 0} | flat)
-    return Run(folder / "runs" / row["run"], record, views, course), method_label(method), label
+    return (
+        Run(folder / RUN_FOLDERS / row["run"], record, views, course),
+        method_label(method),
+        label,
+    )
 
 
 def _record(row: Row, flat: Mapping[str, Any]) -> RunRecord:

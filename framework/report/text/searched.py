@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+from framework.metrics.values import LOWER, digits
 from framework.records.search import Searched
 from framework.report.parts.document import Block, Heading, Text, table
 from framework.report.study.labels import code, outside
 from framework.report.study.names import NAMES
-from framework.report.text.tables import DIGITS
 
 HELD_OUT = (
     "Judged on training views that were held out (a split whose name ends in _held_out): no test"
     " view was trained on or looked at. These figures choose; they are no result."
 )
-LOWER = ("flip", "lpips")
 
 
 def opening(searched: Searched) -> list[Block]:
@@ -22,11 +21,11 @@ def opening(searched: Searched) -> list[Block]:
         return [Text("No trial of this search ended well.", "verdict")]
     sign = -1 if searched.metric in LOWER else 1
     best = max(good, key=lambda trial: sign * (trial.value or 0.0))
-    digits = DIGITS[searched.metric]
+    places = digits(searched.metric)
     return [
         Text(
             f"Best of {len(searched.trials)} trials by {NAMES[searched.metric]}"
-            f" ({best.value:.{digits}f}): {code(' '.join(best.words))}.",
+            f" ({best.value:.{places}f}): {code(' '.join(best.words))}.",
             "verdict",
         ),
         Text(
@@ -45,7 +44,7 @@ def trials(searched: Searched) -> list[Block]:
             "Trial": str(trial.number),
             NAMES[searched.metric]: ""
             if trial.value is None
-            else f"{trial.value:.{DIGITS[searched.metric]}f}",
+            else f"{trial.value:.{digits(searched.metric)}f}",
             "Options": code(" ".join(trial.words)),
             "Train CPU s": f"{trial.train_s:.1f}",
             "Run": code(trial.run) if trial.run else "",

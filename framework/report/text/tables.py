@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from framework.metrics.values import digits
 from framework.report.parts.document import Link
 from framework.report.statistics.numbers import ABSENT, mean_text, sigma_text
 from framework.report.statistics.outcomes import seed_means
@@ -18,8 +19,6 @@ from framework.report.study.roles import marked
 from framework.report.study.runs import ReportRun, Study
 
 ALL_SCENES = "mean of all"
-DIGITS = {"psnr": 2, "ssim": 4, "flip": 4, "lpips": 4, "lpips_01": 4}
-OWN_DIGITS = 4  # of what plugins measure
 
 Rows = list[dict[str, str]]
 
@@ -73,9 +72,7 @@ def tag_rows(study: Study, scenes: Sequence[str]) -> Rows:
                 for metric in ("psnr", "ssim"):
                     values = [_tag_mean(run, tag, metric) for run in runs]
                     heading = f"{heading_of(metric)}, {outside(tag)}"
-                    row[heading] = mean_text(
-                        values, DIGITS.get(metric, OWN_DIGITS), show_half=metric == "psnr"
-                    )
+                    row[heading] = mean_text(values, digits(metric), show_half=metric == "psnr")
             if len(row) > 2:
                 rows.append(row)
     return rows if len(scenes) > 1 else _without(rows, "Scene")
@@ -102,7 +99,7 @@ def _main_row(
     row, n_seeds = {"Method": method}, len(seed_means(runs, scenes))
     for metric in measured(study):
         values = list(seed_means(runs, scenes, metric).values())
-        told = mean_text(values, DIGITS.get(metric, OWN_DIGITS), show_half=metric == "psnr")
+        told = mean_text(values, digits(metric), show_half=metric == "psnr")
         fewer = 0 < len(values) < n_seeds  # measured in some runs alone
         row[heading_of(metric, study)] = f"{told} (n = {len(values)})" if fewer else told
         if metric == "psnr":
@@ -138,9 +135,7 @@ def _seed_row(study: Study, run: ReportRun, metrics: Sequence[str]) -> dict[str,
     row: dict[str, str | Link] = {"Scene": run.scene} if len(study.scenes) > 1 else {}
     row |= {"Method": run.method, "Seed": str(run.seed)}
     for metric in metrics:
-        row[heading_of(metric, study)] = mean_text(
-            [run.mean(metric)], DIGITS.get(metric, OWN_DIGITS)
-        )
+        row[heading_of(metric, study)] = mean_text([run.mean(metric)], digits(metric))
     row["Train (s)"] = mean_text([record.train_s], 1)
     if not study.tabled:
         row["All stages (s)"] = f"{sum(stage.wall_s for stage in record.timings.values()):.1f}"

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 from torch import Tensor
 
+from framework import registry
 from framework.records.run_files import HistoryRow
 from framework.registry import Plugged
 from framework.train.dose import Tallies
@@ -26,6 +27,11 @@ class Plugins:
     augment: Plugged
     reg: Plugged
     capacity: Plugged
+
+    @classmethod
+    def of(cls, choices: Mapping[str, Mapping[str, Any]]) -> Self:
+        """Those of `choices`: of each group its choice, as in a run's configuration."""
+        return cls(*(registry.build(group, choices[group]) for group in registry.GROUPS))
 
     def each(self) -> dict[str, Plugged]:
         """Every single one, by the key of its state."""

@@ -1,0 +1,22 @@
+"""Parts of a run, by their names and options."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from framework import registry
+from framework.plugin import DepthProvider
+from framework.types import Scene
+
+
+def load_scene(name: str, options: Mapping[str, Any]) -> Scene:
+    """What `scene=name` makes of these options. Raises UserError on a bad one."""
+    scene: Scene = registry.part("scene", {"name": name, **options}).load()
+    return scene
+
+
+def build_provider(name: str, options: Mapping[str, Any]) -> DepthProvider:
+    """`depth=name` with these options. Raises UserError on a bad one."""
+    provider: DepthProvider = registry.part("depth", {"name": name, **options})
+    return provider
