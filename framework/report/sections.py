@@ -15,7 +15,7 @@ from framework.report.figures.kept import kept
 from framework.report.parts.document import Block, Document, Heading, Picture, Text, table
 from framework.report.statistics.outcomes import Outcomes, outcomes
 from framework.report.study.beside import OPEN
-from framework.report.study.labels import outside, slug
+from framework.report.study.labels import outside
 from framework.report.study.runs import Study
 from framework.report.text import capacities, gaps, searched, tables
 from framework.report.text.dose import dose
@@ -83,7 +83,7 @@ def _pictures(
         blocks = [Heading(2, "Pictures left out"), Text(HIDDEN.format(scenes=study.listed(hidden)))]
     told = shown_pair(study, found)
     if study.tabled:
-        found_ones = [(scene, kept(study, f"images_{slug(scene)}", scene)) for scene in seen]
+        found_ones = [(scene, kept(study, "images", scene)) for scene in seen]
         return [*blocks, *_section(study, "Pictures", found_ones)]
     close = [(scene, draw_closeup(study, scene, told)) for scene in seen]
     return [
@@ -109,8 +109,8 @@ def shown_pair(study: Study, found: Outcomes) -> tuple[str, ...]:
 def _courses(study: Study, shown: Sequence[str], seen: Sequence[str]) -> list[Block]:
     """Where runs disagree, and quality over training time."""
     if study.tabled:
-        maps = [(scene, kept(study, f"sigma_{slug(scene)}", scene)) for scene in seen]
-        courses = [(scene, kept(study, f"curves_{slug(scene)}", scene)) for scene in shown]
+        maps = [(scene, kept(study, "sigma", scene)) for scene in seen]
+        courses = [(scene, kept(study, "curves", scene)) for scene in shown]
         return [
             *_section(study, "Where runs disagree", maps),
             *_section(study, "Quality over training time", courses),

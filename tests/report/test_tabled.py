@@ -210,3 +210,14 @@ def test_every_committed_report_opens_with_its_verdict(table: Path) -> None:
     assert all(
         c.method in shown + behind for c in found.comparisons.values() if c.significant
     ) or any(run.level(axis) is not None for run in study.runs for axis in STRESSES)
+
+
+def test_a_scene_with_parentheses_keeps_its_name(tmp_path: Path) -> None:
+    for scene in ("chair (1)", "chair (2)"):
+        for views in (3, 6):
+            name, given = f"{scene[-2]}{views}", {"n_views": views}
+            fake_run(tmp_path / "runs", scene=scene, condition=given, run_name=name)
+    report = build_report(tmp_path / "runs")
+    study, again = collect(tmp_path / "runs"), collect(_table(report, tmp_path / "table"))
+    assert study.scenes == again.scenes and len(study.scenes) == 4
+    assert [again.name_of(s) for s in again.scenes] == [study.name_of(s) for s in study.scenes]

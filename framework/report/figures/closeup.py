@@ -15,7 +15,7 @@ from framework.report.figures.files import grid_picture
 from framework.report.figures.views import check_size, choose_views, picture, psnr_of
 from framework.report.parts.document import Picture
 from framework.report.parts.grid import Band, Cell, Scale
-from framework.report.study.labels import outside, slug
+from framework.report.study.labels import outside
 from framework.report.study.runs import ReportRun, Study
 
 SHARE = 4  # of the width and height that a crop takes: one part in so many
@@ -56,7 +56,7 @@ def draw_closeup(study: Study, scene: str, families: tuple[str, ...]) -> Picture
         seed=" and ".join(map(str, seeds)),
         methods=" and ".join(run.method for run in runs),
     )
-    name, alt = f"closeup_{slug(scene)}", f"Truth and methods close up on {scene}"
+    name, alt = study.file_of("closeup", scene), f"Truth and methods close up on {scene}"
     return grid_picture(study.out_dir, name, [band], alt, caption, in_viewer=False)
 
 

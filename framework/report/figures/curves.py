@@ -10,7 +10,6 @@ from framework.report.figures.views import shown_methods
 from framework.report.parts.chart import MIN_SPAN_DB, Chart, Point, Series
 from framework.report.parts.palette import looks
 from framework.report.statistics.estimates import spread
-from framework.report.study.labels import slug
 from framework.report.study.runs import ReportRun, Study
 
 THIN_SEEDS = 12
@@ -51,7 +50,12 @@ def chart(study: Study, scene: str) -> Chart | None:
         return None
     label = "training time (s, wall clock, without evaluation)"
     return Chart(
-        f"curves_{slug(scene)}", scene, label, "test PSNR (dB)", tuple(series), min_span=MIN_SPAN_DB
+        study.file_of("curves", scene),
+        scene,
+        label,
+        "test PSNR (dB)",
+        tuple(series),
+        min_span=MIN_SPAN_DB,
     )
 
 

@@ -11,7 +11,6 @@ it.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections import defaultdict
@@ -44,7 +43,6 @@ VARIANTS = {  # plugins that one option makes another method, as `conf/reg/` nam
 NO_METHOD = ("seed", "scene", "metrics", *NEUTRAL_KEYS)
 WATCHING = ("trainer.evaluations",)  # changes what is told, not what comes out
 UNKNOWN_SCENE = "unknown scene"
-SLUG_LENGTH = 120  # characters
 
 Flat = Mapping[str, Any]
 
@@ -307,12 +305,3 @@ def listed(items: Sequence[object], word: str) -> str:
     """`a, b and c`, with `word` before the last one."""
     *most, last = map(str, items)
     return f"{', '.join(most)} {word} {last}" if most else last
-
-
-def slug(text: str) -> str:
-    """`text` as part of a file name; where that would lose letters, with a hash of it."""
-    name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
-    if name and text.isascii() and len(name) <= SLUG_LENGTH:
-        return name
-    digest = hashlib.sha256(text.encode("utf-8", "replace")).hexdigest()[:8]
-    return "_".join(filter(None, (name[:SLUG_LENGTH], digest)))

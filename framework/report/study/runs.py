@@ -14,6 +14,7 @@ from framework.metrics.values import Missing
 from framework.records.record import Run, RunRecord
 from framework.records.search import Searched
 from framework.report.study.axes import Axis
+from framework.report.study.files import file_names
 from framework.report.study.labels import MethodLabel, SceneLabel, listed, outside
 from framework.report.study.order import BASELINE, method_order, natural
 from framework.scenes import published_split
@@ -223,6 +224,15 @@ class Study:
         return [
             run for run in self.runs if scene in (None, run.scene) and method in (None, run.method)
         ]
+
+    @cached_property
+    def _files(self) -> dict[str, str]:
+        """Scene -> its part in the names of files."""
+        return file_names(self.scenes)
+
+    def file_of(self, kind: str, scene: str) -> str:
+        """The name, without its ending, of a figure of this kind of a scene; no other has it."""
+        return f"{kind}_{self._files[scene]}"
 
     def name_of(self, scene: str) -> str:
         """The name in its record of a scene with this label."""

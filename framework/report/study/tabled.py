@@ -35,6 +35,7 @@ NEEDED = ("scene", "method", "seed", "psnr", "gaussians", "parameters", "train_w
 TOLD_BESIDE = ("ply_bytes", "parameters_sha256", CODE, "cpu", "overrides")
 MEASURED = (*METRICS, *NEEDED, "train_cpu_s", *TOLD_BESIDE)
 MOST_GAUSSIANS = 10**9
+CONDITIONS = re.compile(r" \((?=[\w.]+=|[0-9a-f]{8}\)$)")  # begins what follows a scene's name
 PARTS = re.compile(r", (?=[\w.]+=)")  # between the parts of a method's name
 Row = Mapping[str, str]
 
@@ -82,7 +83,7 @@ def _run(folder: Path, row: Row) -> tuple[Run, MethodLabel, SceneLabel]:
     scene, method = outside(row["scene"]), outside(row["method"])
     if not scene or not method or row["run"] in ("", ".", ".."):
         raise ValueError("a run without scene, method or name")
-    name = scene.partition(" (")[0]
+    name = CONDITIONS.split(scene, maxsplit=1)[0]
     flat = {key: _value(cell) for key, cell in row.items() if key not in MEASURED and cell}
     flat = {key: value for key, value in flat.items() if not key.startswith((ALSO, DOSE))}
     label = SceneLabel(scene, name, {key: flat[key] for key in DATA_KEYS if key in flat})
