@@ -16,6 +16,7 @@ from framework.report.study.axes import STRESSES
 from framework.report.study.collect import collect
 from framework.report.study.labels import MethodLabel
 from framework.report.study.tabled import method_label
+from framework.report.text import searched
 from tests.record.fakes import fake_run
 
 
@@ -221,3 +222,20 @@ def test_a_scene_with_parentheses_keeps_its_name(tmp_path: Path) -> None:
     study, again = collect(tmp_path / "runs"), collect(_table(report, tmp_path / "table"))
     assert study.scenes == again.scenes and len(study.scenes) == 4
     assert [again.name_of(s) for s in again.scenes] == [study.name_of(s) for s in study.scenes]
+
+
+def test_a_table_says_that_views_were_held_out(tmp_path: Path) -> None:
+    """So does one of before, which has no column for it, where the split was typed."""
+    for seed in range(2):
+        fake_run(tmp_path / "runs", seed=seed, condition={"split": "llff_held_out"})
+    folder = _table(build_report(tmp_path / "runs"), tmp_path / "table")
+    assert searched.HELD_OUT in build_report(folder).read_text(encoding="utf-8")
+    assert [run.protocol for run in collect(folder).runs] == ["llff_held_out"] * 2
+    assert not collect(folder).split_as_published("embedded")
+    table = folder / "runs.csv"
+    text = table.read_text(encoding="utf-8")
+    before = text.replace("llff_held_out", "").replace(",protocol,", ",other,")
+    table.write_text(before.replace("+reg=none", "+reg=none scene.split=llff_drawn3"))
+    assert {run.protocol for run in collect(folder).runs} == {"llff_drawn3"}
+    table.write_text(before)
+    assert {run.protocol for run in collect(folder).runs} == {""}

@@ -17,6 +17,7 @@ from framework.report.study.axes import Axis
 from framework.report.study.files import file_names
 from framework.report.study.labels import MethodLabel, SceneLabel, listed, outside
 from framework.report.study.order import BASELINE, method_order, natural
+from framework.report.study.tabled import PROTOCOL
 from framework.scenes import published_split
 
 MOST_LISTED = 8  # scenes that are named one by one in a sentence
@@ -52,6 +53,12 @@ class ReportRun:
         """Mean of a metric over the test views; None where it is missing."""
         value = self.record.summary.get(metric, Missing("not measured"))
         return None if isinstance(value, Missing) else float(value)
+
+    @property
+    def protocol(self) -> str:
+        """The rule by which views train and test; "" where a table does not tell it."""
+        scene = self.record.scene
+        return scene.protocol if scene else str(self.record.provenance.get(PROTOCOL, ""))
 
     @property
     def tested(self) -> bool:
@@ -257,8 +264,8 @@ class Study:
 
     def split_as_published(self, scene: str) -> bool:
         """Whether the photos of a scene are shared out by a rule that papers use."""
-        infos = [run.record.scene for run in self.runs if run.scene == scene]
-        return all(info is None or published_split(info.protocol) for info in infos)
+        known = {run.protocol for run in self.of(scene)} - {""}
+        return all(published_split(name) for name in known)
 
     def folder_of(self, run_dir: Path) -> str:
         """`run_dir` as seen from the report."""

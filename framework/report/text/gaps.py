@@ -39,7 +39,7 @@ def gap_notes(study: Study, pooled: bool = True) -> list[Block]:
         texts.append(
             f"Not on every scene, hence left out of the mean over scenes: {', '.join(partial)}."
         )
-    if any(run.record.scene.protocol.endswith(HELD_OUT) for run in study.runs if run.record.scene):
+    if any(run.protocol.endswith(HELD_OUT) for run in study.runs):
         texts.append(searched.HELD_OUT)
     if study.rival and study.searched is None:
         bases = study.baselines
