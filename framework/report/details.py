@@ -160,14 +160,13 @@ def worst(study: Study) -> list[Block]:
 def costs(study: Study, scenes: Sequence[str]) -> list[Block]:
     """What every method costs on these scenes, with its charts."""
     blocks: list[Block] = []
-    has_budgets = any(run.method_label.budget for run in study.runs)
     for scene in scenes:
         own: list[Block] = [table(budgets.rows(study, scene), WORDS)]
         drawn = tradeoff.charts(study, scene)
-        for charts in drawn[1:] if has_budgets else drawn:  # the first is on the first screen
+        for charts in drawn[1:] if study.has_budgets else drawn:  # the first is on the first screen
             alt = f"PSNR against cost of {scene}"
             own.append(chart_picture(study.out_dir, charts, alt, TRADEOFF_CAPTION))
-        if not has_budgets:
+        if not study.has_budgets:
             own += [Bullets(tuple(budgets.advice(study, scene)))] if drawn else []
         least = budgets.smallest(study, scene)
         own += [Text(least)] if least else []

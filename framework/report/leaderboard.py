@@ -36,7 +36,6 @@ from framework.report.study.order import method_order, natural
 from framework.report.study.runs import Study
 from framework.report.study.tabled import TABLE as TABLE_OF_RUNS
 from framework.report.study.tabled import is_tabled
-from framework.report.verdict.lead import has_budgets
 from framework.scenes import HELD_OUT
 
 REPORT, PAGE, TABLE = "leaderboard.md", "leaderboard.html", "leaderboard.csv"
@@ -252,7 +251,7 @@ def _shared(entries: Sequence[Entry]) -> list[Block]:
 def _used(study: Study, found: Outcomes) -> str:
     """What the verdict advises; of the baseline with several budgets, the highest."""
     best = found.best
-    if best != study.baseline_of(best) or not has_budgets(study):
+    if best != study.baseline_of(best) or not study.has_budgets:
         return best
     own = {run.method for run in study.runs if run.method_label.family == study.families[0]}
     return max(own & found.psnr.keys(), key=lambda m: (found.psnr[m].mean, m), default=best)

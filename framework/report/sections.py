@@ -23,7 +23,6 @@ from framework.report.text.drawn import over_draws
 from framework.report.text.literature import literature
 from framework.report.text.provenance import provenance_blocks
 from framework.report.text.published import published
-from framework.report.verdict.lead import has_budgets
 
 BEST_BUDGETS = "Of each method, the budget with the highest mean PSNR on the scene."
 HIDDEN = "No pictures of {scenes}: this report was built without photos, to be passed on."
@@ -41,7 +40,7 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
     blocks: list[Block] = [Heading(1, outside(title))]
     if panels:
         blocks += opening.along_stress(study, panels, found)
-    elif has_budgets(study):
+    elif study.has_budgets:
         blocks += opening.over_budgets(study, found, between)
     else:
         blocks += opening.plain(study, found)
@@ -128,7 +127,7 @@ def _section(
     present = [(scene, picture) for scene, picture in pictures if picture is not None]
     if not present:
         return []
-    of_many = has_budgets(study)
+    of_many = study.has_budgets
     blocks: list[Block] = [Heading(2, heading), *([Text(BEST_BUDGETS)] if of_many else [])]
     return blocks + [block for s, picture in present for block in (Heading(3, s), picture)]
 

@@ -73,11 +73,8 @@ def _series(method: str, look: int, runs: Sequence[Evaluations]) -> list[Series]
 
 def _mean_point(step: int, pairs: Sequence[tuple[float, float]]) -> Point:
     found = spread([psnr for _, psnr in pairs])
-    low = high = found.mean
-    if found.mean_interval is not None:
-        low, high = found.mean_interval.low, found.mean_interval.high
     seconds = sum(second for second, _ in pairs) / len(pairs)
-    return Point(seconds, found.mean, low, high, f"step {step}")
+    return Point(seconds, found.mean, *found.ends, f"step {step}")
 
 
 def evaluations(run: ReportRun) -> Evaluations:

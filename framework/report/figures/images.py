@@ -19,7 +19,7 @@ from framework.report.figures.views import (
     check_size,
     choose_views,
     picture,
-    psnr_of,
+    psnr_text,
     shown_methods,
 )
 from framework.report.parts.document import Picture
@@ -47,7 +47,7 @@ def draw_images(study: Study, scene: str) -> Picture | None:
         for first in range(0, len(shown.runs), BESIDE):
             runs = shown.runs[first : first + BESIDE]
             renders = [
-                Cell(f"{run.method}\n{_psnr_text(run, view)}", picture(run, view, "render"))
+                Cell(f"{run.method}\n{psnr_text(run, view)}", picture(run, view, "render"))
                 for run in runs
             ]
             errors = [Cell(f"error: {run.method}", picture(run, view, "error")) for run in runs]
@@ -113,11 +113,6 @@ def _sigma_cell(method: str, runs: Sequence[ReportRun], view: str) -> Cell:
     colours = matplotlib.colormaps[SIGMA_COLORS](np.clip(sigma / SIGMA_SCALE, 0, 1), bytes=True)
     title = f"{method}\nrms {significant(rms)} (n = {len(having)})"
     return Cell(title, np.ascontiguousarray(colours[..., :3]))
-
-
-def _psnr_text(run: ReportRun, view: str) -> str:
-    psnr = psnr_of(run, view)
-    return "PSNR infinite" if psnr is None else f"{psnr:.2f} dB"
 
 
 def _images_caption(shown: ShownViews) -> str:

@@ -277,7 +277,4 @@ def _gain_points(limit: Limit) -> tuple[Point, ...]:
 def point(x: float, values: Sequence[float]) -> Point:
     """The mean of `values` with its 95 % interval, at `x`."""
     found = spread(values)
-    low = high = found.mean
-    if found.mean_interval is not None:
-        low, high = found.mean_interval.low, found.mean_interval.high
-    return Point(x, found.mean, low, high, f"n = {found.n}")
+    return Point(x, found.mean, *found.ends, f"n = {found.n}")

@@ -212,7 +212,5 @@ def _capacity(entry: Entry) -> str:
 
 
 def _point(entry: Entry, cost: Callable[[Entry], float]) -> Point:
-    interval, mean = entry.psnr.mean_interval, entry.psnr.mean
-    low, high = (interval.low, interval.high) if interval else (mean, mean)
     note = f"{entry.budget}, " if entry.budget else ""
-    return Point(cost(entry), mean, low, high, f"{note}n = {entry.psnr.n}")
+    return Point(cost(entry), entry.psnr.mean, *entry.psnr.ends, f"{note}n = {entry.psnr.n}")

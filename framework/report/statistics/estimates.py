@@ -40,6 +40,12 @@ class Spread:
     sd: float | None
     sd_interval: Interval | None
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Of the bar at the mean: its interval, nothing but itself where there is none."""
+        inside = self.mean_interval or Interval(self.mean, self.mean)
+        return inside.low, inside.high
+
 
 @dataclass(frozen=True)
 class Estimate:

@@ -183,6 +183,11 @@ class Study:
         """Whether to compare the CPU seconds of trainings: other programs ran beside some."""
         return any(run.disturbed for run in self.runs)
 
+    @cached_property
+    def has_budgets(self) -> bool:
+        """Whether methods ran with several budgets, of which time decides."""
+        return any(run.method_label.budget for run in self.runs)
+
     @property
     def has_plain(self) -> bool:
         """Whether the baseline is `none + none`, perhaps with options of its own."""

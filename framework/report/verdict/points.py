@@ -22,7 +22,6 @@ from framework.report.verdict.lead import (
     amount,
     compared,
     different,
-    has_budgets,
     inside,
 )
 from framework.report.verdict.steady import steady_sentence
@@ -149,7 +148,7 @@ def _cost(study: Study, found: Outcomes) -> str:
     """Training time and size of what to use beside those of its baseline."""
     if not found.psnr:
         return ""
-    if has_budgets(study):
+    if study.has_budgets:
         return _cost_of_budgets(study, found)
     best = found.best
     methods = list(dict.fromkeys([best, study.baseline_of(best)]))
@@ -202,7 +201,7 @@ def weakest(study: Study, found: Outcomes) -> str:
     if not found.psnr:
         return ""
     best = found.best
-    if best == study.baseline_of(best) and has_budgets(study):  # its best budget
+    if best == study.baseline_of(best) and study.has_budgets:  # its best budget
         own = {run.method for run in study.runs if run.method_label.family == study.families[0]}
         best = _quick_and_good(study, found, own & found.psnr.keys()) or best
     means = {
