@@ -239,3 +239,17 @@ def test_a_table_says_that_views_were_held_out(tmp_path: Path) -> None:
     assert {run.protocol for run in collect(folder).runs} == {"llff_drawn3"}
     table.write_text(before)
     assert {run.protocol for run in collect(folder).runs} == {""}
+
+
+def test_equal_results_of_all_seeds_are_told(tmp_path: Path) -> None:
+    """They have intervals of no width, which look like certainty."""
+    report = _study(tmp_path / "runs")
+    assert "The same PSNR with every seed" not in report.read_text(encoding="utf-8")
+    rows = [line.split(",") for line in (tmp_path / "runs/runs.csv").read_text().splitlines()]
+    for row in rows[1:]:
+        row[rows[0].index("psnr")] = "21.5" if row[1] == "safi + none" else "20.5"
+    (tmp_path / "table").mkdir()
+    (tmp_path / "table" / "runs.csv").write_text("\n".join(map(",".join, rows)) + "\n")
+    text = build_report(tmp_path / "table").read_text(encoding="utf-8")
+    assert "The same PSNR with every seed: none + none and safi + none on embedded." in text
+    assert "as one of them does not vary" in text and "share too few seeds" not in text
