@@ -308,4 +308,10 @@ def _method_label(config: Flat, told: Sequence[str]) -> MethodLabel:
 def listed(items: Sequence[object], word: str) -> str:
     """`a, b and c`, with `word` before the last one."""
     *most, last = map(str, items)
-    return f"{', '.join(most)} {word} {last}" if most else last
+    return f"{joined(most, beside=last)} {word} {last}" if most else last
+
+
+def joined(items: Sequence[str], beside: str = "") -> str:
+    """`a, b`; `a; b, steps=300` where a name, or one `beside` them, has a comma of its own."""
+    own = any("," in re.sub(r"\(.*?\)", "", item) for item in (*items, beside))
+    return ("; " if own else ", ").join(items)

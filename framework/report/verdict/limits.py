@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from framework.report.figures.stress import Limit, Panel
 from framework.report.statistics.numbers import average, interval_text, significant
 from framework.report.study.axes import Axis
-from framework.report.study.labels import listed
+from framework.report.study.labels import joined, listed
 from framework.report.study.runs import ReportRun
 from framework.report.verdict.lead import could_hide
 
@@ -40,7 +40,7 @@ def behind(found: Sequence[Limit], steady: str = "") -> list[str]:
     hidden = could_hide(own for limit in rest for _, own in limit.gains)
     said = [f"Really different: {'; '.join(told) or 'nobody'}."]
     if alike:
-        said.append(f"Not told apart at any strength: {', '.join(alike)}.{hidden}")
+        said.append(f"Not told apart at any strength: {joined(alike)}.{hidden}")
     return [*said, *([steady] if steady else [])]
 
 

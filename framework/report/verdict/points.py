@@ -81,9 +81,10 @@ def evidence(found: Outcomes) -> str:
     seeds = f"{most}" if fewest == most else f"{fewest} to {most}"
     widened = max(c.tests for c in tested)  # with those that only several scenes can test
     once = f", widened to hold for all {widened} comparisons at once" if widened > 1 else ""
+    pairs = any(" + " in c.method for c in tested)  # others have the names of their recipes
+    named = f"a method is named augmenter + regularizer{_meanings(tested)}. D" if pairs else "d"
     return (
-        f"How to read this: a method is named augmenter + regularizer{_meanings(tested)}."
-        " Differences are of PSNR in"
+        f"How to read this: {named}ifferences are of PSNR in"
         " views that were not trained on, between runs of the same seed. In brackets: where the"
         f" true difference lies with 95 % confidence, from {seeds} seeds{once}; the thick bars"
         " below are the same. Really different: that range excludes zero. Not told apart: it"
@@ -176,10 +177,10 @@ def _cost_of_budgets(study: Study, found: Outcomes) -> str:
 
 
 def cost_of(runs: Sequence[ReportRun]) -> str:
-    """`9.8 s (9.5 s of CPU) and 16128 Gaussians (226 k parameters)`, means over the runs."""
+    """`9.8 s (9.5 s of CPU) and 16,128 Gaussians (226 k parameters)`, means over the runs."""
     seconds = mean_text([run.record.train_s for run in runs], 1)
     cpu = mean_text([run.record.train_cpu_s for run in runs], 1)
-    gaussians = mean_text([float(run.record.gaussians) for run in runs], 0)
+    gaussians = f"{average([float(run.record.gaussians) for run in runs]) or 0:,.0f}"
     parameters = mean_text([run.record.parameters / 1000 for run in runs], 0)
     return f"{seconds} s ({cpu} s of CPU) and {gaussians} Gaussians ({parameters} k parameters)"
 
