@@ -17,7 +17,7 @@ SUBCOMMANDS = {
     "fetch": ("framework.metrics.lpips_weights", "LPIPS"),
     "leaderboard": ("framework.report.leaderboard", "all studies"),
     "render": ("framework.exports.render", "pictures"),
-    "report": ("framework.report.__main__", "report again"),
+    "report": ("framework.report.main", "report again"),
     "search": ("framework.command.search.command", "find options"),
     "study": ("framework.command.launchers.manage", "on a cluster"),
     "video": ("framework.exports.video", "a fly-through"),

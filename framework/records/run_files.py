@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from framework.types import View
 
 ERROR_SCALE = 0.25
+KINDS = ("", "_truth", "_error", "_mask")  # end the names of a view's files
 STEM_LENGTH = 180  # characters of a view's name in those of its files, which take 200
 METRICS_CSV, HISTORY_CSV, RENDERS = "metrics.csv", "history.csv", "renders"
 VIDEOS = ("video.mp4", "video.webm", "video.webp", "video.gif")  # of `fishersplat video RUN`
@@ -73,18 +74,21 @@ class HistoryRow:
 
 
 def file_stems(views: Sequence[str]) -> list[str]:
-    """A file name for each view; one already taken once odd characters are replaced is numbered."""
-    stems: dict[str, None] = {}
+    """A file name for each view; one already taken once odd characters are replaced is numbered, as
+    is one that only letters' case tells apart or that is another view's photo or error map."""
+    stems: list[str] = []
+    taken: set[str] = set()
     last: dict[str, int] = {}  # stem -> its highest number so far
     for view in views:
         stem = re.sub(r"[^A-Za-z0-9._-]", "_", view)[:STEM_LENGTH].lstrip(".") or "view"
         unique, n = stem, last.get(stem, 1)
-        while unique in stems:
+        while taken & {f"{unique}{kind}".lower() for kind in KINDS}:
             n += 1
             unique = f"{stem}-{n}"
         last[stem] = n
-        stems[unique] = None
-    return list(stems)
+        stems.append(unique)
+        taken |= {f"{unique}{kind}".lower() for kind in KINDS}
+    return stems
 
 
 def metrics_csv(metrics: Sequence[ViewMetrics], stems: Sequence[str]) -> str:
@@ -147,10 +151,11 @@ def write_renders(
 def _write_view(folder: Path, stem: str, view: View, rgb: Tensor) -> set[str]:
     """Returns the names of the files."""
     render, truth = quantise(rgb), quantise(view.image)
-    images = {"": render, "_truth": truth, "_error": error_map(render, truth)}
+    of_render, of_truth, of_error, of_mask = KINDS
+    images = {of_render: render, of_truth: truth, of_error: error_map(render, truth)}
     if view.mask is not None:
         valid = view.mask.detach().cpu().numpy() > 0.5
-        images["_mask"] = np.where(valid, 255, 0).astype(np.uint8)
+        images[of_mask] = np.where(valid, 255, 0).astype(np.uint8)
     for kind, pixels in images.items():
         write_whole(folder / f"{stem}{kind}.png", _png(pixels))
     return {f"{stem}{kind}.png" for kind in images}

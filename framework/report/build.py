@@ -108,7 +108,7 @@ def _build(study: Study, title: str | None, photos: bool) -> Path:
     make_folder(study.out_dir)
     shown = study.scenes if photos else own_scenes(study)
     if not photos:
-        remove_pictures(study.out_dir, shown)
+        remove_pictures(study, shown)
     with ThreadPoolExecutor(1) as beside:  # photos are encoded while charts are drawn
         shots = beside.submit(gallery, study, shown)
         made = document(study, title or study.out_dir.resolve().name, shown)

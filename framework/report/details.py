@@ -10,7 +10,7 @@ from framework.report.opening import TRADEOFF_CAPTION
 from framework.report.parts.document import Block, Bullets, Heading, Text, table
 from framework.report.statistics.outcomes import Outcomes
 from framework.report.statistics.variance import SigmaComparison
-from framework.report.study.labels import outside
+from framework.report.study.labels import listed, outside
 from framework.report.study.runs import Study
 from framework.report.text import budgets, capacities, comparisons, tables
 
@@ -71,8 +71,9 @@ PAIRED = (
     " says; with heavy-tailed ones (t, 3 degrees of freedom) at 5 % in {sizes} of studies without a"
     " difference (simulated)."
 )
+FEW, STILL = "the methods share too few seeds", "one of them does not vary"
 INDEPENDENT = (
-    "p: Brown–Forsythe test, as the methods share too few seeds, corrected for {tests}; at 5 % it"
+    "p: Brown–Forsythe test, as {why}, corrected for {tests}; at 5 % it"
     " errs in {sizes} of studies without a difference (simulated, normal errors)."
 )
 
@@ -134,7 +135,9 @@ def _of_sigmas(found: Sequence[SigmaComparison]) -> str:
             f"{100 * share:.1f} % (with {n if n == m else f'{n} and {m}'} seeds)"
             for (n, m), share in sorted(sizes.items())
         )
-        said += [words.format(tests=_tests(len(found)), sizes=told)] if own else []
+        whys = dict.fromkeys(FEW if c.ratio is not None else STILL for c in own)
+        why = listed(list(whys), "or") if own else ""
+        said += [words.format(tests=_tests(len(found)), sizes=told, why=why)] if own else []
     return " ".join(said)
 
 
@@ -160,14 +163,13 @@ def worst(study: Study) -> list[Block]:
 def costs(study: Study, scenes: Sequence[str]) -> list[Block]:
     """What every method costs on these scenes, with its charts."""
     blocks: list[Block] = []
-    has_budgets = any(run.method_label.budget for run in study.runs)
     for scene in scenes:
         own: list[Block] = [table(budgets.rows(study, scene), WORDS)]
         drawn = tradeoff.charts(study, scene)
-        for charts in drawn[1:] if has_budgets else drawn:  # the first is on the first screen
+        for charts in drawn[1:] if study.has_budgets else drawn:  # the first is on the first screen
             alt = f"PSNR against cost of {scene}"
             own.append(chart_picture(study.out_dir, charts, alt, TRADEOFF_CAPTION))
-        if not has_budgets:
+        if not study.has_budgets:
             own += [Bullets(tuple(budgets.advice(study, scene)))] if drawn else []
         least = budgets.smallest(study, scene)
         own += [Text(least)] if least else []

@@ -14,7 +14,7 @@ from framework.report.statistics.outcomes import Outcomes
 from framework.report.study.axes import VIEWS
 from framework.report.study.labels import outside
 from framework.report.study.runs import ReportRun, Study
-from framework.report.study.tabled import ALSO, CODE, DOSE
+from framework.report.study.tabled import ALSO, CODE, DOSE, PROTOCOL
 from framework.report.text.provenance import code_of
 
 LATEX = "comparisons.tex"
@@ -64,6 +64,7 @@ def _measured(run: ReportRun) -> dict[str, Any]:
         "train_cpu_s": record.train_cpu_s,
         "ply_bytes": record.ply_bytes,
         "parameters_sha256": record.parameters_sha256[:12],
+        PROTOCOL: outside(run.protocol),
         CODE: code_of(record.provenance),
         "cpu": run.machine,
         "overrides": outside(" ".join(w for w in record.overrides if not w.startswith("seed="))),

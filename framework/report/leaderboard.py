@@ -32,12 +32,11 @@ from framework.report.statistics.numbers import ABSENT, interval_text, mean_text
 from framework.report.statistics.outcomes import Outcomes, outcomes
 from framework.report.study.collect import collect
 from framework.report.study.folders import holds_run, walked
-from framework.report.study.labels import flatten, listed, outside
+from framework.report.study.labels import listed, outside
 from framework.report.study.order import method_order, natural
 from framework.report.study.runs import Study
 from framework.report.study.tabled import TABLE as TABLE_OF_RUNS
 from framework.report.study.tabled import is_tabled
-from framework.report.verdict.lead import has_budgets
 from framework.scenes import HELD_OUT
 
 REPORT, PAGE, TABLE = "leaderboard.md", "leaderboard.html", "leaderboard.csv"
@@ -127,9 +126,7 @@ def _chose(study: Study) -> str:
     """Why a study judges no method, as its runs were made to choose options; "" where it does."""
     if study.searched is not None:
         return "the trials of a search, which were made to choose options"
-    splits = {flatten(run.record.config).get("scene.split") for run in study.runs}
-    splits |= {run.record.scene.protocol for run in study.runs if run.record.scene}
-    held = sorted(split for split in splits if isinstance(split, str) and split.endswith(HELD_OUT))
+    held = sorted({run.protocol for run in study.runs if run.protocol.endswith(HELD_OUT)})
     return f"judged by training photos (scene.split={outside(held[0])})" if held else ""
 
 
@@ -255,7 +252,7 @@ def _shared(entries: Sequence[Entry]) -> list[Block]:
 def _used(study: Study, found: Outcomes) -> str:
     """What the verdict advises; of the baseline with several budgets, the highest."""
     best = found.best
-    if best != study.baseline_of(best) or not has_budgets(study):
+    if best != study.baseline_of(best) or not study.has_budgets:
         return best
     own = {run.method for run in study.runs if run.method_label.family == study.families[0]}
     return max(own & found.psnr.keys(), key=lambda m: (found.psnr[m].mean, m), default=best)

@@ -150,7 +150,7 @@ def _forest(study: Study, found: Outcomes) -> list[Block]:
 def _stress_picture(study: Study, panel: stress.Panel, found: Sequence[stress.Limit]) -> Picture:
     alt = f"PSNR of {panel.title} against {panel.axis.label}"
     charts = stress.charts(study, panel, found)
-    sizes = modelsize.chart(study, panel, stress.chart_name(panel))
+    sizes = modelsize.chart(study, panel, panel.file)
     if sizes is None:
         return chart_picture(study.out_dir, charts, alt, STRESS_CAPTION)
     return chart_picture(study.out_dir, (*charts, sizes), alt, STRESS_CAPTION + SIZE_CAPTION)

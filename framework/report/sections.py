@@ -15,7 +15,7 @@ from framework.report.figures.kept import kept
 from framework.report.parts.document import Block, Document, Heading, Picture, Text, table
 from framework.report.statistics.outcomes import Outcomes, outcomes
 from framework.report.study.beside import OPEN
-from framework.report.study.labels import outside, slug
+from framework.report.study.labels import outside
 from framework.report.study.runs import Study
 from framework.report.text import capacities, gaps, searched, tables
 from framework.report.text.dose import dose
@@ -23,7 +23,6 @@ from framework.report.text.drawn import over_draws
 from framework.report.text.literature import literature
 from framework.report.text.provenance import provenance_blocks
 from framework.report.text.published import published
-from framework.report.verdict.lead import has_budgets
 
 BEST_BUDGETS = "Of each method, the budget with the highest mean PSNR on the scene."
 HIDDEN = "No pictures of {scenes}: this report was built without photos, to be passed on."
@@ -41,7 +40,7 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
     blocks: list[Block] = [Heading(1, outside(title))]
     if panels:
         blocks += opening.along_stress(study, panels, found)
-    elif has_budgets(study):
+    elif study.has_budgets:
         blocks += opening.over_budgets(study, found, between)
     else:
         blocks += opening.plain(study, found)
@@ -83,7 +82,7 @@ def _pictures(
         blocks = [Heading(2, "Pictures left out"), Text(HIDDEN.format(scenes=study.listed(hidden)))]
     told = shown_pair(study, found)
     if study.tabled:
-        found_ones = [(scene, kept(study, f"images_{slug(scene)}", scene)) for scene in seen]
+        found_ones = [(scene, kept(study, "images", scene)) for scene in seen]
         return [*blocks, *_section(study, "Pictures", found_ones)]
     close = [(scene, draw_closeup(study, scene, told)) for scene in seen]
     return [
@@ -109,8 +108,8 @@ def shown_pair(study: Study, found: Outcomes) -> tuple[str, ...]:
 def _courses(study: Study, shown: Sequence[str], seen: Sequence[str]) -> list[Block]:
     """Where runs disagree, and quality over training time."""
     if study.tabled:
-        maps = [(scene, kept(study, f"sigma_{slug(scene)}", scene)) for scene in seen]
-        courses = [(scene, kept(study, f"curves_{slug(scene)}", scene)) for scene in shown]
+        maps = [(scene, kept(study, "sigma", scene)) for scene in seen]
+        courses = [(scene, kept(study, "curves", scene)) for scene in shown]
         return [
             *_section(study, "Where runs disagree", maps),
             *_section(study, "Quality over training time", courses),
@@ -128,7 +127,7 @@ def _section(
     present = [(scene, picture) for scene, picture in pictures if picture is not None]
     if not present:
         return []
-    of_many = has_budgets(study)
+    of_many = study.has_budgets
     blocks: list[Block] = [Heading(2, heading), *([Text(BEST_BUDGETS)] if of_many else [])]
     return blocks + [block for s, picture in present for block in (Heading(3, s), picture)]
 

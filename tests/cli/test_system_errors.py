@@ -17,7 +17,7 @@ from framework.command.config.schema import ROOT
 from framework.command.studies.failures import kind_of
 from framework.errors import mendable, os_line, out_of_memory
 from framework.files import cache
-from framework.report.__main__ import main as report
+from framework.report.main import main as report
 from tests.cli.conftest import FakeRuns, runs
 
 __all__ = ["runs"]  # the fixture
@@ -121,7 +121,7 @@ def test_only_what_a_user_can_mend_is_bad_input() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems do not limit address space")
-@pytest.mark.parametrize("command", [["run.py", "seed=0"], ["-m", "framework.report", "."]])
+@pytest.mark.parametrize("command", [["run.py", "seed=0"], ["run.py", "report", "."]])
 def test_too_little_address_space(command: list[str], tmp_path: Path) -> None:
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (700 << 20, 700 << 20))
@@ -190,7 +190,7 @@ def test_a_report_without_memory(
         raise MemoryError("Unable to allocate 9 GiB")
 
     monkeypatch.setattr("framework.report.build.built", fail)
-    assert report([str(tmp_path)]) == 2
+    assert report([str(tmp_path)], "report") == 2
     assert capsys.readouterr().err.startswith("error: memory: expected room")
 
 

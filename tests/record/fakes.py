@@ -108,7 +108,7 @@ def fake_run(
         overrides=(f"+augment={augment}", f"+reg={reg}", f"seed={seed}"),
         scene=SceneInfo(
             scene,
-            "own" if tested else "none",
+            config["scene"].get("split", "own" if tested else "none"),
             fingerprint,
             ("train 00",),
             tuple(v.name for v in views),

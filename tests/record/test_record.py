@@ -252,6 +252,7 @@ def test_an_installed_copy_inside_a_foreign_checkout_has_no_git_state(tmp_path: 
 
 def test_file_names_are_safe_and_distinct() -> None:
     assert file_stems(["a/b", "a b", "../x", ""]) == ["a_b", "a_b-2", "_x", "view"]
+    assert file_stems(["A", "a", "b_truth", "b", "a"]) == ["A", "a-2", "b_truth", "b-2", "a-3"]
 
 
 def test_error_map_scale() -> None:

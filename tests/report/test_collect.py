@@ -222,7 +222,7 @@ def test_a_budget_without_the_baseline_has_no_comparison(tmp_path: Path) -> None
     rate = failure_rate(study, "none + uar, steps=400")  # 6 dB below safi, which is no plain one
     assert rate is not None and rate.failed == 0
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert f"No baseline has their budget, hence compared with nothing: {', '.join(alone)}." in text
+    assert f"No baseline has their budget, hence compared with nothing: {'; '.join(alone)}." in text
 
 
 def test_a_method_is_compared_under_its_own_options(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from framework.report.export import comparisons_tex
 from framework.report.figures import images
 from framework.report.figures.closeup import _window
 from framework.report.figures.images import BESIDE
+from framework.report.figures.stress import panels
 from framework.report.figures.tradeoff import charts
 from framework.report.parts.chart import Band, Chart, Point, Series
 from framework.report.parts.draw import draw
@@ -170,3 +172,30 @@ def test_doses_are_a_section(tmp_path: Path) -> None:
     )
     assert "none + none" not in section
     assert "Hardly tested" in text.partition("## Pictures")[0]
+
+
+def test_no_two_scenes_share_a_file(tmp_path: Path) -> None:
+    """Nor do they on a disk that does not tell letters' case; other names stay as they were."""
+    scenes = ("chair (1)", "chair-1", "Chair 1", "lamp 1", "größe", "grösse")
+    for scene in scenes:
+        for augment in ("none", "safi"):
+            for seed in range(3):
+                run_name = f"{scenes.index(scene)}-{augment}-{seed}"
+                fake_run(tmp_path, augment, seed=seed, scene=scene, run_name=run_name)
+    report = build_report(tmp_path)
+    study = collect(tmp_path)
+    pictures = re.findall(r"^!\[.*\]\((.+)\)$", report.read_text(encoding="utf-8"), re.MULTILINE)
+    assert len({name.lower() for name in pictures}) == len(pictures) > 5 * len(scenes)
+    assert {"images_lamp_1.jpg", "curves_lamp_1.png"} <= {*pictures}
+    assert all((tmp_path / f"{study.file_of('sigma', s)}.jpg").is_file() for s in scenes)
+    build_report(tmp_path, photos=False)
+    assert len(list(tmp_path.glob("images_*"))) == len(scenes)  # `embedded`, under other names
+
+
+def test_no_two_panels_of_stresses_share_a_file(tmp_path: Path) -> None:
+    for scene in ("Chair 1", "chair-1"):
+        for views in (9, 6, 3):
+            name = f"{scene[:2]}{views}"
+            fake_run(tmp_path, scene=scene, condition={"n_views": views}, run_name=name)
+    found = panels(collect(tmp_path))
+    assert len({panel.file.lower() for panel in found}) == 2

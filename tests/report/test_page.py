@@ -11,7 +11,7 @@ import pytest
 
 from framework.records.record import write_failed
 from framework.report import build_report
-from framework.report.page import gallery, markdown
+from framework.report.page import gallery, html, markdown
 from framework.report.study.collect import collect
 from tests.record.fakes import fake_run, make_config
 from tests.report.studies import write_study
@@ -116,3 +116,9 @@ def test_what_is_told_of_one_of_many_scenes_is_folded(
     assert {scene for scene, _ in inside} == {f"scene{i}" for i in range(markdown.MANY)}
     assert not any(re.search(r"^## |<details>", text, re.MULTILINE) for _, text in inside)
     assert not any("Machine: " in text for _, text in inside), "folded: what is about all scenes"
+
+
+def test_no_two_headings_share_a_link() -> None:
+    places = html.Places()
+    names = [places.name(text) for text in ("a", "A", "a 2", "a", "a")]
+    assert names[:2] == ["a", "a_2"] and len({*names}) == len(names)

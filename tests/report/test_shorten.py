@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from framework.report.study.labels import MethodLabel
+from framework.report.study.labels import MethodLabel, joined, listed
 from framework.report.study.shorten import shortened
 
 
@@ -28,3 +28,13 @@ def test_what_tells_names_apart_stays() -> None:
         [],
     )
     assert short("capacity=a, p=1") == (["capacity=a, p=1"], [])
+
+
+def test_names_with_commas_are_told_apart_in_a_list() -> None:
+    """`a, b, steps=300 and c` reads as four methods."""
+    assert listed(["a", "b", "c"], "and") == "a, b and c"
+    assert listed(["a", "b, steps=300", "c"], "and") == "a; b, steps=300 and c"
+    assert joined(["a", "b, steps=300", "c"]) == "a; b, steps=300; c"
+    assert listed(["fern (n_views=3, split=llff)", "fox", "door"], "or").endswith(
+        "llff), fox or door"
+    )

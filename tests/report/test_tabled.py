@@ -16,6 +16,7 @@ from framework.report.study.axes import STRESSES
 from framework.report.study.collect import collect
 from framework.report.study.labels import MethodLabel
 from framework.report.study.tabled import method_label
+from framework.report.text import searched
 from tests.record.fakes import fake_run
 
 
@@ -210,3 +211,45 @@ def test_every_committed_report_opens_with_its_verdict(table: Path) -> None:
     assert all(
         c.method in shown + behind for c in found.comparisons.values() if c.significant
     ) or any(run.level(axis) is not None for run in study.runs for axis in STRESSES)
+
+
+def test_a_scene_with_parentheses_keeps_its_name(tmp_path: Path) -> None:
+    for scene in ("chair (1)", "chair (2)"):
+        for views in (3, 6):
+            name, given = f"{scene[-2]}{views}", {"n_views": views}
+            fake_run(tmp_path / "runs", scene=scene, condition=given, run_name=name)
+    report = build_report(tmp_path / "runs")
+    study, again = collect(tmp_path / "runs"), collect(_table(report, tmp_path / "table"))
+    assert study.scenes == again.scenes and len(study.scenes) == 4
+    assert [again.name_of(s) for s in again.scenes] == [study.name_of(s) for s in study.scenes]
+
+
+def test_a_table_says_that_views_were_held_out(tmp_path: Path) -> None:
+    """So does one of before, which has no column for it, where the split was typed."""
+    for seed in range(2):
+        fake_run(tmp_path / "runs", seed=seed, condition={"split": "llff_held_out"})
+    folder = _table(build_report(tmp_path / "runs"), tmp_path / "table")
+    assert searched.HELD_OUT in build_report(folder).read_text(encoding="utf-8")
+    assert [run.protocol for run in collect(folder).runs] == ["llff_held_out"] * 2
+    assert not collect(folder).split_as_published("embedded")
+    table = folder / "runs.csv"
+    text = table.read_text(encoding="utf-8")
+    before = text.replace("llff_held_out", "").replace(",protocol,", ",other,")
+    table.write_text(before.replace("+reg=none", "+reg=none scene.split=llff_drawn3"))
+    assert {run.protocol for run in collect(folder).runs} == {"llff_drawn3"}
+    table.write_text(before)
+    assert {run.protocol for run in collect(folder).runs} == {""}
+
+
+def test_equal_results_of_all_seeds_are_told(tmp_path: Path) -> None:
+    """They have intervals of no width, which look like certainty."""
+    report = _study(tmp_path / "runs")
+    assert "The same PSNR with every seed" not in report.read_text(encoding="utf-8")
+    rows = [line.split(",") for line in (tmp_path / "runs/runs.csv").read_text().splitlines()]
+    for row in rows[1:]:
+        row[rows[0].index("psnr")] = "21.5" if row[1] == "safi + none" else "20.5"
+    (tmp_path / "table").mkdir()
+    (tmp_path / "table" / "runs.csv").write_text("\n".join(map(",".join, rows)) + "\n")
+    text = build_report(tmp_path / "table").read_text(encoding="utf-8")
+    assert "The same PSNR with every seed: none + none and safi + none on embedded." in text
+    assert "as one of them does not vary" in text and "share too few seeds" not in text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy import stats
 
 from framework.compute.rng import stream
 from framework.report.statistics.breakdown import break_down
+from framework.report.statistics.estimates import spread
 from framework.report.statistics.power import (
     detectable,
     heavy_size,
@@ -20,6 +22,7 @@ from framework.report.statistics.power import (
 )
 from framework.report.statistics.robustness import wilson
 from framework.report.statistics.variance import brown_forsythe, c4, compare_sigmas, mean_deviation
+from framework.report.verdict.steady import steady_sentence
 
 
 def by_seed(values: Sequence[float], first: int = 0) -> dict[int, float]:
@@ -189,3 +192,22 @@ def test_wilson_of_a_textbook() -> None:
     found = wilson(1, 10)
     assert (found.low, found.high) == pytest.approx((0.0179, 0.4042), abs=1e-4)
     assert wilson(0, 10).low == 0 and wilson(10, 10).high == 1
+
+
+def test_a_method_that_seeds_do_not_move() -> None:
+    """The mean of equal numbers is rounded, which made a tiny spread and an absurd ratio of two."""
+    still = dict.fromkeys(range(6), 20.1)
+    moving = {seed: value for seed, value in enumerate((20.0, 21.0, 20.1, 21.1, 20.0, 21.05))}
+    assert np.std([20.1] * 6, ddof=1) > 0 and spread([20.1] * 6).sd == 0.0
+    both = compare_sigmas("a", still, "b", {seed: value + 0.6 for seed, value in still.items()})
+    assert both is not None and both.ratio is None and both.p == 1.0 and not both.significant
+    steadier = compare_sigmas("a", still, "b", moving)
+    looser = compare_sigmas("b", moving, "a", still)
+    assert steadier is not None and looser is not None and steadier.p == looser.p < 0.05
+    told = [
+        steady_sentence(SimpleNamespace(sigmas={c.method: c}))  # type: ignore[arg-type]
+        for c in (steadier, looser, both)
+    ]
+    assert told[0].startswith("Steadier from seed to seed: a varies not at all, and b does (p ")
+    assert told[1].startswith("Less steady from seed to seed: b varies and a does not (p ")
+    assert told[2] == ""

@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from framework.report.figures.forest import forest
 from framework.report.figures.views import choose_views
+from framework.report.statistics.compare import compare
 from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
 from framework.report.text.dose import idle_sentence
 from framework.report.verdict.lead import lead
-from framework.report.verdict.points import points
+from framework.report.verdict.points import evidence, points
 from tests.record.fakes import fake_run
 from tests.report.studies import write_committed
 
@@ -201,3 +205,13 @@ def test_a_single_run_has_no_worst_seed(tmp_path: Path) -> None:
     fake_run(tmp_path, seed=1)
     both = told(tmp_path)[1]
     assert "its worst seed" in both and "0 of 2 runs failed" in both
+
+
+def test_how_names_are_read_is_told_of_pairs_alone() -> None:
+    """Recipes have names of their own."""
+    base = {("fern", seed): 1.0 * seed for seed in range(3)}
+    c = compare("a", {key: 1.1 * value for key, value in base.items()}, "b", base)
+    assert c is not None
+    for method, start in (("corgs_here", "differences are"), ("none + uar", "a method is named")):
+        found: Any = SimpleNamespace(comparisons={method: replace(c, method=method)})
+        assert evidence(found).startswith(f"How to read this: {start}")

@@ -12,11 +12,11 @@ import numpy as np
 
 from framework.records.run_files import ERROR_SCALE
 from framework.report.figures.files import grid_picture
-from framework.report.figures.views import check_size, choose_views, picture, psnr_of
+from framework.report.figures.views import check_size, choose_views, picture, psnr_text
 from framework.report.parts.document import Picture
 from framework.report.parts.grid import Band, Cell, Scale
-from framework.report.study.labels import outside, slug
-from framework.report.study.runs import ReportRun, Study
+from framework.report.study.labels import outside
+from framework.report.study.runs import Study
 
 SHARE = 4  # of the width and height that a crop takes: one part in so many
 FRAME = np.array([255, 215, 0], dtype=np.uint8)
@@ -42,7 +42,7 @@ def draw_closeup(study: Study, scene: str, families: tuple[str, ...]) -> Picture
     renders = [picture(run, view, "render") for run in runs]
     every = [picture(run, view, "render") for run in shown.runs]
     window = _window(every if len(every) > 1 else [truth, *every])
-    names = ["ground truth", *(_title(run, view) for run in runs)]
+    names = ["ground truth", *(f"{run.method}\n{psnr_text(run, view)}" for run in runs)]
     pictures = [truth, *renders]
     whole = [Cell(n, _framed(p, window)) for n, p in zip(names, pictures, strict=True)]
     parts = [Cell("", np.ascontiguousarray(picture[window])) for picture in pictures]
@@ -56,7 +56,7 @@ def draw_closeup(study: Study, scene: str, families: tuple[str, ...]) -> Picture
         seed=" and ".join(map(str, seeds)),
         methods=" and ".join(run.method for run in runs),
     )
-    name, alt = f"closeup_{slug(scene)}", f"Truth and methods close up on {scene}"
+    name, alt = study.file_of("closeup", scene), f"Truth and methods close up on {scene}"
     return grid_picture(study.out_dir, name, [band], alt, caption, in_viewer=False)
 
 
@@ -88,8 +88,3 @@ def _framed(picture: np.ndarray, window: tuple[slice, slice]) -> np.ndarray:
     ):
         framed[edge] = FRAME
     return framed
-
-
-def _title(run: ReportRun, view: str) -> str:
-    psnr = psnr_of(run, view)
-    return f"{run.method}\n{'PSNR infinite' if psnr is None else f'{psnr:.2f} dB'}"

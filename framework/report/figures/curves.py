@@ -10,7 +10,6 @@ from framework.report.figures.views import shown_methods
 from framework.report.parts.chart import MIN_SPAN_DB, Chart, Point, Series
 from framework.report.parts.palette import looks
 from framework.report.statistics.estimates import spread
-from framework.report.study.labels import slug
 from framework.report.study.runs import ReportRun, Study
 
 THIN_SEEDS = 12
@@ -51,7 +50,12 @@ def chart(study: Study, scene: str) -> Chart | None:
         return None
     label = "training time (s, wall clock, without evaluation)"
     return Chart(
-        f"curves_{slug(scene)}", scene, label, "test PSNR (dB)", tuple(series), min_span=MIN_SPAN_DB
+        study.file_of("curves", scene),
+        scene,
+        label,
+        "test PSNR (dB)",
+        tuple(series),
+        min_span=MIN_SPAN_DB,
     )
 
 
@@ -69,11 +73,8 @@ def _series(method: str, look: int, runs: Sequence[Evaluations]) -> list[Series]
 
 def _mean_point(step: int, pairs: Sequence[tuple[float, float]]) -> Point:
     found = spread([psnr for _, psnr in pairs])
-    low = high = found.mean
-    if found.mean_interval is not None:
-        low, high = found.mean_interval.low, found.mean_interval.high
     seconds = sum(second for second, _ in pairs) / len(pairs)
-    return Point(seconds, found.mean, low, high, f"step {step}")
+    return Point(seconds, found.mean, *found.ends, f"step {step}")
 
 
 def evaluations(run: ReportRun) -> Evaluations:

@@ -8,7 +8,6 @@ mean square over the channels, in units of the full range.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -20,13 +19,13 @@ from framework.report.figures.views import (
     check_size,
     choose_views,
     picture,
-    psnr_of,
+    psnr_text,
     shown_methods,
 )
 from framework.report.parts.document import Picture
 from framework.report.parts.grid import COLUMNS, Band, Cell, Scale
 from framework.report.statistics.numbers import significant
-from framework.report.study.labels import outside, slug
+from framework.report.study.labels import outside
 from framework.report.study.runs import ReportRun, Study
 
 KINDS = ("images", "sigma", "closeup")  # begin the names of files of photos and renders
@@ -48,22 +47,22 @@ def draw_images(study: Study, scene: str) -> Picture | None:
         for first in range(0, len(shown.runs), BESIDE):
             runs = shown.runs[first : first + BESIDE]
             renders = [
-                Cell(f"{run.method}\n{_psnr_text(run, view)}", picture(run, view, "render"))
+                Cell(f"{run.method}\n{psnr_text(run, view)}", picture(run, view, "render"))
                 for run in runs
             ]
             errors = [Cell(f"error: {run.method}", picture(run, view, "error")) for run in runs]
             groups += [(truth, *renders), (nothing, *errors)]
         scale = Scale("mean absolute error", "magma", ERROR_SCALE)
         bands.append(Band(f"{outside(view)} ({why})", tuple(groups), scale))
-    name, caption = f"images_{slug(scene)}", _images_caption(shown)
+    name, caption = study.file_of("images", scene), _images_caption(shown)
     return grid_picture(study.out_dir, name, bands, f"Images of {scene}", caption, in_viewer=True)
 
 
-def remove_pictures(out_dir: Path, scenes: Sequence[str]) -> None:
+def remove_pictures(study: Study, scenes: Sequence[str]) -> None:
     """Remove what an earlier report drew, perhaps under other names, but that of these scenes."""
-    kept = {f"{kind}_{slug(scene)}.jpg" for kind in KINDS for scene in scenes}
+    kept = {f"{study.file_of(kind, scene)}.jpg" for kind in KINDS for scene in scenes}
     for kind in KINDS:
-        for path in out_dir.glob(f"{kind}_*.jpg"):
+        for path in study.out_dir.glob(f"{kind}_*.jpg"):
             if path.name not in kept and not path.is_dir():
                 path.unlink()
 
@@ -89,7 +88,7 @@ def draw_sigma_maps(study: Study, scene: str) -> Picture | None:
         f" root mean square over the channels; dark = 0, yellow = {SIGMA_SCALE:g} of the full range"
         " or more. Below each name: root mean square over the pixels and the number of seeds."
     )
-    name, alt = f"sigma_{slug(scene)}", f"Deviation over seeds of {scene}"
+    name, alt = study.file_of("sigma", scene), f"Deviation over seeds of {scene}"
     return grid_picture(study.out_dir, name, bands, alt, caption, in_viewer=False)
 
 
@@ -114,11 +113,6 @@ def _sigma_cell(method: str, runs: Sequence[ReportRun], view: str) -> Cell:
     colours = matplotlib.colormaps[SIGMA_COLORS](np.clip(sigma / SIGMA_SCALE, 0, 1), bytes=True)
     title = f"{method}\nrms {significant(rms)} (n = {len(having)})"
     return Cell(title, np.ascontiguousarray(colours[..., :3]))
-
-
-def _psnr_text(run: ReportRun, view: str) -> str:
-    psnr = psnr_of(run, view)
-    return "PSNR infinite" if psnr is None else f"{psnr:.2f} dB"
 
 
 def _images_caption(shown: ShownViews) -> str:

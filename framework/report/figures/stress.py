@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,8 @@ from framework.report.statistics.estimates import Interval, spread
 from framework.report.statistics.numbers import mean_text
 from framework.report.statistics.outcomes import by_pair
 from framework.report.study.axes import STRESSES, Axis
-from framework.report.study.labels import slug, text_of
+from framework.report.study.files import file_names
+from framework.report.study.labels import text_of
 from framework.report.study.runs import ReportRun, Study
 
 FEWEST_LEVELS = 3
@@ -31,12 +32,13 @@ FEWEST_LEVELS = 3
 @dataclass(frozen=True)
 class Panel:
     """title: the scene with its fixed conditions. levels: strengths, the weakest stress first.
-    runs: by method and level."""
+    runs: by method and level. file: the name of its figure's files."""
 
     title: str
     axis: Axis
     levels: tuple[float, ...]
     runs: dict[str, dict[float, list[ReportRun]]]
+    file: str = ""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,9 @@ def panels_beside(study: Study) -> list[Panel]:
 
 def _found(study: Study) -> tuple[list[Panel], list[Panel]]:
     """All panels, and those with `FEWEST_LEVELS`."""
-    found = [p for axis in STRESSES for p in _panels_along(study, axis)]
+    every = [p for axis in STRESSES for p in _panels_along(study, axis)]
+    names = file_names(panel.title for panel in every)
+    found = [replace(p, file=f"stress_{names[p.title]}_{p.axis.short}") for p in every]
     return found, [panel for panel in found if len(panel.levels) >= FEWEST_LEVELS]
 
 
@@ -130,7 +134,6 @@ def shown_scenes(study: Study, shown: Sequence[Panel]) -> list[str]:
 def charts(study: Study, panel: Panel, found: Sequence[Limit]) -> tuple[Chart, ...]:
     """PSNR and gain against the strength, with 95 % intervals over seeds: those of the sentences.
     found: the `limits` of the study."""
-    name = chart_name(panel)
     reverse = panel.axis.harder < 0
     order = looks(study.methods)
     level = [
@@ -144,7 +147,7 @@ def charts(study: Study, panel: Panel, found: Sequence[Limit]) -> tuple[Chart, .
     label = f"{panel.axis.label}; harder to the right"
     made = [
         Chart(
-            name,
+            panel.file,
             panel.title,
             label,
             "test PSNR (dB)",
@@ -158,7 +161,7 @@ def charts(study: Study, panel: Panel, found: Sequence[Limit]) -> tuple[Chart, .
         y_label = f"gain over {compared_with(study, found)} (dB)"
         made.append(
             Chart(
-                name,
+                panel.file,
                 "",
                 label,
                 y_label,
@@ -170,11 +173,6 @@ def charts(study: Study, panel: Panel, found: Sequence[Limit]) -> tuple[Chart, .
             )
         )
     return tuple(made)
-
-
-def chart_name(panel: Panel) -> str:
-    """Of the figure's files."""
-    return f"stress_{slug(panel.title)}_{panel.axis.short}"
 
 
 def rows(panel: Panel) -> list[dict[str, str]]:
@@ -279,7 +277,4 @@ def _gain_points(limit: Limit) -> tuple[Point, ...]:
 def point(x: float, values: Sequence[float]) -> Point:
     """The mean of `values` with its 95 % interval, at `x`."""
     found = spread(values)
-    low = high = found.mean
-    if found.mean_interval is not None:
-        low, high = found.mean_interval.low, found.mean_interval.high
-    return Point(x, found.mean, low, high, f"n = {found.n}")
+    return Point(x, found.mean, *found.ends, f"n = {found.n}")

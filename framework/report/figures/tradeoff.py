@@ -20,7 +20,6 @@ from framework.report.statistics.compare import Comparison, compare
 from framework.report.statistics.estimates import Spread, spread
 from framework.report.statistics.numbers import average
 from framework.report.statistics.outcomes import by_pair
-from framework.report.study.labels import slug
 from framework.report.study.runs import ReportRun, Study
 
 SAME_COST = 0.02  # costs that differ by less than this share are not worth a chart
@@ -111,12 +110,13 @@ def charts(study: Study, scene: str) -> list[tuple[Chart, ...]]:
     found = entries(study, scene)
     if len(found) < 2:
         return []
-    name = slug(scene)
     label = f"training time (s, {'CPU' if study.by_cpu else 'wall clock'})"
     panels = _panels(found, scene)
-    time = [_chart(study, found, p, f"tradeoff_{name}", label, train_s) for p in panels]
+    time = [
+        _chart(study, found, p, study.file_of("tradeoff", scene), label, train_s) for p in panels
+    ]
     sizes = [
-        _chart(study, found, panel, f"size_{name}", label, cost)
+        _chart(study, found, panel, study.file_of("size", scene), label, cost)
         for label, cost in (("Gaussians", _gaussians), ("file size (MB)", megabytes))
         if differs([cost(entry) for entry in found])
         for panel in panels
@@ -212,7 +212,5 @@ def _capacity(entry: Entry) -> str:
 
 
 def _point(entry: Entry, cost: Callable[[Entry], float]) -> Point:
-    interval, mean = entry.psnr.mean_interval, entry.psnr.mean
-    low, high = (interval.low, interval.high) if interval else (mean, mean)
     note = f"{entry.budget}, " if entry.budget else ""
-    return Point(cost(entry), mean, low, high, f"{note}n = {entry.psnr.n}")
+    return Point(cost(entry), entry.psnr.mean, *entry.psnr.ends, f"{note}n = {entry.psnr.n}")

@@ -138,6 +138,12 @@ def psnr_of(run: ReportRun, view: str) -> float | None:
     return None if math.isnan(run.psnr[view]) else run.psnr[view]
 
 
+def psnr_text(run: ReportRun, view: str) -> str:
+    """That, as below a picture."""
+    psnr = psnr_of(run, view)
+    return "PSNR infinite" if psnr is None else f"{psnr:.2f} dB"
+
+
 def _pick(runs: Sequence[ReportRun]) -> dict[str, str]:
     """View -> why, for the views that all runs have."""
     common = set.intersection(*(set(run.psnr) for run in runs))

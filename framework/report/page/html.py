@@ -25,7 +25,7 @@ from framework.report.parts.document import (
     Text,
 )
 from framework.report.parts.palette import DARK, LIGHT
-from framework.report.study.labels import slug
+from framework.report.study.files import slug
 
 ASSETS = Path(__file__).parent / "assets"
 SCRIPTS = ("base", "link", "tables", "charts", "forest", "viewer", "filter", "start")
@@ -56,14 +56,17 @@ class Places:
     """Where the script draws: elements that count themselves, by kind."""
 
     def __init__(self) -> None:
+        self._names: set[str] = set()
         self._counts: Counter[str] = Counter()
 
     def name(self, text: str) -> str:
         """An id for a heading, for links to it; none twice."""
-        found = slug(text).lower()
-        self._counts[f"#{found}"] += 1
-        n = self._counts[f"#{found}"]
-        return found if n == 1 else f"{found}_{n}"
+        found = name = slug(text).lower()
+        while name in self._names:
+            self._counts[found] += 1
+            name = f"{found}_{self._counts[found] + 1}"
+        self._names.add(name)
+        return name
 
     def next(self, kind: str) -> str:
         """An empty element for the next chart or forest plot of the page's data."""

@@ -47,12 +47,16 @@ def draw(charts: Sequence[Chart]) -> Figure:
         for axes, chart in zip(column, charts, strict=True):
             _draw_chart(axes, chart)
         _draw_legend(figure)
-        # laid out once for all file formats; with an engine left, each would be drawn twice
-        engine = figure.get_layout_engine()
-        assert engine is not None, "the figure was made with one"
-        engine.execute(figure)
-        figure.set_layout_engine(None)
+        lay_out(figure)
     return figure
+
+
+def lay_out(figure: Figure) -> None:
+    """Once for all file formats; with an engine left, each would be drawn twice."""
+    engine = figure.get_layout_engine()
+    assert engine is not None, "the figure was made with one"
+    engine.execute(figure)
+    figure.set_layout_engine(None)
 
 
 def _draw_legend(figure: Figure) -> None:

@@ -14,7 +14,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from framework.report.parts.draw import STYLE, WIDTH
+from framework.report.parts.draw import STYLE, WIDTH, lay_out
 from framework.report.parts.palette import LIGHT, MARKERS, color_index, marker_index
 
 ROW, MARGIN = 0.23, 0.95  # inches, of a row and of all else
@@ -86,10 +86,7 @@ def draw(forest: Forest) -> Figure:
         axes.set_xlabel(forest.x_label, parse_math=False)
         axes.grid(axis="x", alpha=0.3, linewidth=0.6)
         axes.tick_params(axis="y", length=0)
-        engine = figure.get_layout_engine()
-        assert engine is not None, "the figure was made with one"
-        engine.execute(figure)
-        figure.set_layout_engine(None)
+        lay_out(figure)
     return figure
 
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from framework.compute.rng import stream
-from framework.report.statistics.estimates import CONFIDENCE, Interval
+from framework.report.statistics.estimates import CONFIDENCE, Interval, deviation
 
 FEWEST = 5  # fewer values leave hardly any resamples to tell apart
 RESAMPLES = 2000
@@ -28,7 +28,7 @@ def sd_interval(values: Sequence[float]) -> Interval | None:
     n = len(x)
     if n < FEWEST:
         return None
-    sd = float(x.std(ddof=1))
+    sd = deviation(x)
     if sd == 0:
         return None
     picks = stream(0, f"bootstrap/{n}").integers(0, n, (RESAMPLES, n))

@@ -40,6 +40,12 @@ class Spread:
     sd: float | None
     sd_interval: Interval | None
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Of the bar at the mean: its interval, nothing but itself where there is none."""
+        inside = self.mean_interval or Interval(self.mean, self.mean)
+        return inside.low, inside.high
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -73,7 +79,12 @@ def estimate(values: Sequence[float]) -> Estimate:
     if len(values) == 0:
         raise ValueError("estimate: expected at least one value")
     x = np.asarray(values, dtype=np.float64)
-    return Estimate(len(x), float(x.mean()), float(x.std(ddof=1)) if len(x) > 1 else None)
+    return Estimate(len(x), float(x.mean()), deviation(x) if len(x) > 1 else None)
+
+
+def deviation(values: np.ndarray) -> float:
+    """Standard deviation (n - 1); exactly 0 of equal values, whose mean may be rounded."""
+    return float(values.std(ddof=1)) if np.ptp(values) > 0 else 0.0
 
 
 def spread(values: Sequence[float]) -> Spread:

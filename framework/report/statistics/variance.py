@@ -30,6 +30,7 @@ from framework.report.statistics.estimates import (
     SIGNIFICANCE,
     Interval,
     chi2_quantiles,
+    deviation,
     t_quantile,
 )
 from framework.report.statistics.power import (
@@ -45,10 +46,10 @@ MOST_ALIKE = 1 - 1e-9  # a correlation of exactly 1 would leave no noise to test
 
 @dataclass(frozen=True)
 class SigmaComparison:
-    """ratio: sd of `method` / sd of `baseline`, None where one is 0, with its interval; p: of the
-    test. n, other_n: seeds of both. rho: correlation of the pairs that share a seed, None where the
-    samples were compared as independent. tests: how many comparisons `p_joint` and all that follows
-    are corrected for (Bonferroni)."""
+    """ratio: sd of `method` / sd of `baseline`, None where one is 0, with its interval; steadier:
+    whether the first is smaller. p: of the test. n, other_n: seeds of both. rho: correlation of the
+    pairs that share a seed, None where the samples were compared as independent. tests: how many
+    comparisons `p_joint` and all that follows are corrected for (Bonferroni)."""
 
     method: str
     baseline: str
@@ -57,6 +58,7 @@ class SigmaComparison:
     p: float
     n: int
     other_n: int
+    steadier: bool
     rho: float | None = None
     tests: int = 1
 
@@ -100,8 +102,10 @@ def compare_sigmas(
     paired = len(seeds) >= 3
     a = np.array([values[seed] for seed in (seeds if paired else values)], dtype=np.float64)
     b = np.array([others[seed] for seed in (seeds if paired else others)], dtype=np.float64)
-    sd_a, sd_b = float(a.std(ddof=1)), float(b.std(ddof=1))
-    known = functools.partial(SigmaComparison, method, baseline, n=len(a), other_n=len(b))
+    sd_a, sd_b = deviation(a), deviation(b)
+    known = functools.partial(
+        SigmaComparison, method, baseline, n=len(a), other_n=len(b), steadier=sd_a < sd_b
+    )
     if sd_a == 0 or sd_b == 0:
         return known(ratio=None, interval=None, p=brown_forsythe(a, b))
     ratio = sd_a / sd_b
@@ -136,7 +140,7 @@ def mean_deviation(samples: Sequence[Sequence[float]]) -> tuple[float, Interval]
     if not samples or min(len(sample) for sample in samples) < 2:
         return None
     n = np.array([len(sample) for sample in samples], dtype=np.float64)
-    sds = np.array([np.std(sample, ddof=1) for sample in samples]) / c4(n)
+    sds = np.array([deviation(np.asarray(sample)) for sample in samples]) / c4(n)
     mean = float(sds.mean())
     if mean == 0:
         return 0.0, Interval(0.0, 0.0)

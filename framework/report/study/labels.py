@@ -6,12 +6,11 @@ that differs between runs of the same plugin, `trainer.steps`, and so on; the de
 these groups (`USUAL`, of capacities the one that changes nothing) need no name. The seed, what has
 its value (`depth.corruption_seed=${seed}`), the scene, the stresses of
 `framework.report.study.axes` and keys that cannot change a result (`NEUTRAL_KEYS`) are no part of
-it.
+it. An option that a record lacks has its default (`framework.report.study.defaults`).
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections import defaultdict
@@ -23,6 +22,7 @@ from framework.errors import printable_line
 from framework.records.provenance import NEUTRAL_KEYS
 from framework.records.record import METHOD_GROUPS, SceneInfo
 from framework.report.study.axes import BUDGETS, DATA_KEYS, VIEWS
+from framework.report.study.defaults import with_defaults
 from framework.scenes import ALL
 
 NAMED = ("augment", "reg")  # groups every method's name starts with
@@ -44,7 +44,6 @@ VARIANTS = {  # plugins that one option makes another method, as `conf/reg/` nam
 NO_METHOD = ("seed", "scene", "metrics", *NEUTRAL_KEYS)
 WATCHING = ("trainer.evaluations",)  # changes what is told, not what comes out
 UNKNOWN_SCENE = "unknown scene"
-SLUG_LENGTH = 120  # characters
 
 Flat = Mapping[str, Any]
 
@@ -106,8 +105,8 @@ def flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def method_labels(configs: Sequence[Mapping[str, Any]]) -> list[MethodLabel]:
     """The name of each run's method among `configs`; equal configs have equal names."""
     flat = [
-        {RASTERIZER: NUMBA, **_by_variant(_without_idle_options(flatten(config)))}
-        for config in configs
+        {RASTERIZER: NUMBA, **_by_variant(_without_idle_options(config))}
+        for config in with_defaults([flatten(config) for config in configs])
     ]
     keys = [key for key in _keys(flat) if _may_name_a_method(key)]
     keys = _without_followers(keys, flat)
@@ -121,7 +120,10 @@ def scene_labels(
 ) -> list[SceneLabel]:
     """The scene's name; where one name stands for several scenes or conditions, with what tells
     them apart. scenes: None for a run that failed before it was loaded."""
-    flat = [_without_idle_strength(flatten(config)) for config in configs]
+    flat = [
+        _without_idle_strength(config)
+        for config in with_defaults([flatten(config) for config in configs])
+    ]
     names = _scene_names(configs, scenes)
     labels: list[SceneLabel | None] = [None] * len(flat)
     for name in set(names):
@@ -157,11 +159,11 @@ def code(text: str) -> str:
     return f"`{line}`" if line else ""
 
 
-def _without_idle_strength(flat: dict[str, Any]) -> dict[str, Any]:
+def _without_idle_strength(flat: Flat) -> Flat:
     """The strength of no corruption is no condition."""
-    if flat.get("depth.corruption") == "none":
-        flat.pop("depth.strength", None)
-    return flat
+    if flat.get("depth.corruption") != "none":
+        return flat
+    return {key: value for key, value in flat.items() if key != "depth.strength"}
 
 
 def _scene_names(
@@ -306,13 +308,10 @@ def _method_label(config: Flat, told: Sequence[str]) -> MethodLabel:
 def listed(items: Sequence[object], word: str) -> str:
     """`a, b and c`, with `word` before the last one."""
     *most, last = map(str, items)
-    return f"{', '.join(most)} {word} {last}" if most else last
+    return f"{joined(most, beside=last)} {word} {last}" if most else last
 
 
-def slug(text: str) -> str:
-    """`text` as part of a file name; where that would lose letters, with a hash of it."""
-    name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_")
-    if name and text.isascii() and len(name) <= SLUG_LENGTH:
-        return name
-    digest = hashlib.sha256(text.encode("utf-8", "replace")).hexdigest()[:8]
-    return "_".join(filter(None, (name[:SLUG_LENGTH], digest)))
+def joined(items: Sequence[str], beside: str = "") -> str:
+    """`a, b`; `a; b, steps=300` where a name, or one `beside` them, has a comma of its own."""
+    own = any("," in re.sub(r"\(.*?\)", "", item) for item in (*items, beside))
+    return ("; " if own else ", ").join(items)

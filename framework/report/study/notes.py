@@ -25,6 +25,7 @@ def notes(unique: Sequence[ReportRun], runs: Sequence[Run]) -> list[str]:
     return [
         *_repeat_notes(unique),
         *_equal_notes(unique),
+        *_still_notes(unique),
         *_code_notes(runs),
         *_machine_notes(unique),
         *_busy_notes(unique),
@@ -90,6 +91,28 @@ def _equal_notes(runs: Sequence[ReportRun]) -> list[str]:
     return told
 
 
+def _still_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """Methods that seeds do not move: an interval over them is of no width, and of no chance."""
+    cells: dict[tuple[str, str], list[float | None]] = defaultdict(list)
+    for run in runs:
+        cells[run.scene, run.method].append(run.mean("psnr"))
+    found: dict[str, list[str]] = defaultdict(list)
+    for (scene, method), values in cells.items():
+        if len(values) > 1 and None not in values and len(set(values)) == 1:
+            found[scene].append(method)
+    if not found:
+        return []
+    told = "; ".join(f"{_some_names(methods)} on {scene}" for scene, methods in found.items())
+    return [
+        f"The same PSNR with every seed: {told}. Repeats say nothing about chance there, and what"
+        " is made of them alone has an interval of no width."
+    ]
+
+
+def _some_names(methods: Sequence[str]) -> str:
+    return listed(methods, "and") if len(methods) <= MOST_NAMED else f"{len(methods)} methods"
+
+
 def _seeds(seeds: Sequence[int]) -> str:
     return f"seed{'s' if len(seeds) > 1 else ''} {listed(seeds, 'and')}"
 
@@ -153,8 +176,7 @@ def _machine_notes(runs: Sequence[ReportRun]) -> list[str]:
 def _some_of(methods: Sequence[str]) -> str:
     """`5 runs of dba + none and none + none`, of many methods how many."""
     names = list(dict.fromkeys(methods))
-    of = listed(names, "and") if len(names) <= MOST_NAMED else f"{len(names)} methods"
-    return f"{len(methods)} run{'s' if len(methods) > 1 else ''} of {of}"
+    return f"{len(methods)} run{'s' if len(methods) > 1 else ''} of {_some_names(names)}"
 
 
 def _exposure_notes(runs: Sequence[ReportRun]) -> list[str]:

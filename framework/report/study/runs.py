@@ -14,8 +14,10 @@ from framework.metrics.values import Missing
 from framework.records.record import Run, RunRecord
 from framework.records.search import Searched
 from framework.report.study.axes import Axis
+from framework.report.study.files import file_names
 from framework.report.study.labels import MethodLabel, SceneLabel, listed, outside
 from framework.report.study.order import BASELINE, method_order, natural
+from framework.report.study.tabled import PROTOCOL
 from framework.scenes import published_split
 
 MOST_LISTED = 8  # scenes that are named one by one in a sentence
@@ -51,6 +53,12 @@ class ReportRun:
         """Mean of a metric over the test views; None where it is missing."""
         value = self.record.summary.get(metric, Missing("not measured"))
         return None if isinstance(value, Missing) else float(value)
+
+    @property
+    def protocol(self) -> str:
+        """The rule by which views train and test; "" where a table does not tell it."""
+        scene = self.record.scene
+        return scene.protocol if scene else str(self.record.provenance.get(PROTOCOL, ""))
 
     @property
     def tested(self) -> bool:
@@ -175,6 +183,11 @@ class Study:
         """Whether to compare the CPU seconds of trainings: other programs ran beside some."""
         return any(run.disturbed for run in self.runs)
 
+    @cached_property
+    def has_budgets(self) -> bool:
+        """Whether methods ran with several budgets, of which time decides."""
+        return any(run.method_label.budget for run in self.runs)
+
     @property
     def has_plain(self) -> bool:
         """Whether the baseline is `none + none`, perhaps with options of its own."""
@@ -224,6 +237,15 @@ class Study:
             run for run in self.runs if scene in (None, run.scene) and method in (None, run.method)
         ]
 
+    @cached_property
+    def _files(self) -> dict[str, str]:
+        """Scene -> its part in the names of files."""
+        return file_names(self.scenes)
+
+    def file_of(self, kind: str, scene: str) -> str:
+        """The name, without its ending, of a figure of this kind of a scene; no other has it."""
+        return f"{kind}_{self._files[scene]}"
+
     def name_of(self, scene: str) -> str:
         """The name in its record of a scene with this label."""
         return next(run.scene_label.name for run in self.runs if run.scene == scene)
@@ -247,8 +269,8 @@ class Study:
 
     def split_as_published(self, scene: str) -> bool:
         """Whether the photos of a scene are shared out by a rule that papers use."""
-        infos = [run.record.scene for run in self.runs if run.scene == scene]
-        return all(info is None or published_split(info.protocol) for info in infos)
+        known = {run.protocol for run in self.of(scene)} - {""}
+        return all(published_split(name) for name in known)
 
     def folder_of(self, run_dir: Path) -> str:
         """`run_dir` as seen from the report."""

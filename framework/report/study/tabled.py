@@ -32,10 +32,13 @@ ALSO = "also."  # begins the columns of what plugins measured
 DOSE = "dose."  # and those of what the method did while it trained
 CODE = "code"  # the column that tells of which code a run is
 TOLD = "told"  # in the provenance of such a run: that column's text
+PROTOCOL = "protocol"  # the column, and there, that tells which views trained and which tested
 NEEDED = ("scene", "method", "seed", "psnr", "gaussians", "parameters", "train_wall_s", "run")
-TOLD_BESIDE = ("ply_bytes", "parameters_sha256", CODE, "cpu", "overrides")
+TOLD_BESIDE = ("ply_bytes", "parameters_sha256", PROTOCOL, CODE, "cpu", "overrides")
 MEASURED = (*METRICS, *NEEDED, "train_cpu_s", *TOLD_BESIDE)
+SPLIT = "scene.split"
 MOST_GAUSSIANS = 10**9
+CONDITIONS = re.compile(r" \((?=[\w.]+=|[0-9a-f]{8}\)$)")  # begins what follows a scene's name
 PARTS = re.compile(r", (?=[\w.]+=)")  # between the parts of a method's name
 Row = Mapping[str, str]
 
@@ -83,7 +86,7 @@ def _run(folder: Path, row: Row) -> tuple[Run, MethodLabel, SceneLabel]:
     scene, method = outside(row["scene"]), outside(row["method"])
     if not scene or not method or row["run"] in ("", ".", ".."):
         raise ValueError("a run without scene, method or name")
-    name = scene.partition(" (")[0]
+    name = CONDITIONS.split(scene, maxsplit=1)[0]
     flat = {key: _value(cell) for key, cell in row.items() if key not in MEASURED and cell}
     flat = {key: value for key, value in flat.items() if not key.startswith((ALSO, DOSE))}
     label = SceneLabel(scene, name, {key: flat[key] for key in DATA_KEYS if key in flat})
@@ -142,7 +145,14 @@ def _record(row: Row, flat: Mapping[str, Any]) -> RunRecord:
 def _provenance(row: Row) -> dict[str, Any]:
     cpu, _, cores = outside(row.get("cpu", "")).rpartition(", ")
     machine = {"cpu": cpu, "cores": cores.removesuffix(" cores")} if cpu else {}
-    return {TOLD: outside(row.get(CODE, "")), **machine}
+    return {TOLD: outside(row.get(CODE, "")), PROTOCOL: _protocol(row), **machine}
+
+
+def _protocol(row: Row) -> str:
+    """Tables of before have no column for it, and tell of a split that was typed; "" of others."""
+    typed = [w for w in row.get("overrides", "").split() if w.lstrip("+").startswith(f"{SPLIT}=")]
+    told = typed[-1].partition("=")[2] if typed else ""
+    return outside(row.get(PROTOCOL) or row.get(SPLIT) or told)
 
 
 def _bands(gaussians: int, parameters: int) -> tuple[int, int]:

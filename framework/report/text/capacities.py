@@ -66,7 +66,7 @@ def in_verdict(found: Sequence[Contest]) -> str:
     alike = [
         f"{_bare(c.capacity)} ({_size(c)})" for c in sorted(rest, key=_difference, reverse=True)
     ]
-    hidden = could_hide([c.comparison for c in rest])
+    hidden = could_hide(c.comparison.joint for c in rest)
     others = f" Not told apart from it: {'; '.join(alike)}.{hidden}" if alike else ""
     base = _bare(known[0].against)
     return f"How many Gaussians, compared with capacity {base}: really different: {told}.{others}"

@@ -8,7 +8,7 @@ from collections import defaultdict
 
 from framework.metrics.values import METRICS, Missing
 from framework.report.parts.document import Block, Bullets, Heading, Text, table
-from framework.report.study.labels import code, listed, outside
+from framework.report.study.labels import code, joined, listed, outside
 from framework.report.study.names import NAMES, own_metrics
 from framework.report.study.runs import DAMAGED, FailedRun, Study
 from framework.report.text import searched
@@ -28,18 +28,18 @@ def gap_notes(study: Study, pooled: bool = True) -> list[Block]:
     texts = [f"{' and '.join(counts)}: listed below."] if counts else []
     unfinished = sorted(set(study.tried) - set(study.methods))
     if unfinished:
-        texts.append(f"No run finished of {', '.join(unfinished)}.")
+        texts.append(f"No run finished of {joined(unfinished)}.")
     untested = [scene for scene in study.scenes if scene not in study.tested]
     if untested and study.tested:
-        texts.append(f"Not tested (scene.split=none), hence not compared: {', '.join(untested)}.")
+        texts.append(f"Not tested (scene.split=none), hence not compared: {joined(untested)}.")
     everywhere = len(study.tested) if pooled else 0
     on = {m: {run.scene for run in study.of(method=m) if run.tested} for m in study.methods}
     partial = [method for method, scenes in on.items() if len(scenes) < everywhere]
     if partial:
         texts.append(
-            f"Not on every scene, hence left out of the mean over scenes: {', '.join(partial)}."
+            f"Not on every scene, hence left out of the mean over scenes: {joined(partial)}."
         )
-    if any(run.record.scene.protocol.endswith(HELD_OUT) for run in study.runs if run.record.scene):
+    if any(run.protocol.endswith(HELD_OUT) for run in study.runs):
         texts.append(searched.HELD_OUT)
     if study.rival and study.searched is None:
         bases = study.baselines
@@ -50,7 +50,7 @@ def gap_notes(study: Study, pooled: bool = True) -> list[Block]:
     elif study.searched is None and len(study.methods) > 1 and not study.has_plain:
         texts.append(f"No run of `none + none`: the others are compared with {study.baseline}.")
     if study.searched is None and study.without_baseline:
-        alone = ", ".join(study.without_baseline)
+        alone = joined(study.without_baseline)
         texts.append(f"No baseline has their budget, hence compared with nothing: {alone}.")
     return [Text(text, "note") for text in (*texts, *study.notes)]
 

@@ -7,7 +7,7 @@ draw: corrected for all comparisons of the report.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from framework.report.statistics.compare import Comparison, compare
@@ -58,12 +58,12 @@ def _use(study: Study, found: Outcomes, budget: str) -> str:
     best = found.best
     if best != study.baseline:
         c = found.comparisons[best]
-        timed = has_budgets(study) and comparable(study)
+        timed = study.has_budgets and comparable(study)
         less = "; what to use for less time stands below" if timed else ""
         return f"Use {best}: it {amount(c)} against {plainly(c.baseline)} {where(study, c)}{less}."
     if study.rival and not _others(study, found, ""):  # what somebody named is no advice
         return f"Nothing was shown to be better than {plainly(best)} {where(study)}."
-    if has_budgets(study):
+    if study.has_budgets:
         base = plainly(study.families[0])
         # of one family there are only budgets, which the next lines compare
         other = _others(study, found, NOT_BETTER_EQUAL) if len(study.families) > 1 else ""
@@ -107,7 +107,7 @@ def _than(study: Study, tested: Sequence[Comparison]) -> str:
     bases = {c.baseline for c in tested}
     if len(bases) == 1:
         return f" from {bases.pop()}"
-    return " at an equal budget" if has_budgets(study) and len(study.families) > 1 else ""
+    return " at an equal budget" if study.has_budgets and len(study.families) > 1 else ""
 
 
 def _base_families(study: Study, tested: Sequence[Comparison]) -> set[str]:
@@ -119,23 +119,25 @@ def alike(study: Study, found: Outcomes) -> str:
     """Who is not told apart from the advised one, by name, and how large a difference the study
     may have missed."""
     tested = compared(found)
-    if has_budgets(study):
+    if study.has_budgets:
         rest = [c for c in tested if not c.significant]
+        hidden = could_hide(c.joint for c in rest)
         families = "; ".join(_by_family(study, rest, tested))
-        told = f"Not told apart{_than(study, tested)}: {families}.{could_hide(rest)}"
+        told = f"Not told apart{_than(study, tested)}: {families}.{hidden}"
         return told if rest else ""
     rest = not_told_apart(study, found, tested) if tested else []
     if not rest:
         return ""
     named = [f"{c.method} {c.difference:+z.2f} dB ({inside(c.joint)})" for c in rest[:MOST_NAMED]]
+    hidden = could_hide(c.joint for c in rest)
     more = len(rest) - MOST_NAMED
     named += [f"{more} more under Comparisons"] if more > 0 else []
-    return f"Not told apart from {rest[0].baseline}: {'; '.join(named)}.{could_hide(rest)}"
+    return f"Not told apart from {rest[0].baseline}: {'; '.join(named)}.{hidden}"
 
 
-def could_hide(rest: Sequence[Comparison]) -> str:
+def could_hide(intervals: Iterable[Interval | None]) -> str:
     """The largest difference that the intervals of what is not told apart leave open."""
-    most = max((max(-c.joint.low, c.joint.high) for c in rest if c.joint), default=0.0)
+    most = max((max(-own.low, own.high) for own in intervals if own), default=0.0)
     return f" A difference of up to {significant(most)} dB could hide." if most >= LEAST_DB else ""
 
 
@@ -175,11 +177,6 @@ def _against(study: Study, found: Outcomes, best: str) -> list[Comparison]:
 
 def _difference(c: Comparison) -> float:
     return c.difference
-
-
-def has_budgets(study: Study) -> bool:
-    """Whether methods ran with several budgets, of which time decides."""
-    return any(run.method_label.budget for run in study.runs)
 
 
 def one_machine(study: Study, scene: str) -> bool:

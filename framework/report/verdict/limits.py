@@ -8,8 +8,9 @@ from collections.abc import Callable, Sequence
 from framework.report.figures.stress import Limit, Panel
 from framework.report.statistics.numbers import average, interval_text, significant
 from framework.report.study.axes import Axis
-from framework.report.study.labels import listed
+from framework.report.study.labels import joined, listed
 from framework.report.study.runs import ReportRun
+from framework.report.verdict.lead import could_hide
 
 
 def verdict(found: Sequence[Limit], baseline: str) -> str:
@@ -36,12 +37,10 @@ def behind(found: Sequence[Limit], steady: str = "") -> list[str]:
     clear = {limit.method for limit in found if limit.found.significant}
     rest = [limit for limit in found if limit.method not in clear]
     alike = list(dict.fromkeys(limit.method for limit in rest))
-    inside = [own for limit in rest for _, own in limit.gains if own is not None]
-    most = max((max(-own.low, own.high) for own in inside), default=0.0)
-    hidden = f" A difference of up to {significant(most)} dB could hide." if most > 0 else ""
+    hidden = could_hide(own for limit in rest for _, own in limit.gains)
     said = [f"Really different: {'; '.join(told) or 'nobody'}."]
     if alike:
-        said.append(f"Not told apart at any strength: {', '.join(alike)}.{hidden}")
+        said.append(f"Not told apart at any strength: {joined(alike)}.{hidden}")
     return [*said, *([steady] if steady else [])]
 
 

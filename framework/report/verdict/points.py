@@ -22,7 +22,6 @@ from framework.report.verdict.lead import (
     amount,
     compared,
     different,
-    has_budgets,
     inside,
 )
 from framework.report.verdict.steady import steady_sentence
@@ -82,9 +81,10 @@ def evidence(found: Outcomes) -> str:
     seeds = f"{most}" if fewest == most else f"{fewest} to {most}"
     widened = max(c.tests for c in tested)  # with those that only several scenes can test
     once = f", widened to hold for all {widened} comparisons at once" if widened > 1 else ""
+    pairs = any(" + " in c.method for c in tested)  # others have the names of their recipes
+    named = f"a method is named augmenter + regularizer{_meanings(tested)}. D" if pairs else "d"
     return (
-        f"How to read this: a method is named augmenter + regularizer{_meanings(tested)}."
-        " Differences are of PSNR in"
+        f"How to read this: {named}ifferences are of PSNR in"
         " views that were not trained on, between runs of the same seed. In brackets: where the"
         f" true difference lies with 95 % confidence, from {seeds} seeds{once}; the thick bars"
         " below are the same. Really different: that range excludes zero. Not told apart: it"
@@ -149,7 +149,7 @@ def _cost(study: Study, found: Outcomes) -> str:
     """Training time and size of what to use beside those of its baseline."""
     if not found.psnr:
         return ""
-    if has_budgets(study):
+    if study.has_budgets:
         return _cost_of_budgets(study, found)
     best = found.best
     methods = list(dict.fromkeys([best, study.baseline_of(best)]))
@@ -177,10 +177,10 @@ def _cost_of_budgets(study: Study, found: Outcomes) -> str:
 
 
 def cost_of(runs: Sequence[ReportRun]) -> str:
-    """`9.8 s (9.5 s of CPU) and 16128 Gaussians (226 k parameters)`, means over the runs."""
+    """`9.8 s (9.5 s of CPU) and 16,128 Gaussians (226 k parameters)`, means over the runs."""
     seconds = mean_text([run.record.train_s for run in runs], 1)
     cpu = mean_text([run.record.train_cpu_s for run in runs], 1)
-    gaussians = mean_text([float(run.record.gaussians) for run in runs], 0)
+    gaussians = f"{average([float(run.record.gaussians) for run in runs]) or 0:,.0f}"
     parameters = mean_text([run.record.parameters / 1000 for run in runs], 0)
     return f"{seconds} s ({cpu} s of CPU) and {gaussians} Gaussians ({parameters} k parameters)"
 
@@ -202,7 +202,7 @@ def weakest(study: Study, found: Outcomes) -> str:
     if not found.psnr:
         return ""
     best = found.best
-    if best == study.baseline_of(best) and has_budgets(study):  # its best budget
+    if best == study.baseline_of(best) and study.has_budgets:  # its best budget
         own = {run.method for run in study.runs if run.method_label.family == study.families[0]}
         best = _quick_and_good(study, found, own & found.psnr.keys()) or best
     means = {

@@ -1,4 +1,4 @@
-"""`python -m framework.report DIR [DIR ...]`: rebuild a report from the records of its runs.
+"""`fishersplat report DIR [DIR ...]`: rebuild a report from the records of its runs.
 
 Several folders are reported as one study; `--out` says where that report goes.
 """
@@ -18,7 +18,7 @@ from framework.errors import (
 from framework.files.limits import check_address_space
 
 
-def main(arguments: list[str] | None = None, prog: str = "python -m framework.report") -> int:
+def main(arguments: list[str], prog: str) -> int:
     """Exit status: 0, or 2 with one line on stderr for bad input, or where no run has finished."""
     parser = Arguments(prog=prog, description=__doc__)
     parser.add_argument(
@@ -88,7 +88,3 @@ def _check_place(out_dir: Path) -> None:
             f"{out_dir}: expected the folder of a study for its report, got one of its runs; give"
             f" {study}, or --out DIR"
         )
-
-
-if __name__ == "__main__":
-    sys.exit(main())
