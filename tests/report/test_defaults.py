@@ -69,5 +69,5 @@ def test_a_scene_that_lacks_an_option_is_the_one_with_the_default() -> None:
 
 def test_no_plugin_is_looked_for_where_nothing_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     """It takes time, and a report has to come from records alone."""
-    monkeypatch.setattr(defaults, "discover", lambda: 1 / 0)
+    monkeypatch.setattr(defaults, "lookup", lambda *_: 1 / 0)
     assert _names([make_config("safi"), make_config()]) == ["safi + none", "none + none"]
