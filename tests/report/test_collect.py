@@ -223,6 +223,8 @@ def test_a_budget_without_the_baseline_has_no_comparison(tmp_path: Path) -> None
     assert rate is not None and rate.failed == 0
     text = build_report(tmp_path).read_text(encoding="utf-8")
     assert f"No baseline has their budget, hence compared with nothing: {'; '.join(alone)}." in text
+    (verdict,) = [line for line in text.splitlines() if line.startswith("**Use none + none ")]
+    assert " rather safi + none, steps=400 (" in verdict and " with safi" not in verdict
 
 
 def test_a_method_is_compared_under_its_own_options(tmp_path: Path) -> None:

@@ -47,18 +47,22 @@ def in_verdict(study: Study) -> str:
     if not comparable(study):
         return ""
     found = entries(study, study.tested[0]) if len(study.tested) == 1 else []
-    limits: dict[str, list[str]] = {}
+    own: dict[str, list[str]] = {}
+    others: dict[str, list[str]] = {}
     for limit in LIMITS_S:
         best = _choice(study, found, limit)
         if best is not None:
-            own = best.family == study.families[0]
             size = f"({best.train_s:.1f} s, {best.gaussians:,.0f} Gaussians)"
-            budget = f"{best.budget if own else best.method} {size}"
-            limits.setdefault(budget, []).append(f"{limit:g}")
-    if len(limits) == 1:
-        return f" with {next(iter(limits))}"
-    told = [f"{budget} within {listed(some, 'or')} s" for budget, some in limits.items()]
-    return f" with {'; '.join(told)}" if told else " at the budget that suits you (below)"
+            if best.family == study.families[0]:
+                own.setdefault(f"{best.budget} {size}", []).append(f"{limit:g}")
+            else:
+                others.setdefault(f"{best.method} {size}", []).append(f"{limit:g}")
+    if len(own) == 1 and not others:
+        return f" with {next(iter(own))}"
+    told = [f"{budget} within {listed(some, 'or')} s" for budget, some in own.items()]
+    rather = [f"within {listed(some, 'or')} s rather {name}" for name, some in others.items()]
+    text = f" with {'; '.join(told)}" if told else ""
+    return "; ".join([text, *rather]) or " at the budget that suits you (below)"
 
 
 def _choice(study: Study, found: Sequence[Entry], limit_s: float) -> Entry | None:
