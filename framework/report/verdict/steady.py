@@ -6,6 +6,8 @@ from framework.report.statistics.numbers import p_text, significant, spanned
 from framework.report.statistics.outcomes import Outcomes
 from framework.report.statistics.variance import SigmaComparison
 
+HARDLY = 0.1  # a test that finds no spread above this share of another's says next to nothing
+
 
 def steady_sentence(found: Outcomes) -> str:
     """Which method's deviation over seeds (σ) differs from the baseline's; where none is shown to,
@@ -28,10 +30,13 @@ def _nobody(found: Outcomes) -> str:
     start = f"Steadier from seed to seed: nobody is shown to be. With {seeds}"
     if c.detectable is None:
         return f"{start} no difference in spread could have been noticed, however large."
-    return (
-        f"{start} a spread (σ) had to be below {significant(c.detectable)} times that of"
-        f" {c.baseline} to be noticed 8 times in 10."
-    )
+    least = f"below {significant(c.detectable)} times that of {c.baseline}"
+    if c.detectable < HARDLY:
+        return (
+            f"{start} that says next to nothing: only a spread (σ) {least} would be noticed 8 times"
+            " in 10."
+        )
+    return f"{start} a spread (σ) had to be {least} to be noticed 8 times in 10."
 
 
 def _listed(clear: list[SigmaComparison]) -> str:
