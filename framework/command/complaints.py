@@ -56,6 +56,11 @@ def composing() -> Iterator[None]:
     except USER_ERRORS:
         raise
     except (ValueError, RecursionError) as error:
+        if str(error).startswith("Config group override must be a string"):
+            raise UserError(
+                "command line: expected a name behind a group's =, as preset=paper, got null or a"
+                " number; to choose nothing leave the group out, in a command of its own"
+            ) from error
         raise UserError(
             f"command line: expected options of the configuration, got what Hydra refuses"
             f" ({printable_line(str(error))[:160]}); --help tells what there is"
