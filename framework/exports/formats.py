@@ -158,6 +158,8 @@ def _for_gsply(gaussians: Gaussians) -> Any:
     """The same values as gsply holds them."""
     import gsply
 
+    from framework.types import degree_of
+
     n, rest = len(gaussians), gaussians.shN.shape[1]
     bands: Any = gaussians.shN.numpy() if rest else None
     return gsply.GSData(
@@ -167,7 +169,7 @@ def _for_gsply(gaussians: Gaussians) -> Any:
         opacities=gaussians.opacity_logits.numpy(),
         sh0=gaussians.sh0.reshape(n, 3).numpy(),
         shN=bands,
-        _format=gsply.create_ply_format(gaussians.sh_degree),
+        _format=gsply.create_ply_format(degree_of(rest)),
     )
 
 

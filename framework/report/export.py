@@ -12,7 +12,8 @@ from framework.report.statistics.estimates import Interval
 from framework.report.statistics.numbers import interval_text, p_text, signed
 from framework.report.statistics.outcomes import Outcomes
 from framework.report.study.axes import VIEWS
-from framework.report.study.labels import outside
+from framework.report.study.defaults import with_defaults
+from framework.report.study.labels import flatten, outside
 from framework.report.study.runs import ReportRun, Study
 from framework.report.study.tabled import ALSO, CODE, DOSE, PROTOCOL
 from framework.report.text.provenance import code_of
@@ -32,9 +33,8 @@ def runs_csv(study: Study) -> str:
     import pandas as pd
 
     measured = pd.DataFrame([_measured(run) for run in study.runs])
-    options = pd.json_normalize([dict(run.record.config) for run in study.runs]).drop(
-        columns=["seed", *NEUTRAL_KEYS], errors="ignore"
-    )
+    told = with_defaults([flatten(run.record.config) for run in study.runs])
+    options = pd.DataFrame(told).drop(columns=["seed", *NEUTRAL_KEYS], errors="ignore")
     # an option that only some methods have differs too
     if VIEWS in options:  # `all` of them by their number, as a table has no scene to count in
         counted = [run.scene_label.data.get(VIEWS) for run in study.runs]

@@ -13,6 +13,7 @@ import numpy as np
 from framework.errors import UserError, require
 from framework.files.opened import is_file
 from framework.files.paths import inside
+from framework.records import RUN_FOLDERS
 from framework.records.cameras import NEAR, TRANSFORMS
 from framework.records.photos import photo_files
 from framework.records.ply import Splats, read_splats
@@ -56,7 +57,7 @@ def find_run(path: Path) -> Path:
         f"{path}: expected the folder of a run, found {'a file' if path.exists() else 'nothing'};"
         f" it is the one that holds {RECORD}, as {USUAL}",
     )
-    found = sorted(record.parent for record in path.glob(f"runs/*/{RECORD}"))
+    found = sorted(record.parent for record in path.glob(f"{RUN_FOLDERS}/*/{RECORD}"))
     names = ", ".join(str(run) for run in found[:FEW]) + (" ..." if len(found) > FEW else "")
     got = (
         f"{len(found)} runs; name one: {names}"

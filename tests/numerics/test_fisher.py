@@ -134,6 +134,19 @@ def test_what_a_mask_leaves_out_tells_nothing(seed: int) -> None:
             information(case, mask=wrong)
 
 
+def test_what_does_not_fit_is_refused() -> None:
+    """The kernels check no bounds."""
+    case = scene(0)
+    for wrong in (
+        case.gaussians.map(Tensor.double),
+        case.gaussians.replace(sh0=torch.zeros(1, 1, 3)),
+    ):
+        with pytest.raises(UserError):
+            fisher_information(wrong, case.camera)
+    with pytest.raises(UserError, match="background"):
+        fisher_information(case.gaussians, case.camera, background=torch.zeros(4))
+
+
 @pytest.mark.parametrize(("length", "width"), [(0.5, 0.01), (2.0, 0.003), (8.0, 0.002)])
 def test_needles(length: float, width: float) -> None:
     """Up to hundreds of pixels long and thinner than one: what they tell about each of their

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from framework.records.record import SceneInfo
+from framework.report.export import runs_csv
+from framework.report.figures import stress
 from framework.report.study import defaults
+from framework.report.study.collect import collect
 from framework.report.study.defaults import BEFORE
-from framework.report.study.labels import method_labels, scene_labels
+from framework.report.study.labels import method_labels, scene_labels, text_of
 from plugins.augment.safi import Safi
 from plugins.regularize.uar import Uar
-from tests.record.fakes import make_config
+from tests.record.fakes import fake_run, make_config
 
 
 def _names(configs: Sequence[dict[str, Any]]) -> list[str]:
@@ -50,11 +54,36 @@ def test_the_trainer_has_defaults_or_what_it_did_before() -> None:
     same, other = (make_config(trainer={**old["trainer"], "visits": visits}) for visits in (0, 4))
     assert _names([old, same]) == ["none + none"] * 2
     assert _names([old, same, other]) == [f"none + none, visits={n}" for n in (0, 0, 4)]
-    later = make_config(trainer={**old["trainer"], "binocular": 1.0})
-    names = [f"none + none, trainer.binocular={v}" for v in (BEFORE["binocular"], 1.0)]
-    assert _names([old, later]) == names == ["none + none, trainer.binocular=0.0", names[1]]
     single = {key: value for key, value in old["trainer"].items() if key != "members"}
     assert _names([old, make_config(trainer=single)]) == ["none + none"] * 2
+
+
+def test_what_was_done_before_an_option_that_acts_by_default() -> None:
+    """A record that lacks it is none of today's default; so of every such option."""
+    for (group, plugin), values in BEFORE.items():
+        of_group = {"name": plugin} if plugin else {}
+        for key, before in values.items():
+            old, new, same = (
+                make_config() | {group: {**make_config().get(group, {}), **of_group, **more}}
+                for more in ({}, {key: 7}, {key: before})
+            )
+            if key in old[group]:
+                del old[group][key]
+            names = _names([old, new, same])
+            assert names[0] == names[2] != names[1], (group, plugin, key)
+            assert f"{key}={text_of(before)}" in names[0], names
+
+
+def test_the_table_has_what_the_names_have(tmp_path: Path) -> None:
+    """Else a report built from it has other conditions than that of the records."""
+    for noise in (None, 1.0, 2.0):
+        more = {} if noise is None else {"pose_noise": noise}
+        fake_run(tmp_path, condition=more, run_name=f"noise{noise}")
+    (tmp_path / "table").mkdir()
+    table = tmp_path / "table" / "runs.csv"
+    table.write_text(runs_csv(collect(tmp_path)), encoding="utf-8")
+    of_records, of_table = (stress.panels(collect(f)) for f in (tmp_path, table.parent))
+    assert [p.levels for p in of_records] == [p.levels for p in of_table] == [(0.0, 1.0, 2.0)]
 
 
 def test_a_scene_that_lacks_an_option_is_the_one_with_the_default() -> None:

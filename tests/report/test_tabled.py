@@ -239,6 +239,8 @@ def test_a_table_says_that_views_were_held_out(tmp_path: Path) -> None:
     assert {run.protocol for run in collect(folder).runs} == {"llff_drawn3"}
     table.write_text(before)
     assert {run.protocol for run in collect(folder).runs} == {""}
+    table.write_text(text.replace(",protocol,", ",scene.split,"))
+    assert {run.protocol for run in collect(folder).runs} == {"llff_held_out"}
 
 
 def test_equal_results_of_all_seeds_are_told(tmp_path: Path) -> None:

@@ -10,8 +10,9 @@ import pytest
 from scipy import stats
 
 from framework.compute.rng import stream
+from framework.report.statistics.bootstrap import sd_interval
 from framework.report.statistics.breakdown import break_down
-from framework.report.statistics.estimates import spread
+from framework.report.statistics.estimates import Interval, spread
 from framework.report.statistics.power import (
     detectable,
     heavy_size,
@@ -199,6 +200,8 @@ def test_a_method_that_seeds_do_not_move() -> None:
     still = dict.fromkeys(range(6), 20.1)
     moving = {seed: value for seed, value in enumerate((20.0, 21.0, 20.1, 21.1, 20.0, 21.05))}
     assert np.std([20.1] * 6, ddof=1) > 0 and spread([20.1] * 6).sd == 0.0
+    assert mean_deviation([[20.1] * 6]) == (0.0, Interval(0.0, 0.0))
+    assert sd_interval([20.1] * 6) is None
     both = compare_sigmas("a", still, "b", {seed: value + 0.6 for seed, value in still.items()})
     assert both is not None and both.ratio is None and both.p == 1.0 and not both.significant
     steadier = compare_sigmas("a", still, "b", moving)

@@ -1,5 +1,6 @@
 """What a record says that was written before an option existed: nothing, so the option's default
-counts. Then it is the same method as a new run with that value, and another one than with another.
+counts, or what was done before where that is another. Then it is the same method as a new run with
+that value, and another one than with another.
 """
 
 from __future__ import annotations
@@ -15,9 +16,16 @@ from framework.registry import GROUPS, JOINED_BY, lookup, option_fields, plain_f
 
 Flat = Mapping[str, Any]
 Owner = tuple[str, str]  # of options: a group and the plugin's name
-BEFORE = {  # of options that came later and act by default: what a trainer without them did
-    **{"exposure": False, "depth_smoothness": 0.0, "binocular": 0.0},
-    **{"pace_steps": 0, "pace_views": 0, "members": 1},
+TRAINER: Owner = ("trainer", "")
+# of options that came later and act by default: what is like a training without them
+BEFORE: Mapping[Owner, dict[str, Any]] = {
+    TRAINER: {
+        **{"exposure": False, "depth_smoothness": 0.0, "binocular": 0.0},
+        **{"pace_steps": 0, "pace_views": 0, "members": 1, "pseudo_factor": 1},
+    },
+    ("capacity", "evidence"): {"grow": 0.0},
+    ("init", "stereo"): {"completion": 0.0},
+    ("reg", "depth_density"): {"compensate": False},
 }
 PARTS = ("scene", "depth", "init")
 
@@ -51,7 +59,7 @@ def _of(group: str, name: str) -> Flat:
     """Option -> default of the trainer or a plugin; of several that work together as `uar.p`. Empty
     where it is not known."""
     if group == "trainer":
-        return _values(plain_fields(TrainerOptions)) | BEFORE
+        return _values(plain_fields(TrainerOptions)) | BEFORE[TRAINER]
     found: dict[str, Any] = {}
     names = name.split(JOINED_BY)
     for own in names:
@@ -61,13 +69,14 @@ def _of(group: str, name: str) -> Flat:
             return {}
         fields = option_fields(cls) if group in GROUPS else plain_fields(cls)
         prefix = f"{own}." if len(names) > 1 else ""
-        found |= {f"{prefix}{key}": value for key, value in _values(fields).items()}
+        own_values = _values(fields) | BEFORE.get((group, own), {})
+        found |= {f"{prefix}{key}": value for key, value in own_values.items()}
     return found
 
 
 def _values(fields: Sequence[tuple[str, Any, Any]]) -> dict[str, Any]:
     """Option -> default, as a composed configuration has it: 1 of a float is 1.0."""
-    found = {}
+    found: dict[str, Any] = {}
     for key, kind, field in fields:
         value = field.default
         if kind is float and type(value) is int:

@@ -181,7 +181,7 @@ def cost_of(runs: Sequence[ReportRun]) -> str:
     seconds = mean_text([run.record.train_s for run in runs], 1)
     cpu = mean_text([run.record.train_cpu_s for run in runs], 1)
     gaussians = f"{average([float(run.record.gaussians) for run in runs]) or 0:,.0f}"
-    parameters = mean_text([run.record.parameters / 1000 for run in runs], 0)
+    parameters = f"{average([run.record.parameters / 1000 for run in runs]) or 0:,.0f}"
     return f"{seconds} s ({cpu} s of CPU) and {gaussians} Gaussians ({parameters} k parameters)"
 
 
