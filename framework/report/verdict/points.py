@@ -82,9 +82,9 @@ def evidence(found: Outcomes) -> str:
     widened = max(c.tests for c in tested)  # with those that only several scenes can test
     once = f", widened to hold for all {widened} comparisons at once" if widened > 1 else ""
     pairs = any(" + " in c.method for c in tested)  # others have the names of their recipes
-    named = f"a method is named augmenter + regularizer{_meanings(tested)}. D" if pairs else "d"
+    named = f"a method is named augmenter + regularizer{_meanings(tested)}. Differences"
     return (
-        f"How to read this: {named}ifferences are of PSNR in"
+        f"How to read this: {named if pairs else 'differences'} are of PSNR in"
         " views that were not trained on, between runs of the same seed. In brackets: where the"
         f" true difference lies with 95 % confidence, from {seeds} seeds{once}; the thick bars"
         " below are the same. Really different: that range excludes zero. Not told apart: it"
