@@ -172,8 +172,7 @@ def center_distances(views: Sequence[View], camera: Camera) -> list[float]:
 
 def known_share(supports: Sequence[Support]) -> float:
     """The share of the frame that confident depth covers, mean over `supports`."""
-    shares = [int((s.inverse_depth > 0).sum()) / s.inverse_depth.numel() for s in supports]
-    return sum(shares) / len(shares)
+    return sum(support.known for support in supports) / len(supports)
 
 
 def perturbed(

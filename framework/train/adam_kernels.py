@@ -134,14 +134,15 @@ def _pull_back(a, b, p, seen, g, g_offset):  # type: ignore[no-untyped-def]
 
 @kernel
 def pull_back_and_step(  # type: ignore[no-untyped-def]
-    block, n_blocks, scratch, p, seen, g_offset, m, v, coefficients, broken, decay
+    block, n_blocks, scratch, p, seen, g_offset, m, v, coefficients, banded, broken, decay
 ):
     """Block `block` of `project_backward` and `adam_kernel` in one: the gradient of CHUNK Gaussians
     at a time goes to the scratch, from where it is used while the cache has it.
 
     p, m, v: flat, of all the tensors of `Gaussians` in their order. seen: what the former reads
-    beside them, the first is shN [M, K, 3]. scratch: float32[CHUNK (15 + 3 K)]. The others as in
-    the two kernels.
+    beside them, the first is shN [M, K, 3]. scratch: float32[CHUNK (15 + 3 K)]. banded: whether shN,
+    the last of p, ever had a gradient; else Adam would leave it and its moments, all 0, as they are.
+    The others as in the two kernels.
     """
     shN = seen[0]
     per_shN = 3 * shN.shape[1]
@@ -152,7 +153,7 @@ def pull_back_and_step(  # type: ignore[no-untyped-def]
         b = min(a + CHUNK, end)
         g = _pieces(scratch, b - a, min(b, len(shN)) - min(a, len(shN)), per_shN)
         _pull_back(a, b, p, seen, g, g_offset)
-        for k in range(len(p)):
+        for k in range(len(p) if banded else len(p) - 1):
             i, j = widths[k] * a, widths[k] * b
             rate, correction = coefficients[k, 0], coefficients[k, 1]
             broken[block, k] += _adam_range(p[k][i:j], g[k], m[k][i:j], v[k][i:j], rate, correction)

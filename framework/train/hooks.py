@@ -38,7 +38,8 @@ def opacity_factors(plugin: Plugin, result: object, n: int) -> tuple[Tensor | No
     if factors is not None:
         with _placed(where):
             check_tensor("factors", factors, n)
-            if not bool((factors.isfinite() & (factors >= 0)).all()):
+            least, most = factors.aminmax()
+            if not (least >= 0 and math.isfinite(most)):
                 raise ValueError("factors: expected finite numbers >= 0, got others")
     return factors, state
 

@@ -18,7 +18,7 @@ from framework.rasterize import ScreenGradient, give_back
 from framework.rasterize.lending import aligned
 from framework.rasterizers import RenderGradient
 from framework.train.adam_kernels import BETA1, BETA2, CHUNK, adam_kernel, pull_back_and_step
-from framework.train.optimizer import Optimizer
+from framework.train.optimizer import AdamState, Optimizer
 from framework.types import Gaussians
 
 # stands for a tensor without gradient: tuples of another length would be compiled anew
@@ -33,6 +33,7 @@ class Adam(Optimizer):
         self._views: tuple[Gaussians, Gaussians, list[tuple[np.ndarray, ...]]] | None = None
         self._coefficients = np.zeros((len(self._steps), 2), dtype=np.float32)
         self._scratch: list[tuple[np.ndarray]] = []
+        self._banded = False  # whether shN ever had a gradient
 
     def step(
         self,
@@ -51,6 +52,7 @@ class Adam(Optimizer):
                 rows.append(_NOTHING)
                 continue
             _check(name, gradient, parameter)
+            self._banded |= name == "shN"
             self._steps[name] += 1
             self._coefficients[k] = _coefficients(self._steps[name], rates[name])
             p, m, v = views[k]
@@ -73,6 +75,7 @@ class Adam(Optimizer):
         steps = {name: n + 1 for name, n in self._steps.items()}
         coefficients = [_coefficients(n, rates[name]) for name, n in steps.items()]
         work = gradient.take()  # what raises did so before
+        self._banded |= work.degree > 0
         self._steps, self._coefficients[:] = steps, coefficients
         broken = np.zeros((BLOCKS, len(p)), dtype=np.int32)
         (means2d,) = work.pulls.lend([(len(params), 2)])
@@ -84,12 +87,17 @@ class Adam(Optimizer):
             m,
             v,
             self._coefficients,
+            self._banded,
             broken,
             np.float32(opacity_decay),
             own=self._own(CHUNK * (15 + 3 * params.shN.shape[1])),
         )
         give_back(work)
         return self._names(broken), torch.from_numpy(means2d)
+
+    def load(self, state: AdamState) -> None:
+        super().load(state)
+        self._banded = bool(self._second.shN.any())
 
     def _own(self, size: int) -> list[tuple[np.ndarray]]:
         """Scratch for every thread."""

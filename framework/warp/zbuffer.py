@@ -53,6 +53,11 @@ class Support:
         return float(self.color.max())
 
     @cached_property
+    def known(self) -> float:
+        """The share of the frame whose depth is known."""
+        return int((self.inverse_depth > 0).sum()) / self.inverse_depth.numel()
+
+    @cached_property
     def refined(self) -> Support:
         """The same view at twice the resolution: colours and, on smooth surface, 1/z bilinear."""
         color, inverse = self.color.permute(2, 0, 1)[None], self.inverse_depth[None, None]

@@ -83,7 +83,7 @@ def test_a_gradient_that_does_not_fit_is_refused(change: Any) -> None:
         render_gradient(case.gaussians, case.camera, change)
 
 
-def on_screen(gaussians: Gaussians, case: Case) -> ScreenGradient:
+def on_screen(gaussians: Gaussians, case: Case, degree: int | None = None) -> ScreenGradient:
     """Of a loss with another gradient in every pixel."""
     return render_gradient(
         gaussians,
@@ -91,6 +91,7 @@ def on_screen(gaussians: Gaussians, case: Case) -> ScreenGradient:
         lambda rgb: np.sin(1e3 * rgb).astype(np.float32),
         background=case.background,
         opacity_factors=case.factors,
+        sh_degree=degree,
         near=0.2,
     )
 
@@ -123,6 +124,22 @@ def test_an_update_from_the_screen_is_that_of_the_whole_gradient(degree: int, th
     assert one.steps == other.steps
     assert bits_of(one.first) == bits_of(other.first)
     assert bits_of(one.second) == bits_of(other.second)
+
+
+def test_bands_that_open_late_have_the_bits_of_those_updated_all_along() -> None:
+    """Bands without a gradient are passed over; once they had one they are not, whatever the degree
+    of the step is and whatever optimizer goes on."""
+    case = random_case(3, n=900, footprint=1.0)
+    whole, pieces = case.gaussians.clone(), case.gaussians.clone()
+    by_step, from_screen = Adam(whole), Adam(pieces)
+    for degree in (0, 0, 2, 0, 3, 0):
+        tensors, _ = on_screen(whole, case, degree).pull_back()
+        by_step.step(whole, tensors, RATES)
+        from_screen.step_from(on_screen(pieces, case, degree), RATES)
+        assert bits_of(pieces) == bits_of(whole)
+        kept, from_screen = from_screen.state(), Adam(pieces)
+        from_screen.load(kept)
+    assert not torch.equal(whole.shN, case.gaussians.shN)
 
 
 def test_an_update_from_the_screen_names_what_is_not_finite() -> None:
