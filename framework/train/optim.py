@@ -97,7 +97,7 @@ class Adam(Optimizer):
 
     def load(self, state: AdamState) -> None:
         super().load(state)
-        self._banded = bool(self._second.shN.any())
+        self._banded = bool(self._first.shN.any() or self._second.shN.any())
 
     def _own(self, size: int) -> list[tuple[np.ndarray]]:
         """Scratch for every thread."""

@@ -72,15 +72,20 @@ def test_the_paper_s_loss_and_its_threshold_are_in_the_same_units() -> None:
     assert [adc[key] for key in others] == [100, 500, 0.005, 3000, 0.01, 0.01]
 
 
-def test_what_comes_late_in_a_coarse_first_training_comes_together() -> None:
-    """Large images and new Gaussians; of the method's dose nothing changes."""
+@pytest.mark.parametrize(("experiment", "share"), [("coarse_first", 1), ("few_first", 0.5)])
+def test_what_comes_late_in_a_coarse_first_training_comes_together(
+    experiment: str, share: float
+) -> None:
+    """Large images and new Gaussians; of the method's dose nothing changes. share: of the first
+    Gaussians."""
     words = ("preset=paper", "method=safi_uar")
-    config, plain = composed(*words, "experiment=coarse_first"), composed(*words)
+    config, plain = composed(*words, f"experiment={experiment}"), composed(*words)
     check(config)
     options = TrainerOptions(**config["trainer"])
     late = round(config["capacity"]["start"] * options.steps)
     assert [schedule.coarse_factor(options, step) for step in (0, late - 1, late)] == [2, 2, 1]
-    assert config["capacity"]["start"] + 0.2 < config["capacity"]["stop"]
+    assert config["capacity"]["start"] + 0.15 < config["capacity"]["stop"]
+    plain["init"]["per_pixel"] *= share
     assert [config[group] for group in ("augment", "reg", "init")] == [
         plain[group] for group in ("augment", "reg", "init")
     ]
