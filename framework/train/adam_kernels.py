@@ -140,9 +140,9 @@ def pull_back_and_step(  # type: ignore[no-untyped-def]
     at a time goes to the scratch, from where it is used while the cache has it.
 
     p, m, v: flat, of all the tensors of `Gaussians` in their order. seen: what the former reads
-    beside them, the first is shN [M, K, 3]. scratch: float32[CHUNK (15 + 3 K)]. banded: whether shN,
-    the last of p, ever had a gradient; else Adam would leave it and its moments, all 0, as they are.
-    The others as in the two kernels.
+    beside them, the first is shN [M, K, 3]. scratch: float32[CHUNK (15 + 3 K)]. banded: whether the
+    last of p, shN, ever had a gradient; else Adam would leave it as it is and its moments 0. The
+    others as in the two kernels.
     """
     shN = seen[0]
     per_shN = 3 * shN.shape[1]
