@@ -302,7 +302,7 @@ class PluginsAtWork:
             result = plugin.opacity_factors(context, running.state)
         factors, running.state = hooks.opacity_factors(plugin, result, n)
         if factors is not None:
-            values = factors.detach().numpy()  # its counts take a tenth of the time of torch's
+            values = factors.detach().numpy()  # which counts faster than torch
             if plugin.drops:
                 self._dose.add(f"{running.owner}.dropped", np.count_nonzero(values < 1) / n)
             self._note_act(running, bool((values != 1).any()))
