@@ -63,6 +63,7 @@ if TYPE_CHECKING:
 
 TRAIN_STAGE = "train"  # the stage whose wall time the report calls train seconds
 EXPOSURE = "exposure_rms"  # in the provenance: of the photos' log gains, where they were evened
+POSE_CHECK = "pose_check"  # in the provenance: shares and ratio, None where it was not made
 LPIPS = "lpips"  # in the provenance: the network that LPIPS was measured with, None for none
 METHOD_GROUPS = ("augment", "reg", "capacity", "depth", "init")
 RECORD, PLY = "record.json", "point_cloud.ply"
@@ -99,7 +100,7 @@ class RunRecord:
     sh_degree: the highest of any Gaussian. banded: how many have one above 0; None: all, or none
     where it is 0. summary: mean over the test views of each metric. dose: what the method did, by
     the trainer's own counts, as a flat mapping to numbers and texts; empty where none were kept.
-    error: one line, of a failed run.
+    warnings: everything that the run warned about, one line each. error: one line, of a failed run.
     """
 
     identity: str
@@ -117,6 +118,7 @@ class RunRecord:
     ply_bytes: int = 0
     summary: Mapping[str, Measurement] = field(default_factory=dict)
     dose: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
     status: str = "complete"
     error: str | None = None
 
@@ -329,8 +331,8 @@ def write_record(run_dir: Path, record: RunRecord) -> None:
 def _from_json(content: dict[str, Any]) -> RunRecord:
     scene = content["scene"]
     lists = ("training", "test")
-    # records of before runs could be resumed, Gaussians differ in their SH degree, doses be counted
-    content = {"resumed": 0, "banded": None, "dose": {}, **content}
+    # older records lack these fields
+    content = {"resumed": 0, "banded": None, "dose": {}, "warnings": [], **content}
     unmeasured = {name: {"mean": None, "missing": why} for name, why in LATER.items()}
     summary = content["summary"] and unmeasured | content["summary"]  # a failed run's is empty
     fields = {f.name: content[f.name] for f in dataclasses.fields(RunRecord)}
@@ -338,6 +340,7 @@ def _from_json(content: dict[str, Any]) -> RunRecord:
         **fields
         | {
             "overrides": tuple(content["overrides"]),
+            "warnings": tuple(content["warnings"]),
             "scene": scene and SceneInfo(**scene | {key: tuple(scene[key]) for key in lists}),
             "timings": {
                 entry["stage"]: StageTime(entry["wall_s"], entry["cpu_s"])

@@ -47,6 +47,7 @@ def check_record(content: Any) -> None:
     _check("resumed", content.get("resumed", 0), _is_count(content.get("resumed", 0)))
     _check("error", content["error"], content["error"] is None or _is_line(content["error"]))
     _check("overrides", content["overrides"], are_texts(content["overrides"]))
+    _check("warnings", content.get("warnings", []), are_texts(content.get("warnings", [])))
     check_config(content["config"], complete=content["status"] == "complete")
     _check("config.seed", content["config"].get("seed"), "seed" in content["config"])
     _check_provenance(content["provenance"])

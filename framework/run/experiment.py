@@ -26,6 +26,7 @@ from framework.compute import parallel, rng
 from framework.compute.stopwatch import Stopwatch
 from framework.depth import unspoiled
 from framework.depth.exposure import ENOUGH, Exposures, find_exposures
+from framework.depth.pose_check import PoseCheck
 from framework.files.locks import locked, remove_stale
 from framework.files.whole import following, remove_temporaries
 from framework.metrics.coadaptation import with_average, with_coadaptation
@@ -38,7 +39,7 @@ from framework.options import TrainerOptions
 from framework.rasterizers import build_rasterizer
 from framework.records.cameras import write_cameras
 from framework.records.first_view import write_settings
-from framework.records.notices import noted
+from framework.records.notices import noted, warnings_of
 from framework.records.photos import write_photos
 from framework.records.progress import Progress
 from framework.records.provenance import (
@@ -51,6 +52,7 @@ from framework.records.provenance import (
 from framework.records.record import (
     EXPOSURE,
     LPIPS,
+    POSE_CHECK,
     RECORD,
     TRAIN_STAGE,
     RunRecord,
@@ -62,6 +64,7 @@ from framework.records.record import (
 from framework.records.run_files import MADE_OF_MODEL
 from framework.run import answers, budget, trackers
 from framework.run.lpips_later import lacks_lpips, with_lpips
+from framework.run.poses import checked_poses
 from framework.run.training import Run, initial, renderer, thinned, train, try_out
 from framework.run.untouched import Shared, depth_parts, foreign, scene_parts
 from framework.run.warmup import Warmup
@@ -91,8 +94,8 @@ def run_experiment(
     build_rasterizer(config).ready()
     weights = chosen(config["metrics"]["lpips_weights"])
     network = None if weights is None else load(weights)  # a bad path must not cost a training
-    with noted(progress), Warmup(config, progress) as warmup:
-        record = _experiment(config, run_dir, progress, overrides, network, warmup)
+    with noted(progress), warnings_of() as warnings, Warmup(config, progress) as warmup:
+        record = _experiment(config, run_dir, progress, overrides, network, warmup, warnings)
     trackers.send(config.get("tracker"), run_dir, progress)
     return record
 
@@ -104,10 +107,11 @@ def _experiment(
     overrides: Sequence[str],
     network: Lpips | None,
     warmup: Warmup,
+    warnings: list[str],
 ) -> RunRecord:
     timings: dict[str, StageTime] = {}
     progress.stage(f"scene {config['scene']['name']}")
-    scene, timings["scene"] = _scene(_key(config["scene"]))
+    scene, timings["scene"], scene_warnings = _scene(_key(config["scene"]))
     files = _files(config, scene)
     identity = identity_of(config, scene.fingerprint, code_hash(), files)
     done = _reusable(config, run_dir, identity)
@@ -130,8 +134,10 @@ def _experiment(
             warmup.begin()
             progress.stage(f"depth {config['depth']['name']}")
             keys = _key(config["scene"]), _key(config["depth"])
-            depth, timings["depth"] = _depth(*keys, files["depth"])
+            depth, timings["depth"], depth_warnings = _depth(*keys, files["depth"])
             shared.watch(depth_parts(scene, depth))
+            check, timings["pose_check"], pose_warnings = _pose_check(keys[0])
+            warnings += scene_warnings + depth_warnings + pose_warnings
             warmup.finish()
             record = RunRecord(
                 identity=identity,
@@ -144,16 +150,19 @@ def _experiment(
                     **build_rasterizer(config).facts(),
                     "threads": parallel.threads(),
                     LPIPS: None if network is None else network.name,
+                    POSE_CHECK: None if check is None else check.figures(),
                 },
             )
             exposures = None
-            if TrainerOptions(**config["trainer"]).exposure:
+            # stereo from wrong poses says nothing about exposure
+            fits = check is None or check.fits
+            if TrainerOptions(**config["trainer"]).exposure and fits:
                 gains, timings["exposure"] = _log_gains(*keys, files["depth"])
                 if gains is not None:
                     cameras = tuple(view.camera for view in scene.training.views)
                     exposures = Exposures(cameras, gains)
             made = (timings, run_dir, scene, depth, exposures, network, progress)
-            record = _trained(record, *made, shared)
+            record = _trained(record, *made, shared, warnings)
     progress.done(_result(record))
     return record
 
@@ -165,7 +174,7 @@ def _read_anew_if_changed(shared: Shared) -> Iterator[None]:
         yield
     finally:
         if shared.changed():
-            for kept in (_scene, _depth, _log_gains):
+            for kept in (_scene, _depth, _pose_check, _log_gains):
                 kept.cache_clear()
 
 
@@ -184,6 +193,7 @@ def _trained(
     network: Lpips | None,
     progress: Progress,
     shared: Shared,
+    warnings: list[str],
 ) -> RunRecord:
     """The record with the result of its run, as written; `timings` are those it holds."""
     config = record.config
@@ -216,6 +226,7 @@ def _trained(
         peak_memory_bytes=peak_memory_bytes(),
         resumed=trained.resumed,
         dose=told(trained.dose),
+        warnings=tuple(dict.fromkeys(warnings)),
     )
     return _written(record, run, photos, near, trained, *measured)
 
@@ -308,13 +319,13 @@ def _key(options: Mapping[str, Any]) -> str:
 
 
 @functools.lru_cache(maxsize=2)
-def _scene(key: str) -> tuple[Scene, StageTime]:
+def _scene(key: str) -> tuple[Scene, StageTime, list[str]]:
     timings: dict[str, StageTime] = {}
-    with _timed(timings, "scene"):
+    with _timed(timings, "scene"), warnings_of() as warnings:
         options = json.loads(key)
         loader = registry.part("scene", options)
         scene = answers.scene(options["name"], type(loader), loader.load())
-    return scene, timings["scene"]
+    return scene, timings["scene"], warnings
 
 
 def _files(config: Mapping[str, Any], scene: Scene) -> dict[str, str]:
@@ -326,15 +337,28 @@ def _files(config: Mapping[str, Any], scene: Scene) -> dict[str, str]:
 
 
 @functools.lru_cache(maxsize=2)
-def _depth(scene_key: str, key: str, fingerprint: str) -> tuple[tuple[DepthMap, ...], StageTime]:
+def _depth(
+    scene_key: str, key: str, fingerprint: str
+) -> tuple[tuple[DepthMap, ...], StageTime, list[str]]:
     """The depth maps; `fingerprint` tells files that were replaced since they were last read."""
     timings: dict[str, StageTime] = {}
-    with _timed(timings, "depth"):
+    with _timed(timings, "depth"), warnings_of() as warnings:
         options = json.loads(key)
         training, provider = _scene(scene_key)[0].training, registry.part("depth", options)
         maps = provider.estimate(training)
         depth = answers.depth(options["name"], type(provider), maps, training)
-    return depth, timings["depth"]
+    return depth, timings["depth"], warnings
+
+
+@functools.lru_cache(maxsize=2)
+def _pose_check(scene_key: str) -> tuple[PoseCheck | None, StageTime, list[str]]:
+    """Whether stereo confirms the poses; None where they are known or cannot be checked."""
+    timings: dict[str, StageTime] = {}
+    options = json.loads(scene_key)
+    with _timed(timings, "pose_check"), warnings_of() as warnings:
+        loader, training = registry.part("scene", options), _scene(scene_key)[0].training
+        check = checked_poses(options["name"], loader, training)
+    return check, timings["pose_check"], warnings
 
 
 @functools.lru_cache(maxsize=2)

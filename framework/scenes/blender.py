@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from framework.errors import require
 from framework.files.paths import inside
-from framework.scenes.options import check_choice, check_folder_options
+from framework.scenes.options import CONVENTIONS, check_choice, check_folder_options
 from framework.scenes.splits import BLENDER_FILES, FILES, protocol, told
 from framework.scenes.transforms import PAPERS, check_range, shot
 
@@ -40,12 +40,14 @@ class Blender:
     near: float = 2.0
     far: float = 6.0
     split: str = "blender"  # which views train and which test: blender, file; none = no test
+    poses: str = "opengl_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
         split = "blender" if self.split in FILES else self.split
         check_folder_options("blender", self.path, self.n_views, split, self.downscale)
         check_choice("blender", "paper", self.paper, tuple(PAPERS))
         check_range("blender", self.near, self.far)
+        check_choice("blender", "poses", self.poses, CONVENTIONS)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where files and photos do not hold what they must."""
@@ -55,7 +57,9 @@ class Blender:
         from framework.scenes.transforms_file import read_in_order
 
         folder = scene_folder("blender", self.path)
-        first, second = (read_in_order(inside(folder, file)) for file in (TRAINING, TESTING))
+        first, second = (
+            read_in_order(inside(folder, file), self.poses) for file in (TRAINING, TESTING)
+        )
         both = sorted({f.file.resolve() for f in first} & {f.file.resolve() for f in second})
         require(
             not both,

@@ -9,14 +9,14 @@ training views see points; they count every point with a training view in its tr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import require
 from framework.files.opened import is_file
 from framework.files.paths import inside
-from framework.scenes.options import check_folder_options, check_images
+from framework.scenes.options import CONVENTIONS, check_choice, check_folder_options, check_images
 from framework.scenes.splits import protocol
 
 if TYPE_CHECKING:
@@ -33,10 +33,12 @@ class Colmap:
     images: str = "images"  # folder of the photos inside path
     downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
     split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
+    poses: str = "opencv_w2c"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
         check_folder_options("colmap", self.path, self.n_views, self.split, self.downscale)
         check_images("colmap", self.images)
+        check_choice("colmap", "poses", self.poses, CONVENTIONS)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where folder, model and photos do not fit together."""
@@ -53,6 +55,7 @@ def load_colmap(
     called `name`, or as the folder."""
     from framework.scenes.assemble import assemble
     from framework.scenes.colmap_model import find_model, read_model
+    from framework.scenes.conventions import decoded_all
     from framework.scenes.photo import check_memory, photo_shot
     from framework.scenes.points import depth_bounds
 
@@ -62,6 +65,7 @@ def load_colmap(
         " scene.images",
     )
     model = read_model(find_model(folder))
+    model = replace(model, viewmats=decoded_all(model.viewmats, Colmap.poses, options.poses))
     where = f"scene={loader}: {folder}"
     split = protocol(options.split).split(model.names, options.n_views, where)
     files = _files(photos, model)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 from framework.errors import check_option, require
 from framework.files.limits import SIDE_PIXELS
-from framework.scenes.options import check_folder_options, check_images
+from framework.scenes.options import CONVENTIONS, check_choice, check_folder_options, check_images
 from framework.scenes.splits import protocol
 
 if TYPE_CHECKING:
@@ -42,16 +42,19 @@ class Llff:
     downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
     k1: float = 0.0  # radial distortion to remove, x (1 + k1 r^2); 0 = none, as is usual
     split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
+    poses: str = "llff_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
         check_folder_options("llff", self.path, self.n_views, self.split, self.downscale)
         check_images("llff", self.images)
         expected = "COLMAP's SIMPLE_RADIAL distortion in (-1, 1), 0 for none"
         check_option(self, "scene", "k1", -1 < self.k1 < 1, expected)
+        check_choice("llff", "poses", self.poses, CONVENTIONS)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where the folder does not hold what the layout asks for."""
         from framework.scenes.assemble import assemble
+        from framework.scenes.conventions import decoded_all
         from framework.scenes.images import EIGHTH_OR_FULL, list_images, photo_folder, scene_folder
         from framework.scenes.photo import check_memory, photo_shot
         from framework.scenes.points import colmap_tracks
@@ -63,7 +66,8 @@ class Llff:
         rows = _read_poses(folder / "poses_bounds.npy", files)
         source = folder / "poses_bounds.npy"
         places = [f"{source}: row {i}" for i in range(len(rows))]
-        names, viewmats = [f.name for f in files], list(map(_viewmat, rows, places))
+        names = [f.name for f in files]
+        viewmats = decoded_all(map(_viewmat, rows, places), Llff.poses, self.poses)
         lenses = [_lens(row, self.k1, place) for row, place in zip(rows, places, strict=True)]
         split = protocol(self.split).split(names, self.n_views, f"scene=llff: {folder}")
         check_memory([files[i] for i in (*split.train, *split.test)], self.downscale)

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
 from framework.files.paths import inside
-from framework.scenes.options import check_choice, check_folder_options
+from framework.scenes.options import CONVENTIONS, check_choice, check_folder_options
 from framework.scenes.splits import FILES, Split, protocol, told
 
 if TYPE_CHECKING:
@@ -55,12 +55,14 @@ class Transforms:
     near: float | None = None
     far: float | None = None
     split: str = "llff"  # which views train and which test: llff, mip360, dtu, file; none = no test
+    poses: str = "opengl_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
         split = "llff" if self.split in FILES else self.split
         check_folder_options("transforms", self.path, self.n_views, split, self.downscale)
         check_choice("transforms", "paper", self.paper, tuple(PAPERS))
         check_range("transforms", self.near, self.far)
+        check_choice("transforms", "poses", self.poses, CONVENTIONS)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where file and photos do not hold what they must."""
@@ -71,7 +73,7 @@ class Transforms:
 
         folder = scene_folder("transforms", self.path)
         file = inside(folder, self.file)
-        frames = read_frames(file)
+        frames = read_frames(file, self.poses)
         where = f"scene=transforms: {folder}"
         split = self._split(file, [f.name for f in frames], where)
         check_memory([frames[i].file for i in (*split.train, *split.test)], self.downscale)

@@ -20,6 +20,7 @@ from framework.files.limits import TEXT_BYTES
 from framework.files.opened import is_file, read_text
 from framework.files.paths import inside
 from framework.scenes.cameras import checked_lens, checked_pose
+from framework.scenes.conventions import decoded_as
 from framework.scenes.images import SUFFIXES
 from framework.scenes.lens import Distortion, Lens
 
@@ -30,6 +31,7 @@ NUMBERS = (
     *("k1", "k2", "k3", "p1", "p2", *UNSUPPORTED),
 )
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])  # the signs of a camera's axes
+OWN_POSES = "opengl_c2w"  # of the layout
 
 
 @dataclass(frozen=True)
@@ -78,19 +80,24 @@ class Frame:
         return size / view * cosine / sinc
 
 
-def read_frames(path: Path) -> list[Frame]:
+def read_frames(path: Path, poses: str = OWN_POSES) -> list[Frame]:
     """The frames, sorted by name. Raises UserError for whatever is missing or unsound."""
-    return sorted(read_in_order(path), key=lambda frame: frame.name)
+    return sorted(read_in_order(path, poses), key=lambda frame: frame.name)
 
 
-def read_in_order(path: Path) -> list[Frame]:
-    """The frames as the file lists them. Raises UserError for whatever is missing or unsound."""
+def read_in_order(path: Path, poses: str = OWN_POSES) -> list[Frame]:
+    """The frames as the file lists them; poses: how it writes them (`options.CONVENTIONS`).
+
+    Raises UserError for whatever is missing or unsound.
+    """
     frames = []
     for frame in read_cameras(path):
         name = _relative(path.parent, frame.name)
         file = _photo(path.parent, name)
         mask = frame.mask and inside(path.parent, _relative(path.parent, str(frame.mask)))
-        frames.append(replace(frame, name=_with_suffix(name, file), file=file, mask=mask))
+        viewmat = decoded_as(frame.viewmat, OWN_POSES, poses)
+        name = _with_suffix(name, file)
+        frames.append(replace(frame, name=name, file=file, mask=mask, viewmat=viewmat))
     _check_files(path, frames)
     return frames
 

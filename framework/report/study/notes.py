@@ -18,11 +18,13 @@ from framework.report.study.runs import BUSY, ReportRun
 from framework.report.study.tabled import TABLE, TOLD
 
 MOST_NAMED = 5
+MOST_WARNINGS = 10
 
 
 def notes(unique: Sequence[ReportRun], runs: Sequence[Run]) -> list[str]:
     """What `unique`, the runs that are reported, and `runs`, all complete ones, ask to be told."""
     return [
+        *_warning_notes(unique),
         *_repeat_notes(unique),
         *_equal_notes(unique),
         *_still_notes(unique),
@@ -31,6 +33,23 @@ def notes(unique: Sequence[ReportRun], runs: Sequence[Run]) -> list[str]:
         *_busy_notes(unique),
         *_exposure_notes(unique),
     ]
+
+
+def _warning_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """Every distinct warning of the runs, with the scenes and the number of runs that gave it."""
+    gave: dict[str, list[ReportRun]] = defaultdict(list)
+    for run in runs:
+        for text in run.record.warnings:
+            gave[text].append(run)
+    warned = []
+    for text, those in gave.items():
+        scenes = listed(sorted({run.scene for run in those}), "and")
+        share = "" if len(those) == len(runs) else f", {len(those)} of {len(runs)} runs"
+        warned.append(f"Warning ({scenes}{share}): {outside(text)}")
+    if len(warned) <= MOST_WARNINGS:
+        return warned
+    more = len(warned) - MOST_WARNINGS
+    return [*warned[:MOST_WARNINGS], f"{more} more warnings are in the runs' record.json."]
 
 
 def begun_notes(folders: Sequence[Path]) -> list[str]:
