@@ -3,9 +3,8 @@
 Exit codes: 0 all runs are complete · 1 a bug or the machine · 2 bad input, no room or no right to
 write · 3 another process is still at some of the runs · 130 interrupted.
 
-Nothing heavy is imported here before a run really starts (`framework.command.runner` begins
-beside). Importing this module registers the resolvers that name run folders, which the processes
-of a launcher need too.
+Nothing heavy is imported here before a run really starts. Importing this module registers the
+resolvers that name run folders, which the processes of a launcher need too.
 """
 
 from __future__ import annotations
@@ -116,22 +115,20 @@ def main(argv: Sequence[str]) -> int:
         return end.code if isinstance(end.code, int) else int(end.code is not None)
 
 
-def task(cfg: DictConfig) -> Outcome | None:
-    """One run; Hydra calls it, perhaps in a launcher's fresh process.
+def task(cfg: DictConfig) -> Outcome:
+    """Do one run; Hydra calls it, perhaps in a launcher's fresh process.
 
-    An error ends this run and not its siblings: it goes into the record and the ledger. Returns
-    what the ledger has of the run, where this process knows it.
+    An error ends this run and not its siblings: it goes into the record and the ledger. Returns the
+    run's entry in the ledger.
     """
     end_with_parent()
     job = _job(HydraConfig.get(), plain(cfg))
     try:
         check(job.config)  # finds plugins too, of which a launcher's fresh process knows nothing
         job.config["study"] = study_name(job.config)
-        well = runner.run(job)
+        runner.run(job)
     except Exception as error:
         return tell(job, error)
-    if not well:  # told by the process that did it
-        return None
     outcome = Outcome(job.number, job.run_dir)
     add_outcome(outcome)
     return outcome

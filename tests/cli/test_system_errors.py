@@ -160,7 +160,7 @@ def run(job):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))  # every file is full at once
     try:
-        return add(1, 2) == 3
+        add(1, 2)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
