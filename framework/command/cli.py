@@ -24,7 +24,7 @@ from omegaconf import DictConfig, OmegaConf
 
 import framework
 from framework.command import own_plugins, runner
-from framework.command.complaints import USER_ERRORS, one_line, with_variant
+from framework.command.complaints import USER_ERRORS, composing, one_line, with_variant
 from framework.command.config.check import check
 from framework.command.config.help import help_text
 from framework.command.config.naming import plain, register_resolvers, study_name
@@ -32,10 +32,9 @@ from framework.command.config.schema import (
     CONF_DIR,
     register_config,
 )
-from framework.command.config.trust import check_command
 from framework.command.job import Job
 from framework.command.launchers.detached import detached
-from framework.command.launchers.known import register_launchers
+from framework.command.launchers.supported import register_launchers
 from framework.command.program import program
 from framework.command.studies.failures import again, conclude, tell
 from framework.command.studies.study import (
@@ -74,8 +73,6 @@ def main(argv: Sequence[str]) -> int:
             register_config()
             register_launchers()
             flags = parse(arguments)
-            if not flags.shell_completion:  # whose words are no overrides
-                check_command(flags)
             if flags.help:
                 print(help_text(flags.overrides))
                 return 0
@@ -83,9 +80,10 @@ def main(argv: Sequence[str]) -> int:
                 version_base="1.3", config_path=str(CONF_DIR), config_name="config"
             )(task)
             if only_informs(flags):
-                application()
+                with composing():
+                    application()
                 return 0
-            with ledger():
+            with ledger(), composing():
                 application()
                 return 0 if detached() else conclude()
     except KeyboardInterrupt:

@@ -9,8 +9,10 @@ import re
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from hydra.core.override_parser.types import Override
+
+from framework.command.config.overrides import check_deleted, parsed, quoted
 from framework.command.config.schema import CONF_DIR, GROUPS, OBJECT_GROUPS, choices
-from framework.command.config.trust import parsed, quoted
 from framework.command.hydra_inside import argument_parser
 from framework.errors import UserError
 from framework.records.provenance import NEUTRAL_KEYS
@@ -35,7 +37,9 @@ def normalise(argv: Sequence[str]) -> list[str]:
     check_given_twice(arguments)
     flags = parse(arguments)
     if not flags.shell_completion:  # whose words are no overrides
-        _check_one_study(flags.overrides)
+        overrides = parsed(flags.overrides)
+        check_deleted(overrides)
+        _check_one_study(overrides)
     if flags.multirun and only_informs(flags):
         raise UserError("command line: expected -m or a flag that only informs, got both; drop one")
     if flags.resolve and not flags.cfg:
@@ -149,10 +153,10 @@ def _in_place_of_two(key: str, first: str, second: str) -> str:
     return f"{alone}write {joined}{key}={both} -m for a run of each"
 
 
-def _check_one_study(overrides: Sequence[str]) -> None:
+def _check_one_study(overrides: Sequence[Override]) -> None:
     """A study's file says what its runs are: of several, with or without -m, Hydra would mix one's
     options into another's runs."""
-    for override in parsed(overrides):
+    for override in overrides:
         several = override.is_sweep_override() or isinstance(override.value(), list)
         if override.key_or_group == SWEEP and several:
             raise UserError(

@@ -19,9 +19,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from framework.command.launchers.detached import detach
-from framework.command.launchers.known import missing_extra
 from framework.command.launchers.page import status, told, write_page
 from framework.command.launchers.plan import CANCELLED, PLAN, Plan, plans, read_plan
+from framework.command.launchers.supported import missing_extra
 from framework.command.studies.failures import conclude
 from framework.command.studies.study import JOBS_VARIABLE, add_outcome, build_reports, ledger
 from framework.errors import Arguments, UserError, require
