@@ -13,7 +13,7 @@ from typing import Any
 
 STEM = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,199}")  # as `run_files.file_stems` writes them
 TAGS = re.compile(r"[A-Za-z0-9_-]{0,40}( [A-Za-z0-9_-]{1,40}){0,8}")
-DIGEST = re.compile(r"[0-9a-f]{0,64}")
+DIGEST, SHA256 = re.compile(r"[0-9a-f]{0,64}"), re.compile(r"[0-9a-f]{64}")
 NAME_LENGTH = 255  # of a scene or a choice: as of a folder
 LARGEST = 1e15
 GROUPS = ("scene", "depth", "init", "augment", "reg", "capacity", "rasterizer")
@@ -51,6 +51,7 @@ def check_record(content: Any) -> None:
     _check("config.seed", content["config"].get("seed"), "seed" in content["config"])
     _check_provenance(content["provenance"])
     _check_dose(content.get("dose", {}))
+    _check_files(content.get("files", {}))
     _check_scene(content["scene"])
     _check_timings(content["timings"])
     _check_summary(content["summary"])
@@ -129,6 +130,13 @@ def _check_dose(dose: Any) -> None:
     for name, value in dose.items():
         flat = value is None or isinstance(value, bool) or _is_line(value) or _is_number(value)
         _check(f"dose.{name}", value, flat and _is_line(name))
+
+
+def _check_files(files: Any) -> None:
+    _check("files", files, isinstance(files, Mapping))
+    for name, of in files.items():
+        good = isinstance(of, Mapping) and _is_count(of.get("bytes")) and _is_name(name)
+        _check(f"files.{name}", of, good and SHA256.fullmatch(str(of.get("sha256"))))
 
 
 def _check_scene(scene: Any) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -51,15 +52,16 @@ from framework.records.provenance import (
 from framework.records.record import (
     EXPOSURE,
     LPIPS,
-    RECORD,
     TRAIN_STAGE,
     RunRecord,
     SceneInfo,
     StageTime,
+    damaged_file,
     find_complete,
+    remove_record,
     write_run,
 )
-from framework.records.run_files import MADE_OF_MODEL
+from framework.records.run_files import remove_made_of_model
 from framework.run import answers, budget, trackers
 from framework.run.lpips_later import lacks_lpips, with_lpips
 from framework.run.training import Run, initial, renderer, thinned, train, try_out
@@ -69,6 +71,8 @@ from framework.train.dose import told
 from framework.train.resume.checkpoint import remove_checkpoints
 from framework.train.trainer import Trained
 from framework.types import DepthMap, Gaussians, Scene, View
+
+LOG = logging.getLogger(__name__)
 
 
 def run_experiment(
@@ -123,6 +127,9 @@ def _experiment(
             done = with_lpips(run_dir, done, network)
             progress.done(_reused(done))
             return done
+        damage = "" if config["force"] else damaged_file(run_dir, identity)
+        if damage:
+            LOG.warning(f"{run_dir.name}: {damage}; running it again")
         remove_temporaries(run_dir)
         shared = Shared(foreign(config))
         shared.watch(scene_parts(scene))
@@ -232,7 +239,7 @@ def _written(
     """The run's files; the record last, as it says that all others are there. photos: the training
     views as they were taken, whatever the exposures of those of `run` were evened by."""
     run_dir, test = run.folder, run.scene.test
-    (run_dir / RECORD).unlink(missing_ok=True)  # of a run before, with other files than these
+    stale = remove_record(run_dir)  # of a run before, with other files than these
     with following(run_dir) as before:
         factors = None if run.exposures is None else run.exposures.factors
         write_cameras(run_dir, photos, test, near, factors)
@@ -248,12 +255,11 @@ def _written(
         trained.background,
         renders,
         before,
+        stale,
     )
     remove_checkpoints(run_dir)
-    for left in (budget.FILE, *MADE_OF_MODEL):  # these are of the model of before
-        for file in run_dir.glob(left):
-            if not file.is_dir():
-                file.unlink(missing_ok=True)
+    (run_dir / budget.FILE).unlink(missing_ok=True)
+    remove_made_of_model(run_dir)
     return record
 
 
