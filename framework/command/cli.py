@@ -128,6 +128,8 @@ def task(cfg: DictConfig) -> Outcome | None:
         check(job.config)  # finds plugins too, of which a launcher's fresh process knows nothing
         job.config["study"] = study_name(job.config)
         well = runner.run(job)
+    except SystemExit as end:  # of somebody else's code: it must end neither siblings nor quietly
+        return tell(job, UserError(f"the run called sys.exit({end.code!r}); fix the plugin"))
     except Exception as error:
         return tell(job, error)
     if not well:  # told by the process that did it

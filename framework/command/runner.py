@@ -86,11 +86,11 @@ def _done(job: Job) -> bool | str:
     """Whether the run went well; a text where it did not and that could not be told, either."""
     try:
         return run(job)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         from framework.command.studies.failures import tell
 
         try:
-            tell(job, error)
+            tell(job, error if isinstance(error, Exception) else UserError(f"sys.exit: {error}"))
         except Exception as lost:
             return str(lost) if isinstance(lost, UserError) else f"{type(lost).__name__}: {lost}"
         return False

@@ -26,6 +26,7 @@ import contextlib
 import csv
 import dataclasses
 import hashlib
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -366,7 +367,12 @@ def write_record(run_dir: Path, record: RunRecord) -> None:
         else {"mean": value, "missing": None}
         for name, value in record.summary.items()
     }
-    write_whole(run_dir / RECORD, strict_json(content, indent=2) + "\n")
+    text = strict_json(content, indent=2) + "\n"
+    try:  # what the reader refuses must not look like a finished run
+        check_record(json.loads(text))
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{run_dir / RECORD}: cannot hold this run: {error}") from error
+    write_whole(run_dir / RECORD, text)
 
 
 def _from_json(content: dict[str, Any]) -> RunRecord:

@@ -11,11 +11,12 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+from framework.metrics.values import LARGEST
+
 STEM = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,199}")  # as `run_files.file_stems` writes them
 TAGS = re.compile(r"[A-Za-z0-9_-]{0,40}( [A-Za-z0-9_-]{1,40}){0,8}")
 DIGEST, SHA256 = re.compile(r"[0-9a-f]{0,64}"), re.compile(r"[0-9a-f]{64}")
 NAME_LENGTH = 255  # of a scene or a choice: as of a folder
-LARGEST = 1e15
 GROUPS = ("scene", "depth", "init", "augment", "reg", "capacity", "rasterizer")
 FACTS = (
     "fishersplat",

@@ -24,7 +24,7 @@ from framework.files.limits import RUN_BYTES
 from framework.files.opened import is_file, read_text
 from framework.files.whole import write_whole
 from framework.metrics.evaluate import quantise
-from framework.metrics.values import METRICS, Missing, ViewMetrics
+from framework.metrics.values import LARGEST, METRICS, Missing, ViewMetrics
 from framework.records.record_check import check_columns, check_number, check_stems, check_views
 
 if TYPE_CHECKING:
@@ -188,8 +188,8 @@ def error_map(render: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def _finite(value: float | None) -> float | None:
-    """None, an empty cell, for what is no finite number."""
-    return value if value is not None and math.isfinite(value) else None
+    """None, an empty cell, for what the reader refuses."""
+    return value if value is not None and abs(value) <= LARGEST else None
 
 
 def _numbers(name: str, cells: Sequence[str]) -> np.ndarray:

@@ -319,14 +319,19 @@ def _scene(key: str) -> tuple[Scene, StageTime]:
     with _timed(timings, "scene"):
         options = json.loads(key)
         loader = registry.part("scene", options)
-        scene = answers.scene(options["name"], type(loader), loader.load())
+        with answers.called(f"scene={options['name']}: load", type(loader)):
+            found = loader.load()
+        scene = answers.scene(options["name"], type(loader), found)
     return scene, timings["scene"]
 
 
 def _files(config: Mapping[str, Any], scene: Scene) -> dict[str, str]:
     """Purpose -> fingerprint of the files beside the scene's that the run reads; "" for none."""
+    provider = registry.part("depth", config["depth"])
+    with answers.called(f"depth={config['depth']['name']}: fingerprint", type(provider)):
+        depth = provider.fingerprint(scene.training)
     return {
-        "depth": registry.part("depth", config["depth"]).fingerprint(scene.training),
+        "depth": depth,
         "lpips_weights": fingerprint(config["metrics"]["lpips_weights"]),
     }
 
@@ -338,7 +343,8 @@ def _depth(scene_key: str, key: str, fingerprint: str) -> tuple[tuple[DepthMap, 
     with _timed(timings, "depth"):
         options = json.loads(key)
         training, provider = _scene(scene_key)[0].training, registry.part("depth", options)
-        maps = provider.estimate(training)
+        with answers.called(f"depth={options['name']}: measure", type(provider)):
+            maps = provider.estimate(training)
         depth = answers.depth(options["name"], type(provider), maps, training)
     return depth, timings["depth"]
 

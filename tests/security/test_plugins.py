@@ -85,7 +85,7 @@ def test_one_that_does_not_import_is_named_in_one_line(tmp_path: Path, source: s
     install(tmp_path / "site", source)
     done = run(tmp_path, str(tmp_path / "site"))
     assert done.returncode == 2
-    assert done.stderr.startswith("error: entry point foreign = foreign: expected a module")
+    assert done.stderr.startswith("error: entry point foreign = foreign: importing it: ")
     assert done.stderr.count("\n") == 1
 
 
