@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import errno
+import os
 import re
 import traceback
 from collections.abc import Iterable, Iterator
@@ -17,7 +18,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
-NOT_A_PLUGIN = rf"<|.*importlib|{re.escape(str(Path(__file__).resolve().parent))}"  # of files
+
+HERE, STDLIB = (re.escape(os.path.dirname(module)) for module in (__file__, os.__file__))
+NOT_A_PLUGIN = rf"<|{HERE}/|{STDLIB}/(?!(site|dist)-packages/)"  # files in a traceback
 LONGEST = 1000  # characters of a message
 FULL = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
 MEDIUM = FULL | {errno.EIO, errno.EROFS}  # what writing tells without naming the file

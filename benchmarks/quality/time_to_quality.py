@@ -33,6 +33,7 @@ from framework.compute import parallel
 from framework.metrics.evaluate import psnr
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
+from framework.run.plugin_code import plugin_hashes
 from framework.records.provenance import code_hash, cpu_model, strict_json
 from framework.report.figures.files import DPI
 from framework.report.parts import chart
@@ -140,7 +141,8 @@ def charts(measured: dict[str, list[Point]]) -> list[chart.Chart]:
 
 def identity(scene: str) -> str:
     """Of code and configuration, with the scene's folder: what a measurement holds for."""
-    text = code_hash() + strict_json(configured(scene.split()))
+    config = configured(scene.split())
+    text = code_hash() + strict_json([config, plugin_hashes(config)])
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 

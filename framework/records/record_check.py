@@ -118,6 +118,9 @@ def _check_provenance(told: Any) -> None:
     for key in COUNTS:
         _check(f"provenance.{key}", told.get(key), told.get(key) is None or _is_count(told[key]))
     packages, git = told.get("packages"), told.get("git")
+    plugins = told.get("plugins", {})
+    hashes = isinstance(plugins, Mapping) and all(map(_is_line, (*plugins, *plugins.values())))
+    _check("provenance.plugins", plugins, hashes)
     texts = isinstance(packages, Mapping) and all(
         isinstance(number, str | None) for number in packages.values()
     )

@@ -64,6 +64,7 @@ from framework.records.record import (
 from framework.records.run_files import remove_made_of_model
 from framework.run import answers, budget, trackers
 from framework.run.lpips_later import lacks_lpips, with_lpips
+from framework.run.plugin_code import plugin_hashes
 from framework.run.training import Run, initial, renderer, thinned, train, try_out
 from framework.run.untouched import Shared, depth_parts, foreign, scene_parts
 from framework.run.warmup import Warmup
@@ -112,7 +113,8 @@ def _experiment(
     timings: dict[str, StageTime] = {}
     progress.stage(f"scene {config['scene']['name']}")
     scene, timings["scene"] = _scene(_key(config["scene"]))
-    files = _files(config, scene)
+    plugins = plugin_hashes(config)
+    files = {**_files(config, scene), **plugins}
     identity = identity_of(config, scene.fingerprint, code_hash(), files)
     done = _reusable(config, run_dir, identity)
     if done is not None and not lacks_lpips(done, network):
@@ -148,6 +150,7 @@ def _experiment(
                 timings=timings,
                 provenance={
                     **provenance(),
+                    "plugins": plugins,
                     **build_rasterizer(config).facts(),
                     "threads": parallel.threads(),
                     LPIPS: None if network is None else network.name,

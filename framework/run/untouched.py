@@ -15,6 +15,7 @@ from torch import Tensor
 from framework import registry
 from framework.compute.tensors import checksum
 from framework.errors import UserError
+from framework.run.plugin_code import chosen_plugins
 from framework.types import DepthMap, Scene
 
 
@@ -47,14 +48,8 @@ class Shared:
 
 def foreign(config: Mapping[str, Any]) -> list[str]:
     """`group=NAME` of the chosen plugins that are not this project's."""
-    found = []
-    for group in (*registry.GROUPS, *registry.PARTS):
-        chosen = config["metrics"].get("also") if group == "metric" else config[group]["name"]
-        for name in registry.parts_of("reg", str(chosen)) if chosen else ():
-            cls = registry.table(group).get(name)
-            if cls is not None and cls.__module__.partition(".")[0] not in registry.OURS:
-                found.append(f"{group}={name}")
-    return found
+    chosen = chosen_plugins(config).items()
+    return [name for name, cls in chosen if cls.__module__.partition(".")[0] not in registry.OURS]
 
 
 def scene_parts(scene: Scene) -> Iterator[tuple[str, Tensor]]:

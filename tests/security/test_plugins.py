@@ -64,8 +64,13 @@ def test_all_of_a_package_counts_in_what_makes_a_run_the_same(tmp_path: Path) ->
     install(site, "")
     (site / "foreign.py").unlink()
     (site / "foreign").mkdir()
-    (site / "foreign" / "__init__.py").write_text("")
-    code = "from framework.records.provenance import code_hash; print(code_hash())"
+    (site / "foreign" / "__init__.py").write_text(PLUGIN)
+    code = (
+        "from framework.run.plugin_code import plugin_hashes as h;"
+        "none = dict(name='none');"
+        "print(h(dict(metrics={}, augment=none, reg=dict(name='foreign'), capacity=none,"
+        " scene=none, depth=none, init=none)))"
+    )
     hashes = []
     for helper in ("A = 1\n", "A = 2\n"):
         (site / "foreign" / "helper.py").write_text(helper)
