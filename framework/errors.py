@@ -18,7 +18,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
-
 HERE, STDLIB = (re.escape(os.path.dirname(module)) for module in (__file__, os.__file__))
 NOT_A_PLUGIN = rf"<|{HERE}/|{STDLIB}/(?!(site|dist)-packages/)"  # files in a traceback
 LONGEST = 1000  # characters of a message

@@ -126,7 +126,9 @@ def _check_class(group: str, name: str, cls: type) -> None:
             f" has, got a field '{option.name}'; rename it, or set it in `defaults`",
         )
     defaults = getattr(cls, "defaults", {}) if group in GROUPS else {}
-    require(isinstance(defaults, Mapping), f"{where}: `defaults` must be a dict, got {defaults!r:.40}")
+    require(
+        isinstance(defaults, Mapping), f"{where}: `defaults` must be a dict, got {defaults!r:.40}"
+    )
     for key, value in defaults.items():
         require(
             key in FRAMEWORK_KEYS,

@@ -33,12 +33,12 @@ from framework.compute import parallel
 from framework.metrics.evaluate import psnr
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
-from framework.run.plugin_code import plugin_hashes
 from framework.records.provenance import code_hash, cpu_model, strict_json
 from framework.report.figures.files import DPI
 from framework.report.parts import chart
 from framework.report.parts.draw import draw
 from framework.run import experiment
+from framework.run.plugin_code import plugin_hashes
 from framework.run.training import renderer
 
 GAPS_DB = (0.5, 0.2, 0.1)

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import io
 import os
 import signal
 import socket
@@ -26,6 +25,7 @@ from typing import NoReturn, TextIO
 
 from framework.command import runner
 from framework.command.program import CONSOLE, SCRIPT, typed
+from framework.command.streams import make_safe
 from framework.compute.orphans import watch
 from framework.errors import memory_line
 from framework.files.limits import check_address_space
@@ -36,15 +36,16 @@ SIGNALS = (signal.SIGINT, INTERRUPT)
 
 def main() -> NoReturn:
     """The console command `fishersplat`."""
-    command(sys.argv[1:], CONSOLE)
+    try:
+        command(sys.argv[1:], CONSOLE)
+    except KeyboardInterrupt:
+        sys.exit(_interrupted())
 
 
 def command(argv: Sequence[str], name: str = SCRIPT) -> NoReturn:
     """Obey the command line `argv` of the program `name` and end this process."""
     typed(name)
-    for stream in (sys.stdout, sys.stderr):  # a terminal or log may lack a letter that we print
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+    make_safe()
     try:
         check_address_space()
     except MemoryError as error:

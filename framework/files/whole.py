@@ -20,7 +20,6 @@ from pathlib import Path
 from framework.errors import FULL, UserError, mendable
 from framework.files.opened import is_file, open_regular
 
-
 TEMPORARY = re.compile(r"\..+\.\d+\.tmp")  # as `write_whole` names them
 
 

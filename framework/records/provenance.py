@@ -33,7 +33,11 @@ PACKAGES = (
     *("pycolmap", "opencv-contrib-python-headless", "hydra-core"),
 )
 MAKING = ("run.py", "pyproject.toml", "framework", "plugins", "conf", "sweeps")  # a result
-SHOWING = ("framework/exports/", "framework/report/", "framework/view/")  # rooms that no result depends on
+SHOWING = (
+    "framework/exports/",
+    "framework/report/",
+    "framework/view/",
+)  # rooms that no result depends on
 BITS = "bits"  # of a run whose rasterizer does not keep them: why its repetition differs
 
 

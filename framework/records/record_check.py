@@ -8,10 +8,12 @@ enough for the report's sums of squares to be finite.
 from __future__ import annotations
 
 import re
+import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from framework.metrics.values import LARGEST
+from framework.options import TrainerOptions
 
 STEM = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,199}")  # as `run_files.file_stems` writes them
 TAGS = re.compile(r"[A-Za-z0-9_-]{0,40}( [A-Za-z0-9_-]{1,40}){0,8}")
@@ -30,6 +32,7 @@ FACTS = (
     "gsplat",
 )  # of the provenance: texts
 COUNTS = ("cores", "threads")
+TRAINER = typing.get_type_hints(TrainerOptions)
 
 
 def check_record(content: Any) -> None:
@@ -81,6 +84,8 @@ def check_config(config: Any, complete: bool) -> None:
     _check("config.scene.path", path, path is None or isinstance(path, str))
     trainer = config.get("trainer", None if complete else {})
     _check("config.trainer", trainer, isinstance(trainer, Mapping))
+    for name, value in trainer.items():
+        _check(f"config.trainer.{name}", value, _fits(value, TRAINER.get(name)))
     _check("config.trainer.members", trainer, _is_count(trainer.get("members", 1)))
 
 
@@ -184,6 +189,15 @@ def _check_all(name: str, values: Iterable[str], good: Callable[[str], object]) 
 def _check(name: str, value: Any, good: object) -> None:
     if not good:
         raise ValueError(f"{name[:60]} is {' '.join(str(value)[:200].split())[:60]!r}")
+
+
+def _fits(value: Any, declared: Any) -> bool:
+    """Return whether a value has the declared type of a trainer's option; any, without one."""
+    if declared in (None, Any):
+        return True
+    kinds = typing.get_args(declared) or (declared,)
+    kinds = (*kinds, int) if float in kinds else kinds
+    return type(value) in kinds and (type(value) is not int or abs(value) < 2**63)
 
 
 def _is_count(value: Any) -> bool:

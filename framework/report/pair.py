@@ -184,7 +184,9 @@ def _views(a: ReportRun, b: ReportRun) -> list[dict[str, str]]:
             for run, value in ((a, one), (b, other)):
                 row[f"{heading_of(metric)}, {run.method}"] = _text(value, digits(metric))
             if metric == "psnr":
-                row["difference (dB)"] = signed(one - other) if math.isfinite(one - other) else ABSENT
+                row["difference (dB)"] = (
+                    signed(one - other) if math.isfinite(one - other) else ABSENT
+                )
         rows.append(row)
     return rows
 

@@ -73,7 +73,9 @@ def _sources(own_folder: str | None) -> dict[Path, _Source]:
         package = point.module.partition(".")[0]
         spec = importlib.util.find_spec(package)
         for folder in map(Path, (spec and spec.submodule_search_locations) or ()):
-            found += [(f, package, f"{package}/{f.relative_to(folder)}") for f in folder.rglob("*.py")]
+            found += [
+                (f, package, f"{package}/{f.relative_to(folder)}") for f in folder.rglob("*.py")
+            ]
         if spec and spec.origin and not spec.submodule_search_locations:
             found.append((Path(spec.origin), package, package))
     return {file.resolve(): _Source(name, file.read_bytes(), tree) for file, tree, name in found}

@@ -66,4 +66,3 @@ def depth_parts(scene: Scene, depth: tuple[DepthMap, ...]) -> Iterator[tuple[str
     for view, one in zip(scene.training.views, depth, strict=True):
         yield f"the depth map of view {view.name}", one.depth
         yield f"the depth's confidence of view {view.name}", one.confidence
-

@@ -98,7 +98,9 @@ class PluginsAtWork:
         if context is None:
             return []
         plugged, self._refused = self._augment.plugged, ""
-        with hooks.at_work("augment", plugged.plugin, "pseudo_views", now.step, now.gaussians, now.other):
+        with hooks.at_work(
+            "augment", plugged.plugin, "pseudo_views", now.step, now.gaussians, now.other
+        ):
             result = plugged.plugin.pseudo_views(context, self._augment.state)
         views, self._augment.state = hooks.pseudo_views(plugged.plugin, result)
         if not self._augment.idle:
@@ -300,7 +302,9 @@ class PluginsAtWork:
             self._dose.add(f"{running.owner}.asked")
         if not running.has("opacity_factors"):
             return None
-        with hooks.at_work("reg", plugin, "opacity_factors", context.step, context.gaussians, context.other):
+        with hooks.at_work(
+            "reg", plugin, "opacity_factors", context.step, context.gaussians, context.other
+        ):
             result = plugin.opacity_factors(context, running.state)
         factors, running.state = hooks.opacity_factors(plugin, result, n)
         if factors is not None:
@@ -333,7 +337,9 @@ class PluginsAtWork:
         """A regularizer's weighted loss term; 0 without one."""
         plugged = running.plugged
         plugin = plugged.plugin
-        with hooks.at_work("reg", plugin, "loss", context.step, context.gaussians, context.other, render):
+        with hooks.at_work(
+            "reg", plugin, "loss", context.step, context.gaussians, context.other, render
+        ):
             found = plugin.loss(context, running.state, view, render)
         term = hooks.loss_term(plugin, found)
         self._note_act(running, term is not None)

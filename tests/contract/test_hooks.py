@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from framework import registry
-from framework.command.studies.failures import _shown
 from framework.errors import PluginError, UserError
 from framework.plugin import Augmenter, Capacity, Edits, Regularizer, register
 from framework.run.plane import textured_plane
@@ -235,7 +234,9 @@ def test_what_a_plugin_s_own_checks_raise_names_it() -> None:
 def test_a_hook_that_raises_is_placed() -> None:
     mine = plugin(Capacity, "capacity")
     with (
-        pytest.raises(PluginError, match=r"capacity=mine: update, step 39: raised.*: lost \(test_ho"),
+        pytest.raises(
+            PluginError, match=r"capacity=mine: update, step 39: raised.*: lost \(test_ho"
+        ),
         hooks.at_work("capacity", mine, "update", 39, THREE),
     ):
         raise ValueError("lost")

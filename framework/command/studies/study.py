@@ -178,7 +178,11 @@ def sweep_jobs(config: DictConfig) -> list[list[str]]:
     lines = [f"{key!s}={value}" for key, value in params.items()]
     lines += list(config.hydra.overrides.task)
     parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
-    return jobs_of(parser.parse_overrides(lines))
+    overrides = parser.parse_overrides(lines)
+    jobs = jobs_of(overrides)
+    empty = [str(one.input_line) for one in overrides if not jobs and not jobs_of([one])]
+    require(len(jobs) > 0, f"multirun: {' '.join(empty)} gives no value, so there is no run")
+    return jobs
 
 
 def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dict[str, Any]]]:

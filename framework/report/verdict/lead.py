@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from framework.report.statistics.compare import Comparison, compare
 from framework.report.statistics.estimates import Interval
-from framework.report.statistics.numbers import interval_text, signed, significant
+from framework.report.statistics.numbers import decimals, interval_text, signed, significant
 from framework.report.statistics.outcomes import Outcomes, by_pair
 from framework.report.study.labels import listed
 from framework.report.study.order import BASELINE
