@@ -48,7 +48,7 @@ from framework.command.studies.study import (
 from framework.command.subcommands import asked_for, obey
 from framework.command.words import check_utf8, normalise, only_informs, parse
 from framework.compute.orphans import end_with_parent
-from framework.errors import UserError, machine_line, printable_line
+from framework.errors import UserError, machine_line, nearest_hint, printable_line
 from framework.records.progress import unread
 
 TOLD = ("augment=", "reg=", "seed=")  # progress lines have these of every run
@@ -80,6 +80,7 @@ def main(argv: Sequence[str]) -> int:
                 version_base="1.3", config_path=str(CONF_DIR), config_name="config"
             )(task)
             if only_informs(flags):
+                _check_package(flags)
                 with composing():
                     application()
                 return 0
@@ -125,11 +126,26 @@ def task(cfg: DictConfig) -> Outcome:
         check(job.config)  # finds plugins too, of which a launcher's fresh process knows nothing
         job.config["study"] = study_name(job.config)
         runner.run(job)
+    except SystemExit as end:  # of somebody else's code: it must end neither siblings nor quietly
+        return tell(job, UserError(f"the run called sys.exit({end.code!r}); fix the plugin"))
     except Exception as error:
         return tell(job, error)
     outcome = Outcome(job.number, job.run_dir)
     add_outcome(outcome)
     return outcome
+
+
+def _check_package(flags: Any) -> None:
+    """Raise UserError for `--package` of a part that the configuration lacks."""
+    if flags.package is None or flags.shell_completion:
+        return
+    with hydra.initialize_config_dir(version_base="1.3", config_dir=str(CONF_DIR)):
+        config = hydra.compose("config", flags.overrides, return_hydra_config=True)
+    package = flags.package.removeprefix("_global_")
+    part = OmegaConf.select(config, package, throw_on_missing=False) if package else config
+    if part is None:
+        known = [str(key) for key in config]
+        raise UserError(f"--package: no part {package!r} there; {nearest_hint(package, known)}")
 
 
 def _check_here() -> None:

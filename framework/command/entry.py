@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import gc
-import io
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
 from framework.command.program import CONSOLE, SCRIPT, typed
+from framework.command.streams import make_safe
 from framework.errors import memory_line
 from framework.files.limits import check_address_space
 
@@ -21,9 +21,7 @@ def main() -> NoReturn:
 def command(argv: Sequence[str], name: str = SCRIPT) -> NoReturn:
     """Run the command line `argv` of the program `name` and end this process."""
     typed(name)
-    for stream in (sys.stdout, sys.stderr):  # a terminal or log may lack a letter that we print
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+    make_safe()
     try:
         check_address_space()
     except MemoryError as error:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -53,17 +54,19 @@ from framework.records.record import (
     EXPOSURE,
     LPIPS,
     POSE_CHECK,
-    RECORD,
     TRAIN_STAGE,
     RunRecord,
     SceneInfo,
     StageTime,
+    damaged_file,
     find_complete,
+    remove_record,
     write_run,
 )
-from framework.records.run_files import MADE_OF_MODEL
+from framework.records.run_files import remove_made_of_model
 from framework.run import answers, budget, trackers
 from framework.run.lpips_later import lacks_lpips, with_lpips
+from framework.run.plugin_code import plugin_hashes
 from framework.run.poses import checked_poses
 from framework.run.training import Run, initial, renderer, thinned, train, try_out
 from framework.run.untouched import Shared, depth_parts, foreign, scene_parts
@@ -72,6 +75,8 @@ from framework.train.dose import told
 from framework.train.resume.checkpoint import remove_checkpoints
 from framework.train.trainer import Trained
 from framework.types import DepthMap, Gaussians, Scene, View
+
+LOG = logging.getLogger(__name__)
 
 
 def run_experiment(
@@ -112,7 +117,8 @@ def _experiment(
     timings: dict[str, StageTime] = {}
     progress.stage(f"scene {config['scene']['name']}")
     scene, timings["scene"], scene_warnings = _scene(_key(config["scene"]))
-    files = _files(config, scene)
+    plugins = plugin_hashes(config)
+    files = {**_files(config, scene), **plugins}
     identity = identity_of(config, scene.fingerprint, code_hash(), files)
     done = _reusable(config, run_dir, identity)
     if done is not None and not lacks_lpips(done, network):
@@ -127,6 +133,9 @@ def _experiment(
             done = with_lpips(run_dir, done, network)
             progress.done(_reused(done))
             return done
+        damage = "" if config["force"] else damaged_file(run_dir, identity)
+        if damage:
+            LOG.warning(f"{run_dir.name}: {damage}; running it again")
         remove_temporaries(run_dir)
         shared = Shared(foreign(config))
         shared.watch(scene_parts(scene))
@@ -147,6 +156,7 @@ def _experiment(
                 timings=timings,
                 provenance={
                     **provenance(),
+                    "plugins": plugins,
                     **build_rasterizer(config).facts(),
                     "threads": parallel.threads(),
                     LPIPS: None if network is None else network.name,
@@ -243,7 +253,7 @@ def _written(
     """The run's files; the record last, as it says that all others are there. photos: the training
     views as they were taken, whatever the exposures of those of `run` were evened by."""
     run_dir, test = run.folder, run.scene.test
-    (run_dir / RECORD).unlink(missing_ok=True)  # of a run before, with other files than these
+    stale = remove_record(run_dir)  # of a run before, with other files than these
     with following(run_dir) as before:
         factors = None if run.exposures is None else run.exposures.factors
         write_cameras(run_dir, photos, test, near, factors)
@@ -259,12 +269,11 @@ def _written(
         trained.background,
         renders,
         before,
+        stale,
     )
     remove_checkpoints(run_dir)
-    for left in (budget.FILE, *MADE_OF_MODEL):  # these are of the model of before
-        for file in run_dir.glob(left):
-            if not file.is_dir():
-                file.unlink(missing_ok=True)
+    (run_dir / budget.FILE).unlink(missing_ok=True)
+    remove_made_of_model(run_dir)
     return record
 
 
@@ -324,14 +333,19 @@ def _scene(key: str) -> tuple[Scene, StageTime, list[str]]:
     with _timed(timings, "scene"), warnings_of() as warnings:
         options = json.loads(key)
         loader = registry.part("scene", options)
-        scene = answers.scene(options["name"], type(loader), loader.load())
+        with answers.called(f"scene={options['name']}: load", type(loader)):
+            found = loader.load()
+        scene = answers.scene(options["name"], type(loader), found)
     return scene, timings["scene"], warnings
 
 
 def _files(config: Mapping[str, Any], scene: Scene) -> dict[str, str]:
     """Purpose -> fingerprint of the files beside the scene's that the run reads; "" for none."""
+    provider = registry.part("depth", config["depth"])
+    with answers.called(f"depth={config['depth']['name']}: fingerprint", type(provider)):
+        depth = provider.fingerprint(scene.training)
     return {
-        "depth": registry.part("depth", config["depth"]).fingerprint(scene.training),
+        "depth": depth,
         "lpips_weights": fingerprint(config["metrics"]["lpips_weights"]),
     }
 
@@ -345,7 +359,8 @@ def _depth(
     with _timed(timings, "depth"), warnings_of() as warnings:
         options = json.loads(key)
         training, provider = _scene(scene_key)[0].training, registry.part("depth", options)
-        maps = provider.estimate(training)
+        with answers.called(f"depth={options['name']}: measure", type(provider)):
+            maps = provider.estimate(training)
         depth = answers.depth(options["name"], type(provider), maps, training)
     return depth, timings["depth"], warnings
 

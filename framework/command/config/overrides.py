@@ -15,7 +15,7 @@ from typing import Any
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import ChoiceSweep, IntervalSweep, Override, RangeSweep
 
-from framework.command.config.schema import OBJECT_GROUPS
+from framework.command.config.schema import GROUPS, OBJECT_GROUPS
 from framework.command.program import program
 from framework.errors import UserError, printable_line, require
 from framework.files import limits
@@ -23,6 +23,7 @@ from framework.files import limits
 OF_GRAMMAR = set("'\"[]{}(),\\$")  # signs that mean something in the value of an override
 NAMES = ("study", "metrics.lpips_weights", "scene.images", "scene.file")  # values that are names
 NO_NAME = re.compile(r"[0-9+\-._e]+|true|false|[+-]?(inf|nan)", re.ASCII | re.I)  # a value of those
+REMOVABLE = {*GROUPS} - {*OBJECT_GROUPS, "method", "preset"}
 NO_WORDS = "#&;<>!~^`"  # of ASCII, what it reads only in quotation marks
 
 
@@ -97,14 +98,20 @@ def check_method(overrides: Sequence[Override], swept: Iterable[Any]) -> None:
 
 
 def check_deleted(overrides: Iterable[Override]) -> None:
-    """Raise UserError for `~reg`: no part of a configuration can be done without."""
+    """Raise UserError for `~reg` and `~seed`: no part of a configuration can be removed."""
     for override in overrides:
-        group = override.key_or_group
-        if override.is_delete() and group in OBJECT_GROUPS:
-            raise UserError(
-                f"~{group}: expected a choice of {group}, got none; write {group}=NAME,"
-                f" {program()} --help tells which"
-            )
+        key = override.key_or_group
+        if not override.is_delete() or key in REMOVABLE or key.startswith("hydra"):
+            continue
+        require(
+            key not in OBJECT_GROUPS,
+            f"~{key}: expected a choice of {key}, got none; write {key}=NAME, {program()} --help"
+            " tells which",
+        )
+        raise UserError(
+            f"~{key}: an option cannot be removed; leave this word out for the default, or write"
+            f" {key}=VALUE"
+        )
 
 
 def _length(override: Override) -> int:

@@ -62,6 +62,11 @@ def _submit(words: list[str], prog: str) -> int:
     if "-h" in words or "--help" in words:
         print(__doc__)
         return 0
+    require(
+        any(word not in MULTIRUN_FLAGS and not word.startswith(LAUNCHER) for word in words),
+        f"{prog}: expected the words of a study, got none; write for instance {prog}"
+        " reg=none,uar seed=0,1,2, or sweep=NAME",
+    )
     chosen = [word.removeprefix(LAUNCHER) for word in words if word.startswith(LAUNCHER)]
     require(
         all(name in ENGINES for name in chosen),

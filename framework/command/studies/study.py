@@ -181,7 +181,10 @@ def sweep_jobs(config: DictConfig) -> list[list[str]]:
     check_run_count(typed, params)
     check_method(typed, params)
     swept = parser.parse_overrides([f"{key!s}={value}" for key, value in params.items()])
-    return jobs_of([*swept, *typed])
+    jobs = jobs_of([*swept, *typed])
+    empty = [str(o.input_line) for o in (*swept, *typed) if not jobs and not jobs_of([o])]
+    require(len(jobs) > 0, f"multirun: {' '.join(empty)} gives no value, so there is no run")
+    return jobs
 
 
 def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dict[str, Any]]]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import os
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from framework.errors import UserError, printable_line
 from framework.records.failure import FAILED, read_failure
@@ -163,13 +164,33 @@ def table_notes(runs: Sequence[ReportRun], whole: int) -> list[str]:
 
 
 def _code_notes(runs: Sequence[Run]) -> list[str]:
-    versions = {str(run.record.provenance.get("code")) for run in runs}
-    if len(versions) < 2:
-        return []
+    sources = [run.record.provenance for run in runs]
+    # older records hash the user's plugins into `code`, so take their commit's code instead
+    of_commit = {_commit(p): str(p.get("code")) for p in sources if not _with_plugins(p)}
+    versions = defaultdict[str, set[str]](set)
+    for p in sources:
+        hashed = str(p.get("code"))
+        versions["code"].add(of_commit.get(_commit(p), hashed) if _with_plugins(p) else hashed)
+        for name, digest in (p.get("plugins") or {}).items():
+            versions[name].add(digest)
     return [
-        f"The runs were made with {len(versions)} versions of the code, which may explain a"
-        " difference; the study's command repeats the outdated ones."
+        f"The runs were made with {len(versions[name])} versions of"
+        f" {'the code' if name == 'code' else code(name)}, which may explain a difference; the"
+        " study's command repeats the outdated ones."
+        for name in versions
+        if len(versions[name]) > 1
     ]
+
+
+def _commit(source: Mapping[str, Any]) -> str:
+    """The commit, "" without one or with local changes."""
+    git = source.get("git")
+    return str(git["sha"]) if git and not git["dirty"] else ""
+
+
+def _with_plugins(source: Mapping[str, Any]) -> bool:
+    """Return whether `code` is of the user's plugins too."""
+    return "own_plugins" in source and "plugins" not in source and bool(_commit(source))
 
 
 def _machine_notes(runs: Sequence[ReportRun]) -> list[str]:
