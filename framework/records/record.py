@@ -291,8 +291,7 @@ def read_record(path: Path) -> RunRecord:
     """The record in a `record.json`. Raises UserError when it is missing or damaged."""
     content = read_json(path, RUN_BYTES)
     try:
-        check_record(content)
-        return _from_json(content)
+        return record_of(content)
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(
             f"{path}: expected a run's record, got a damaged one ({type(error).__name__}: {error});"
@@ -355,6 +354,16 @@ def parameters_sha256(gaussians: Gaussians) -> str:
 
 def write_record(run_dir: Path, record: RunRecord) -> None:
     """Write `record.json` alone; the other files of a complete run must be there."""
+    text = strict_json(record_content(record), indent=2) + "\n"
+    try:  # what the reader refuses must not look like a finished run
+        check_record(json.loads(text))
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{run_dir / RECORD}: cannot hold this run: {error}") from error
+    write_whole(run_dir / RECORD, text)
+
+
+def record_content(record: RunRecord) -> dict[str, Any]:
+    """A record as plain values, which `record_of` reads."""
     content = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
     content["seed"] = record.config.get("seed")
     content["methods"] = record.methods
@@ -370,15 +379,12 @@ def write_record(run_dir: Path, record: RunRecord) -> None:
         else {"mean": value, "missing": None}
         for name, value in record.summary.items()
     }
-    text = strict_json(content, indent=2) + "\n"
-    try:  # what the reader refuses must not look like a finished run
-        check_record(json.loads(text))
-    except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{run_dir / RECORD}: cannot hold this run: {error}") from error
-    write_whole(run_dir / RECORD, text)
+    return content
 
 
-def _from_json(content: dict[str, Any]) -> RunRecord:
+def record_of(content: dict[str, Any]) -> RunRecord:
+    """The record with this content. Raises ValueError, KeyError or TypeError for any other."""
+    check_record(content)
     scene = content["scene"]
     lists = ("training", "test")
     # older records lack these fields
