@@ -2,8 +2,8 @@
 
 Two runs have the same identity when nothing that can change their bits differs: the resolved
 config without `NEUTRAL_KEYS`, the loaded scene, the other files read, the sources of the framework
-and of the plugins that the run uses, and the package versions. No host name and no path of the machine is recorded, beyond what the user's own config
-holds.
+and of the plugins that the run uses, and the package versions. No host name and no path of the
+machine is recorded, beyond what the user's own config holds.
 """
 
 from __future__ import annotations

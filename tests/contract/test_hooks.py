@@ -241,7 +241,7 @@ def test_a_hook_that_raises_is_placed() -> None:
     ):
         raise ValueError("lost")
     with (
-        pytest.raises(UserError, match="^mine: no$"),
+        pytest.raises(UserError, match=r"^mine: no$"),
         hooks.at_work("capacity", mine, "update", 39, THREE),
     ):
         raise UserError("mine: no")

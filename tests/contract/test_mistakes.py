@@ -111,13 +111,13 @@ def test_a_ceiling_of_opacities(ceiling: Any) -> None:
         return Edits(opacity_ceiling=ceiling), None
 
     mine = type("Mine", (Capacity,), {"name": "mine", "update": update})()
-    with pytest.raises(UserError, match="^capacity=mine: update: expected an `opacity_ceiling`"):
+    with pytest.raises(UserError, match=r"^capacity=mine: update: expected an `opacity_ceiling`"):
         trainer(capacity=plugged(mine)).run()
 
 
 def test_values_that_are_no_mapping() -> None:
     mine = type("Mine", (Capacity,), {"name": "mine", "update": lambda *_: (Edits(values=[1]), 0)})
-    with pytest.raises(PluginError, match="^capacity=mine: update: what it returns: raised"):
+    with pytest.raises(PluginError, match=r"^capacity=mine: update: what it returns: raised"):
         trainer(capacity=plugged(mine())).run()
 
 
@@ -224,7 +224,7 @@ def test_what_cannot_be_logged(name: Any, value: Any) -> None:
     def loss(_: Any, ctx: Any, state: Any, view: Any, render: Any) -> Any:
         ctx.log(name, value)
 
-    with pytest.raises(UserError, match="loss, step 0: raised|ctx.log: expected a name"):
+    with pytest.raises(UserError, match=r"loss, step 0: raised|ctx.log: expected a name"):
         trainer(reg=plugged(reg(loss=loss))).run()
 
 

@@ -128,7 +128,7 @@ def test_a_missing_package_stops_export_before_it_writes(
 ) -> None:
     monkeypatch.setattr("framework.exports.formats.can_write", lambda kind: kind != "sog")
     run = run_folder(tmp_path / "run", side_by_side())
-    with pytest.raises(UserError, match="^sog: needs the package gaussforge"):
+    with pytest.raises(UserError, match=r"^sog: needs the package gaussforge"):
         main([str(run), "--format", "spz", "sog"], "export")
     assert not (run / "export").exists()
 
