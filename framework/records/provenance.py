@@ -117,7 +117,7 @@ def strict_json(value: Any, indent: int | None = None, compact: bool = False) ->
     """JSON with sorted keys, of plain values only. A non-finite number becomes null, which
     whoever writes one explains in a field beside it. compact: without blanks."""
     return json.dumps(
-        _finite(value),
+        plain_json(value),
         indent=indent,
         sort_keys=True,
         allow_nan=False,
@@ -178,11 +178,12 @@ def _sources(root: Path) -> list[tuple[str, Path]]:
     return [(n, named[n]) for n in sorted(named) if not n.startswith(SHOWING)]
 
 
-def _finite(value: Any) -> Any:
+def plain_json(value: Any) -> Any:
+    """Return the dicts, lists and finite numbers that `strict_json` writes."""
     if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
+        return {str(key): plain_json(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
+        return [plain_json(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, Path):

@@ -26,7 +26,6 @@ import contextlib
 import csv
 import dataclasses
 import hashlib
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,7 +42,7 @@ from framework.files.whole import Disturbed, Written, difference, following, wri
 from framework.metrics.evaluate import mean_of
 from framework.metrics.values import METRICS, Measurement, Missing, ViewMetrics
 from framework.records.failure import FAILED
-from framework.records.provenance import provenance, strict_json
+from framework.records.provenance import plain_json, provenance, strict_json
 from framework.records.record_check import check_record
 from framework.records.run_files import (
     HISTORY_CSV,
@@ -354,12 +353,12 @@ def parameters_sha256(gaussians: Gaussians) -> str:
 
 def write_record(run_dir: Path, record: RunRecord) -> None:
     """Write `record.json` alone; the other files of a complete run must be there."""
-    text = strict_json(record_content(record), indent=2) + "\n"
+    content = record_content(record)
     try:  # what the reader refuses must not look like a finished run
-        check_record(json.loads(text))
+        check_record(plain_json(content))
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(f"{run_dir / RECORD}: cannot hold this run: {error}") from error
-    write_whole(run_dir / RECORD, text)
+    write_whole(run_dir / RECORD, strict_json(content, indent=2) + "\n")
 
 
 def record_content(record: RunRecord) -> dict[str, Any]:
