@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,11 @@ from framework.files.opened import is_file, read_text
 from framework.records import RUN_FOLDERS
 from framework.records.provenance import strict_json
 from framework.records.record import Run, record_content, record_of
-from framework.records.record_check import check_number, check_stems, check_views
+from framework.records.record_check import check_columns, check_number, check_stems, check_views
 from framework.records.run_files import LOGGED, TEXT_COLUMNS, Table
 
 ARCHIVE, SCHEMA = "runs.jsonl", 1
-DERIVED = ("seed", "methods", "parameters")  # from other fields of a record
+LEFT_OUT = ("seed", "methods", "parameters", "files")  # from other fields, and of the folder alone
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def _line(entry: Entry) -> str:
     content = {
         "schema": SCHEMA,
         "run": entry.run.run_dir.name,
-        "record": {k: v for k, v in record_content(entry.run.record).items() if k not in DERIVED},
+        "record": {k: v for k, v in record_content(entry.run.record).items() if k not in LEFT_OUT},
         "metrics": _columns(entry.run.metrics),
         "history": _columns(entry.run.history),
         "kind": entry.kind,
@@ -90,9 +90,10 @@ def _entry(folder: Path, content: Mapping[str, Any]) -> Entry:
     name, kind, again = (str(content[key]) for key in ("run", "kind", "again"))
     if not name or Path(name).name != name:
         raise ValueError(f"the run's name is {name[:60]!r}")
-    tables = (_table(content[key]) for key in ("metrics", "history"))
+    metrics = _table(content["metrics"], ("view", "tags", "file", "psnr", "render_s"))
+    history = _table(content["history"], ("step", "seconds", "test_psnr"))
     run_dir = folder / RUN_FOLDERS / name
-    return Entry(Run(run_dir, record_of(content["record"]), *tables), kind, again)
+    return Entry(Run(run_dir, record_of(content["record"]), metrics, history), kind, again)
 
 
 def _columns(table: Table) -> dict[str, list[Any]]:
@@ -100,7 +101,12 @@ def _columns(table: Table) -> dict[str, list[Any]]:
     return {**table.texts, **numbers}
 
 
-def _table(columns: Mapping[str, list[Any]]) -> Table:
+def _table(columns: Mapping[str, list[Any]], needed: Sequence[str]) -> Table:
+    """The table with these columns; one of a failed run has none."""
+    if columns:
+        check_columns(list(columns), needed)
+    if len({len(cells) for cells in columns.values()}) > 1:
+        raise ValueError("columns of different lengths")
     texts = {name: list(map(str, columns[name])) for name in TEXT_COLUMNS if name in columns}
     numbers = {}
     for name, cells in columns.items():

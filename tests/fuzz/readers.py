@@ -265,7 +265,9 @@ READERS: dict[str, Reader] = {
         ),
         _reported,
     ),
-    "table of runs": Reader(_table, ("runs.csv",), lambda f: build_report(f, out_dir=f)),
+    "archive of runs": Reader(
+        _table, ("runs.jsonl",), lambda f: build_report(f, out_dir=f / "out")
+    ),
     "viewed run": Reader(
         lambda f: seen_run(f, run_name="run"),
         tuple(
@@ -289,7 +291,7 @@ READERS: dict[str, Reader] = {
     ),
     "leaderboard": Reader(
         commands.two_studies,
-        (*(f"one/runs/b0/{name}" for name in RUN), "two/runs.csv"),
+        (*(f"one/runs/b0/{name}" for name in RUN), "two/runs.jsonl"),
         commands.all_studies,
     ),
     "video of a run": Reader(
