@@ -23,6 +23,7 @@ __all__ = [
     "UNTESTED",
     "Embedded",
     "cameras",
+    "decoding",
     "images",
     "lens",
     "published_split",

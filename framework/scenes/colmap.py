@@ -1,10 +1,10 @@
 """`scene=colmap`: photos and a COLMAP sparse model (`sparse/0` or `sparse`, bin or txt).
 
-Cameras: PINHOLE, SIMPLE_PINHOLE, and SIMPLE_RADIAL, RADIAL, OPENCV (their photos are undistorted to
-a pinhole of the same focal lengths; pixels that the lens did not see get mask 0). Photos may be the
-model's size or that times or over an integer, rounded (`images_4`); K is scaled by the exact ratio
-of the sizes. Near and far are the 0.1 and 99.9 percentiles, as in LLFF, of the depths at which the
-training views see points; they count every point with a training view in its track.
+Cameras: PINHOLE, SIMPLE_PINHOLE, and SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV (their photos are
+undistorted to a pinhole of the same focal lengths; pixels that the lens did not see get mask 0).
+Photos may have any size of the model's proportions, rounded (`images_4`); K is scaled by the exact
+ratio of the sizes. Near and far are the 0.1 and 99.9 percentiles, as in LLFF, of the depths at
+which the training views see points; they count every point with a training view in its track.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from framework.errors import require
 from framework.files.opened import is_file
 from framework.files.paths import inside
+from framework.scenes.formats import find_photo
 from framework.scenes.options import check_folder_options, check_images
 from framework.scenes.splits import protocol
 
@@ -83,7 +84,7 @@ def load_colmap(
 
 def _files(folder: Path, model: Model) -> list[Path]:
     """The photo of each image of the model, by name."""
-    files = [inside(folder, name) for name in model.names]
+    files = [find_photo(folder, name) for name in model.names]
     missing = [f.name for f in files if not is_file(f)]
     require(
         not missing,

@@ -24,9 +24,10 @@ from framework.files.opened import is_file, read_bytes
 from framework.scenes import colmap_files
 from framework.scenes.assemble import Tracks
 from framework.scenes.cameras import checked_lens, checked_pose, near_points
+from framework.scenes.colmap_text import read_lines
 from framework.scenes.lens import Distortion, Lens
 
-SUPPORTED = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+SUPPORTED = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ def _lens(camera: Any, where: Path) -> Lens:
         f" {camera.camera_id}); undistort with `colmap image_undistorter` first",
     )
     p = [float(v) for v in camera.params]
-    two_focals = name in ("PINHOLE", "OPENCV")
+    two_focals = name in ("PINHOLE", "OPENCV", "FULL_OPENCV")
     fx, fy, cx, cy = p[:4] if two_focals else (p[0], p[0], p[1], p[2])
     # after these come the model's coefficients, in the order of Distortion's fields
     distortion = Distortion(*p[4 if two_focals else 3 :])
@@ -121,7 +122,9 @@ def _reconstruction(folder: Path) -> Any:
     pycolmap = _pycolmap()
     with tempfile.TemporaryDirectory() as copy, _quiet(pycolmap):
         for file in files:
-            (Path(copy) / file.name).write_bytes(read_bytes(file, MODEL_BYTES))
+            text = names and read_lines(file)  # pycolmap reads no byte order mark
+            content = text.encode() if text else read_bytes(file, MODEL_BYTES)
+            (Path(copy) / file.name).write_bytes(content)
         try:
             model = pycolmap.Reconstruction(copy)
         except (ValueError, IndexError, RuntimeError, OSError, KeyError) as error:

@@ -5,6 +5,8 @@
 millimetres; photos may be smaller, by default they are reduced to the usual 400 x 300 pixels.
 Near and far are the depths of 425 to 935 mm that stereo on this rig searches (Yao et al. 2018,
 MVSNet, with CasMVSNet's end). Sparse points come from `sparse/0` where there is such a model.
+Photos may also have the names of MVSNet's `Rectified/`, of light 3 as RegNeRF takes them:
+`rect_001_3_r5000.png` is position 0. Its `Cameras/` are not read.
 
 Protocol (see `splits`): tests measure the object only: PSNR over the mask, the other metrics with
 all else white in render and truth (RegNeRF; CoR-GS's `metrics_dtu.py`). Training (`train_mask`):
@@ -17,6 +19,7 @@ all else white in render and truth (RegNeRF; CoR-GS's `metrics_dtu.py`). Trainin
 
 from __future__ import annotations
 
+import logging
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +38,9 @@ if TYPE_CHECKING:
     from framework.scenes.dtu_cameras import Calibration
     from framework.types import Scene
 
+log = logging.getLogger(__name__)
+
+RECTIFIED = re.compile(r"rect_(\d{3})_3_r5000")
 TRAIN_MASKS = ("background", "full", "object")
 NEAR_MM, FAR_MM = 425.0, 935.0
 USUAL_WIDTH = 400
@@ -70,6 +76,12 @@ class Dtu:
 
         folder = scan_folder(self.path, self.scan)
         beside = "mask/ and cameras_sphere.npz"
+        require(
+            self.images != "auto" or not (folder / "Rectified").is_dir(),
+            f"scene=dtu: expected images/, mask/ and cameras_sphere.npz of one scan, as IDR and"
+            f" NeuS share DTU, in '{folder}', got MVSNet's layout (Rectified/, Cameras/), which is"
+            " not read; download the scans in IDR's layout",
+        )
         files = _numbered(photo_folder("dtu", folder, self.images, ("images", "image"), beside))
         masks = _numbered(inside(folder, "mask"))
         require(
@@ -79,7 +91,8 @@ class Dtu:
         )
         cameras = read_cameras(folder, len(files))
         names = [f.name for f in files]
-        split = protocol(self.split).split(names, self.n_views, f"scene=dtu: {folder}")
+        positions = [f"{i:06d}" for i in range(len(files))]
+        split = protocol(self.split).split(positions, self.n_views, f"scene=dtu: {folder}")
         factor = self._downscale(files[0])
         check_memory([files[i] for i in (*split.train, *split.test)], factor)
         train = [
@@ -94,17 +107,20 @@ class Dtu:
 
     def _downscale(self, file: Path) -> int:
         """The factor that was asked for, or that which makes photos 400 pixels wide."""
-        from framework.scenes.images import image_size
+        from framework.files.limits import PHOTO_PIXELS
+        from framework.scenes.decoding import image_size
 
         if self.downscale is not None:
             return self.downscale
-        width, height = image_size(file)
-        require(
-            width % USUAL_WIDTH == 0,
-            f"{file}: expected a photo of 1600x1200 over an integer, got {width}x{height}; set"
-            " scene.downscale",
-        )
-        return width // USUAL_WIDTH
+        width, height = image_size(file, PHOTO_PIXELS)
+        factor = max(1, round(width / USUAL_WIDTH))
+        if width != factor * USUAL_WIDTH:
+            log.warning(
+                f"{file}: photos of {width}x{height} are reduced to {width // factor}x"
+                f"{height // factor}, not the 400x300 of the usual protocol; for that take photos"
+                " of 1600x1200 or 800x600"
+            )
+        return factor
 
     def _for_training(self, shot: Shot, scan: str) -> Shot:
         """The shot with the mask that training uses in place of the object's."""
@@ -151,11 +167,12 @@ def background(image: NDArray[np.uint8], level: int) -> NDArray[np.float32]:
 
 
 def _numbered(folder: Path) -> list[Path]:
-    """The images of `folder`, which are named after their positions 0, 1, ... on the rig."""
+    """The images of `folder` in the order of their positions 0, 1, ... on the rig, after which they
+    are named."""
     from framework.scenes.images import list_images
 
-    files = list_images(folder)
-    wrong = [f.name for i, f in enumerate(files) if not f.stem.isdecimal() or int(f.stem) != i]
+    files = sorted(list_images(folder), key=lambda file: (_position(file), file.name))
+    wrong = [f.name for i, f in enumerate(files) if _position(f) != i]
     require(
         not wrong,
         f"{folder}: expected files named after the rig's positions from 0 without a gap"
@@ -164,13 +181,26 @@ def _numbered(folder: Path) -> list[Path]:
     return files
 
 
+def _position(file: Path) -> int:
+    """The number in the name of a photo; -1 for another name."""
+    if file.stem.isdecimal():
+        return int(file.stem)
+    rectified = RECTIFIED.fullmatch(file.stem)
+    return int(rectified[1]) - 1 if rectified else -1
+
+
 def _shot(file: Path, mask: Path, camera: Calibration, factor: int) -> Shot:
     """The photo with the object's mask."""
-    from framework.scenes.images import read_image, read_mask
-    from framework.scenes.photo import pinhole_shot, resized
+    from dataclasses import replace
 
-    image = read_image(file)
-    K = resized(file, image, camera.lens)
-    valid = read_mask(mask, *image.shape[:2])
+    from framework.scenes.images import read_image, read_mask
+    from framework.scenes.photo import pinhole_shot, reading
+
+    how = reading(file, camera.lens, factor)
+    image = read_image(file, how.factor, how.turn)
+    height, width = image.shape[:2]
+    valid = read_mask(mask, height, width, how.factor)
     require(bool(valid.any()), f"{mask}: expected some white pixels, got none; replace the mask")
-    return pinhole_shot(file.name, camera.viewmat, K, image, mask=valid, downscale=factor)
+    rest = factor // how.factor
+    shot = pinhole_shot(file.name, camera.viewmat, how.K, image, mask=valid, downscale=rest)
+    return replace(shot, exif=how.exif)

@@ -167,18 +167,23 @@ def check_range(loader: str, near: float | None, far: float | None) -> None:
 
 def shot(frame: Frame, paper: str, downscale: int) -> Shot:
     """The photo of a frame with its camera and mask, reduced; transparent ones on that of
-    `PAPERS`. Raises UserError for a bad file or one of another size."""
+    `PAPERS`. Raises UserError for a bad file or one of other proportions."""
+    from framework.files.limits import PHOTO_PIXELS
+    from framework.scenes.decoding import image_size
     from framework.scenes.images import read_mask, read_on_paper
-    from framework.scenes.photo import pinhole_shot, resized
+    from framework.scenes.photo import pinhole_shot, reading
 
-    image, clear = read_on_paper(frame.file, PAPERS[paper])
+    lens = frame.lens(*image_size(frame.file, PHOTO_PIXELS))
+    how = reading(frame.file, lens, downscale, sized={"w", "h"} <= frame.values.keys())
+    image, clear = read_on_paper(frame.file, PAPERS[paper], how.factor, how.turn)
     height, width = image.shape[:2]
-    lens = frame.lens(width, height)
-    K = resized(frame.file, image, lens)
-    mask = None if frame.mask is None else read_mask(frame.mask, height, width)
+    mask = None if frame.mask is None else read_mask(frame.mask, height, width, how.factor)
     require(
         mask is None or bool(mask.any()),
         f"{frame.mask}: expected a mask with some white pixels, got none; replace the mask",
     )
-    made = pinhole_shot(frame.name, frame.viewmat, K, image, lens.distortion, mask, downscale)
-    return replace(made, clear=clear)
+    made = pinhole_shot(
+        *(frame.name, frame.viewmat, how.K, image, lens.distortion, mask),
+        downscale=downscale // how.factor,
+    )
+    return replace(made, clear=clear, exif=how.exif)

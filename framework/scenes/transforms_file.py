@@ -18,16 +18,17 @@ from framework.compute import portable
 from framework.errors import UserError, require
 from framework.files.limits import TEXT_BYTES
 from framework.files.opened import is_file, read_text
-from framework.files.paths import inside
 from framework.scenes.cameras import checked_lens, checked_pose
-from framework.scenes.images import SUFFIXES
+from framework.scenes.formats import find_photo
 from framework.scenes.lens import Distortion, Lens
 
-MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
-UNSUPPORTED = ("k4", "k5", "k6", "s1", "s2", "s3", "s4")
+FULL = "FULL_OPENCV"
+MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", FULL)
+LENS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in the order of Distortion's fields
+UNSUPPORTED = ("s1", "s2", "s3", "s4")
 NUMBERS = (
     *("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", "camera_angle_y"),
-    *("k1", "k2", "k3", "p1", "p2", *UNSUPPORTED),
+    *(*LENS, *UNSUPPORTED),
 )
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])  # the signs of a camera's axes
 
@@ -60,7 +61,7 @@ class Frame:
         )
         assert fx is not None
         fy = self._focal("fl_y", "camera_angle_y", h)
-        distortion = Distortion(*(v.get(k, 0.0) for k in ("k1", "k2", "p1", "p2", "k3")))
+        distortion = Distortion(*(v.get(k, 0.0) for k in LENS))
         cx, cy = v.get("cx", w / 2), v.get("cy", h / 2)
         lens = Lens(round(w), round(h), fx, fx if fy is None else fy, cx, cy, distortion)
         return checked_lens(lens, self.where)
@@ -87,10 +88,10 @@ def read_in_order(path: Path) -> list[Frame]:
     """The frames as the file lists them. Raises UserError for whatever is missing or unsound."""
     frames = []
     for frame in read_cameras(path):
+        file = find_photo(path.parent, frame.name)
+        mask = frame.mask and find_photo(path.parent, str(frame.mask))
         name = _relative(path.parent, frame.name)
-        file = _photo(path.parent, name)
-        mask = frame.mask and inside(path.parent, _relative(path.parent, str(frame.mask)))
-        frames.append(replace(frame, name=_with_suffix(name, file), file=file, mask=mask))
+        frames.append(replace(frame, name=name, file=file, mask=mask))
     _check_files(path, frames)
     return frames
 
@@ -206,45 +207,20 @@ def _values(entry: Mapping[str, Any], where: str) -> dict[str, float]:
             f"{where}: expected {key} to be a finite number, got {value}; correct it",
         )
         values[key] = float(value)
-    odd = [key for key in UNSUPPORTED if values.get(key, 0.0) != 0.0]
+    rational = () if model == FULL else ("k4", "k5", "k6")  # k4 of nerfstudio is another term
+    odd = [key for key in (*rational, *UNSUPPORTED) if values.get(key, 0.0) != 0.0]
     require(
         not odd,
         f"{where}: expected the lens terms k1, k2, k3, p1, p2 only, got {', '.join(odd)};"
-        " undistort the photos first",
+        f" undistort the photos first, or set camera_model to {FULL} if k4, k5, k6 are OpenCV's",
     )
     return values
 
 
-def _photo(folder: Path, file_path: str) -> Path:
-    """The photo of a file_path: as it stands, else with a suffix appended. May not exist. Raises
-    UserError when it is not inside the folder."""
-    exact = inside(folder, file_path)
-    if exact.suffix.lower() in SUFFIXES or is_file(exact):
-        return exact
-    for suffixes in (sorted(SUFFIXES), sorted(map(str.upper, SUFFIXES))):
-        candidates = [exact.with_name(exact.name + suffix) for suffix in suffixes]
-        found = [inside(folder, c.relative_to(folder)) for c in candidates if is_file(c)]
-        if found:
-            break
-    require(
-        len(found) <= 1,
-        f"{exact}: expected one photo of that name, found {', '.join(f.name for f in found)};"
-        " write the suffix into file_path",
-    )
-    return found[0] if found else exact.with_name(exact.name + ".png")
-
-
 def _relative(folder: Path, file_path: str) -> str:
-    """An absolute path below the folder as one from there; others as they are, without `./`."""
-    absolute = Path(file_path)
-    for root in (folder.absolute(), folder.resolve()):  # the folder may be a link
-        if absolute.is_absolute() and absolute.is_relative_to(root):
-            return absolute.relative_to(root).as_posix()
-    return file_path.removeprefix("./")
-
-
-def _with_suffix(name: str, file: Path) -> str:
-    return name if name.endswith(file.suffix) else name + file.suffix
+    """The path of a photo from the folder; as written if there is no such photo."""
+    file = find_photo(folder, file_path)
+    return file.relative_to(folder).as_posix() if is_file(file) else file_path.removeprefix("./")
 
 
 def _viewmat(matrix: Any, where: str) -> NDArray[np.float64]:

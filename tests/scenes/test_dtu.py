@@ -114,10 +114,10 @@ def test_background_is_the_published_rule() -> None:
     assert np.array_equal(background(image, 30) > 0, expected)
 
 
-def test_default_size_is_400_wide(tmp_path: Path) -> None:
+def test_default_size_is_400_wide(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     folder = write_dtu(tmp_path / "scan9")
-    with pytest.raises(UserError, match=r"set scene.downscale"):
-        load(folder, downscale=None)
+    assert load(folder, downscale=None).training.views[0].image.shape == (3, HEIGHT, WIDTH)
+    assert "photos of 40x30 are reduced to 40x30, not the 400x300" in caplog.text
     assert load(folder, downscale=2).training.views[0].image.shape == (3, 15, 20)
 
 
@@ -197,3 +197,22 @@ def test_real_scans_agree_with_their_colmap_model(name: str) -> None:
     assert torch.equal(scene.training.points.xyz, twin.training.points.xyz)
     assert (scene.training.points.visible.sum(1) >= 2).all()
     assert 300 < scene.training.extent < 600
+
+
+@pytest.mark.parametrize("name", ["rect_{1:03d}_3_r5000.png", "{0}.png"])
+def test_other_names_of_the_positions(tmp_path: Path, name: str) -> None:
+    """MVSNet's, which count from 1, and numbers without zeros before them."""
+    folder = write_dtu(tmp_path / "scan9")
+    sound = load(folder)
+    for i in range(49):
+        (folder / f"image/{i:06d}.png").rename(folder / "image" / name.format(i, i + 1))
+    scene = load(folder)
+    for view, other in zip(scene.training.views, sound.training.views, strict=True):
+        assert torch.equal(view.image, other.image)
+        assert torch.equal(view.camera.viewmat, other.camera.viewmat)
+
+
+def test_the_layout_of_mvsnet_is_named(tmp_path: Path) -> None:
+    (tmp_path / "Rectified" / "scan65").mkdir(parents=True)
+    with pytest.raises(UserError, match=r"cameras_sphere.npz .* got MVSNet's layout"):
+        load(tmp_path)

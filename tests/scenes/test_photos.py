@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
+import os
 import shutil
 import subprocess
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +19,6 @@ from PIL import Image
 
 from framework.compute import parallel
 from framework.errors import UserError
-from framework.files.whole import Unwritable
 from framework.scenes.colmap_model import read_model
 from framework.scenes.photos import cached, child
 from framework.scenes.photos.found import FILE, Found, read_found, write_found
@@ -29,15 +31,31 @@ from tests.scenes.unplaced import FOUND, FRAMES, kept, load, noise_photos, sourc
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the room's photos, with their poses beside them."""
+    """The folder of the room's photos, whose poses are in the cache."""
     folder = write_photos(tmp_path_factory.mktemp("photos") / "my room")
     before = parallel.threads()
     parallel.set_threads(1)
     try:
-        load(folder)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(cached, "cache_dir", lambda: folder.parent / "cache")
+            load(folder)
     finally:
         parallel.set_threads(before)
     return folder
+
+
+@pytest.fixture(autouse=True)
+def cache(
+    request: pytest.FixtureRequest,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Path:
+    """An empty cache, or that with the poses of the room."""
+    folder = tmp_path_factory.mktemp("cache")
+    if "room" in request.fixturenames:
+        folder = request.getfixturevalue("room").parent / "cache"
+    monkeypatch.setattr(cached, "cache_dir", lambda: folder)
+    return Path(folder)
 
 
 def test_the_poses_are_those_of_the_cameras(room: Path) -> None:
@@ -132,26 +150,26 @@ def test_two_at_once_do_it_once(
             thread.join()
     assert len(calls) == 1 and found[0] == found[1] and (found[0] / FILE).is_file()
     assert "waiting for another process" in caplog.text
-    assert [p.name for p in source.beside.iterdir() if p.name.startswith(".")] == []
+    assert [p.name for p in source.folder.iterdir() if p.name.startswith(".")] == []
 
 
-def test_a_folder_that_cannot_be_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+def test_nothing_is_written_beside_the_photos(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache: Path
 ) -> None:
-    photos, real = noise_photos(tmp_path / "photos"), cached.locked
+    photos, real = noise_photos(tmp_path / "photos"), os.open
 
-    def locked(folder: Path, wait: bool = False) -> object:
-        if photos in folder.parents:
-            raise Unwritable("read-only")
-        return real(folder, wait)
+    def refuse(path: str | Path, flags: int, *args: Any, **options: Any) -> int:
+        if photos in Path(path).parents and flags & (os.O_WRONLY | os.O_RDWR):
+            raise PermissionError(errno.EACCES, "denied", str(path))
+        return real(path, flags, *args, **options)
 
     monkeypatch.setattr(cached, "run_child", stored_by_hand)
-    monkeypatch.setattr(cached, "locked", locked)
-    monkeypatch.setenv("FISHERSPLAT_CACHE", str(tmp_path / "cache"))
-    with caplog.at_level(logging.INFO, "framework"):
-        folder = cached.poses_folder(source_of(photos))
-    assert folder.parent == tmp_path / "cache" / "poses" and "cannot be written" in caplog.text
+    monkeypatch.setattr(os, "open", refuse)
+    photos.chmod(0o555)  # root may write all the same
+    folder = cached.poses_folder(source_of(photos))
+    assert folder.parent == cache / "poses"
     assert cached.poses_folder(source_of(photos)) == folder
+    assert sorted(p.name for p in photos.iterdir()) == ["n0.png", "n1.png", "n2.png"]
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), UserError("too little overlap")])
@@ -166,7 +184,7 @@ def test_a_search_that_fails_leaves_nothing(
     source = source_of(noise_photos(tmp_path / "photos"))
     with pytest.raises(type(error)):
         cached.poses_folder(source)
-    assert sorted(p.name for p in source.beside.iterdir()) == ["n0.png", "n1.png", "n2.png"]
+    assert sorted(p.name for p in source.folder.iterdir()) == ["n0.png", "n1.png", "n2.png"]
 
 
 def test_what_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

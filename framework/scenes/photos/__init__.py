@@ -1,9 +1,9 @@
 """`scene=photos`: a folder of photos, or a video, without camera poses.
 
 pycolmap finds the poses in a process of its own, with settings for few photos, and tries harder
-where photos are left over (`steps`). What it found is kept beside the photos, in
-`fishersplat-poses-<hash of the photos' content>`, or in the user's cache where the folder cannot be
-written. That folder is a scene of `scene=colmap`, and is loaded as one: the same photos give the
+where photos are left over (`steps`). What it found is kept in the user's cache, in
+`poses/fishersplat-poses-<hash of the photos' content>`; nothing is written beside the photos. That
+folder is a scene of `scene=colmap`, and is loaded as one: the same photos give the
 same scene from then on. pycolmap itself repeats bit for bit on one machine, for any number of
 threads; another machine may round otherwise and then has another scene, with another fingerprint.
 """
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 class Photos:
     """Photos without poses: pycolmap finds them, once."""
 
-    path: str  # folder of the photos (JPEG, PNG, HEIC where Pillow reads it), or a video
+    path: str  # folder of the photos, or a video
     n_views: int | str = ALL  # training views; all = every one that is not for testing
     side: int = 1200  # pixels; larger photos are first reduced to this longer side
     downscale: int = 0  # by which they are then reduced; 0 = until the longer side is at most 800
@@ -45,8 +45,9 @@ class Photos:
     def load(self) -> Scene:
         """The scene; the first time this takes from seconds to many minutes. Raises UserError where
         too few photos find a place, with what to do."""
+        from framework.files.limits import PHOTO_PIXELS
         from framework.scenes.colmap import Colmap, load_colmap
-        from framework.scenes.images import image_size
+        from framework.scenes.decoding import image_size
         from framework.scenes.photos.advice import advice
         from framework.scenes.photos.cached import poses_folder
         from framework.scenes.photos.found import read_found
@@ -58,7 +59,7 @@ class Photos:
         for line in advice(found):
             log.warning("scene=photos: %s", line)
         images = folder / "images"
-        sizes = [image_size(images / name) for name in found.placed]
+        sizes = [image_size(images / name, PHOTO_PIXELS) for name in found.placed]
         downscale = self.downscale or -(-max(max(size) for size in sizes) // TRAINED_SIDE)
         if downscale > 1 or found.reduced:
             width, height = sizes[0]
