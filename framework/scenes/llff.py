@@ -4,7 +4,7 @@ A row of `poses_bounds.npy` holds a 3 x 5 matrix, row-major, and the near and fa
 columns are the camera's down, right and backward axes in the world, its centre, and (height, width,
 focal) in pixels of the full-size photo (Mildenhall et al. 2019, LLFF's `poses/pose_utils.py`). Row
 i belongs to the i-th image in sorted order. The principal point is the image's middle. Photos may
-be of that size or over an integer, rounded (`images_4`, `images_8`).
+have any size of these proportions, rounded (`images_4`, `images_8`).
 
 The poses were found with a lens (COLMAP's SIMPLE_RADIAL) whose distortion the layout does not hold
 and the usual evaluation ignores; `k1` removes it from the photos, test photos included.
@@ -15,6 +15,8 @@ must have the same poses. Near and far are the bounds of the training rows.
 
 from __future__ import annotations
 
+import logging
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 
     from framework.scenes.lens import Lens
     from framework.types import Scene
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,7 @@ class Llff:
         photos = photo_folder("llff", folder, self.images, EIGHTH_OR_FULL, beside)
         files = list_images(photos)
         rows = _read_poses(folder / "poses_bounds.npy", files)
+        _warn_of_numbers(files)
         source = folder / "poses_bounds.npy"
         places = [f"{source}: row {i}" for i in range(len(rows))]
         names, viewmats = [f.name for f in files], list(map(_viewmat, rows, places))
@@ -76,6 +81,25 @@ class Llff:
         near, far = float(bounds[:, 0].min()), float(bounds[:, 1].max())
         points = tracks.for_training(split.train)
         return assemble(folder.resolve().name, self.split, train, test, points, near, far)
+
+
+def _warn_of_numbers(files: list[Path]) -> None:
+    """Log a warning if the numbers in the names of sorted files are in another order."""
+
+    def by_number(file: Path) -> list[int | str]:
+        parts = re.split(r"(\d+)", file.name)
+        return [int(part) if k % 2 else part for k, part in enumerate(parts)]
+
+    natural = sorted(files, key=by_number)
+    if natural != files:
+        pairs = zip(files, natural, strict=True)
+        first, second = next(pair for pair in pairs if pair[0] != pair[1])
+        log.warning(
+            f"{files[0].parent}: row i of poses_bounds.npy is taken as that of the i-th photo in"
+            f" alphabetical order, in which {first.name} comes before {second.name}; if the poses"
+            " are in the order of the numbers, they do not fit: give all numbers in the names"
+            " equally many digits"
+        )
 
 
 def _read_poses(path: Path, files: list[Path]) -> NDArray[np.float64]:

@@ -164,3 +164,22 @@ def test_what_is_no_such_folder(tmp_path: Path) -> None:
     told = r"transforms\.json: .* found no file, but transforms_train\.json; take scene=blender"
     with pytest.raises(UserError, match=told):
         load_scene("transforms", {"path": str(tmp_path), "near": 1.0, "far": 9.0})
+
+
+def test_all_photos_train_without_a_file_of_tests(tmp_path: Path) -> None:
+    folder = write(tmp_path)
+    assert len(load(folder, split="none", n_views="all").training.views) == 8
+    (folder / "transforms_test.json").unlink()
+    scene = load(folder, split="none", n_views="all")
+    assert (len(scene.training.views), scene.test) == (5, ())
+
+
+def test_an_object_outside_the_depth_bounds(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The cameras stand 4 away from what they look at."""
+    folder = write(tmp_path)
+    load(folder, split="file", n_views=5)
+    assert not caplog.text
+    load(folder, split="file", n_views=5, near=5.0, far=9.0)
+    assert "look at a point at depth 4, outside scene.near=5 and scene.far=9" in caplog.text

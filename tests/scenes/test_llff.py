@@ -207,6 +207,18 @@ def test_damaged_folders(tmp_path: Path, damage: Callable[[Path], None], message
     assert "\n" not in str(caught.value)
 
 
+def test_numbers_in_another_order_than_the_names(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = write_llff(tmp_path)
+    load(folder)
+    assert not caplog.text
+    for i in range(10):
+        (folder / f"images_8/im{i:02d}.png").rename(folder / f"images_8/x{i + 4}.png")
+    load(folder)
+    assert "in which x10.png comes before x4.png; if the poses are in the order" in caplog.text
+
+
 def test_missing_folder_and_factor(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"expected a folder at .*, found nothing"):
         load(tmp_path / "nowhere")
