@@ -114,13 +114,11 @@ def find_photo(folder: Path, name: str) -> Path:
     """
     windows = PureWindowsPath(name)
     absolute = bool(windows.drive) or name.startswith(("/", "\\"))
-    if not absolute and is_file(folder / name):
+    if not Path(name).is_absolute() and is_file(folder / name):
         return inside(folder, name)
     parts = [part for part in re.split(r"[/\\]", name) if part not in ("", ".")]
-    elsewhere = (
-        Path(name).is_absolute()
-        and is_file(Path(name))
-        and not (Path(name).resolve().is_relative_to(folder.resolve()))
+    elsewhere = is_file(folder / name) and not (folder / name).resolve().is_relative_to(
+        folder.resolve()
     )
     if ".." not in parts and not elsewhere:
         parts = parts[1:] if windows.drive else parts

@@ -182,8 +182,6 @@ def shot(frame: Frame, paper: str, downscale: int) -> Shot:
         mask is None or bool(mask.any()),
         f"{frame.mask}: expected a mask with some white pixels, got none; replace the mask",
     )
-    made = pinhole_shot(
-        *(frame.name, frame.viewmat, how.K, image, lens.distortion, mask),
-        downscale=downscale // how.factor,
-    )
+    rest = downscale // how.factor
+    made = pinhole_shot(frame.name, frame.viewmat, how.K, image, lens.distortion, mask, rest)
     return replace(made, clear=clear, exif=how.exif)

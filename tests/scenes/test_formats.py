@@ -231,6 +231,12 @@ def test_names_of_other_systems(name: str, tmp_path: Path) -> None:
     assert find_photo(tmp_path, name) == tmp_path / "images" / "a.JPG"
 
 
+def test_an_exact_name_comes_first(tmp_path: Path) -> None:
+    for name in ("C:a.jpg", "A.jpg", "a.jpg", "b\\a.jpg"):
+        (tmp_path / name).touch()
+        assert find_photo(tmp_path, name) == tmp_path / name
+
+
 def test_names_that_fit_nothing_or_several_files(tmp_path: Path) -> None:
     for name in ("a.jpg", "a.png"):
         (tmp_path / name).touch()
