@@ -103,9 +103,13 @@ def test_the_search_repeats_bit_for_bit_on_other_threads(room: Path, tmp_path: P
         assert (tmp_path / name).read_bytes() == (kept(room) / name).read_bytes(), stem
 
 
-def test_what_was_found_is_used_again(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_found_is_used_again(
+    room: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     monkeypatch.setattr(cached, "run_child", lambda *_: pytest.fail("searched again"))
-    first = load(room).fingerprint
+    with caplog.at_level(logging.INFO, "framework"):
+        first = load(room).fingerprint
+    assert f"6 of 6 photos have poses, kept in {kept(room)}" in caplog.text
     (room / "room0.jpg").touch()
     assert load(room).fingerprint == first
     assert [p.name for p in room.iterdir() if p.name.startswith(".")] == []

@@ -56,6 +56,8 @@ class Photos:
         source = find_source(self.path, self.side, self.frames)
         folder = poses_folder(source)
         found = read_found(folder)
+        counts = (len(found.placed), len(found.photos))
+        log.info("scene=photos: %d of %d photos have poses, kept in %s", *counts, folder)
         for line in advice(found):
             log.warning("scene=photos: %s", line)
         images = folder / "images"
