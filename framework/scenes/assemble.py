@@ -63,6 +63,11 @@ class Tracks:
         return Tracks(self.xyz[keep], self.rgb[keep], seen[keep])
 
 
+def untracked(xyz: NDArray[np.float64], rgb: NDArray[np.uint8], images: int) -> Tracks:
+    """Points that no image is listed as seeing."""
+    return Tracks(xyz, rgb, np.zeros((len(xyz), images), dtype=bool))
+
+
 def intrinsics(fx: float, fy: float, cx: float, cy: float) -> NDArray[np.float64]:
     """[3, 3] pinhole matrix."""
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 from framework.errors import require
 from framework.files.paths import inside
-from framework.scenes.options import check_choice, check_folder_options
+from framework.scenes.options import check_choice, check_folder_options, check_range
 from framework.scenes.splits import BLENDER_FILES, FILES, protocol, told
-from framework.scenes.transforms import PAPERS, check_range, shot
+from framework.scenes.transforms import PAPERS, shot
 
 if TYPE_CHECKING:
     from framework.scenes.splits import Split
@@ -52,7 +52,7 @@ class Blender:
         from framework.scenes.assemble import Tracks, assemble
         from framework.scenes.images import scene_folder
         from framework.scenes.photo import check_memory
-        from framework.scenes.transforms_file import read_in_order
+        from framework.scenes.transforms_file import read_in_order, with_photos
 
         folder = scene_folder("blender", self.path)
         first, second = (read_in_order(inside(folder, file)) for file in (TRAINING, TESTING))
@@ -62,8 +62,10 @@ class Blender:
             f"{folder / TESTING}: expected photos that {TRAINING} does not list, {len(both)} are in"
             f" both (first: {both[0].name if both else ''}); remove them from one of the files",
         )
-        frames = [*first, *second]
-        split = self._split(len(first), len(frames), f"scene=blender: {folder}")
+        where = f"scene=blender: {folder}"
+        frames = with_photos(folder / TRAINING, [*first, *second])
+        missing = {*range(len(first) + len(second))} - {*frames}
+        split = self._split(len(first), len(first) + len(second), missing, where)
         check_memory([frames[i].file for i in (*split.train, *split.test)], self.downscale)
         train, test = (
             [shot(frames[i], self.paper, self.downscale) for i in part]
@@ -73,7 +75,7 @@ class Blender:
         name = folder.resolve().name
         return assemble(name, self.split, train, test, Tracks(), *bounds, paper)
 
-    def _split(self, training: int, images: int, where: str) -> Split:
+    def _split(self, training: int, images: int, missing: set[int], where: str) -> Split:
         """Of all frames in their order, the first `training` of which the one file lists."""
         counts = (training, images - training)
         require(
@@ -84,4 +86,4 @@ class Blender:
         names = [f"{i:06d}" for i in range(images)]
         rule = protocol(self.split) if self.split not in FILES else None
         rule = rule or told(names, names[:training], names[training:], self.split)
-        return rule.split(names, self.n_views, where)
+        return rule.split(names, self.n_views, where, missing)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from framework.errors import require
 from framework.scenes.splits import ALL, protocol
 
@@ -40,6 +42,24 @@ def check_images(loader: str, images: str) -> None:
     require(
         isinstance(images, str) and images != "",
         f"scene={loader}: expected the folder of the photos, got '{images}'; set scene.images",
+    )
+
+
+def check_model(loader: str, model: str) -> None:
+    """The name of a folder inside the scene's."""
+    require(
+        isinstance(model, str) and model != "",
+        f"scene={loader}: expected the folder of a COLMAP model, got '{model}'; set scene.model",
+    )
+
+
+def check_range(loader: str, near: float | None, far: float | None) -> None:
+    """Depth bounds, of which either may be None."""
+    given = [bound for bound in (near, far) if bound is not None]
+    require(
+        all(0 < bound < math.inf for bound in given) and given == sorted(set(given)),
+        f"scene={loader}: expected 0 < near < far, got near={near}, far={far}; correct scene.near"
+        " and scene.far",
     )
 
 

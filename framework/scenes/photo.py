@@ -16,7 +16,7 @@ import numpy as np
 from framework.errors import UserError, require
 from framework.files.limits import SCENE_BYTES
 from framework.scenes.assemble import Shot, intrinsics
-from framework.scenes.images import image_size, read_image, resize_ratio
+from framework.scenes.images import image_size, read_masked, resize_ratio
 from framework.scenes.lens import PINHOLE, Distortion, Lens, undistort
 
 if TYPE_CHECKING:
@@ -81,12 +81,21 @@ def pinhole_shot(
 
 
 def photo_shot(
-    file: Path, name: str, lens: Lens, viewmat: NDArray[np.float64], downscale: int = 1
+    file: Path,
+    name: str,
+    lens: Lens,
+    viewmat: NDArray[np.float64],
+    downscale: int = 1,
+    mask: Path | None = None,
 ) -> Shot:
-    """The shot of an opaque photo on disk. Raises UserError for a bad file or another size."""
-    image = read_image(file)
+    """Read a photo; what is transparent, or black in `mask`, does not count.
+
+    Raises:
+        UserError: a file is damaged or has another size.
+    """
+    image, valid = read_masked(file, mask)
     K = resized(file, image, lens)
-    return pinhole_shot(name, viewmat, K, image, lens.distortion, downscale=downscale)
+    return pinhole_shot(name, viewmat, K, image, lens.distortion, valid, downscale)
 
 
 def downscaled(shot: Shot, factor: int, share: float = 0.5) -> Shot:

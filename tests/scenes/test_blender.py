@@ -164,3 +164,19 @@ def test_what_is_no_such_folder(tmp_path: Path) -> None:
     told = r"transforms\.json: .* found no file, but transforms_train\.json; take scene=blender"
     with pytest.raises(UserError, match=told):
         load_scene("transforms", {"path": str(tmp_path), "near": 1.0, "far": 9.0})
+
+
+def test_missing_photos_and_masks(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = write(tmp_path, 100, 200)
+    for name in ("train/r_26", "train/r_5", "test/r_0", "test/r_3"):
+        (folder / f"{name}.png").unlink()
+    (folder / "masks/train").mkdir(parents=True)
+    mask = np.full((SIDE, SIDE), 255, np.uint8)
+    mask[:4] = 0
+    Image.fromarray(mask).save(folder / "masks/train/r_86.png")
+    scene = load(folder, n_views=3)
+    train, test = numbers(scene)
+    assert train == [2, 55, 86] and test == list(range(8, 200, 8))
+    assert "4 of 300 photos are missing and left out (r_5.png, r_26.png, r_0.png and" in caplog.text
+    assert scene.training.views[2].mask is not None
+    assert not scene.training.views[2].mask[:4].any() and scene.training.views[0].mask is None

@@ -1,5 +1,5 @@
 """Photos as the search for poses and the training read them: upright, at most `side` pixels long,
-8-bit RGB in JPEG or PNG; and which of them one camera took.
+8-bit RGB in JPEG or PNG (RGBA if they are partly transparent); and which of them one camera took.
 
 Focal length in pixels from EXIF (CIPA DC-008): the 35 mm equivalent compares diagonals, of which
 the film's is 43.27 mm; else focal length in mm times the sensor's pixels per mm.
@@ -57,17 +57,17 @@ def prepare(file: Path, folder: Path, number: int, side: int) -> Photo:
         exif = image.getexif()
         turn = exif.get(ORIENTATION, 1)
         size, kind = image.size, image.format
-        _check_plain(file, image)
+        clear = _is_transparent(image)
         reduced = max(size) > side
         as_is = not reduced and turn == 1 and kind in FORMATS and image.mode in ("RGB", "L")
-        suffix = ".jpg" if kind != "PNG" else ".png"
+        suffix = ".png" if kind == "PNG" or clear else ".jpg"
         stored = folder / f"{number:06d}{suffix}"
         if as_is:
             image.load()  # a damaged photo must not get further
             shutil.copyfile(file, stored)
             width, height = size
         else:
-            width, height = _store(image, turn, side, stored)
+            width, height = _store(image, turn, side, stored, "RGBA" if clear else "RGB")
         focal = _focal_px(exif, size)
     scale = max(width, height) / max(size)
     camera = (width, height, exif.get(MAKE), exif.get(MODEL), None if not focal else round(focal))
@@ -102,22 +102,19 @@ def _check_bits(file: Path, kind: str) -> None:
     )
 
 
-def _check_plain(file: Path, image: Image.Image) -> None:
+def _is_transparent(image: Image.Image) -> bool:
     alpha: Any = image.convert("RGBA").getchannel("A") if image.has_transparency_data else None
-    require(
-        alpha is None or alpha.getextrema()[0] == 255,
-        f"{file}: expected an opaque photo, got transparency; flatten it",
-    )
+    return alpha is not None and alpha.getextrema()[0] < 255
 
 
-def _store(image: Image.Image, turn: object, side: int, path: Path) -> tuple[int, int]:
+def _store(image: Image.Image, turn: object, side: int, path: Path, mode: str) -> tuple[int, int]:
     """Write the reduced image, turned upright from EXIF's orientation; returns its size."""
     from PIL.Image import Resampling, Transpose
 
-    if image.mode not in ("RGB", "L"):  # Pillow reduces a palette without any filter
-        image = image.convert("RGB")
+    if image.mode not in (mode, "L"):  # Pillow reduces a palette without any filter
+        image = image.convert(mode)
     image.thumbnail((side, side), Resampling.LANCZOS, reducing_gap=3.0)  # a JPEG is read reduced
-    upright = image.convert("RGB")
+    upright = image.convert(mode)
     if turn in TURNS:  # not by exif_transpose, which writes EXIF anew and so stumbles over odd ones
         upright = upright.transpose(Transpose[TURNS[turn]])
     for key in ("exif", "icc_profile", "xmp"):
