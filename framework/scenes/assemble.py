@@ -15,6 +15,7 @@ import numpy as np
 
 from framework.compute import portable
 from framework.errors import require
+from framework.files.limits import MODEL_CELLS
 from framework.scenes.cameras import check_bounds, check_places, check_rounding
 
 if TYPE_CHECKING:
@@ -64,7 +65,12 @@ class Tracks:
 
 
 def untracked(xyz: NDArray[np.float64], rgb: NDArray[np.uint8], images: int) -> Tracks:
-    """Points that no image is listed as seeing."""
+    """Points that no image is listed as seeing. Raises UserError for too many of them."""
+    require(
+        len(xyz) * images <= MODEL_CELLS,
+        f"points: expected at most {MODEL_CELLS:,} points x images, got {len(xyz) * images:,};"
+        " thin out the points",
+    )
     return Tracks(xyz, rgb, np.zeros((len(xyz), images), dtype=bool))
 
 

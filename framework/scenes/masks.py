@@ -34,9 +34,9 @@ def find_masks(folder: Path, photos: str, names: Sequence[str]) -> list[Path | N
     Raises:
         UserError: a mask is a link that leads out of the folder.
     """
-    places = (photos.replace("images", FOLDER, 1), FOLDER)
-    roots = [folder / place for place in places if place not in ("", photos)]
-    root = next((root for root in roots if root.is_dir()), None)
+    places = [photos.replace("images", FOLDER, 1), FOLDER]
+    places = [p for p in places if p not in ("", photos) and (folder / p).is_dir()]
+    root = inside(folder, places[0]) if places else None
     files = _images(root) if root else {}
     if root is None or not files:
         return [None] * len(names)

@@ -28,6 +28,8 @@ log = logging.getLogger(__name__)
 FEWEST = 20  # points to know bounds from
 PERCENTILES = (0.1, 99.9)  # of the depths, as LLFF's poses_bounds.npy has them
 POINTS_PER_CELL = 4  # of the grid in which near points hide far ones
+MOST = 200_000  # points without tracks
+CORRELATION = 0.1  # of colours: 0.5 to 0.9 for the open scenes, below 0.1 in another world
 HIDDEN = 1.5  # times the depth of the nearest point in its cell: from there a point is hidden
 
 
@@ -80,41 +82,84 @@ def see_untracked(
 ) -> Tracks:
     """Let points without a track be seen by the training views that they project into.
 
-    A track of a single image, as of networks that predict a depth per image, names the image that
-    the point comes from: a point of a test view stays unseen. Logs a warning: points of unknown
-    origin may know what the test photos show.
+    If no track has more than one image, as of networks that predict a depth per image, tracks only
+    name the images that the points come from: those of training views are treated alike.
+
+    Of more than `MOST` points every k-th counts. Logs a warning, as points of unknown origin may
+    know what the test photos show. Points whose colours do not match the photos, as of another
+    world than the poses', are left out with a warning.
     """
     images = tracks.seen.sum(axis=1)
-    chosen = images < 2
-    if chosen.any():
-        chosen &= (images == 0) | tracks.seen[:, list(train)].any(axis=1)
+    chosen = images == 0
+    if len(images) and images.max() == 1:
+        chosen |= tracks.seen[:, list(train)].any(axis=1)
     if not chosen.any():
         return tracks
-    xyz, seen = tracks.xyz[chosen], tracks.seen.copy()
-    seen[np.ix_(chosen, train)] = np.stack([_visible(shot, xyz) for shot in shots], axis=1)
+    index = np.flatnonzero(chosen)
+    chosen[:] = False
+    chosen[index[:: -(-len(index) // MOST)]] = True
+    xyz, rgb = tracks.xyz[chosen], tracks.rgb[chosen]
+    pixels = [_project(shot, xyz) for shot in shots]
+    visible = [_visible(shot, *uvz) for shot, uvz in zip(shots, pixels, strict=True)]
+    if not _same_colours(rgb, shots, pixels, visible):
+        log.warning(
+            f"{where}: {len(xyz)} sparse points without tracks are left out, as their colours do"
+            " not match the training photos; bring them into the world of the poses"
+        )
+        return Tracks(tracks.xyz[~chosen], tracks.rgb[~chosen], tracks.seen[~chosen])
+    seen = tracks.seen.copy()
+    seen[np.ix_(chosen, train)] = np.stack(visible, axis=1)
     log.warning(
-        f"{where}: {len(xyz)} sparse points have no track, so they count as seen by the training"
+        f"{where}: {len(xyz)} sparse points have no tracks, so they count as seen by the training"
         " photos that they project into; if test photos took part in making them, test scores are"
         " too high"
     )
     return Tracks(tracks.xyz, tracks.rgb, seen)
 
 
-def _visible(shot: Shot, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """[M] whether each point is in the image, and not far behind the nearest one in its cell."""
+Pixels = tuple["NDArray[np.float64]", "NDArray[np.float64]", "NDArray[np.float64]"]
+
+
+def _project(shot: Shot, xyz: NDArray[np.float64]) -> Pixels:
+    """Pixel coordinates u and v, 0 behind the camera, and depth z of [M, 3] points."""
     seen = portable.product(xyz, shot.viewmat[:3, :3].T) + shot.viewmat[:3, 3]
-    pixel = portable.product(seen, shot.K.T)
-    z, u, v = pixel[:, 2], pixel[:, 0], pixel[:, 1]
+    u, v, z = portable.product(seen, shot.K.T).T
+    ahead = np.where(z > 0, z, np.inf)
+    return u / ahead, v / ahead, z
+
+
+def _visible(
+    shot: Shot, u: NDArray[np.float64], v: NDArray[np.float64], z: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """[M] whether each point is in the image, and not far behind the nearest one in its cell."""
     height, width = shot.image.shape[:2]
-    visible = (z > 0) & (u >= 0) & (u < width * z) & (v >= 0) & (v < height * z)
-    z, u, v = z[visible], u[visible], v[visible]
+    visible = (z > 0) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    z = z[visible]
     side = max(1.0, (width * height * POINTS_PER_CELL / max(len(z), 1)) ** 0.5)
-    row, column = ((values / z // side).astype(np.intp) for values in (v, u))
+    row, column = ((values[visible] // side).astype(np.intp) for values in (v, u))
     cell = row * int(width // side + 1) + column
     nearest = np.full(int(cell.max(initial=0)) + 1, np.inf)
     np.minimum.at(nearest, cell, z)
     visible[visible] = z < HIDDEN * nearest[cell]
     return visible
+
+
+def _same_colours(
+    rgb: NDArray[np.uint8],
+    shots: Sequence[Shot],
+    pixels: Sequence[Pixels],
+    visible: Sequence[NDArray[np.bool_]],
+) -> bool:
+    """Whether grey values of points correlate with those of the pixels where they are seen. Too few
+    points, or points of a single colour, pass if any is seen."""
+    theirs, ours = [np.zeros(0)], [np.zeros(0)]
+    for shot, (u, v, _), seen in zip(shots, pixels, visible, strict=True):
+        theirs.append(rgb[seen].mean(axis=1))
+        ours.append(shot.image[v[seen].astype(int), u[seen].astype(int)].mean(axis=1))
+    a, b = (np.concatenate(values) for values in (theirs, ours))
+    if len(a) < FEWEST or a.std() * b.std() == 0:
+        return len(a) > 0
+    return float(np.corrcoef(a, b)[0, 1]) > CORRELATION
 
 
 def depth_bounds(

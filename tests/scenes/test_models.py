@@ -228,15 +228,30 @@ def test_points_without_tracks(
     hidden: Point = ((0.4, 0.0, 40.0), (1,))
     write(tmp_path, [*spread((1, 5, 9), 400), hidden, ((0.5, 0.0, -4.0), (1,))])
     without_tracks(tmp_path / "sparse/0")
+    flat_photos(tmp_path)
     training = load(loader, tmp_path).training
     depths = training.points.xyz[:, 2]
     assert 350 < len(depths) <= 400 and 4.0 <= float(depths.min()) <= float(depths.max()) < 6.0
-    assert "402 sparse points have no track" in caplog.text and "test photos" in caplog.text
+    assert "402 sparse points have no tracks" in caplog.text and "test photos" in caplog.text
+
+
+def flat_photos(folder: Path) -> None:
+    """Photos of one colour, which says nothing about the colours of points."""
+    for file in (folder / "images").iterdir():
+        Image.new("RGB", (WIDTH, HEIGHT), (9, 9, 9)).save(file)
+
+
+def test_points_of_another_world_are_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    without_tracks(write(tmp_path, spread((1, 5, 9), 200)) / "sparse/0")
+    training = load("colmap", tmp_path, near=1.0, far=9.0).training
+    assert len(training.points.xyz) == 0 and "their colours do not match" in caplog.text
 
 
 def test_points_of_one_photo_stay_with_it(tmp_path: Path) -> None:
     """Networks write one track per point: points of a test photo's depth stay out."""
-    write(tmp_path, [*spread((1,), 30), *spread((8,), 30)])
+    flat_photos(write(tmp_path, [*spread((1,), 30), *spread((8,), 30)]))
     training = load("colmap", tmp_path).training
     assert 25 < len(training.points.xyz) <= 30
 
