@@ -24,8 +24,8 @@ def few(names: Sequence[str], most: int = 3) -> str:
 def match_photos(listed: Sequence[Path]) -> dict[int, Path]:
     """Find the listed photos.
 
-    A converted photo counts: `a.jpg` for a listed `a.png` that is missing, if it is the only image
-    of that stem and no other photo of the list.
+    A converted photo counts: `a.jpg` or `A.PNG` for a listed `a.png` that is missing, if it is the
+    only image of that stem and no other photo of the list.
 
     Returns:
         The file of each photo that exists, by its index in the list.
@@ -36,20 +36,24 @@ def match_photos(listed: Sequence[Path]) -> dict[int, Path]:
     exact = {i: file for i, file in enumerate(listed) if is_file(file)}
     missing = {i: file for i, file in enumerate(listed) if i not in exact}
     images = _by_stem({file.parent for file in missing.values()}, {*exact.values()})
-    stems = Counter(file.with_suffix("") for file in missing.values())
+    stems = Counter(_stem(file) for file in missing.values())
     converted = {
         i: inside(file.parent, images[stem][0].name)
         for i, file in missing.items()
-        if stems[stem := file.with_suffix("")] == 1 and len(images[stem]) == 1
+        if stems[stem := _stem(file)] == 1 and len(images[stem]) == 1
     }
     return dict(sorted({**exact, **converted}.items()))
+
+
+def _stem(file: Path) -> Path:
+    return file.with_name(file.stem.lower())
 
 
 def _by_stem(folders: Iterable[Path], taken: set[Path]) -> dict[Path, list[Path]]:
     images: dict[Path, list[Path]] = defaultdict(list)
     for file in (file for folder in folders if folder.is_dir() for file in folder.iterdir()):
         if file.suffix.lower() in SUFFIXES and file not in taken and is_file(file):
-            images[file.with_suffix("")].append(file)
+            images[_stem(file)].append(file)
     return images
 
 
@@ -77,7 +81,7 @@ def find_photos(listed: Sequence[Path], where: str) -> dict[int, Path]:
     converted = [f"{f.name} for {listed[i].name}" for i, f in found.items() if f != listed[i]]
     if converted:
         log.warning(
-            f"{where}: {len(converted)} photos have another suffix than listed"
+            f"{where}: {len(converted)} photos have another name than listed"
             f" ({few(converted)}); make sure that they are the same photos"
         )
     return found

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from framework.errors import check_option, require
+from framework.errors import UserError, check_option, require
 from framework.files.limits import SIDE_PIXELS
 from framework.scenes.options import (
     check_folder_options,
@@ -79,8 +79,8 @@ class Llff:
         photos = photo_folder("llff", folder, self.images, EIGHTH_OR_FULL, source.name)
         rows = _read_poses(source)
         viewmats = [_viewmat(row, f"{source}: row {i}") for i, row in enumerate(rows)]
-        files = self._pair(folder, photos, viewmats)
-        placed, names = [*files], [file.name for file in files.values()]
+        listed, files = self._pair(folder, photos, viewmats)
+        placed, names = [*files], [listed[i] for i in files]
         rows, viewmats = rows[placed], [viewmats[i] for i in placed]
         lenses = [
             _lens(row, self.k1, f"{source}: row {i}") for row, i in zip(rows, placed, strict=True)
@@ -106,8 +106,8 @@ class Llff:
 
     def _pair(
         self, folder: Path, photos: Path, viewmats: list[NDArray[np.float64]]
-    ) -> dict[int, Path]:
-        """The photo of each row that has one, by the row's index."""
+    ) -> tuple[list[str], dict[int, Path]]:
+        """The name of each row's photo, and the photos that exist by their row's index."""
         from framework.files.paths import inside
         from framework.scenes.images import list_images
         from framework.scenes.listed import find_photos, warn_unplaced
@@ -115,17 +115,17 @@ class Llff:
 
         files = list_images(photos)
         if len(files) == len(viewmats):
-            return dict(enumerate(files))
+            return [file.name for file in files], dict(enumerate(files))
         names = same_poses(folder, viewmats, self.model)
-        require(
-            names is not None,
-            f"{folder / 'poses_bounds.npy'}: expected one row per image, got {len(viewmats)} rows"
-            f" and {len(files)} images in {photos.name}; remove the surplus or restore what is"
-            " missing",
-        )
-        found = find_photos([inside(photos, name) for name in names or ()], str(photos))
+        if names is None:
+            raise UserError(
+                f"{folder / 'poses_bounds.npy'}: expected one row per image, got"
+                f" {len(viewmats)} rows and {len(files)} images in {photos.name}; remove the surplus"
+                " or restore what is missing"
+            )
+        found = find_photos([inside(photos, name) for name in names], str(photos))
         warn_unplaced(photos, found.values())
-        return found
+        return names, found
 
 
 def _read_poses(path: Path) -> NDArray[np.float64]:

@@ -110,9 +110,9 @@ def see_untracked(
     seen = tracks.seen.copy()
     seen[np.ix_(chosen, train)] = np.stack(visible, axis=1)
     log.warning(
-        f"{where}: {len(xyz)} sparse points have no tracks, so they count as seen by the training"
-        " photos that they project into; if test photos took part in making them, test scores are"
-        " too high"
+        f"{where}: {len(xyz)} sparse points have no track of several photos, so they count as seen"
+        " by the training photos that they project into; if test photos took part in making them,"
+        " test scores are too high"
     )
     return Tracks(tracks.xyz, tracks.rgb, seen)
 

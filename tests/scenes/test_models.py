@@ -81,12 +81,12 @@ def test_missing_photos_are_left_out(
     write(tmp_path, spread(tuple(range(10))))
     for i in (2, 3, 4, 5):
         (tmp_path / f"images/im0{i}.png").unlink()
-    (tmp_path / "images/im06.png").rename(tmp_path / "images/im06.JPG")
+    (tmp_path / "images/im06.png").rename(tmp_path / "images/IM06.JPG")
     scene = load(loader, tmp_path)
     assert (
         "4 of 10 photos are missing and left out (im02.png, im03.png, im04.png and" in caplog.text
     )
-    assert "im06.JPG for im06.png" in caplog.text
+    assert "IM06.JPG for im06.png" in caplog.text
     trained = [0.1, 0.7, 0.9]  # x of cameras 1, 7 and 9
     assert [v.camera.center[0].item() for v in scene.training.views] == pytest.approx(trained)
     assert len(scene.training.points.xyz) == 2 * FEWEST
@@ -232,7 +232,7 @@ def test_points_without_tracks(
     training = load(loader, tmp_path).training
     depths = training.points.xyz[:, 2]
     assert 350 < len(depths) <= 400 and 4.0 <= float(depths.min()) <= float(depths.max()) < 6.0
-    assert "402 sparse points have no tracks" in caplog.text and "test photos" in caplog.text
+    assert "402 sparse points have no track of" in caplog.text and "test photos" in caplog.text
 
 
 def flat_photos(folder: Path) -> None:
@@ -262,6 +262,20 @@ def test_points_as_a_ply_in_the_model(tmp_path: Path) -> None:
     write_ply(tmp_path / "sparse/0/points3D.ply", [xyz for xyz, _ in spread((1,))])
     training = load("colmap", tmp_path).training
     assert len(training.points.xyz) > FEWEST and 3.9 < training.near < training.far < 6.1
+
+
+def test_a_model_of_other_poses_in_nerfstudios_folder(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write(tmp_path)
+    shutil.rmtree(tmp_path / "sparse")
+    write_model(tmp_path / "colmap/sparse/0", 10, [((0, 0, 4.0), (1, 5))], center_step=0.2)
+    training = load("transforms", tmp_path, near=1.0, far=9.0).training
+    assert len(training.points.xyz) == 0 and "its points are not used" in caplog.text
+    with pytest.raises(UserError, match=r"applied_transform to be a 3x4 matrix, got \[1, 2\]"):
+        data = json.loads((tmp_path / "transforms.json").read_text())
+        (tmp_path / "transforms.json").write_text(json.dumps({**data, "applied_transform": [1, 2]}))
+        load("transforms", tmp_path)
 
 
 WORLD = [[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 3]]
