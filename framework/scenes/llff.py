@@ -120,8 +120,8 @@ class Llff:
         if names is None:
             raise UserError(
                 f"{folder / 'poses_bounds.npy'}: expected one row per image, got"
-                f" {len(viewmats)} rows and {len(files)} images in {photos.name}; remove the surplus"
-                " or restore what is missing"
+                f" {len(viewmats)} rows and {len(files)} images in {photos.name}; remove the"
+                " surplus or restore what is missing"
             )
         found = find_photos([inside(photos, name) for name in names], str(photos))
         warn_unplaced(photos, found.values())
