@@ -176,23 +176,23 @@ def textured(folder: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("points", ["", None])
+@pytest.mark.parametrize(("loader", "points"), [("colmap", ""), ("mip360", None)])
 def test_known_poses_without_points(
-    tmp_path: Path, points: str | None, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, loader: str, points: str | None, caplog: pytest.LogCaptureFixture
 ) -> None:
     folder = textured(tmp_path)
     file = folder / "sparse/0/points3D.txt"
     file.unlink() if points is None else file.write_text(points)
-    training = load("colmap", folder).training
+    training = load(loader, folder).training
     assert (training.near, training.far) == pytest.approx((5.0, 5.0), rel=0.05)
     assert "triangulated from matches of the training photos" in caplog.text
     assert len(training.points.xyz) > FEWEST
     assert training.points.xyz[:, 2].numpy() == pytest.approx(5.0, rel=0.1)
-    again = load("colmap", folder)
+    again = load(loader, folder)
     for i in (0, 8):  # test photos have no say
         Image.new("RGB", (160, 120)).save(folder / f"images/im{i:02d}.png")
-    assert np.array_equal(load("colmap", folder).training.points.xyz, again.training.points.xyz)
-    given = load("colmap", folder, near=1.0, far=9.0).training
+    assert np.array_equal(load(loader, folder).training.points.xyz, again.training.points.xyz)
+    given = load(loader, folder, near=1.0, far=9.0).training
     assert (given.near, given.far, len(given.points.xyz)) == (1.0, 9.0, 0)
 
 
