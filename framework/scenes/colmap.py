@@ -20,12 +20,7 @@ from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
 from framework.files.paths import inside
-from framework.scenes.options import (
-    check_folder_options,
-    check_images,
-    check_model,
-    check_range,
-)
+from framework.scenes.options import check_folder_options, check_images, check_range
 from framework.scenes.splits import protocol
 
 if TYPE_CHECKING:
@@ -51,8 +46,7 @@ class Colmap:
 
     def __post_init__(self) -> None:
         check_folder_options("colmap", self.path, self.n_views, self.split, self.downscale)
-        check_images("colmap", self.images)
-        check_model("colmap", self.model)
+        check_images("colmap", self.images, self.model)
         check_range("colmap", self.near, self.far)
 
     def load(self) -> Scene:

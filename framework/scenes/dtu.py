@@ -29,13 +29,7 @@ from typing import TYPE_CHECKING
 from framework.errors import UserError, require
 from framework.files.paths import inside
 from framework.scenes.listed import few
-from framework.scenes.options import (
-    check_choice,
-    check_folder_options,
-    check_images,
-    check_model,
-    check_range,
-)
+from framework.scenes.options import check_choice, check_folder_options, check_images, check_range
 from framework.scenes.splits import protocol
 
 if TYPE_CHECKING:
@@ -78,8 +72,7 @@ class Dtu:
     def __post_init__(self) -> None:
         downscale = 1 if self.downscale is None else self.downscale
         check_folder_options("dtu", self.path, self.n_views, self.split, downscale)
-        check_images("dtu", self.images)
-        check_model("dtu", self.model)
+        check_images("dtu", self.images, self.model)
         check_range("dtu", self.near, self.far)
         check_choice("dtu", "train_mask", self.train_mask, TRAIN_MASKS)
 

@@ -45,12 +45,12 @@ def match_photos(listed: Sequence[Path]) -> dict[int, Path]:
     return dict(sorted({**exact, **converted}.items()))
 
 
-def _stem(file: Path) -> Path:
-    return file.with_name(file.stem.lower())
+def _stem(file: Path) -> str:
+    return f"{file.parent}/{file.stem.lower()}"
 
 
-def _by_stem(folders: Iterable[Path], taken: set[Path]) -> dict[Path, list[Path]]:
-    images: dict[Path, list[Path]] = defaultdict(list)
+def _by_stem(folders: Iterable[Path], taken: set[Path]) -> dict[str, list[Path]]:
+    images: dict[str, list[Path]] = defaultdict(list)
     for file in (file for folder in folders if folder.is_dir() for file in folder.iterdir()):
         if file.suffix.lower() in SUFFIXES and file not in taken and is_file(file):
             images[_stem(file)].append(file)

@@ -24,12 +24,7 @@ from typing import TYPE_CHECKING
 
 from framework.errors import UserError, check_option, require
 from framework.files.limits import SIDE_PIXELS
-from framework.scenes.options import (
-    check_folder_options,
-    check_images,
-    check_model,
-    check_range,
-)
+from framework.scenes.options import check_folder_options, check_images, check_range
 from framework.scenes.splits import protocol
 
 if TYPE_CHECKING:
@@ -59,8 +54,7 @@ class Llff:
 
     def __post_init__(self) -> None:
         check_folder_options("llff", self.path, self.n_views, self.split, self.downscale)
-        check_images("llff", self.images)
-        check_model("llff", self.model)
+        check_images("llff", self.images, self.model)
         check_range("llff", self.near, self.far)
         expected = "COLMAP's SIMPLE_RADIAL distortion in (-1, 1), 0 for none"
         check_option(self, "scene", "k1", -1 < self.k1 < 1, expected)

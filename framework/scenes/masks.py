@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from framework.files.paths import inside
 from framework.scenes.images import SUFFIXES
@@ -61,7 +61,7 @@ def _images(root: Path) -> dict[str, str]:
 
 
 def _mask(root: Path, files: dict[str, str], name: str) -> Path | None:
-    bare = PurePosixPath(name).with_suffix("")
+    bare = os.path.splitext(name)[0]
     candidates = (f"{name}.png", *(f"{bare}{suffix}" for suffix in (".png", ".jpg", ".jpeg")))
     for candidate in candidates:
         if candidate.lower() in files:

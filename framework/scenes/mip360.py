@@ -12,12 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from framework.scenes.colmap import Colmap, load_colmap
-from framework.scenes.options import (
-    check_folder_options,
-    check_images,
-    check_model,
-    check_range,
-)
+from framework.scenes.options import check_folder_options, check_images, check_range
 
 if TYPE_CHECKING:
     from framework.types import Scene
@@ -32,8 +27,7 @@ class Mip360(Colmap):
 
     def __post_init__(self) -> None:
         check_folder_options("mip360", self.path, self.n_views, self.split, self.downscale)
-        check_images("mip360", self.images)
-        check_model("mip360", self.model)
+        check_images("mip360", self.images, self.model)
         check_range("mip360", self.near, self.far)
 
     def load(self) -> Scene:

@@ -37,20 +37,13 @@ def check_folder_options(
     protocol(split)
 
 
-def check_images(loader: str, images: str) -> None:
-    """The name of a folder inside the scene's."""
-    require(
-        isinstance(images, str) and images != "",
-        f"scene={loader}: expected the folder of the photos, got '{images}'; set scene.images",
-    )
-
-
-def check_model(loader: str, model: str) -> None:
-    """The name of a folder inside the scene's."""
-    require(
-        isinstance(model, str) and model != "",
-        f"scene={loader}: expected the folder of a COLMAP model, got '{model}'; set scene.model",
-    )
+def check_images(loader: str, images: str, model: str = "auto") -> None:
+    """Names of folders inside the scene's: of the photos, and of the COLMAP model."""
+    for option, what, name in (("images", "photos", images), ("model", "COLMAP model", model)):
+        require(
+            isinstance(name, str) and name != "",
+            f"scene={loader}: expected the folder of the {what}, got '{name}'; set scene.{option}",
+        )
 
 
 def check_range(loader: str, near: float | None, far: float | None) -> None:

@@ -29,7 +29,7 @@ from framework.files.paths import inside
 from framework.scenes.options import (
     check_choice,
     check_folder_options,
-    check_model,
+    check_images,
     check_range,
 )
 from framework.scenes.splits import FILES, Split, protocol, told
@@ -69,7 +69,7 @@ class Transforms:
         check_folder_options("transforms", self.path, self.n_views, split, self.downscale)
         check_choice("transforms", "paper", self.paper, tuple(PAPERS))
         check_range("transforms", self.near, self.far)
-        check_model("transforms", self.model)
+        check_images("transforms", "auto", self.model)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where file and photos do not hold what they must."""

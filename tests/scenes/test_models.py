@@ -12,6 +12,7 @@ from PIL import Image
 
 from framework.compute.rng import stream
 from framework.errors import UserError
+from framework.scenes.listed import match_photos
 from framework.scenes.points import FEWEST
 from framework.types import Scene
 from tests.built import load_scene
@@ -87,6 +88,7 @@ def test_missing_photos_are_left_out(
         "4 of 10 photos are missing and left out (im02.png, im03.png, im04.png and" in caplog.text
     )
     assert "IM06.JPG for im06.png" in caplog.text
+    assert len(match_photos([tmp_path / name for name in ("..png", "a/..", ".png")])) == 0
     trained = [0.1, 0.7, 0.9]  # x of cameras 1, 7 and 9
     assert [v.camera.center[0].item() for v in scene.training.views] == pytest.approx(trained)
     assert len(scene.training.points.xyz) == 2 * FEWEST
