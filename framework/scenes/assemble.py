@@ -16,6 +16,7 @@ import numpy as np
 
 from framework.compute import portable
 from framework.errors import require
+from framework.files.limits import MODEL_CELLS
 from framework.scenes.cameras import check_bounds, check_places, check_rounding
 
 if TYPE_CHECKING:
@@ -67,6 +68,16 @@ class Tracks:
         seen = self.seen[:, list(train)]
         keep = seen.sum(axis=1) >= 2
         return Tracks(self.xyz[keep], self.rgb[keep], seen[keep])
+
+
+def untracked(xyz: NDArray[np.float64], rgb: NDArray[np.uint8], images: int) -> Tracks:
+    """Points that no image is listed as seeing. Raises UserError for too many of them."""
+    require(
+        len(xyz) * images <= MODEL_CELLS,
+        f"points: expected at most {MODEL_CELLS:,} points x images, got {len(xyz) * images:,};"
+        " thin out the points",
+    )
+    return Tracks(xyz, rgb, np.zeros((len(xyz), images), dtype=bool))
 
 
 def intrinsics(fx: float, fy: float, cx: float, cy: float) -> NDArray[np.float64]:

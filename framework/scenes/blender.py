@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING
 from framework.errors import require
 from framework.files.opened import is_file
 from framework.files.paths import inside
-from framework.scenes.options import check_choice, check_folder_options
+from framework.scenes.options import check_choice, check_folder_options, check_range
 from framework.scenes.splits import BLENDER_FILES, FILES, protocol, told, untested
-from framework.scenes.transforms import PAPERS, check_range, shot
+from framework.scenes.transforms import PAPERS, shot
 
 if TYPE_CHECKING:
     import numpy as np
@@ -63,7 +63,7 @@ class Blender:
         from framework.scenes.assemble import Tracks, assemble
         from framework.scenes.images import scene_folder
         from framework.scenes.photo import check_memory
-        from framework.scenes.transforms_file import read_in_order
+        from framework.scenes.transforms_file import read_in_order, with_photos
 
         folder = scene_folder("blender", self.path)
         first = read_in_order(inside(folder, TRAINING))
@@ -75,8 +75,10 @@ class Blender:
             f"{folder / TESTING}: expected photos that {TRAINING} does not list, {len(both)} are in"
             f" both (first: {both[0].name if both else ''}); remove them from one of the files",
         )
-        frames = [*first, *second]
-        split = self._split(len(first), len(frames), f"scene=blender: {folder}")
+        where = f"scene=blender: {folder}"
+        frames = with_photos(folder / TRAINING, [*first, *second])
+        missing = {*range(len(first) + len(second))} - {*frames}
+        split = self._split(len(first), len(first) + len(second), missing, where)
         check_memory([frames[i].file for i in (*split.train, *split.test)], self.downscale)
         train, test = (
             [shot(frames[i], self.paper, self.downscale) for i in part]
@@ -87,7 +89,7 @@ class Blender:
         _warn_of_depths([s.viewmat for s in (*train, *test)], self.near, self.far, str(folder))
         return assemble(name, self.split, train, test, Tracks(), *bounds, paper)
 
-    def _split(self, training: int, images: int, where: str) -> Split:
+    def _split(self, training: int, images: int, missing: set[int], where: str) -> Split:
         """Of all frames in their order, the first `training` of which the one file lists."""
         counts = (training, images - training)
         require(
@@ -98,7 +100,7 @@ class Blender:
         names = [f"{i:06d}" for i in range(images)]
         rule = protocol(self.split) if self.split not in FILES else None
         rule = rule or told(names, names[:training], names[training:], self.split)
-        return rule.split(names, self.n_views, where)
+        return rule.split(names, self.n_views, where, missing)
 
 
 def _warn_of_depths(

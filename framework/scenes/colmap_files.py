@@ -141,13 +141,24 @@ def _order(folder: Path) -> tuple[str, str]:
 
 
 def check(folder: Path) -> tuple[list[Path], dict[int, str]]:
-    """The three files of the model in `folder`: .bin or .txt, the newer ones; and of
-    the latter the names of the images by id. Raises UserError unless they are whole."""
+    """Check the files of a model; a model of known poses may lack `points3D`.
+
+    Returns:
+        The cameras, images and points3D files that exist, as .bin or .txt, of both the newer ones;
+        and, of text files, the names of the images by id.
+
+    Raises:
+        UserError: a file is missing or damaged.
+    """
     for suffix in _order(folder):
         files = [folder / f"{stem}{suffix}" for stem in STEMS]
-        missing = [file.name for file in files if not is_file(file)]
-        if len(missing) < len(STEMS):
+        missing = [file.name for file in files[:2] if not is_file(file)]
+        if not missing:
             break
+    other = f"points3D{'.txt' if suffix == '.bin' else '.bin'}"
+    if not is_file(files[2]):
+        missing += [files[2].name] if missing or is_file(folder / other) else []
+        files = files[:2]
     require(
         not missing,
         f"{folder}: expected cameras, images and points3D as .bin or .txt, missing"
@@ -157,5 +168,7 @@ def check(folder: Path) -> tuple[list[Path], dict[int, str]]:
         inside(folder, file.name)
     if suffix == ".txt":
         return files, check_text(files)
-    _points(files[2], _images(files[1], _cameras(files[0])))
+    images = _images(files[1], _cameras(files[0]))
+    if len(files) == len(STEMS):
+        _points(files[2], images)
     return files, {}

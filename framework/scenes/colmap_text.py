@@ -26,10 +26,11 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|nan)", re.
 
 def check_text(files: Sequence[Path]) -> dict[int, str]:
     """The names of the images by id, which pycolmap ends at their first blank. Raises UserError
-    unless cameras.txt, images.txt and points3D.txt are sound."""
+    unless cameras.txt, images.txt and, if it exists, points3D.txt are sound."""
     cameras = _cameras(files[0])
     points, names = _images(files[1], cameras)
-    _points(files[2], points)
+    for file in files[2:]:
+        _points(file, points)
     return names
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 AUTO = "auto"
 # of photos: the usual size of the sparse-view benchmarks, an eighth, and the full one
 EIGHTH_OR_FULL = ("images_8", "images")
+MASK_STRETCH = 1.02  # by which the two axes of a resized mask may differ
 
 
 def scene_folder(loader: str, path: str) -> Path:
@@ -109,6 +110,40 @@ def read_on_paper(
     return rgb, True
 
 
+def read_masked(
+    path: Path, mask: Path | None = None, factor: int = 1, turn: int = 1
+) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
+    """Read a photo and its mask.
+
+    Args:
+        path: the photo.
+        mask: a picture, black where the photo does not count.
+        factor: as of `read_image`, of both.
+        turn: as of `read_image`, of the photo.
+
+    Returns:
+        Pixels [H, W, 3], and a mask [H, W] that is 0 where the photo is transparent (alpha below
+        one half) or `mask` is black; None where neither is given.
+
+    Raises:
+        UserError: a file is damaged, the mask has another shape, or no pixel counts.
+    """
+    import numpy as np
+
+    rgb, alpha = _pixels(path, factor, turn)
+    valid = None if alpha is None else (alpha >= 128).astype(np.float32)
+    if mask is not None:
+        height, width = rgb.shape[:2]
+        white = read_mask(mask, height, width, factor)
+        valid = white if valid is None else valid * white
+    require(
+        valid is None or bool(valid.any()),
+        f"{mask or path}: expected some white pixels in a mask, or some that are not transparent in"
+        " a photo, got none; replace it",
+    )
+    return rgb, valid
+
+
 def _pixels(
     path: Path, factor: int, turn: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
@@ -142,15 +177,20 @@ def read_mask(path: Path, height: int, width: int, factor: int = 1) -> NDArray[n
     """[H, W] float32, 1 where the first channel is at least one half of white, else 0. factor: as
     of `read_image`.
 
-    Raises UserError for a missing or damaged file or another size.
+    A mask of another size is resized. Raises UserError for a missing or damaged file or one of
+    another shape.
     """
+    import cv2
     import numpy as np
 
     require(is_file(path), f"{path}: expected a mask, found no file; restore it")
     grey = read_image(path, factor)[..., 0]
+    stretch = grey.shape[1] / width * height / grey.shape[0]
     require(
-        grey.shape == (height, width),
-        f"{path}: expected a mask of the photo's {width}x{height} pixels, got"
+        1 / MASK_STRETCH <= stretch <= MASK_STRETCH,
+        f"{path}: expected a mask of the photo's {width}x{height} pixels or of that shape, got"
         f" {grey.shape[1]}x{grey.shape[0]}; resize it",
     )
+    if grey.shape != (height, width):
+        grey = np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA))
     return (grey >= 128).astype(np.float32)

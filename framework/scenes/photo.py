@@ -19,7 +19,7 @@ from framework.errors import UserError, require
 from framework.files.limits import IMAGE_PIXELS, PHOTO_PIXELS, SCENE_BYTES
 from framework.scenes.assemble import Shot, intrinsics
 from framework.scenes.decoding import SIDEWAYS, image_header, image_size
-from framework.scenes.images import read_image
+from framework.scenes.images import read_masked
 from framework.scenes.lens import PINHOLE, Distortion, Lens, undistort
 
 if TYPE_CHECKING:
@@ -133,13 +133,22 @@ def pinhole_shot(
 
 
 def photo_shot(
-    file: Path, name: str, lens: Lens, viewmat: NDArray[np.float64], downscale: int = 1
+    file: Path,
+    name: str,
+    lens: Lens,
+    viewmat: NDArray[np.float64],
+    downscale: int = 1,
+    mask: Path | None = None,
 ) -> Shot:
-    """The shot of an opaque photo on disk. Raises UserError for a bad file or other proportions."""
+    """Read a photo; what is transparent, or black in `mask`, does not count.
+
+    Raises:
+        UserError: a file is damaged or has other proportions.
+    """
     how = reading(file, lens, downscale)
-    image = read_image(file, how.factor, how.turn)
+    image, valid = read_masked(file, mask, how.factor, how.turn)
     rest = downscale // how.factor
-    shot = pinhole_shot(name, viewmat, how.K, image, lens.distortion, downscale=rest)
+    shot = pinhole_shot(name, viewmat, how.K, image, lens.distortion, valid, rest)
     return replace(shot, exif=how.exif)
 
 

@@ -6,7 +6,7 @@ import json
 import math
 import sys
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,8 @@ from framework.files.opened import is_file, read_text
 from framework.scenes.cameras import checked_lens, checked_pose
 from framework.scenes.formats import find_photo
 from framework.scenes.lens import Distortion, Lens
+from framework.scenes.listed import find_photos
+from framework.scenes.masks import find_masks
 
 FULL = "FULL_OPENCV"
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", FULL)
@@ -30,6 +32,8 @@ NUMBERS = (
     *("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", "camera_angle_y"),
     *(*LENS, *UNSUPPORTED),
 )
+# what nerfstudio applied to a COLMAP model before it wrote applied_transform
+OLD_NERFSTUDIO = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])  # the signs of a camera's axes
 
 
@@ -80,20 +84,74 @@ class Frame:
 
 
 def read_frames(path: Path) -> list[Frame]:
-    """The frames, sorted by name. Raises UserError for whatever is missing or unsound."""
+    """The frames, sorted by name; photos may be missing. Raises UserError for what is unsound."""
     return sorted(read_in_order(path), key=lambda frame: frame.name)
 
 
 def read_in_order(path: Path) -> list[Frame]:
-    """The frames as the file lists them. Raises UserError for whatever is missing or unsound."""
+    """The frames as the file lists them; photos may be missing. Raises UserError for what is
+    unsound."""
     frames = []
     for frame in read_cameras(path):
         file = find_photo(path.parent, frame.name)
         mask = frame.mask and find_photo(path.parent, str(frame.mask))
         name = _relative(path.parent, frame.name)
         frames.append(replace(frame, name=name, file=file, mask=mask))
-    _check_files(path, frames)
+    _check_once(path, [frame.name for frame in frames])
     return frames
+
+
+def with_photos(path: Path, frames: Sequence[Frame]) -> dict[int, Frame]:
+    """Leave out frames without a photo, and add masks of `masks/`; logs warnings about both.
+
+    Returns:
+        The frames with photos by their index.
+
+    Raises:
+        UserError: no photo exists.
+    """
+    files = find_photos([frame.file for frame in frames], str(path))
+    kept = {i: replace(frames[i], file=file) for i, file in files.items()}
+    bare = {i: frame.name for i, frame in kept.items() if frame.mask is None}
+    photos = next((name.split("/")[0] for name in bare.values() if name.startswith("images")), "")
+    names = [name.removeprefix(f"{photos}/") for name in bare.values()]
+    for i, mask in zip(bare, find_masks(path.parent, photos, names), strict=True):
+        kept[i] = replace(kept[i], mask=mask)
+    return kept
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What nerfstudio adds about points.
+
+    ply: the file of `ply_file_path`. worlds: [4, 4] transforms that may lead from the world of the
+    COLMAP model to that of the poses.
+    """
+
+    ply: Path | None
+    worlds: tuple[NDArray[np.float64], ...]
+
+
+def read_extras(path: Path) -> Extras:
+    """Read `ply_file_path` and `applied_transform`. Raises UserError for what is unsound."""
+    data = _read_json(path)
+    ply = _text(data, "ply_file_path", str(path))
+    applied = data.get("applied_transform", OLD_NERFSTUDIO)
+    try:
+        matrix = np.array(applied, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        matrix = np.zeros(0)
+    require(
+        matrix.shape in ((3, 4), (4, 4)) and bool(np.isfinite(matrix).all()),
+        f"{path}: expected applied_transform to be a 3x4 matrix, got {str(applied)[:80]}; correct"
+        " or remove it",
+    )
+    world = np.eye(4)
+    world[:3] = matrix[:3]
+    return Extras(
+        None if ply is None else find_photo(path.parent, ply),
+        (np.eye(4), world),
+    )
 
 
 def read_cameras(path: Path) -> list[Frame]:
@@ -239,14 +297,3 @@ def _viewmat(matrix: Any, where: str) -> NDArray[np.float64]:
     with np.errstate(over="ignore", invalid="ignore"):  # refused in the next line
         viewmat[:3, 3] = -portable.product(viewmat[:3, :3], pose[:3, 3])
     return checked_pose(viewmat, f"{where}: transform_matrix")
-
-
-def _check_files(path: Path, frames: list[Frame]) -> None:
-    """Every frame has a photo of its own."""
-    missing = [frame.name for frame in frames if not is_file(frame.file)]
-    require(
-        not missing,
-        f"{path}: expected a photo for each of {len(frames)} frames, {len(missing)} missing (first:"
-        f" {missing[0] if missing else ''}); restore them or remove their frames",
-    )
-    _check_once(path, [frame.name for frame in frames])

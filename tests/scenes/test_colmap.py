@@ -263,10 +263,6 @@ def test_every_other_error(tmp_path: Path) -> None:
     folder = write_scene(tmp_path)
     with pytest.raises(UserError, match="n_views of at most 8"):
         load(folder, n_views=9)
-    (folder / "images" / "im03.png").unlink()
-    with pytest.raises(UserError, match=r"1 missing \(first: im03.png"):
-        load(folder)
-    Image.new("RGB", (WIDTH - 5, HEIGHT)).save(folder / "images" / "im03.png")
     Image.new("RGB", (WIDTH - 5, HEIGHT)).save(folder / "images" / "im05.png")
     with pytest.raises(UserError, match=r"im05.png: expected the camera's 40x30 .* got 35x30"):
         load(folder)
@@ -274,7 +270,7 @@ def test_every_other_error(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"im05.png: expected a readable image"):
         load(folder)
     Image.new("RGBA", (WIDTH, HEIGHT)).save(folder / "images" / "im05.png")
-    with pytest.raises(UserError, match="got transparency"):
+    with pytest.raises(UserError, match=r"im05.png: expected .* not transparent"):
         load(folder)
     Image.new("F", (WIDTH, HEIGHT)).save(folder / "images" / "im05.png", format="TIFF")
     with pytest.raises(UserError, match=r"expected 8 or 16 bits per channel .* got mode F"):
@@ -285,7 +281,7 @@ def test_every_other_error(tmp_path: Path) -> None:
 
 
 def test_no_points_means_unknown_bounds(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="depth bounds are unknown"):
+    with pytest.raises(UserError, match=r"0 matches .* give scene.near and scene.far"):
         load(write_scene(tmp_path, points=[]))
 
 

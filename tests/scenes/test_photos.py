@@ -84,6 +84,21 @@ def test_the_scene_is_that_of_colmap(room: Path) -> None:
         load(room, n_views=9)
 
 
+def test_masks_and_given_bounds(room: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "room"
+    shutil.copytree(room, folder)
+    (folder / "masks").mkdir()
+    for k in range(6):
+        with Image.open(folder / f"room{k}.jpg") as photo:
+            half = Image.new("L", photo.size, 255)
+        half.paste(0, (0, 0, half.width // 2, half.height))
+        half.save(folder / f"masks/room{k}.jpg.png")
+    scene = load(folder, near=0.5, far=90.0)
+    assert (scene.training.near, scene.training.far) == (0.5, 90.0)
+    for view in (*scene.training.views, *scene.test):
+        assert view.mask is not None and 0.4 < float(view.mask.mean()) <= 0.5
+
+
 def test_it_stands_upright(room: Path) -> None:
     views = np.array(read_model(kept(room) / "sparse" / "0").viewmats)
     assert views[:, 1, 1].mean() > 0.99 and views[:, 2, 2].mean() > 0.9  # down is +y, ahead +z

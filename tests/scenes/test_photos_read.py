@@ -137,10 +137,15 @@ def test_photos_called_as_the_prepared_ones_keep_their_pixels(tmp_path: Path) ->
     assert not (tmp_path / "prepared").exists()
 
 
+def test_transparent_photos_keep_their_alpha(tmp_path: Path) -> None:
+    Image.new("RGBA", (2 * SIDE, SIDE), (9, 9, 9, 0)).save(tmp_path / "a.png")
+    photo = prepare(tmp_path / "a.png", tmp_path, 0, SIDE)
+    with Image.open(tmp_path / photo.stored) as stored:
+        assert (stored.mode, stored.size) == ("RGBA", (SIDE, SIDE // 2))
+        assert stored.getchannel("A").getextrema() == (0, 0)
+
+
 def test_photos_that_are_not_read(tmp_path: Path) -> None:
-    Image.new("RGBA", (64, 48)).save(tmp_path / "a.png")
-    with pytest.raises(UserError, match="expected an opaque photo, got transparency"):
-        prepare(tmp_path / "a.png", tmp_path, 0, SIDE)
     Image.new("F", (64, 48)).save(tmp_path / "a.png", format="TIFF")
     with pytest.raises(UserError, match=r"expected 8 or 16 bits .* got mode F; convert it"):
         prepare(tmp_path / "a.png", tmp_path, 0, SIDE)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from framework.errors import check_option
-from framework.scenes.options import check_folder_options
+from framework.scenes.options import check_folder_options, check_range
 from framework.scenes.splits import ALL
 
 if TYPE_CHECKING:
@@ -28,17 +28,23 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Photos:
-    """Photos without poses: pycolmap finds them, once."""
+    """Photos without poses: pycolmap finds them, once.
+
+    near, far: depth bounds in units of the poses found; null = from the points.
+    """
 
     path: str  # folder of the photos, or a video
     n_views: int | str = ALL  # training views; all = every one that is not for testing
     side: int = 1200  # pixels; larger photos are first reduced to this longer side
     downscale: int = 0  # by which they are then reduced; 0 = until the longer side is at most 800
     frames: int = 40  # of a video: so many of its frames are taken, the sharpest ones
+    near: float | None = None
+    far: float | None = None
     split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
 
     def __post_init__(self) -> None:
         check_folder_options("photos", self.path, self.n_views, self.split, self.downscale or 1)
+        check_range("photos", self.near, self.far)
         check_option(self, "scene", "side", 64 <= self.side <= 8192, "64 to 8192 pixels")
         check_option(self, "scene", "frames", 3 <= self.frames <= 1000, "3 to 1000")
 
@@ -69,5 +75,13 @@ class Photos:
                 "scene=photos: trained at %dx%d pixels (scene.downscale=%d of %dx%d)",
                 *(width // downscale, height // downscale, downscale, width, height),
             )
-        options = Colmap(str(folder), n_views=self.n_views, downscale=downscale, split=self.split)
-        return load_colmap("photos", folder, images, options, name=source.title)
+        options = Colmap(
+            str(folder),
+            n_views=self.n_views,
+            downscale=downscale,
+            near=self.near,
+            far=self.far,
+            split=self.split,
+        )
+        masks = source.folder.parent if source.folder.name == "images" else source.folder
+        return load_colmap("photos", folder, images, options, source.title, masks)

@@ -1,5 +1,5 @@
 """Photos as the search for poses and the training read them: upright, at most `side` pixels long,
-8-bit RGB in JPEG or PNG; and which of them one camera took.
+8-bit RGB in JPEG or PNG (RGBA if they are partly transparent); and which of them one camera took.
 
 Focal length in pixels from EXIF (CIPA DC-008): the 35 mm equivalent compares diagonals, of which
 the film's is 43.27 mm; else focal length in mm times the sensor's pixels per mm.
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from framework.errors import require
 from framework.files.limits import PHOTO_PIXELS
 from framework.scenes.decoding import eight_bit, exif_of, has_16_bits, opened, orientation, turned
 
@@ -49,11 +48,11 @@ def prepare(file: Path, folder: Path, number: int, side: int) -> Photo:
         exif, size, kind = exif_of(image), image.size, image.format
         turn = orientation(image) if kind != "TIFF" else 1  # which Pillow turns as it loads it
         deep = has_16_bits(image)
-        _check_plain(file, image)
+        clear = _is_transparent(image)
         reduced = max(size) > side
         plain = turn == 1 and image.mode in ("RGB", "L") and not deep
         as_is = not reduced and plain and kind in ("PNG", "JPEG")
-        suffix = ".png" if kind in ("PNG", "TIFF", "BMP") else ".jpg"
+        suffix = ".png" if kind in ("PNG", "TIFF", "BMP") or clear else ".jpg"
         stored = folder / f"{number:06d}{suffix}"
         if as_is:
             image.load()  # a damaged photo must not get further
@@ -61,7 +60,7 @@ def prepare(file: Path, folder: Path, number: int, side: int) -> Photo:
             width, height = size
         else:
             image = eight_bit(file, image) if deep or image.mode not in ("RGB", "L") else image
-            width, height = _store(image, turn, side, stored)
+            width, height = _store(image, turn, side, stored, "RGBA" if clear else "RGB")
         focal = _focal_px(exif, size)
     scale = max(width, height) / max(size)
     camera = (width, height, exif.get(MAKE), exif.get(MODEL), None if not focal else round(focal))
@@ -70,22 +69,19 @@ def prepare(file: Path, folder: Path, number: int, side: int) -> Photo:
     )
 
 
-def _check_plain(file: Path, image: Image.Image) -> None:
+def _is_transparent(image: Image.Image) -> bool:
     alpha: Any = image.convert("RGBA").getchannel("A") if image.has_transparency_data else None
-    require(
-        alpha is None or alpha.getextrema()[0] == 255,
-        f"{file}: expected an opaque photo, got transparency; flatten it",
-    )
+    return alpha is not None and alpha.getextrema()[0] < 255
 
 
-def _store(image: Image.Image, turn: int, side: int, path: Path) -> tuple[int, int]:
+def _store(image: Image.Image, turn: int, side: int, path: Path, mode: str) -> tuple[int, int]:
     """Write the reduced image, turned upright from EXIF's orientation; returns its size."""
     from PIL.Image import Resampling
 
-    if image.mode not in ("RGB", "L"):  # Pillow reduces a palette without any filter
-        image = image.convert("RGB")
+    if image.mode not in (mode, "L"):  # Pillow reduces a palette without any filter
+        image = image.convert(mode)
     image.thumbnail((side, side), Resampling.LANCZOS, reducing_gap=3.0)  # a JPEG is read reduced
-    upright = turned(image.convert("RGB"), turn)
+    upright = turned(image.convert(mode), turn)
     for key in ("exif", "icc_profile", "xmp"):
         upright.info.pop(key, None)
     if path.suffix == ".png":
