@@ -18,7 +18,11 @@ def check_python() -> None:
 
 
 if __name__ == "__main__":
-    check_python()
-    from framework.command.entry import command
+    try:
+        check_python()
+        from framework.command.entry import command
 
-    command(sys.argv[1:])
+        command(sys.argv[1:])
+    except KeyboardInterrupt:  # while modules are imported; later on it is caught inside
+        print("error: interrupted", file=sys.stderr)
+        sys.exit(130)

@@ -87,7 +87,7 @@ def prepared(overrides: Sequence[str]) -> Prepared:
         warmup.begin()
         warmup.finish()
     key = experiment._key(config["scene"])
-    scene, _ = experiment._scene(key)
+    scene = experiment._scene(key)[0]
     fingerprint = experiment._files(config, scene)["depth"]
-    depth, _ = experiment._depth(key, experiment._key(config["depth"]), fingerprint)
+    depth = experiment._depth(key, experiment._key(config["depth"]), fingerprint)[0]
     return Prepared(config, scene, depth)

@@ -10,11 +10,16 @@ from __future__ import annotations
 import argparse
 import difflib
 import errno
+import os
 import re
-from collections.abc import Iterable
+import traceback
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
+HERE, STDLIB = (re.escape(os.path.dirname(module)) for module in (__file__, os.__file__))
+NOT_A_PLUGIN = rf"<|{HERE}/|{STDLIB}/(?!(site|dist)-packages/)"  # files in a traceback
 LONGEST = 1000  # characters of a message
 FULL = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
 MEDIUM = FULL | {errno.EIO, errno.EROFS}  # what writing tells without naming the file
@@ -35,6 +40,34 @@ class UserError(ValueError):
 
     def __init__(self, message: str) -> None:
         super().__init__(printable_line(message))
+
+
+class PluginError(UserError):
+    """A mistake in a plugin."""
+
+    kind = "plugin"
+
+
+@contextmanager
+def plugin_call(where: str, advice: str = "fix the plugin") -> Iterator[None]:
+    """Turn whatever a plugin raises, `sys.exit` too, into one line that names it.
+
+    Lets through what has a line of its own: UserError, and what the machine lacks.
+    """
+    try:
+        yield
+    except (Exception, SystemExit) as error:
+        if isinstance(error, UserError) or machine_line(error) is not None:
+            raise
+        what = f"raised {type(error).__name__}: {error}".rstrip(": ")
+        if isinstance(error, SystemExit):
+            what = f"called sys.exit({'' if error.code is None else repr(error.code)})"
+        frames = traceback.extract_tb(error.__traceback__)
+        outside = [f for f in frames if not re.match(NOT_A_PLUGIN, f.filename)]
+        place = f" ({Path(outside[0].filename).name}:{outside[0].lineno})" if outside else ""
+        raise PluginError(
+            f"{where}: {what}{place}; {advice} (traceback=true shows the calls)"
+        ) from error
 
 
 def printable_line(text: str) -> str:

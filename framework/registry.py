@@ -27,7 +27,7 @@ from pathlib import Path
 from types import ModuleType, UnionType
 from typing import Any, TypeVar
 
-from framework.errors import UserError, nearest_hint, require
+from framework.errors import UserError, nearest_hint, plugin_call, require
 from framework.files.paths import ENTRY_POINTS, own_plugins
 
 GROUPS = {"augment": "plugins.augment", "reg": "plugins.regularize", "capacity": "plugins.capacity"}
@@ -38,6 +38,7 @@ PARTS = {
     "metric": "plugins.metrics",
 }
 SWEPT = "_sweep"  # ends the name of a recipe with the plane sweep in place of a network
+OURS = ("framework", "plugins")  # packages of this project's classes
 REQUIRED = {  # the methods of which a class must have one of its own
     "scene": ("load",),
     "depth": ("measure",),
@@ -124,11 +125,19 @@ def _check_class(group: str, name: str, cls: type) -> None:
             f"{where}: expected options beside {', '.join(taken)}, which every plugin of this group"
             f" has, got a field '{option.name}'; rename it, or set it in `defaults`",
         )
-    for key in getattr(cls, "defaults", {}) if group in GROUPS else ():
+    defaults = getattr(cls, "defaults", {}) if group in GROUPS else {}
+    require(
+        isinstance(defaults, Mapping), f"{where}: `defaults` must be a dict, got {defaults!r:.40}"
+    )
+    for key, value in defaults.items():
         require(
             key in FRAMEWORK_KEYS,
             f"{where}: expected some of {', '.join(FRAMEWORK_KEYS)} in `defaults`, got {key!r:.40};"
             " a default of an option stands behind its field",
+        )
+        require(
+            type(value) in (int, float) and math.isfinite(value),
+            f"{where}: `defaults[{key!r}]` must be a finite number, got {value!r:.40}",
         )
     typed = {*cls.__annotations__, "defaults", "name", "group"}  # the last two: registered twice
     for base in cls.__mro__:  # what a contract declares for the class, as `drops`
@@ -184,14 +193,17 @@ def discover() -> None:
         for module in pkgutil.iter_modules(package.__path__):
             name = f"{package_name}.{module.name}"
             if name not in sys.modules:
-                _guarded(name, "repair it", functools.partial(importlib.import_module, name))
+                with plugin_call(f"{name}: importing it"):
+                    importlib.import_module(name)
     for place, file in own_plugins():
         name = f"own_plugins.{place.removesuffix('.py').replace('/', '.')}"
         if name not in sys.modules and not file.name.startswith("_"):
-            _guarded(str(file), "repair it", functools.partial(_import_file, name, file))
+            with plugin_call(f"{file}: importing it"):
+                _import_file(name, file)
     for point in _installed():
-        told = f"entry point {point.name} = {point.value}"
-        _guarded(told, "repair or uninstall that package", point.load)
+        told = f"entry point {point.name} = {point.value}: importing it"
+        with plugin_call(told, "fix or uninstall that package"):
+            point.load()
 
 
 def _import_file(name: str, file: Path) -> None:
@@ -214,19 +226,6 @@ def _check_place(package: ModuleType) -> None:
         f"{package.__name__}: expected the plugins in {FOLDER}, got {place}; take the other package"
         " called 'plugins' off PYTHONPATH",
     )
-
-
-def _guarded(told: str, repair: str, load: Callable[[], object]) -> None:
-    """Import plugins by `load`. Raises UserError, naming them as `told`, when that fails."""
-    try:
-        load()
-    except UserError:
-        raise
-    except Exception as error:  # whatever somebody else's code raises
-        raise UserError(
-            f"{told}: expected a module of plugins that imports, got {type(error).__name__}:"
-            f" {error}; {repair}"
-        ) from error
 
 
 @functools.cache
@@ -256,7 +255,8 @@ def plain_fields(cls: type) -> list[tuple[str, Any, Any]]:
     """(name, type, dataclasses.field) of every field of an options class. UserError for a type
     that the command line cannot give."""
     rows: list[tuple[str, Any, Any]] = []
-    hints = typing.get_type_hints(cls)
+    with plugin_call(f"{cls.__module__}.{cls.__name__}: its options' types", "import that name"):
+        hints = typing.get_type_hints(cls)
     for option in dataclasses.fields(cls):
         hint = hints[option.name]
         kinds = typing.get_args(hint) if typing.get_origin(hint) in UNIONS else (hint,)
@@ -343,17 +343,9 @@ def _check_known(where: str, options: Iterable[str], known: Mapping[str, Any]) -
 
 
 def _made(where: str, cls: Any, options: Mapping[str, Any]) -> Any:
-    """A plugin or part of these options; what its own checks raise is told with its name. What the
-    machine lacks, a file or memory, has words of its own."""
-    try:
+    """Construct a plugin or part with these options. Raises UserError with its name."""
+    with plugin_call(where, "correct its options, or fix __post_init__"):
         return cls(**options)
-    except (UserError, OSError, MemoryError):
-        raise
-    except Exception as error:
-        raise UserError(
-            f"{where}: expected options that it takes, got {type(error).__name__}: {error}; correct"
-            " them, or repair the plugin's __post_init__"
-        ) from error
 
 
 def build(group: str, config: Mapping[str, Any]) -> Plugged:
@@ -367,8 +359,10 @@ def build(group: str, config: Mapping[str, Any]) -> Plugged:
     known = {row[0]: row for row in option_fields(cls)}
     _check_known(f"{group}={name}", options, known)
     keys = {key: float(options.pop(key, known[key][2].default)) for key in FRAMEWORK_KEYS}
+    with plugin_call(f"{group}={name}: weighted"):
+        weighted = cls.weighted()
     require(
-        keys["weight"] == known["weight"][2].default or cls.weighted(),
+        keys["weight"] == known["weight"][2].default or weighted,
         f"{group}={name}: weight multiplies a loss, and {name} has none; drop {group}.weight, or"
         f" compare it with a variant that sets it, a file conf/{group}/VARIANT.yaml",
     )
@@ -382,5 +376,6 @@ def build(group: str, config: Mapping[str, Any]) -> Plugged:
         f" start={keys['start']}, stop={keys['stop']}",
     )
     plugin = _made(f"{group}={name}", cls, options)
-    plugin.check_span(keys["start"], keys["stop"])
+    with plugin_call(f"{group}={name}: check_span"):
+        plugin.check_span(keys["start"], keys["stop"])
     return Plugged(plugin, keys["weight"], keys["start"], keys["stop"])

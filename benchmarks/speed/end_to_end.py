@@ -36,6 +36,7 @@ STAGES = {
     "scene": ["framework.run.experiment:_scene"],
     "depth, and loading kernels beside it": [
         "framework.run.experiment:_depth",
+        "framework.run.experiment:_pose_check",
         "framework.run.warmup:Warmup.begin",
         "framework.run.warmup:Warmup.finish",
     ],
@@ -90,14 +91,17 @@ class Clock:
 
 def child(began: float, output: Path, overrides: list[str]) -> None:
     """One run with a clock around its stages; `began` is the time when the process was started."""
-    from framework.command import entry, runner
+    from framework.command import runner
+    from framework.command.cli import main
+    from framework.command.collector import import_uncollected
 
-    clock, done = Clock(), runner._done
+    clock, run = Clock(), runner.run
     ended = began
 
-    def watched(job: Any) -> bool | str:
-        """The run, with a clock around its stages: what they call has just been imported."""
+    def watched(job: Any) -> None:
+        """The run, with a clock around its stages."""
         nonlocal ended
+        import_uncollected("framework.run.experiment")
         clock.seconds[START] = time.time() - began
         for stage, places in STAGES.items():
             for place in places:
@@ -105,13 +109,12 @@ def child(began: float, output: Path, overrides: list[str]) -> None:
                 *owners, name = path.split(".")
                 owner = functools.reduce(getattr, owners, importlib.import_module(module))
                 setattr(owner, name, clock.watch(stage, getattr(owner, name)))
-        well = done(job)
+        run(job)
         ended = time.time()
         clock.seconds[REST] = ended - began - clock.seconds[START] - clock.measured
-        return well
 
-    runner._done = watched
-    code = entry.lone(overrides)
+    runner.run = watched
+    code = main(overrides)
     clock.seconds[REPORT] = time.time() - ended
     output.write_text(json.dumps(clock.seconds))
     os._exit(code)  # as run.py

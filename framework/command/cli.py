@@ -3,9 +3,8 @@
 Exit codes: 0 all runs are complete · 1 a bug or the machine · 2 bad input, no room or no right to
 write · 3 another process is still at some of the runs · 130 interrupted.
 
-Nothing heavy is imported here before a run really starts (`framework.command.runner` begins
-beside). Importing this module registers the resolvers that name run folders, which the processes
-of a launcher need too.
+Nothing heavy is imported here before a run really starts. Importing this module registers the
+resolvers that name run folders, which the processes of a launcher need too.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from omegaconf import DictConfig, OmegaConf
 
 import framework
 from framework.command import own_plugins, runner
-from framework.command.complaints import USER_ERRORS, one_line, with_variant
+from framework.command.complaints import USER_ERRORS, composing, one_line, with_variant
 from framework.command.config.check import check
 from framework.command.config.help import help_text
 from framework.command.config.naming import plain, register_resolvers, study_name
@@ -33,10 +32,9 @@ from framework.command.config.schema import (
     CONF_DIR,
     register_config,
 )
-from framework.command.config.trust import check_command
 from framework.command.job import Job
 from framework.command.launchers.detached import detached
-from framework.command.launchers.known import register_launchers
+from framework.command.launchers.supported import register_launchers
 from framework.command.program import program
 from framework.command.studies.failures import again, conclude, tell
 from framework.command.studies.study import (
@@ -50,7 +48,7 @@ from framework.command.studies.study import (
 from framework.command.subcommands import asked_for, obey
 from framework.command.words import check_utf8, normalise, only_informs, parse
 from framework.compute.orphans import end_with_parent
-from framework.errors import UserError, machine_line, printable_line
+from framework.errors import UserError, machine_line, nearest_hint, printable_line
 from framework.records.progress import unread
 
 TOLD = ("augment=", "reg=", "seed=")  # progress lines have these of every run
@@ -75,8 +73,6 @@ def main(argv: Sequence[str]) -> int:
             register_config()
             register_launchers()
             flags = parse(arguments)
-            if not flags.shell_completion:  # whose words are no overrides
-                check_command(flags)
             if flags.help:
                 print(help_text(flags.overrides))
                 return 0
@@ -84,9 +80,11 @@ def main(argv: Sequence[str]) -> int:
                 version_base="1.3", config_path=str(CONF_DIR), config_name="config"
             )(task)
             if only_informs(flags):
-                application()
+                _check_package(flags)
+                with composing():
+                    application()
                 return 0
-            with ledger():
+            with ledger(), composing():
                 application()
                 return 0 if detached() else conclude()
     except KeyboardInterrupt:
@@ -116,25 +114,38 @@ def main(argv: Sequence[str]) -> int:
         return end.code if isinstance(end.code, int) else int(end.code is not None)
 
 
-def task(cfg: DictConfig) -> Outcome | None:
-    """One run; Hydra calls it, perhaps in a launcher's fresh process.
+def task(cfg: DictConfig) -> Outcome:
+    """Do one run; Hydra calls it, perhaps in a launcher's fresh process.
 
-    An error ends this run and not its siblings: it goes into the record and the ledger. Returns
-    what the ledger has of the run, where this process knows it.
+    An error ends this run and not its siblings: it goes into the record and the ledger. Returns the
+    run's entry in the ledger.
     """
     end_with_parent()
     job = _job(HydraConfig.get(), plain(cfg))
     try:
         check(job.config)  # finds plugins too, of which a launcher's fresh process knows nothing
         job.config["study"] = study_name(job.config)
-        well = runner.run(job)
+        runner.run(job)
+    except SystemExit as end:  # of somebody else's code: it must end neither siblings nor quietly
+        return tell(job, UserError(f"the run called sys.exit({end.code!r}); fix the plugin"))
     except Exception as error:
         return tell(job, error)
-    if not well:  # told by the process that did it
-        return None
     outcome = Outcome(job.number, job.run_dir)
     add_outcome(outcome)
     return outcome
+
+
+def _check_package(flags: Any) -> None:
+    """Raise UserError for `--package` of a part that the configuration lacks."""
+    if flags.package is None or flags.shell_completion:
+        return
+    with hydra.initialize_config_dir(version_base="1.3", config_dir=str(CONF_DIR)):
+        config = hydra.compose("config", flags.overrides, return_hydra_config=True)
+    package = flags.package.removeprefix("_global_")
+    part = OmegaConf.select(config, package, throw_on_missing=False) if package else config
+    if part is None:
+        known = [str(key) for key in config]
+        raise UserError(f"--package: no part {package!r} there; {nearest_hint(package, known)}")
 
 
 def _check_here() -> None:

@@ -1,8 +1,7 @@
-"""The garbage collector, kept away from what will never be garbage.
+"""Imports without the garbage collector.
 
-An import makes hundreds of thousands of objects that live to the end; looking through them again
-and again while they are made takes 0.2 s with torch and numba, freeing them at the end 0.7 s
-(`framework.command.runner` freezes them too).
+An import makes hundreds of thousands of objects that live to the end. Scanning them again and again
+while they are made takes 0.2 s with torch and numba.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from omegaconf.errors import (
 
 from framework.command.config.check import hint, places_of
 from framework.command.config.schema import CONF_DIR
-from framework.command.launchers.known import LAUNCHERS, missing_extra, package_of
+from framework.command.launchers.supported import LAUNCHERS, missing_extra, package_of
 from framework.command.program import program
 from framework.errors import UserError, mendable, nearest_hint, os_line, printable_line
 from framework.files.paths import OWN_VARIABLE

@@ -9,8 +9,10 @@ import re
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from hydra.core.override_parser.types import Override
+
+from framework.command.config.overrides import check_deleted, parsed, quoted
 from framework.command.config.schema import CONF_DIR, GROUPS, OBJECT_GROUPS, choices
-from framework.command.config.trust import parsed, quoted
 from framework.command.hydra_inside import argument_parser
 from framework.errors import UserError
 from framework.records.provenance import NEUTRAL_KEYS
@@ -35,7 +37,9 @@ def normalise(argv: Sequence[str]) -> list[str]:
     check_given_twice(arguments)
     flags = parse(arguments)
     if not flags.shell_completion:  # whose words are no overrides
-        _check_one_study(flags.overrides)
+        overrides = parsed(flags.overrides)
+        _check_single_choices(overrides)
+        check_deleted(overrides)
     if flags.multirun and only_informs(flags):
         raise UserError("command line: expected -m or a flag that only informs, got both; drop one")
     if flags.resolve and not flags.cfg:
@@ -45,8 +49,8 @@ def normalise(argv: Sequence[str]) -> list[str]:
 
 def _joined_choices(argument: str) -> str:
     """`reg=none,[uar,depth_rank]` as `reg=none,uar+depth_rank`: several plugins are one choice."""
-    group, _, names = argument.partition("=")
-    if group not in OBJECT_GROUPS:
+    group, equals, names = argument.partition("=")
+    if group not in OBJECT_GROUPS or not equals:  # `--package reg`
         return argument
 
     def join(listed: re.Match[str]) -> str:
@@ -63,6 +67,7 @@ def parse(arguments: Sequence[str]) -> Any:
         raise UserError(f"command line: {message}; --help tells what there is")
 
     parser = argument_parser()
+    parser.allow_abbrev = False  # `--versio` would print Hydra's version
     parser.error = refuse  # type: ignore[method-assign]
     return parser.parse_args(arguments)
 
@@ -149,12 +154,17 @@ def _in_place_of_two(key: str, first: str, second: str) -> str:
     return f"{alone}write {joined}{key}={both} -m for a run of each"
 
 
-def _check_one_study(overrides: Sequence[str]) -> None:
-    """A study's file says what its runs are: of several, with or without -m, Hydra would mix one's
-    options into another's runs."""
-    for override in parsed(overrides):
-        several = override.is_sweep_override() or isinstance(override.value(), list)
-        if override.key_or_group == SWEEP and several:
+def _check_single_choices(overrides: Sequence[Override]) -> None:
+    """Raise UserError for `preset=[a,b]`, and for several studies in any way: a study's file says
+    what its runs are, and Hydra would mix one's options into another's runs."""
+    for override in overrides:
+        group, listed = override.key_or_group, isinstance(override.value(), list)
+        if group == SWEEP and (listed or override.is_sweep_override()):
             raise UserError(
                 f"{SWEEP}: expected one study, got several ({override.input_line}); {ONE_STUDY}"
+            )
+        if group in GROUPS and listed:
+            raise UserError(
+                f"{group}: expected one choice, got a list ({override.input_line}); write"
+                f" {group}=NAME, or {group}=a,b -m for a run of each"
             )

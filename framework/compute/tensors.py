@@ -8,6 +8,7 @@ the tensor's type. Gradients are those of the definitions. On other devices they
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +18,11 @@ from torch import Tensor
 from torch.autograd import Function
 
 from framework.compute import portable
+
+
+def checksum(tensor: Tensor) -> int:
+    """A CRC-32 of the values."""
+    return zlib.crc32(tensor.detach().contiguous().cpu().numpy().tobytes())
 
 
 def root(x: Tensor) -> Tensor:

@@ -22,6 +22,7 @@ __all__ = [
     "exposure",
     "matching",
     "options",
+    "pose_check",
     "transfer",
     "unspoiled",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,8 @@ from framework.depth.options import PlaneSweepOptions
 
 if TYPE_CHECKING:
     from framework.types import DepthMap, TrainingSet
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -23,4 +26,8 @@ class PlaneSweep(PlaneSweepOptions):
         """
         from framework.depth.matching.sweep import sweep_views
 
-        return sweep_views(training, self)
+        maps = sweep_views(training, self)
+        for view, depth in zip(training.views, maps, strict=True):
+            if not depth.depth.any():
+                log.warning("plane sweep: view '%s' overlaps no other, it gets no depth", view.name)
+        return maps

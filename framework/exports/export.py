@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import Arguments, require
-from framework.exports.formats import SUFFIXES, can_write, packed
+from framework.exports.formats import SUFFIXES, can_write, check_writer, packed
 from framework.files.whole import make_folder, write_whole
 
 if TYPE_CHECKING:
@@ -50,13 +50,14 @@ def main(arguments: list[str], prog: str) -> int:
         motion = upright(rig(cameras), away)
         cameras = [moved_camera(camera, motion) for camera in cameras]
         run = replace(run, gaussians=moved_gaussians(run.gaussians, motion))
+    # all are made before the first is written: one format may refuse the model
+    files = {f"{NAME}{SUFFIXES[k]}": packed(run.gaussians, run.background, k) for k in kinds}
     make_folder(folder)
     _write_cameras(folder, [given.name for given in run.cameras], cameras, run.near)
     write_whole(folder / SETTINGS, settings(cameras, run.background.tolist(), away))
-    for kind in kinds:
-        content = packed(run.gaussians, run.background, kind)
-        write_whole(folder / f"{NAME}{SUFFIXES[kind]}", content)
-        print(f"export: {NAME}{SUFFIXES[kind]} {len(content) / 1e6:.2f} MB", flush=True)
+    for name, content in files.items():
+        write_whole(folder / name, content)
+        print(f"export: {name} {len(content) / 1e6:.2f} MB", flush=True)
     print(
         f"export: {len(run.gaussians):,} Gaussians in {folder}, with their cameras and {SETTINGS}"
     )
@@ -78,8 +79,13 @@ def _check_no_cameras_of_others(folder: Path) -> None:
 
 
 def _kinds(asked: list[str]) -> list[str]:
-    """The formats; all are those whose writer is there, which a line says."""
+    """Return the formats to write, all of which can be written; `all` skips the others.
+
+    Raises UserError before anything is written if the package of a named format is missing.
+    """
     if "all" not in asked:
+        for kind in asked:
+            check_writer(kind)
         return list(dict.fromkeys(asked))
     for kind in SUFFIXES:
         if not can_write(kind):

@@ -51,13 +51,23 @@ SUFFIXES = {
 
 
 def packed(gaussians: Gaussians, background: Tensor, kind: str) -> bytes:
-    """The content of a file of this kind. Raises UserError where its writer is not there."""
+    """Return the content of a file of this kind. Raises UserError if its package is missing."""
+    check_writer(kind)
     return _WRITERS[kind](_full(gaussians), background)
 
 
 def can_write(kind: str) -> bool:
-    """Whether its writer is there."""
+    """Return whether the package that writes this kind is installed."""
     return kind != "sog" or importlib.util.find_spec("gaussforge") is not None
+
+
+def check_writer(kind: str) -> None:
+    """Raise UserError if the package that writes this kind is missing."""
+    require(
+        can_write(kind),
+        f"{kind}: needs the package gaussforge, which is not installed; pip install"
+        f" 'fishersplat[{kind}]', or choose another format",
+    )
 
 
 def _full(gaussians: Gaussians) -> Gaussians:
@@ -141,11 +151,6 @@ def _byte(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
 
 
 def _sog(gaussians: Gaussians, background: Tensor) -> bytes:
-    if not can_write("sog"):
-        raise UserError(
-            "sog: expected the package gaussforge, which writes it, found none; pip install"
-            " 'fishersplat[sog]', or choose another format"
-        )
     import gaussforge
 
     told = gaussforge.GaussForge().convert(_ply(gaussians, background), "ply", "sog")

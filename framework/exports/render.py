@@ -15,7 +15,6 @@ from framework.files.whole import make_folder, write_whole
 if TYPE_CHECKING:
     from framework.types import Camera
 
-SOFTWARE, WRITER = "Software", "fishersplat render"  # written into each picture
 MOST_PIXELS = 20_000_000  # of a picture; the kernels take about 100 bytes for each
 
 
@@ -112,7 +111,9 @@ def _bare(name: str) -> str:
 def _check_no_pictures_of_others(files: list[Path]) -> None:
     """Raises UserError where a picture would be lost that this command did not write, as a photo is
     named like its camera."""
-    theirs = [file for file in files if file.exists() and not _is_rendered(file)]
+    from framework.records.run_files import is_rendered
+
+    theirs = [file for file in files if file.exists() and not is_rendered(file)]
     require(
         not theirs,
         f"--out: expected a folder for new pictures, got one with"
@@ -121,20 +122,12 @@ def _check_no_pictures_of_others(files: list[Path]) -> None:
     )
 
 
-def _is_rendered(file: Path) -> bool:
-    from PIL import Image
-
-    try:
-        with Image.open(file) as image:
-            return image.info.get(SOFTWARE) == WRITER
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-        return False
-
-
 def _png(picture: object) -> bytes:
     import io
 
     from PIL import Image, PngImagePlugin
+
+    from framework.records.run_files import SOFTWARE, WRITER
 
     told, out = PngImagePlugin.PngInfo(), io.BytesIO()
     told.add_text(SOFTWARE, WRITER)

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+
+from framework.errors import FULL, UserError
 
 
 def cache_dir() -> Path:
@@ -13,5 +17,20 @@ def cache_dir() -> Path:
         path = Path(base)
     else:
         path = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fishersplat"
-    path.mkdir(parents=True, exist_ok=True)
+    with usable(path):
+        path.mkdir(parents=True, exist_ok=True)
     return path
+
+
+@contextmanager
+def usable(path: Path) -> Iterator[None]:
+    """Raise UserError for a cache folder that cannot be made or written."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in FULL:
+            raise
+        raise UserError(
+            f"{path}: cannot write the cache folder ({error.strerror}); set FISHERSPLAT_CACHE to a"
+            " folder that you may write"
+        ) from error

@@ -44,11 +44,6 @@ def read_yaml(path: Path) -> Any:
     return value
 
 
-def check_yaml(path: Path) -> None:
-    """Raise UserError unless the YAML file is small, flat and without aliases."""
-    _check_events(path, read_text(path, CONFIG_BYTES))
-
-
 def _check_events(path: Path, text: str) -> None:
     depth = 0
     try:

@@ -28,13 +28,10 @@ WEIGHTS_BYTES = 512 * MIB  # of LPIPS weights, unpacked
 TEXT_BYTES = 64 * MIB  # of one JSON file of a scene
 RUN_BYTES = 8 * MIB  # of one JSON or CSV file of a run
 CONFIG_BYTES = MIB // 4  # of one YAML file
-CONFIG_FILES = 1000  # in a folder of configurations
-CONFIG_ENTRIES = 20_000  # files and folders that are looked through for them
 DEPTH = 32  # of nested lists and mappings in a file of configurations or of a run
 TEXT_LENGTH = 10_000  # characters of one text in them, or of a word of the command line
 ADDRESS_BYTES = 2048 * MIB  # of a process: 1.6 GB are just enough for a small run
 RUNS = 100_000  # of one command
-PARALLEL_RUNS = 256  # of the joblib launcher
 
 
 def check_address_space() -> None:

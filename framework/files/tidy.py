@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from framework.errors import UserError
-from framework.files.cache import cache_dir
+from framework.files.cache import cache_dir, usable
 from framework.files.locks import LOCK, locked
 
 UNUSED_DAYS = 90
@@ -33,10 +33,9 @@ def own_folder(prefix: str) -> Iterator[Path]:
     before, with another call an hour later. Raises Unwritable where none can be made."""
     parent = cache_dir()
     tidy(prefix)
-    with (
-        tempfile.TemporaryDirectory(prefix=prefix, dir=parent, ignore_cleanup_errors=True) as name,
-        locked(Path(name)),
-    ):
+    with usable(parent):
+        made = tempfile.TemporaryDirectory(prefix=prefix, dir=parent, ignore_cleanup_errors=True)
+    with made as name, locked(Path(name)):
         yield Path(name)
 
 

@@ -12,12 +12,15 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 from framework.errors import FULL, UserError, mendable
 from framework.files.opened import is_file, open_regular
+
+TEMPORARY = re.compile(r"\..+\.\d+\.tmp")  # as `write_whole` names them
 
 
 class Unwritable(UserError):
@@ -48,18 +51,30 @@ class Written:
         """Raises Disturbed for the first file that is not there as written. content: whether each
         is read again, or only its size asked for."""
         for path, (size, digest) in sorted(self._files.items()):
-            if not is_file(path):
-                found = "nothing"
-            elif (now := path.stat().st_size) != size:
-                found = f"{now:,} bytes"
-            elif content and file_sha256(path) != digest:
-                found = "other ones"
-            else:
-                continue
-            raise Disturbed(
-                f"{path}: expected the {size:,} bytes just written, got {found}; leave the folder"
-                " alone while it is written, and run the same again"
-            )
+            found = difference(path, size, digest if content else None)
+            if found:
+                raise Disturbed(
+                    f"{path}: expected the {size:,} bytes just written, got {found}; leave the"
+                    " folder alone while it is written, and run the same again"
+                )
+
+    def listed(self) -> dict[str, tuple[int, str]]:
+        """Return path within the folder -> size in bytes and SHA-256."""
+        files = self._files.items()
+        return {path.relative_to(self.folder).as_posix(): of for path, of in sorted(files)}
+
+
+def difference(path: Path, size: int, digest: str | None) -> str:
+    """Describe how a file differs from one of this size and SHA-256; "" if it does not.
+
+    Args:
+        digest: None compares the size alone.
+    """
+    if not is_file(path):
+        return "nothing"
+    if (now := path.stat().st_size) != size:
+        return f"{now:,} bytes"
+    return "other ones" if digest is not None and file_sha256(path) != digest else ""
 
 
 _followers: list[Written] = []
@@ -127,8 +142,9 @@ def remove_temporaries(folder: Path) -> None:
     """Remove what killed processes were writing in `folder` and below. Call it only while nobody
     else writes there."""
     for path in folder.rglob(".*.tmp"):
-        with contextlib.suppress(OSError):
-            path.unlink()
+        if TEMPORARY.fullmatch(path.name):
+            with contextlib.suppress(OSError):
+                path.unlink()
 
 
 def file_sha256(path: Path) -> str:

@@ -34,7 +34,7 @@ import numpy as np
 
 from framework.compute import parallel
 from framework.errors import printable_line
-from framework.metrics.values import Measurement, Missing, ViewMetrics
+from framework.metrics.values import LARGEST, Measurement, Missing, ViewMetrics
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -75,9 +75,10 @@ def finite(metric: str) -> Callable[[Callable[P, Measurement]], Callable[P, Meas
 
 
 def _finite(value: Measurement, metric: str) -> Measurement:
-    if isinstance(value, Missing) or math.isfinite(value):
+    if isinstance(value, Missing) or abs(value) <= LARGEST:  # false for NaN
         return value
-    return Missing(f"{metric} gave no finite value")
+    beyond = f"a value beyond {LARGEST:g}" if math.isfinite(value) else "no finite value"
+    return Missing(f"{metric} gave {beyond}")
 
 
 def quantise(image: Tensor) -> np.ndarray:
@@ -186,7 +187,7 @@ def plugged(
     mask = None if valid is None else torch.from_numpy(valid.copy())
     try:
         return _finite(float(metric.measure(planar(x), planar(y), mask)), name)
-    except Exception as error:  # whatever somebody else's code raises
+    except (Exception, SystemExit) as error:  # whatever somebody else's code raises
         return Missing(printable_line(f"{name} raised {type(error).__name__}: {error}"))
 
 

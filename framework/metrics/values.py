@@ -12,6 +12,7 @@ METRICS = ("psnr", "ssim", "flip", "lpips", "lpips_01")
 LOWER = ("flip", "lpips", "lpips_01")  # of these less is better
 # of some runs: the mean of errors where there is LPIPS, score and rank where they are asked for
 AVERAGE, COADAPTATION, RANK = "avge", "coadaptation", "effective_rank"
+LARGEST = 1e15  # of a number in a record or a table: reports square and sum them
 MEASURES: dict[str, type] = {}
 RESERVED = (
     *METRICS,

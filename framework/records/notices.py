@@ -1,7 +1,7 @@
-"""What framework and plugins log while a run goes on becomes notes on the user's screen.
+"""What framework and plugins log during a run reaches the user's screen and the run's record.
 
-Library code only logs (`logging.getLogger(__name__)`) and knows no `Progress`; without a handler
-Python would drop its INFO records unseen.
+Library code only logs (`logging.getLogger(__name__)`) and does not depend on `Progress`; without a
+handler Python would drop its INFO records.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from framework.errors import printable_line
 from framework.records.progress import Progress
 
 LOGGERS = ("framework", "plugins")  # the parents of every module's logger
@@ -17,7 +18,7 @@ QUIET = "warm-up"  # a thread of that name is at something the user did not ask 
 
 
 class _Notes(logging.Handler):
-    """Hands every record of at least INFO to `progress.note`, in one line."""
+    """Passes every record of at least INFO to `progress.note`, as one line."""
 
     def __init__(self, progress: Progress) -> None:
         super().__init__(logging.INFO)
@@ -34,18 +35,43 @@ class _Notes(logging.Handler):
         self._progress.note(f"{record.levelname.lower()}: {text}" if warns else text)
 
 
+class _Warnings(logging.Handler):
+    """Appends the text of every warning to `texts`."""
+
+    def __init__(self, texts: list[str]) -> None:
+        super().__init__(logging.WARNING)
+        self._texts = texts
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.threadName != QUIET:
+            self._texts.append(printable_line(" ".join(record.getMessage().split())))
+
+
 @contextmanager
 def noted(progress: Progress) -> Iterator[None]:
-    """While it lasts, `progress.note` tells what framework and plugins log at INFO and above.
+    """Show on `progress` what framework and plugins log at INFO and above.
 
     Afterwards the loggers are as they were, so that runs of one process do not add up.
     """
-    handler = _Notes(progress)
+    with _handling(_Notes(progress)):
+        yield
+
+
+@contextmanager
+def warnings_of() -> Iterator[list[str]]:
+    """Yield the list that the warnings of framework and plugins are appended to, one line each."""
+    texts: list[str] = []
+    with _handling(_Warnings(texts)):
+        yield texts
+
+
+@contextmanager
+def _handling(handler: logging.Handler) -> Iterator[None]:
     before = [(logger, logger.level) for logger in map(logging.getLogger, LOGGERS)]
     for logger, _ in before:
         logger.addHandler(handler)
-        if not logger.isEnabledFor(logging.INFO):
-            logger.setLevel(logging.INFO)
+        if not logger.isEnabledFor(handler.level):
+            logger.setLevel(handler.level)
     try:
         yield
     finally:

@@ -31,13 +31,10 @@ def photo_files(names: Sequence[str]) -> list[str]:
 
 
 def write_photos(run_dir: Path, training: Sequence[View]) -> None:
-    """Write them; photos of an earlier run go."""
+    """Write them."""
     files = [run_dir / name for name in photo_files([view.name for view in training])]
     pairs = zip(files, training, strict=True)
     run_tasks([functools.partial(_write, file, view) for file, view in pairs])
-    for stale in sorted((run_dir / PHOTOS).glob("*.jpg")):
-        if stale not in files:
-            stale.unlink()
 
 
 def _write(file: Path, view: View) -> None:

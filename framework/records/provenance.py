@@ -1,8 +1,8 @@
 """Where a result comes from: code, package versions, machine; and the identity of a run.
 
 Two runs have the same identity when nothing that can change their bits differs: the resolved
-config without `NEUTRAL_KEYS`, the loaded scene, the other files read, the sources and the package
-versions. No host name and no path of the machine is recorded, beyond what the user's own config
+config without `NEUTRAL_KEYS`, the loaded scene, the other files read, the sources of the framework
+and of the plugins that the run uses, and the package versions. No host name and no path of the machine is recorded, beyond what the user's own config
 holds.
 """
 
@@ -17,14 +17,14 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping
-from importlib.metadata import PackageNotFoundError, entry_points, version
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import framework
 from framework.compute.parallel import threads
-from framework.files.paths import ENTRY_POINTS, own_plugins
+from framework.files.paths import own_plugins
 
 ROOT = Path(framework.__file__).resolve().parent.parent
 NEUTRAL_KEYS = ("threads", "force", "study", "traceback", "estimate", "tracker", "hydra")
@@ -33,7 +33,11 @@ PACKAGES = (
     *("pycolmap", "opencv-contrib-python-headless", "hydra-core"),
 )
 MAKING = ("run.py", "pyproject.toml", "framework", "plugins", "conf", "sweeps")  # a result
-SHOWING = ("framework/report/", "framework/view/")  # rooms that no result depends on
+SHOWING = (
+    "framework/exports/",
+    "framework/report/",
+    "framework/view/",
+)  # rooms that no result depends on
 BITS = "bits"  # of a run whose rasterizer does not keep them: why its repetition differs
 
 
@@ -83,10 +87,10 @@ def git_state(root: Path) -> dict[str, Any] | None:
 
 @functools.cache
 def code_hash() -> str:
-    """SHA-256 over the sources of framework/ (without `SHOWING`), plugins/ and of plugin packages
-    found by entry point; taken once per process, since that is the code it runs."""
+    """SHA-256 over the sources of framework/ without `SHOWING`; taken once per process, since that
+    is the code it runs. Plugins are hashed by `framework.run.plugin_code`."""
     digest = hashlib.sha256()
-    for name, path in [*_own_sources(ROOT), *_foreign_sources()]:
+    for name, path in _sources(ROOT):
         digest.update(f"{name}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()
 
@@ -162,24 +166,10 @@ def _git(root: Path, *arguments: str) -> str | None:
     return done.stdout.strip() if done.returncode == 0 else None
 
 
-def _own_sources(root: Path) -> list[tuple[str, Path]]:
-    files = [*(root / "framework").rglob("*.py"), *(root / "plugins").rglob("*.py")]
+def _sources(root: Path) -> list[tuple[str, Path]]:
+    files = (root / "framework").rglob("*.py")
     named = {path.relative_to(root).as_posix(): path for path in files}
     return [(n, named[n]) for n in sorted(named) if not n.startswith(SHOWING)]
-
-
-def _foreign_sources() -> Iterable[tuple[str, Path]]:
-    yield from ((f"own {place}", file) for place, file in own_plugins())
-    for point in sorted(entry_points(group=ENTRY_POINTS), key=lambda p: (p.name, p.value)):
-        told = f"entry point {point.name} = {point.value}"
-        spec = importlib.util.find_spec(point.module.partition(".")[0])  # with all that it imports
-        if spec is None:
-            continue
-        for folder in map(Path, spec.submodule_search_locations or ()):
-            for file in sorted(folder.rglob("*.py")):
-                yield f"{told}: {file.relative_to(folder).as_posix()}", file
-        if spec.submodule_search_locations is None and spec.origin is not None:
-            yield told, Path(spec.origin)
 
 
 def _finite(value: Any) -> Any:

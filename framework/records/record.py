@@ -22,10 +22,12 @@ is null with its reason beside it. Importing this module and reading records nee
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import dataclasses
 import hashlib
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,7 +38,8 @@ from framework.errors import UserError, printable_line
 from framework.files.documents import read_json
 from framework.files.limits import RUN_BYTES
 from framework.files.opened import is_file
-from framework.files.whole import Disturbed, Written, following, write_whole
+from framework.files.paths import inside
+from framework.files.whole import Disturbed, Written, difference, following, write_whole
 from framework.metrics.evaluate import mean_of
 from framework.metrics.values import METRICS, Measurement, Missing, ViewMetrics
 from framework.records.failure import FAILED
@@ -63,6 +66,7 @@ if TYPE_CHECKING:
 
 TRAIN_STAGE = "train"  # the stage whose wall time the report calls train seconds
 EXPOSURE = "exposure_rms"  # in the provenance: of the photos' log gains, where they were evened
+POSE_CHECK = "pose_check"  # in the provenance: shares and ratio, None where it was not made
 LPIPS = "lpips"  # in the provenance: the network that LPIPS was measured with, None for none
 METHOD_GROUPS = ("augment", "reg", "capacity", "depth", "init")
 RECORD, PLY = "record.json", "point_cloud.ply"
@@ -99,7 +103,9 @@ class RunRecord:
     sh_degree: the highest of any Gaussian. banded: how many have one above 0; None: all, or none
     where it is 0. summary: mean over the test views of each metric. dose: what the method did, by
     the trainer's own counts, as a flat mapping to numbers and texts; empty where none were kept.
-    error: one line, of a failed run.
+    warnings: everything that the run warned about, one line each. files: path within the folder ->
+    bytes and SHA-256 of every other file that the run wrote; empty in older records. error: one
+    line, of a failed run.
     """
 
     identity: str
@@ -117,6 +123,8 @@ class RunRecord:
     ply_bytes: int = 0
     summary: Mapping[str, Measurement] = field(default_factory=dict)
     dose: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    files: Mapping[str, tuple[int, str]] = field(default_factory=dict)
     status: str = "complete"
     error: str | None = None
 
@@ -170,27 +178,34 @@ def write_run(
     background: Tensor,
     renders: Sequence[tuple[View, Tensor]],
     before: Written | None = None,
+    stale: Sequence[str] = (),
 ) -> RunRecord:
     """Write all files of a finished run; returns the record as written.
 
     background: [3]. renders: the test views with their [3, H, W] images, in the order of `metrics`.
-    before: what of the run was written already. An old record is removed first, so that a
-    half-repeated run never looks complete, and the new one stands only over files that are there
-    as written. Raises Disturbed where somebody removed or changed one meanwhile.
+    before: what of the run was written already. stale: files of an earlier run, which are removed
+    unless this one writes them too. An old record is removed first, so that a half-repeated run
+    never looks complete, and the new one stands only over files that are there as written. Raises
+    Disturbed where somebody removed or changed one meanwhile.
     """
     from framework.records.ply import write_ply
 
+    stale = (*stale, *remove_record(run_dir))
+
     if [m.view for m in metrics] != [view.name for view, _ in renders]:
         raise ValueError("write_run: expected metrics and renders of the same views in one order")
-    (run_dir / RECORD).unlink(missing_ok=True)
     stems = file_stems([m.view for m in metrics])
     with following(run_dir) as written:
         write_renders(run_dir / RENDERS, stems, renders)
         ply_bytes = write_ply(run_dir / PLY, gaussians, background)
         write_whole(run_dir / METRICS_CSV, metrics_csv(metrics, stems))
         write_whole(run_dir / HISTORY_CSV, history_csv(history))
+    followed = [written] if before is None else [before, written]
+    files = {name: of for part in followed for name, of in part.listed().items()}
+    _remove(run_dir, set(stale) - set(files))
     finished = dataclasses.replace(
         record,
+        files=files,
         gaussians=len(gaussians),
         sh_degree=gaussians.sh_degree,
         banded=len(gaussians.shN) if gaussians.sh_degree else None,
@@ -203,19 +218,34 @@ def write_run(
         status="complete",
         error=None,
     )
-    followed = [written] if before is None else [before, written]
-    for files in followed:
-        files.check()
+    for part in followed:
+        part.check()
     write_record(run_dir, finished)
     try:
-        for files in followed:
-            files.check(content=False)
+        for part in followed:
+            part.check(content=False)
     except Disturbed:
         (run_dir / RECORD).unlink(missing_ok=True)
         raise
     for name in (FAILED, DIVERGED):  # of an earlier attempt
         (run_dir / name).unlink(missing_ok=True)
     return finished
+
+
+def remove_record(run_dir: Path) -> list[str]:
+    """Remove the record and return the files that it lists, which a repetition replaces."""
+    try:
+        files = list(read_record(run_dir / RECORD).files)
+    except UserError:  # none, or damaged: whose files the others are is not known
+        files = []
+    (run_dir / RECORD).unlink(missing_ok=True)
+    return files
+
+
+def _remove(run_dir: Path, names: Iterable[str]) -> None:
+    for name in names:
+        with contextlib.suppress(UserError, OSError):  # not inside, or a folder
+            inside(run_dir, name).unlink(missing_ok=True)
 
 
 def write_failed(
@@ -296,7 +326,21 @@ def find_complete(run_dir: Path, identity: str) -> RunRecord | None:
     except UserError:
         # damaged or of an older layout: not the asked-for result, so it is run again
         return None
-    return record if record.status == "complete" and record.identity == identity else None
+    same = record.status == "complete" and record.identity == identity
+    return record if same and not damaged_file(run_dir, identity) else None
+
+
+def damaged_file(run_dir: Path, identity: str) -> str:
+    """Describe the first file of the run of this identity that is not as written; "" if all are."""
+    try:
+        record = read_record(run_dir / RECORD)
+    except UserError:
+        return f"{RECORD} is damaged" if is_file(run_dir / RECORD) else ""
+    for name, (size, digest) in record.files.items() if record.identity == identity else ():
+        found = difference(inside(run_dir, name), size, digest)
+        if found:
+            return f"{name}: expected the {size:,} bytes that the run wrote, got {found}"
+    return ""
 
 
 def parameters_sha256(gaussians: Gaussians) -> str:
@@ -316,6 +360,9 @@ def write_record(run_dir: Path, record: RunRecord) -> None:
     content["methods"] = record.methods
     content["parameters"] = record.parameters
     content["scene"] = None if record.scene is None else dataclasses.asdict(record.scene)
+    content["files"] = {
+        name: {"bytes": size, "sha256": digest} for name, (size, digest) in record.files.items()
+    }
     content["timings"] = [{"stage": k, **dataclasses.asdict(v)} for k, v in record.timings.items()]
     content["summary"] = {
         name: {"mean": None, "missing": value.reason}
@@ -323,14 +370,20 @@ def write_record(run_dir: Path, record: RunRecord) -> None:
         else {"mean": value, "missing": None}
         for name, value in record.summary.items()
     }
-    write_whole(run_dir / RECORD, strict_json(content, indent=2) + "\n")
+    text = strict_json(content, indent=2) + "\n"
+    try:  # what the reader refuses must not look like a finished run
+        check_record(json.loads(text))
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{run_dir / RECORD}: cannot hold this run: {error}") from error
+    write_whole(run_dir / RECORD, text)
 
 
 def _from_json(content: dict[str, Any]) -> RunRecord:
     scene = content["scene"]
     lists = ("training", "test")
-    # records of before runs could be resumed, Gaussians differ in their SH degree, doses be counted
-    content = {"resumed": 0, "banded": None, "dose": {}, **content}
+    # older records lack these fields
+    added: dict[str, Any] = {"resumed": 0, "banded": None, "dose": {}, "warnings": [], "files": {}}
+    content = {**added, **content}
     unmeasured = {name: {"mean": None, "missing": why} for name, why in LATER.items()}
     summary = content["summary"] and unmeasured | content["summary"]  # a failed run's is empty
     fields = {f.name: content[f.name] for f in dataclasses.fields(RunRecord)}
@@ -338,7 +391,9 @@ def _from_json(content: dict[str, Any]) -> RunRecord:
         **fields
         | {
             "overrides": tuple(content["overrides"]),
+            "warnings": tuple(content["warnings"]),
             "scene": scene and SceneInfo(**scene | {key: tuple(scene[key]) for key in lists}),
+            "files": {name: (of["bytes"], of["sha256"]) for name, of in content["files"].items()},
             "timings": {
                 entry["stage"]: StageTime(entry["wall_s"], entry["cpu_s"])
                 for entry in content["timings"]

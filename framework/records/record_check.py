@@ -8,14 +8,17 @@ enough for the report's sums of squares to be finite.
 from __future__ import annotations
 
 import re
+import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+from framework.metrics.values import LARGEST
+from framework.options import TrainerOptions
+
 STEM = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,199}")  # as `run_files.file_stems` writes them
 TAGS = re.compile(r"[A-Za-z0-9_-]{0,40}( [A-Za-z0-9_-]{1,40}){0,8}")
-DIGEST = re.compile(r"[0-9a-f]{0,64}")
+DIGEST, SHA256 = re.compile(r"[0-9a-f]{0,64}"), re.compile(r"[0-9a-f]{64}")
 NAME_LENGTH = 255  # of a scene or a choice: as of a folder
-LARGEST = 1e15
 GROUPS = ("scene", "depth", "init", "augment", "reg", "capacity", "rasterizer")
 FACTS = (
     "fishersplat",
@@ -29,6 +32,7 @@ FACTS = (
     "gsplat",
 )  # of the provenance: texts
 COUNTS = ("cores", "threads")
+TRAINER = typing.get_type_hints(TrainerOptions)
 
 
 def check_record(content: Any) -> None:
@@ -47,10 +51,12 @@ def check_record(content: Any) -> None:
     _check("resumed", content.get("resumed", 0), _is_count(content.get("resumed", 0)))
     _check("error", content["error"], content["error"] is None or _is_line(content["error"]))
     _check("overrides", content["overrides"], are_texts(content["overrides"]))
+    _check("warnings", content.get("warnings", []), are_texts(content.get("warnings", [])))
     check_config(content["config"], complete=content["status"] == "complete")
     _check("config.seed", content["config"].get("seed"), "seed" in content["config"])
     _check_provenance(content["provenance"])
     _check_dose(content.get("dose", {}))
+    _check_files(content.get("files", {}))
     _check_scene(content["scene"])
     _check_timings(content["timings"])
     _check_summary(content["summary"])
@@ -79,6 +85,8 @@ def check_config(config: Any, complete: bool) -> None:
     _check("config.scene.path", path, path is None or isinstance(path, str))
     trainer = config.get("trainer", None if complete else {})
     _check("config.trainer", trainer, isinstance(trainer, Mapping))
+    for name, value in trainer.items():
+        _check(f"config.trainer.{name}", value, _fits(value, TRAINER.get(name)))
     _check("config.trainer.members", trainer, _is_count(trainer.get("members", 1)))
 
 
@@ -116,6 +124,9 @@ def _check_provenance(told: Any) -> None:
     for key in COUNTS:
         _check(f"provenance.{key}", told.get(key), told.get(key) is None or _is_count(told[key]))
     packages, git = told.get("packages"), told.get("git")
+    plugins = told.get("plugins", {})
+    hashes = isinstance(plugins, Mapping) and all(map(_is_line, (*plugins, *plugins.values())))
+    _check("provenance.plugins", plugins, hashes)
     texts = isinstance(packages, Mapping) and all(
         isinstance(number, str | None) for number in packages.values()
     )
@@ -129,6 +140,13 @@ def _check_dose(dose: Any) -> None:
     for name, value in dose.items():
         flat = value is None or isinstance(value, bool) or _is_line(value) or _is_number(value)
         _check(f"dose.{name}", value, flat and _is_line(name))
+
+
+def _check_files(files: Any) -> None:
+    _check("files", files, isinstance(files, Mapping))
+    for name, of in files.items():
+        good = isinstance(of, Mapping) and _is_count(of.get("bytes")) and _is_name(name)
+        _check(f"files.{name}", of, good and SHA256.fullmatch(str(of.get("sha256"))))
 
 
 def _check_scene(scene: Any) -> None:
@@ -172,6 +190,15 @@ def _check_all(name: str, values: Iterable[str], good: Callable[[str], object]) 
 def _check(name: str, value: Any, good: object) -> None:
     if not good:
         raise ValueError(f"{name[:60]} is {' '.join(str(value)[:200].split())[:60]!r}")
+
+
+def _fits(value: Any, declared: Any) -> bool:
+    """Return whether a value has the declared type of a trainer's option; any, without one."""
+    if declared in (None, Any):
+        return True
+    kinds = typing.get_args(declared) or (declared,)
+    kinds = (*kinds, int) if float in kinds else kinds
+    return type(value) in kinds and (type(value) is not int or abs(value) < 2**63)
 
 
 def _is_count(value: Any) -> bool:

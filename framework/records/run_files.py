@@ -21,10 +21,10 @@ import numpy as np
 
 from framework.compute.parallel import run_tasks
 from framework.files.limits import RUN_BYTES
-from framework.files.opened import read_text
+from framework.files.opened import is_file, read_text
 from framework.files.whole import write_whole
 from framework.metrics.evaluate import quantise
-from framework.metrics.values import METRICS, Missing, ViewMetrics
+from framework.metrics.values import LARGEST, METRICS, Missing, ViewMetrics
 from framework.records.record_check import check_columns, check_number, check_stems, check_views
 
 if TYPE_CHECKING:
@@ -39,8 +39,8 @@ METRICS_CSV, HISTORY_CSV, RENDERS = "metrics.csv", "history.csv", "renders"
 VIDEOS = ("video.mp4", "video.webm", "video.webp", "video.gif")  # of `fishersplat video RUN`
 VIEW = "view.html"  # the run's page, if `fishersplat view RUN --static` made it
 EXPORT, PICTURES = "export", "pictures"  # folders of `fishersplat export` and `fishersplat render`
-# what these commands made of a run's model; a training in its place removes it
-MADE_OF_MODEL = (VIEW, *VIDEOS, f"{EXPORT}/scene.*", f"{PICTURES}/*.png")
+EXPORTED = ("ply", "compressed.ply", "spz", "splat", "sog")  # endings of `EXPORT`/scene
+SOFTWARE, WRITER = "Software", "fishersplat render"  # written into each picture of `PICTURES`
 METRIC_COLUMNS = ("view", "tags", *METRICS, "render_s", "file", "missing")
 # metrics that runs of before do not have, and why
 LATER = {"lpips_01": "the run was recorded before this was measured"}
@@ -139,17 +139,12 @@ def read_table(path: Path) -> Table:
 def write_renders(
     folder: Path, stems: Sequence[str], renders: Sequence[tuple[View, Tensor]]
 ) -> None:
-    """Save render, truth, error map and mask of every view; images of an earlier run go."""
+    """Save render, truth, error map and mask of every view."""
     pairs = zip(stems, renders, strict=True)
-    tasks = [functools.partial(_write_view, folder, stem, *shown) for stem, shown in pairs]
-    written = set().union(*run_tasks(tasks))
-    for stale in sorted(folder.glob("*.png")):
-        if stale.name not in written:
-            stale.unlink()
+    run_tasks([functools.partial(_write_view, folder, stem, *shown) for stem, shown in pairs])
 
 
-def _write_view(folder: Path, stem: str, view: View, rgb: Tensor) -> set[str]:
-    """Returns the names of the files."""
+def _write_view(folder: Path, stem: str, view: View, rgb: Tensor) -> None:
     render, truth = quantise(rgb), quantise(view.image)
     of_render, of_truth, of_error, of_mask = KINDS
     images = {of_render: render, of_truth: truth, of_error: error_map(render, truth)}
@@ -158,7 +153,29 @@ def _write_view(folder: Path, stem: str, view: View, rgb: Tensor) -> set[str]:
         images[of_mask] = np.where(valid, 255, 0).astype(np.uint8)
     for kind, pixels in images.items():
         write_whole(folder / f"{stem}{kind}.png", _png(pixels))
-    return {f"{stem}{kind}.png" for kind in images}
+
+
+def remove_made_of_model(run_dir: Path) -> None:
+    """Remove what commands made of the model that a training replaced, and nothing else."""
+    made = [run_dir / name for name in (VIEW, *VIDEOS)]
+    made += [run_dir / EXPORT / f"scene.{ending}" for ending in EXPORTED]
+    made += filter(is_rendered, (run_dir / PICTURES).glob("*.png"))
+    for file in made:
+        if not file.is_dir():
+            file.unlink(missing_ok=True)
+
+
+def is_rendered(file: Path) -> bool:
+    """Return whether `fishersplat render` wrote the picture."""
+    from PIL import Image
+
+    if not is_file(file):
+        return False
+    try:
+        with Image.open(file) as image:
+            return image.info.get(SOFTWARE) == WRITER
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return False
 
 
 def error_map(render: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -171,8 +188,8 @@ def error_map(render: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def _finite(value: float | None) -> float | None:
-    """None, an empty cell, for what is no finite number."""
-    return value if value is not None and math.isfinite(value) else None
+    """None, an empty cell, for what the reader refuses."""
+    return value if value is not None and abs(value) <= LARGEST else None
 
 
 def _numbers(name: str, cells: Sequence[str]) -> np.ndarray:

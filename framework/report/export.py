@@ -106,7 +106,7 @@ def _tex(
 ) -> str:
     inside = "--" if interval is None else interval_text(interval)
     chance = "--" if p is None else p_text(p).removeprefix("p ").removeprefix("= ")
-    words = [c.method, c.baseline, on, str(n), signed(difference, interval), inside, chance]
+    words = [c.method, c.baseline, on, str(n), signed(difference), inside, chance]
     return " & ".join(_escaped(word) for word in words) + r" \\"
 
 

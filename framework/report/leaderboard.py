@@ -203,8 +203,8 @@ def _ranked(matches: Sequence[Match]) -> list[dict[str, str | Link]]:
             "Really better": str(signs.count(1)),
             "Not told apart": str(signs.count(0)),
             "Really worse": str(signs.count(-1)),
-            "Mean difference (dB)": f"{mean:+z.2f}",
-            "Lowest to highest (dB)": f"{min(differences):+z.2f} to {max(differences):+z.2f}",
+            "Mean difference (dB)": signed(mean),
+            "Lowest to highest (dB)": f"{signed(min(differences))} to {signed(max(differences))}",
         }
         rows.append((-sum(signs), -mean, row))
     return [row for *_, row in sorted(rows, key=lambda entry: entry[:2])]
@@ -310,7 +310,7 @@ def _rows(matches: Sequence[Match]) -> list[dict[str, str]]:
                 "Against": c.baseline,
                 "Scenes": str(_names(match.entry.study, c.scenes)),
                 "Seeds": str(c.n),
-                "ΔPSNR (dB)": signed(c.difference, c.joint),
+                "ΔPSNR (dB)": signed(c.difference),
                 "95 %, corrected": interval_text(c.joint),
                 "p": p_text(c.p_joint),
                 "Told": {1: "better", 0: "", -1: "worse"}[_sign(match)],

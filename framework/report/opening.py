@@ -13,6 +13,7 @@ from framework.report.figures.files import chart_picture, forest_picture
 from framework.report.figures.forest import forest
 from framework.report.parts.document import Block, Bullets, Heading, Picture, Text, table
 from framework.report.statistics.outcomes import Outcomes
+from framework.report.study.labels import listed
 from framework.report.study.roles import roles_sentence
 from framework.report.study.runs import Study
 from framework.report.text import budgets, capacities, gaps
@@ -83,7 +84,7 @@ def along_stress(study: Study, panels: Sequence[stress.Panel], outcomes: Outcome
         steady = steady_sentence(outcomes)  # of a seed's mean over the strengths
         said = limits.verdict(found, lead.plainly(study.baseline))
         behind = limits.behind(found, steady)
-    blocks: list[Block] = [Text(said, "verdict")]
+    blocks: list[Block] = [Text(said + _caution(study), "verdict")]
     ends = [limits.weakest(panel, study.baseline, points.cost_of) for panel in panels]
     told = [text for text in (*behind, *ends) if text]
     blocks += [Bullets(tuple(told))] if told else []
@@ -126,10 +127,20 @@ def _courses(
 def _verdict(study: Study, found: Outcomes, budget: str = "", beside: str = "") -> list[Block]:
     said = [*points.points(study, found, beside), idle_sentence(study), _roles(study)]
     told = tuple(text for text in said if text)
-    blocks: list[Block] = [Text(lead.lead(study, found, budget), "verdict")]
+    blocks: list[Block] = [Text(lead.lead(study, found, budget) + _caution(study), "verdict")]
     blocks += [Bullets(told)] if told else []
     how = points.evidence(found)
     return [*blocks, *([Text(how)] if how else [])]
+
+
+def _caution(study: Study) -> str:
+    """A sentence that names the scenes whose poses failed the check by stereo."""
+    doubted = [
+        scene for scene in study.scenes if any(run.poses_doubtful for run in study.of(scene=scene))
+    ]
+    if not doubted:
+        return ""
+    return f" Caution: the poses do not seem to fit the photos of {listed(doubted, 'and')}."
 
 
 def _roles(study: Study) -> str:

@@ -26,7 +26,7 @@ from framework.report.page.gallery import gallery
 from framework.report.parts.chart import MIN_SPAN_DB, Chart, Point, Series
 from framework.report.parts.document import Block, Document, Heading, Link, Picture, Text, table
 from framework.report.parts.palette import looks
-from framework.report.statistics.numbers import ABSENT
+from framework.report.statistics.numbers import ABSENT, signed
 from framework.report.study.labels import (
     MethodLabel,
     SceneLabel,
@@ -184,7 +184,9 @@ def _views(a: ReportRun, b: ReportRun) -> list[dict[str, str]]:
             for run, value in ((a, one), (b, other)):
                 row[f"{heading_of(metric)}, {run.method}"] = _text(value, digits(metric))
             if metric == "psnr":
-                row["difference (dB)"] = _text(one - other, digits(metric), "+")
+                row["difference (dB)"] = (
+                    signed(one - other) if math.isfinite(one - other) else ABSENT
+                )
         rows.append(row)
     return rows
 
@@ -196,8 +198,8 @@ def _column(run: ReportRun, metric: str) -> Mapping[str, float]:
     return dict(zip(found.texts["view"], found.numbers[metric].tolist(), strict=True))
 
 
-def _text(value: float, places: int, sign: str = "") -> str:
-    return f"{value:{sign}.{places}f}" if math.isfinite(value) else ABSENT
+def _text(value: float, places: int) -> str:
+    return f"{value:.{places}f}" if math.isfinite(value) else ABSENT
 
 
 def _curves(study: Study) -> Picture | None:

@@ -4,9 +4,10 @@ names the plugin; see `framework.plugin` for what is expected. The project's own
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, TypeVar
 
-from framework.errors import UserError
+from framework.errors import UserError, plugin_call
 from framework.shapes import check_gaussians, check_kind, check_tensor, check_view
 from framework.types import DepthMap, Scene, SparsePoints, TrainingSet
 
@@ -33,13 +34,23 @@ def gaussians(name: str, cls: type, found: T, sh_degree: int) -> T:
 
 
 def _checked(where: str, cls: type, found: T, check: Callable[[Any], None]) -> T:
-    if cls.__module__.partition(".")[0] == "framework":
+    if _built_in(cls):
         return found
-    try:
-        check(found)
-    except ValueError as error:
-        raise UserError(f"{where}: {error}; repair the plugin") from error
+    with plugin_call(f"{where}: what it returns"):
+        try:
+            check(found)
+        except ValueError as error:
+            raise UserError(f"{where}: {error}; fix the plugin") from error
     return found
+
+
+def called(where: str, cls: type) -> AbstractContextManager[None]:
+    """Call a part of a run in this context: what a plugin raises names it (`plugin_call`)."""
+    return nullcontext() if _built_in(cls) else plugin_call(where)
+
+
+def _built_in(cls: type) -> bool:
+    return cls.__module__.partition(".")[0] == "framework"
 
 
 def _check_scene(found: Any) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -26,6 +27,7 @@ from framework.compute import parallel, rng
 from framework.compute.stopwatch import Stopwatch
 from framework.depth import unspoiled
 from framework.depth.exposure import ENOUGH, Exposures, find_exposures
+from framework.depth.pose_check import PoseCheck
 from framework.files.locks import locked, remove_stale
 from framework.files.whole import following, remove_temporaries
 from framework.metrics.coadaptation import with_average, with_coadaptation
@@ -38,7 +40,7 @@ from framework.options import TrainerOptions
 from framework.rasterizers import build_rasterizer
 from framework.records.cameras import write_cameras
 from framework.records.first_view import write_settings
-from framework.records.notices import noted
+from framework.records.notices import noted, warnings_of
 from framework.records.photos import write_photos
 from framework.records.progress import Progress
 from framework.records.provenance import (
@@ -51,17 +53,21 @@ from framework.records.provenance import (
 from framework.records.record import (
     EXPOSURE,
     LPIPS,
-    RECORD,
+    POSE_CHECK,
     TRAIN_STAGE,
     RunRecord,
     SceneInfo,
     StageTime,
+    damaged_file,
     find_complete,
+    remove_record,
     write_run,
 )
-from framework.records.run_files import MADE_OF_MODEL
+from framework.records.run_files import remove_made_of_model
 from framework.run import answers, budget, trackers
 from framework.run.lpips_later import lacks_lpips, with_lpips
+from framework.run.plugin_code import plugin_hashes
+from framework.run.poses import checked_poses
 from framework.run.training import Run, initial, renderer, thinned, train, try_out
 from framework.run.untouched import Shared, depth_parts, foreign, scene_parts
 from framework.run.warmup import Warmup
@@ -69,6 +75,8 @@ from framework.train.dose import told
 from framework.train.resume.checkpoint import remove_checkpoints
 from framework.train.trainer import Trained
 from framework.types import DepthMap, Gaussians, Scene, View
+
+LOG = logging.getLogger(__name__)
 
 
 def run_experiment(
@@ -91,8 +99,8 @@ def run_experiment(
     build_rasterizer(config).ready()
     weights = chosen(config["metrics"]["lpips_weights"])
     network = None if weights is None else load(weights)  # a bad path must not cost a training
-    with noted(progress), Warmup(config, progress) as warmup:
-        record = _experiment(config, run_dir, progress, overrides, network, warmup)
+    with noted(progress), warnings_of() as warnings, Warmup(config, progress) as warmup:
+        record = _experiment(config, run_dir, progress, overrides, network, warmup, warnings)
     trackers.send(config.get("tracker"), run_dir, progress)
     return record
 
@@ -104,11 +112,13 @@ def _experiment(
     overrides: Sequence[str],
     network: Lpips | None,
     warmup: Warmup,
+    warnings: list[str],
 ) -> RunRecord:
     timings: dict[str, StageTime] = {}
     progress.stage(f"scene {config['scene']['name']}")
-    scene, timings["scene"] = _scene(_key(config["scene"]))
-    files = _files(config, scene)
+    scene, timings["scene"], scene_warnings = _scene(_key(config["scene"]))
+    plugins = plugin_hashes(config)
+    files = {**_files(config, scene), **plugins}
     identity = identity_of(config, scene.fingerprint, code_hash(), files)
     done = _reusable(config, run_dir, identity)
     if done is not None and not lacks_lpips(done, network):
@@ -123,6 +133,9 @@ def _experiment(
             done = with_lpips(run_dir, done, network)
             progress.done(_reused(done))
             return done
+        damage = "" if config["force"] else damaged_file(run_dir, identity)
+        if damage:
+            LOG.warning(f"{run_dir.name}: {damage}; running it again")
         remove_temporaries(run_dir)
         shared = Shared(foreign(config))
         shared.watch(scene_parts(scene))
@@ -130,8 +143,10 @@ def _experiment(
             warmup.begin()
             progress.stage(f"depth {config['depth']['name']}")
             keys = _key(config["scene"]), _key(config["depth"])
-            depth, timings["depth"] = _depth(*keys, files["depth"])
+            depth, timings["depth"], depth_warnings = _depth(*keys, files["depth"])
             shared.watch(depth_parts(scene, depth))
+            check, timings["pose_check"], pose_warnings = _pose_check(keys[0])
+            warnings += scene_warnings + depth_warnings + pose_warnings
             warmup.finish()
             record = RunRecord(
                 identity=identity,
@@ -141,19 +156,23 @@ def _experiment(
                 timings=timings,
                 provenance={
                     **provenance(),
+                    "plugins": plugins,
                     **build_rasterizer(config).facts(),
                     "threads": parallel.threads(),
                     LPIPS: None if network is None else network.name,
+                    POSE_CHECK: None if check is None else check.figures(),
                 },
             )
             exposures = None
-            if TrainerOptions(**config["trainer"]).exposure:
+            # stereo from wrong poses says nothing about exposure
+            fits = check is None or check.fits
+            if TrainerOptions(**config["trainer"]).exposure and fits:
                 gains, timings["exposure"] = _log_gains(*keys, files["depth"])
                 if gains is not None:
                     cameras = tuple(view.camera for view in scene.training.views)
                     exposures = Exposures(cameras, gains)
             made = (timings, run_dir, scene, depth, exposures, network, progress)
-            record = _trained(record, *made, shared)
+            record = _trained(record, *made, shared, warnings)
     progress.done(_result(record))
     return record
 
@@ -165,7 +184,7 @@ def _read_anew_if_changed(shared: Shared) -> Iterator[None]:
         yield
     finally:
         if shared.changed():
-            for kept in (_scene, _depth, _log_gains):
+            for kept in (_scene, _depth, _pose_check, _log_gains):
                 kept.cache_clear()
 
 
@@ -184,6 +203,7 @@ def _trained(
     network: Lpips | None,
     progress: Progress,
     shared: Shared,
+    warnings: list[str],
 ) -> RunRecord:
     """The record with the result of its run, as written; `timings` are those it holds."""
     config = record.config
@@ -216,6 +236,7 @@ def _trained(
         peak_memory_bytes=peak_memory_bytes(),
         resumed=trained.resumed,
         dose=told(trained.dose),
+        warnings=tuple(dict.fromkeys(warnings)),
     )
     return _written(record, run, photos, near, trained, *measured)
 
@@ -232,7 +253,7 @@ def _written(
     """The run's files; the record last, as it says that all others are there. photos: the training
     views as they were taken, whatever the exposures of those of `run` were evened by."""
     run_dir, test = run.folder, run.scene.test
-    (run_dir / RECORD).unlink(missing_ok=True)  # of a run before, with other files than these
+    stale = remove_record(run_dir)  # of a run before, with other files than these
     with following(run_dir) as before:
         factors = None if run.exposures is None else run.exposures.factors
         write_cameras(run_dir, photos, test, near, factors)
@@ -248,12 +269,11 @@ def _written(
         trained.background,
         renders,
         before,
+        stale,
     )
     remove_checkpoints(run_dir)
-    for left in (budget.FILE, *MADE_OF_MODEL):  # these are of the model of before
-        for file in run_dir.glob(left):
-            if not file.is_dir():
-                file.unlink(missing_ok=True)
+    (run_dir / budget.FILE).unlink(missing_ok=True)
+    remove_made_of_model(run_dir)
     return record
 
 
@@ -308,33 +328,52 @@ def _key(options: Mapping[str, Any]) -> str:
 
 
 @functools.lru_cache(maxsize=2)
-def _scene(key: str) -> tuple[Scene, StageTime]:
+def _scene(key: str) -> tuple[Scene, StageTime, list[str]]:
     timings: dict[str, StageTime] = {}
-    with _timed(timings, "scene"):
+    with _timed(timings, "scene"), warnings_of() as warnings:
         options = json.loads(key)
         loader = registry.part("scene", options)
-        scene = answers.scene(options["name"], type(loader), loader.load())
-    return scene, timings["scene"]
+        with answers.called(f"scene={options['name']}: load", type(loader)):
+            found = loader.load()
+        scene = answers.scene(options["name"], type(loader), found)
+    return scene, timings["scene"], warnings
 
 
 def _files(config: Mapping[str, Any], scene: Scene) -> dict[str, str]:
     """Purpose -> fingerprint of the files beside the scene's that the run reads; "" for none."""
+    provider = registry.part("depth", config["depth"])
+    with answers.called(f"depth={config['depth']['name']}: fingerprint", type(provider)):
+        depth = provider.fingerprint(scene.training)
     return {
-        "depth": registry.part("depth", config["depth"]).fingerprint(scene.training),
+        "depth": depth,
         "lpips_weights": fingerprint(config["metrics"]["lpips_weights"]),
     }
 
 
 @functools.lru_cache(maxsize=2)
-def _depth(scene_key: str, key: str, fingerprint: str) -> tuple[tuple[DepthMap, ...], StageTime]:
+def _depth(
+    scene_key: str, key: str, fingerprint: str
+) -> tuple[tuple[DepthMap, ...], StageTime, list[str]]:
     """The depth maps; `fingerprint` tells files that were replaced since they were last read."""
     timings: dict[str, StageTime] = {}
-    with _timed(timings, "depth"):
+    with _timed(timings, "depth"), warnings_of() as warnings:
         options = json.loads(key)
         training, provider = _scene(scene_key)[0].training, registry.part("depth", options)
-        maps = provider.estimate(training)
+        with answers.called(f"depth={options['name']}: measure", type(provider)):
+            maps = provider.estimate(training)
         depth = answers.depth(options["name"], type(provider), maps, training)
-    return depth, timings["depth"]
+    return depth, timings["depth"], warnings
+
+
+@functools.lru_cache(maxsize=2)
+def _pose_check(scene_key: str) -> tuple[PoseCheck | None, StageTime, list[str]]:
+    """Whether stereo confirms the poses; None where they are known or cannot be checked."""
+    timings: dict[str, StageTime] = {}
+    options = json.loads(scene_key)
+    with _timed(timings, "pose_check"), warnings_of() as warnings:
+        loader, training = registry.part("scene", options), _scene(scene_key)[0].training
+        check = checked_poses(options["name"], loader, training)
+    return check, timings["pose_check"], warnings
 
 
 @functools.lru_cache(maxsize=2)

@@ -17,7 +17,7 @@ import numpy as np
 
 from framework.compute import parallel
 from framework.errors import UserError, require
-from framework.files.whole import write_whole
+from framework.files.whole import following, write_whole
 from framework.metrics.coadaptation import with_average
 from framework.metrics.evaluate import NO_LPIPS, lpips_of, mean_of
 from framework.metrics.values import AVERAGE, METRICS, Missing, ViewMetrics
@@ -58,7 +58,13 @@ def with_lpips(run_dir: Path, record: RunRecord, network: Lpips | None) -> RunRe
     summary = dict(record.summary) | {name: mean_of(metrics, name) for name in measured}
     told = dict(record.provenance) | {LPIPS: network.name}
     filled = dataclasses.replace(record, summary=summary, provenance=told)
-    write_whole(run_dir / METRICS_CSV, metrics_csv(metrics, stems))
+    others = {name: of for name, of in record.files.items() if name != METRICS_CSV}
+    # a process killed between the two must not leave a table that the record calls damaged
+    write_record(run_dir, dataclasses.replace(record, files=others))
+    with following(run_dir) as written:
+        write_whole(run_dir / METRICS_CSV, metrics_csv(metrics, stems))
+    if record.files:  # else of a version that did not list them
+        filled = dataclasses.replace(filled, files={**others, **written.listed()})
     write_record(run_dir, filled)
     return filled
 

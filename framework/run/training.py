@@ -19,6 +19,7 @@ from torch import Tensor
 from framework import registry
 from framework.compute.parallel import run_tasks, run_together, threads
 from framework.depth.exposure import Exposures
+from framework.errors import plugin_call
 from framework.files.whole import write_whole
 from framework.metrics.evaluate import psnr
 from framework.metrics.values import Missing
@@ -58,7 +59,8 @@ def initial(
 ) -> Gaussians:
     """The Gaussians that the chosen initializer starts from."""
     builder = registry.part("init", config["init"])
-    gaussians: Gaussians = builder.build(scene.training, depth, options.sh_degree, seed)
+    with answers.called(f"init={config['init']['name']}: build", type(builder)):
+        gaussians: Gaussians = builder.build(scene.training, depth, options.sh_degree, seed)
     return answers.gaussians(config["init"]["name"], type(builder), gaussians, options.sh_degree)
 
 
@@ -216,7 +218,8 @@ def _untuned(run: Run, joined: Trained, options: TrainerOptions) -> Trained:
 def _open(run: Run, part: _Part) -> _Opened:
     """The part with what an earlier process kept of it."""
     plugins = Plugins.of(part.choices)
-    plugins = replace(plugins, capacity=plugins.capacity.shared(part.options.members))
+    with plugin_call("capacity: shared"):
+        plugins = replace(plugins, capacity=plugins.capacity.shared(part.options.members))
     chosen: dict[str, Plugin] = {key: one.plugin for key, one in plugins.each().items()}
     checkpoints = Checkpoints(run.folder, run.identity, chosen.values(), part.name)
     check = partial(check_state, training=run.scene.training, options=part.options, plugins=chosen)

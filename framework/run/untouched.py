@@ -7,17 +7,16 @@ have tests (`tests/contract`); others are looked after here, by a checksum befor
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from torch import Tensor
 
 from framework import registry
+from framework.compute.tensors import checksum
 from framework.errors import UserError
+from framework.run.plugin_code import chosen_plugins
 from framework.types import DepthMap, Scene
-
-OURS = ("framework", "plugins")
 
 
 class Shared:
@@ -30,11 +29,11 @@ class Shared:
     def watch(self, parts: Iterable[tuple[str, Tensor]]) -> None:
         """Remember these as they are; parts: what each is, and it."""
         if self._foreign:
-            self._known += [(what, tensor, _checksum(tensor)) for what, tensor in parts]
+            self._known += [(what, tensor, checksum(tensor)) for what, tensor in parts]
 
     def changed(self) -> list[str]:
         """What is no longer as it was."""
-        return [what for what, tensor, sum_ in self._known if _checksum(tensor) != sum_]
+        return [what for what, tensor, sum_ in self._known if checksum(tensor) != sum_]
 
     def check(self) -> None:
         """Raises UserError where something changed."""
@@ -49,14 +48,8 @@ class Shared:
 
 def foreign(config: Mapping[str, Any]) -> list[str]:
     """`group=NAME` of the chosen plugins that are not this project's."""
-    found = []
-    for group in (*registry.GROUPS, *registry.PARTS):
-        chosen = config["metrics"].get("also") if group == "metric" else config[group]["name"]
-        for name in registry.parts_of("reg", str(chosen)) if chosen else ():
-            cls = registry.table(group).get(name)
-            if cls is not None and cls.__module__.partition(".")[0] not in OURS:
-                found.append(f"{group}={name}")
-    return found
+    chosen = chosen_plugins(config).items()
+    return [name for name, cls in chosen if cls.__module__.partition(".")[0] not in registry.OURS]
 
 
 def scene_parts(scene: Scene) -> Iterator[tuple[str, Tensor]]:
@@ -73,7 +66,3 @@ def depth_parts(scene: Scene, depth: tuple[DepthMap, ...]) -> Iterator[tuple[str
     for view, one in zip(scene.training.views, depth, strict=True):
         yield f"the depth map of view {view.name}", one.depth
         yield f"the depth's confidence of view {view.name}", one.confidence
-
-
-def _checksum(tensor: Tensor) -> int:
-    return zlib.crc32(tensor.detach().contiguous().numpy().tobytes())

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from framework.errors import require
 from framework.files.opened import is_file
 from framework.files.paths import inside
-from framework.scenes.options import check_choice, check_folder_options, check_range
+from framework.scenes.options import CONVENTIONS, check_choice, check_folder_options, check_range
 from framework.scenes.splits import BLENDER_FILES, FILES, protocol, told, untested
 from framework.scenes.transforms import PAPERS, shot
 
@@ -51,12 +51,14 @@ class Blender:
     near: float = 2.0
     far: float = 6.0
     split: str = "blender"  # which views train and which test: blender, file; none = no test
+    poses: str = "opengl_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
         split = "blender" if self.split in FILES else self.split
         check_folder_options("blender", self.path, self.n_views, split, self.downscale)
         check_choice("blender", "paper", self.paper, tuple(PAPERS))
         check_range("blender", self.near, self.far)
+        check_choice("blender", "poses", self.poses, CONVENTIONS)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where files and photos do not hold what they must."""
@@ -66,9 +68,9 @@ class Blender:
         from framework.scenes.transforms_file import read_in_order, with_photos
 
         folder = scene_folder("blender", self.path)
-        first = read_in_order(inside(folder, TRAINING))
+        first = read_in_order(inside(folder, TRAINING), self.poses)
         without_tests = untested(self.split) and not is_file(folder / TESTING)
-        second = [] if without_tests else read_in_order(inside(folder, TESTING))
+        second = [] if without_tests else read_in_order(inside(folder, TESTING), self.poses)
         both = sorted({f.file.resolve() for f in first} & {f.file.resolve() for f in second})
         require(
             not both,

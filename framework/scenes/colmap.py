@@ -14,13 +14,19 @@ are black in `masks/`, or transparent, do not count.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
 from framework.files.paths import inside
-from framework.scenes.options import check_folder_options, check_images, check_range
+from framework.scenes.options import (
+    CONVENTIONS,
+    check_choice,
+    check_folder_options,
+    check_images,
+    check_range,
+)
 from framework.scenes.splits import protocol
 
 if TYPE_CHECKING:
@@ -43,11 +49,13 @@ class Colmap:
     near: float | None = None
     far: float | None = None
     split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
+    poses: str = "opencv_w2c"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
         check_folder_options("colmap", self.path, self.n_views, self.split, self.downscale)
         check_images("colmap", self.images, self.model)
         check_range("colmap", self.near, self.far)
+        check_choice("colmap", "poses", self.poses, CONVENTIONS)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where folder, model and photos do not fit together."""
@@ -72,6 +80,7 @@ def load_colmap(
         masks: the folder that has `masks/`; default `folder`.
     """
     from framework.scenes.assemble import assemble
+    from framework.scenes.conventions import decoded_all
     from framework.scenes.formats import find_photo
     from framework.scenes.listed import find_photos, warn_unplaced
     from framework.scenes.masks import find_masks
@@ -84,6 +93,7 @@ def load_colmap(
         " scene.images",
     )
     model = _model(folder, photos, options.model)
+    model = replace(model, viewmats=decoded_all(model.viewmats, Colmap.poses, options.poses))
     where = f"scene={loader}: {folder}"
     files = find_photos([find_photo(photos, image) for image in model.names], where)
     warn_unplaced(photos, files.values())

@@ -26,7 +26,13 @@ from typing import TYPE_CHECKING
 
 from framework.errors import UserError, check_option, require
 from framework.files.limits import SIDE_PIXELS
-from framework.scenes.options import check_folder_options, check_images, check_range
+from framework.scenes.options import (
+    CONVENTIONS,
+    check_choice,
+    check_folder_options,
+    check_images,
+    check_range,
+)
 from framework.scenes.splits import protocol
 
 if TYPE_CHECKING:
@@ -55,6 +61,7 @@ class Llff:
     far: float | None = None
     k1: float = 0.0  # radial distortion to remove, x (1 + k1 r^2); 0 = none, as is usual
     split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
+    poses: str = "llff_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
         check_folder_options("llff", self.path, self.n_views, self.split, self.downscale)
@@ -62,10 +69,12 @@ class Llff:
         check_range("llff", self.near, self.far)
         expected = "COLMAP's SIMPLE_RADIAL distortion in (-1, 1), 0 for none"
         check_option(self, "scene", "k1", -1 < self.k1 < 1, expected)
+        check_choice("llff", "poses", self.poses, CONVENTIONS)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where the folder does not hold what the layout asks for."""
         from framework.scenes.assemble import assemble
+        from framework.scenes.conventions import decoded_all
         from framework.scenes.images import EIGHTH_OR_FULL, photo_folder, scene_folder
         from framework.scenes.masks import find_masks
         from framework.scenes.model_points import colmap_tracks
@@ -77,6 +86,7 @@ class Llff:
         photos = photo_folder("llff", folder, self.images, EIGHTH_OR_FULL, source.name)
         rows = _read_poses(source)
         viewmats = [_viewmat(row, f"{source}: row {i}") for i, row in enumerate(rows)]
+        viewmats = decoded_all(viewmats, Llff.poses, self.poses)
         listed, files = self._pair(folder, photos, viewmats)
         placed, names = [*files], [listed[i] for i in files]
         rows, viewmats = rows[placed], [viewmats[i] for i in placed]

@@ -7,6 +7,9 @@ import math
 from framework.errors import require
 from framework.scenes.splits import ALL, protocol
 
+# axes of the camera, and whether a matrix is camera-to-world or its inverse: see `conventions`
+CONVENTIONS = ("opencv_c2w", "opencv_w2c", "opengl_c2w", "opengl_w2c", "llff_c2w", "llff_w2c")
+
 
 def check_n_views(loader: str, n_views: int | str, all_too: bool = False) -> None:
     """A positive integer; `all` too where a folder has a number of photos."""

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING
 from framework.errors import UserError, require
 from framework.files.paths import inside
 from framework.scenes.options import (
+    CONVENTIONS,
     check_choice,
     check_folder_options,
     check_images,
@@ -63,6 +64,7 @@ class Transforms:
     near: float | None = None
     far: float | None = None
     split: str = "llff"  # which views train and which test: llff, mip360, dtu, file; none = no test
+    poses: str = "opengl_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
         split = "llff" if self.split in FILES else self.split
@@ -70,6 +72,7 @@ class Transforms:
         check_choice("transforms", "paper", self.paper, tuple(PAPERS))
         check_range("transforms", self.near, self.far)
         check_images("transforms", "auto", self.model)
+        check_choice("transforms", "poses", self.poses, CONVENTIONS)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where file and photos do not hold what they must."""
@@ -81,7 +84,7 @@ class Transforms:
 
         folder = scene_folder("transforms", self.path)
         file = inside(folder, self.file)
-        listed = read_frames(file)
+        listed = read_frames(file, self.poses)
         where = f"scene=transforms: {folder}"
         frames = [*with_photos(file, listed).values()]
         split = self._split(file, [f.name for f in frames], {f.name for f in listed}, where)

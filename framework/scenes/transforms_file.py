@@ -19,6 +19,7 @@ from framework.errors import UserError, require
 from framework.files.limits import TEXT_BYTES
 from framework.files.opened import is_file, read_text
 from framework.scenes.cameras import checked_lens, checked_pose
+from framework.scenes.conventions import decoded_as
 from framework.scenes.formats import find_photo
 from framework.scenes.lens import Distortion, Lens
 from framework.scenes.listed import find_photos
@@ -35,6 +36,7 @@ NUMBERS = (
 # what nerfstudio applied to a COLMAP model before it wrote applied_transform
 OLD_NERFSTUDIO = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])  # the signs of a camera's axes
+OWN_POSES = "opengl_c2w"  # of the layout
 
 
 @dataclass(frozen=True)
@@ -83,20 +85,28 @@ class Frame:
         return size / view * cosine / sinc
 
 
-def read_frames(path: Path) -> list[Frame]:
+def read_frames(path: Path, poses: str = OWN_POSES) -> list[Frame]:
     """The frames, sorted by name; photos may be missing. Raises UserError for what is unsound."""
-    return sorted(read_in_order(path), key=lambda frame: frame.name)
+    return sorted(read_in_order(path, poses), key=lambda frame: frame.name)
 
 
-def read_in_order(path: Path) -> list[Frame]:
-    """The frames as the file lists them; photos may be missing. Raises UserError for what is
-    unsound."""
+def read_in_order(path: Path, poses: str = OWN_POSES) -> list[Frame]:
+    """Read the frames in the file's order; photos may be missing.
+
+    Args:
+        path: the file.
+        poses: how it writes poses, see `options.CONVENTIONS`.
+
+    Raises:
+        UserError: something is unsound.
+    """
     frames = []
     for frame in read_cameras(path):
         file = find_photo(path.parent, frame.name)
         mask = frame.mask and find_photo(path.parent, str(frame.mask))
         name = _relative(path.parent, frame.name)
-        frames.append(replace(frame, name=name, file=file, mask=mask))
+        viewmat = decoded_as(frame.viewmat, OWN_POSES, poses)
+        frames.append(replace(frame, name=name, file=file, mask=mask, viewmat=viewmat))
     _check_once(path, [frame.name for frame in frames])
     return frames
 

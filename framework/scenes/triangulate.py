@@ -28,7 +28,7 @@ FEATURES = 2000  # per photo
 PARTNERS = 8  # photos that each one is matched with: those with the nearest cameras
 RATIO = 0.8  # of the distances of the best and the second best match (Lowe 2004)
 REPROJECTION = 2.0  # pixels of a photo of at most SIDE
-ANGLE = 1.5  # degrees between the two rays, as COLMAP
+COSINE = 0.999657  # of the least angle between the two rays: 1.5 degrees, as COLMAP
 FEWEST = 10  # points, else they are not trusted
 
 
@@ -136,7 +136,7 @@ def _match(a: _Features, b: _Features) -> tuple[NDArray[np.float64], NDArray[np.
     sine2 = np.maximum(1 - cosine * cosine, 1e-12)
     s, t = (along_p - cosine * along_q) / sine2, (cosine * along_p - along_q) / sine2
     xyz = (a.center + s[:, None] * p + b.center + t[:, None] * q) / 2
-    good = (s > 0) & (t > 0) & (cosine < np.cos(np.radians(ANGLE)))
+    good = (s > 0) & (t > 0) & (cosine < COSINE)
     good &= (_error(a, xyz, index[:, 0]) < REPROJECTION) & (
         _error(b, xyz, index[:, 1]) < REPROJECTION
     )

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
+from framework.metrics.values import LARGEST
+
 Tallies = Mapping[str, tuple[int, float]]  # name -> how often, and the sum of what was added
 Told = dict[str, float | str]
 
@@ -122,4 +124,6 @@ def _ratio(part: float, whole: float) -> float | str:
     if whole == 0:
         return NEVER
     ratio = part / whole
-    return ratio if math.isfinite(ratio) else "not finite"
+    if abs(ratio) <= LARGEST:
+        return ratio
+    return f"beyond {LARGEST:g}" if math.isfinite(ratio) else "not finite"

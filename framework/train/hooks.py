@@ -12,10 +12,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from framework.errors import UserError
+from framework.compute.tensors import checksum
+from framework.errors import UserError, plugin_call
 from framework.plugin import Edits, Plugin, StepContext, SubStep
-from framework.shapes import check_finite, check_tensor, check_view
-from framework.types import Gaussians, View
+from framework.registry import OURS
+from framework.shapes import check_finite, check_gaussians, check_tensor, check_view
+from framework.types import Gaussians, Render, View
+
+MOST_SUBSTEPS = 1000  # in one step of the training
 
 
 def pseudo_views(plugin: Plugin, result: object) -> tuple[list[View], Any]:
@@ -65,14 +69,18 @@ def loss_term(plugin: Plugin, term: Any) -> Tensor | None:
 
 def sub_steps(plugin: Any, ctx: StepContext, state: Any, view: View) -> Iterator[SubStep]:
     """What `Regularizer.substeps` asks for; between two of them the trainer takes the step."""
-    with at_work("reg", plugin, "substeps", ctx.step, ctx.gaussians):
+    with at_work("reg", plugin, "substeps", ctx.step, ctx.gaussians, ctx.other):
         asked = iter(plugin.substeps(ctx, state, view))
-    while True:
-        with at_work("reg", plugin, "substeps", ctx.step, ctx.gaussians):
+    for _ in range(MOST_SUBSTEPS):
+        with at_work("reg", plugin, "substeps", ctx.step, ctx.gaussians, ctx.other):
             one = next(asked, None)
         if one is None:
             return
         yield sub_step(plugin, one)
+    raise UserError(
+        f"{_hook('reg', plugin, 'substeps')}: gave more than {MOST_SUBSTEPS} losses in step"
+        f" {ctx.step}; end the iterator"
+    )
 
 
 def sub_step(plugin: Plugin, result: object) -> SubStep:
@@ -80,7 +88,7 @@ def sub_step(plugin: Plugin, result: object) -> SubStep:
     where = _hook("reg", plugin, "substeps")
     loss, names = _pair(where, result, "(loss, names of parameters)")
     known = [part.name for part in fields(Gaussians)]
-    if not isinstance(names, list | tuple) or not names or not set(names) <= set(known):
+    if not isinstance(names, list | tuple) or not names or any(n not in known for n in names):
         raise UserError(f"{where}: expected some of {', '.join(known)}, got {names!r:.80}")
     if not isinstance(loss, Tensor) or loss.numel() != 1 or not loss.requires_grad:
         raise UserError(f"{where}: expected a scalar loss of ctx.gaussians, got {loss!r:.80}")
@@ -92,19 +100,22 @@ def gradient(
 ) -> Mapping[str, Tensor]:
     """What `Regularizer.gradient` gives in the place of `found`. Raises UserError."""
     where = _hook("reg", plugin, "gradient")
-    if set(given) != set(found):
-        raise UserError(f"{where}: expected {', '.join(found)}, got {list(given)!s:.80}")
+    if not isinstance(given, Mapping) or set(given) != set(found):
+        got = list(given) if isinstance(given, Mapping) else type(given).__name__
+        raise UserError(f"{where}: expected {', '.join(found)}, got {got!s:.80}")
     with _placed(where):
         for name, tensor in found.items():
             check_tensor(f"`{name}`", given[name], *tensor.shape)
     return given
 
 
-def evaluated(plugin: Plugin, gaussians: Any) -> Gaussians:
-    """What `Regularizer.evaluated` gives. Raises UserError."""
-    if not isinstance(gaussians, Gaussians):
-        where, got = _hook("reg", plugin, "evaluated"), type(gaussians).__name__
-        raise UserError(f"{where}: expected Gaussians, got {got}")
+def evaluated(plugin: Plugin, gaussians: Any, terms: int) -> Gaussians:
+    """Check what `Regularizer.evaluated` returns, with `terms` SH coefficients beyond the first.
+
+    Raises UserError unless it can be written, read and trained on.
+    """
+    with _placed(_hook("reg", plugin, "evaluated")):
+        check_gaussians("the Gaussians", gaussians, None, terms)
     return gaussians
 
 
@@ -121,27 +132,41 @@ def edits(plugin: Plugin, result: object, of: Gaussians) -> tuple[Edits | None, 
 
 
 @contextmanager
-def at_work(group: str, plugin: Plugin, hook: str, step: int, given: Gaussians) -> Iterator[None]:
-    """A hook at work: what it raises says where; what it was given it may not write into. Raises
-    UserError where it did."""
-    where, before = _hook(group, plugin, hook), _versions(given)
-    try:
+def at_work(
+    group: str, plugin: Plugin, hook: str, step: int, *given: Gaussians | Render | None
+) -> Iterator[None]:
+    """Call a hook in here: whatever goes wrong is a UserError that names the plugin and the hook.
+
+    Args:
+        given: what the hook may read and not write into.
+    """
+    where = f"{_hook(group, plugin, hook)}, step {step}"
+    watched = [pair for one in given for pair in _tensors(one)]
+    before = _marks(plugin, watched)
+    with plugin_call(where):
         yield
-    except UserError:
-        raise
-    except Exception as error:
-        error.add_note(f"{where}, step {step}")
-        raise
-    if _versions(given) != before:
-        raise UserError(
-            f"{where}, step {step}: expected ctx.gaussians unchanged, got them written into; clone"
-            " what changes"
-        )
+    for (name, _), old, new in zip(watched, before, _marks(plugin, watched), strict=True):
+        if old != new:
+            raise UserError(f"{where}: expected {name} unchanged, got it written into; clone it")
+    if any(tensor.is_leaf and tensor.grad is not None for _, tensor in watched):
+        raise UserError(f"{where}: called backward(); return the loss, the trainer differentiates")
 
 
-def _versions(gaussians: Gaussians) -> list[int]:
-    """torch counts how often each tensor was written into."""
-    return [tensor._version for _, tensor in gaussians.items()]
+def _tensors(given: Gaussians | Render | None) -> Iterator[tuple[str, Tensor]]:
+    if isinstance(given, Gaussians):
+        yield from ((f"ctx.gaussians.{name}", tensor) for name, tensor in given.items())
+    elif given is not None:
+        yield from ((f"render.{part}", getattr(given, part)) for part in ("rgb", "alpha", "depth"))
+
+
+def _marks(plugin: Plugin, tensors: list[tuple[str, Tensor]]) -> list[tuple[int, int]]:
+    """Return what changes when somebody writes into a tensor.
+
+    torch counts its own writes. NumPy's go unseen, so plugins from outside, which no test of this
+    project covers, cost a checksum; see `framework.run.untouched`.
+    """
+    ours = type(plugin).__module__.partition(".")[0] in OURS
+    return [(tensor._version, 0 if ours else checksum(tensor)) for _, tensor in tensors]
 
 
 def wanted(plugin: Plugin) -> tuple[str, ...]:
@@ -160,11 +185,12 @@ def wanted(plugin: Plugin) -> tuple[str, ...]:
 
 @contextmanager
 def _placed(where: str) -> Iterator[None]:
-    """What is wrong with a value (ValueError) as a UserError that begins with the hook."""
-    try:
-        yield
-    except ValueError as error:
-        raise UserError(f"{where}: {error}") from error
+    """Turn what is wrong with a value into a UserError that begins with the hook."""
+    with plugin_call(f"{where}: what it returns"):
+        try:
+            yield
+        except ValueError as error:
+            raise UserError(f"{where}: {error}") from error
 
 
 def _check_edits(change: Edits, of: Gaussians) -> None:
@@ -182,6 +208,9 @@ def _check_edits(change: Edits, of: Gaussians) -> None:
             check_tensor(f"`{part}`", value, *shape, dtype=dtype)
     if change.sh0 is not None:
         check_finite("`sh0`", change.sh0)
+    ceiling = change.opacity_ceiling
+    if ceiling is not None and not (type(ceiling) in (int, float) and 0 < ceiling < 1):
+        raise ValueError(f"expected an `opacity_ceiling` between 0 and 1, got {ceiling!r:.40}")
     for name, value in change.values.items():
         if name not in (part.name for part in fields(Gaussians)):
             raise ValueError(f"expected parameters in `values`, got {name!r:.40}")

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from framework.errors import UserError, plugin_call
 from framework.plugin import (
     Edits,
     GradientAt,
@@ -85,7 +86,8 @@ class PluginsAtWork:
                 for name in hooks.wanted(running.plugged.plugin)
             }
         )  # parameters whose gradient a capacity looks at
-        self.absolute = any(r.plugged.plugin.wants_absolute() for r in self._capacities)
+        with plugin_call("capacity: wants_absolute"):
+            self.absolute = any(r.plugged.plugin.wants_absolute() for r in self._capacities)
         for running in (self._augment, *self._regs):
             if not running.idle:
                 dose.open(f"{running.owner}.asked")
@@ -96,7 +98,9 @@ class PluginsAtWork:
         if context is None:
             return []
         plugged, self._refused = self._augment.plugged, ""
-        with hooks.at_work("augment", plugged.plugin, "pseudo_views", now.step, now.gaussians):
+        with hooks.at_work(
+            "augment", plugged.plugin, "pseudo_views", now.step, now.gaussians, now.other
+        ):
             result = plugged.plugin.pseudo_views(context, self._augment.state)
         views, self._augment.state = hooks.pseudo_views(plugged.plugin, result)
         if not self._augment.idle:
@@ -156,7 +160,7 @@ class PluginsAtWork:
                 context = step_context(self._conditions, now, running.draws, _unheard)
                 with hooks.at_work("reg", plugin, "evaluated", now.step, gaussians):
                     found = plugin.evaluated(context, gaussians, running.state)
-                gaussians = hooks.evaluated(plugin, found)
+                gaussians = hooks.evaluated(plugin, found, gaussians.shN.shape[1])
         return gaussians
 
     def edits(
@@ -176,7 +180,7 @@ class PluginsAtWork:
             if context is None:
                 continue
             plugin: Any = running.plugged.plugin
-            with hooks.at_work("capacity", plugin, "update", now.step, now.gaussians):
+            with hooks.at_work("capacity", plugin, "update", now.step, now.gaussians, now.other):
                 result = plugin.update(context, running.state, stats)
             edits, running.state = hooks.edits(plugin, result, now.gaussians)
             if edits is None:
@@ -287,7 +291,7 @@ class PluginsAtWork:
             running.started = True
             plugin: Any = running.plugged.plugin
             group = running.owner.partition(".")[0]
-            with hooks.at_work(group, plugin, "init_state", now.step, now.gaussians):
+            with hooks.at_work(group, plugin, "init_state", now.step, now.gaussians, now.other):
                 running.state = plugin.init_state(context)
         return context
 
@@ -298,7 +302,9 @@ class PluginsAtWork:
             self._dose.add(f"{running.owner}.asked")
         if not running.has("opacity_factors"):
             return None
-        with hooks.at_work("reg", plugin, "opacity_factors", context.step, context.gaussians):
+        with hooks.at_work(
+            "reg", plugin, "opacity_factors", context.step, context.gaussians, context.other
+        ):
             result = plugin.opacity_factors(context, running.state)
         factors, running.state = hooks.opacity_factors(plugin, result, n)
         if factors is not None:
@@ -331,7 +337,9 @@ class PluginsAtWork:
         """A regularizer's weighted loss term; 0 without one."""
         plugged = running.plugged
         plugin = plugged.plugin
-        with hooks.at_work("reg", plugin, "loss", context.step, context.gaussians):
+        with hooks.at_work(
+            "reg", plugin, "loss", context.step, context.gaussians, context.other, render
+        ):
             found = plugin.loss(context, running.state, view, render)
         term = hooks.loss_term(plugin, found)
         self._note_act(running, term is not None)
@@ -374,11 +382,16 @@ class PluginsAtWork:
         """Tell the other capacities that one changed the set."""
         for running in self._capacities:
             if running is not editor and running.started:
-                running.state = running.plugged.plugin.followed(running.state, rows)
+                plugin = running.plugged.plugin
+                with plugin_call(f"capacity={_name(plugin)}: followed"):
+                    running.state = plugin.followed(running.state, rows)
 
     def _log(self, running: _Running, name: str, value: float) -> None:
         """What a plugin logs: the last value is for the history, all of them for the dose, there
         without the plugin's own name."""
+        if not isinstance(name, str) or not name.isprintable():
+            raise UserError(f"ctx.log: expected a name in one line, got {name!r:.40}")
+        value = float(value)
         self.logged[name] = value
         short = name.removeprefix(f"{_name(running.plugged.plugin)}_")
         if running is self._augment and short.startswith(REFUSED):

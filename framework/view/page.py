@@ -43,10 +43,7 @@ def view_page(runs: Sequence[ViewedRun], photos: bool = True) -> str:
             "policy": f"default-src 'none'; img-src data: blob:; script-src {policy_hash(script)};"
             f" style-src {policy_hash(style)}; base-uri 'none'; form-action 'none'",
             "style": style,
-            "facts": "".join(
-                f"<p>{html.escape(_facts(run, name))}</p>"
-                for run, name in zip(runs, names, strict=True)
-            ),
+            "facts": "".join(map(_facts, runs, names)),
             "blobs": blobs,
             "data": script_json(_data(runs, models, names, photos)),
             "script": script,
@@ -69,9 +66,12 @@ def labels(runs: Sequence[ViewedRun]) -> list[str]:
 
 
 def _facts(run: ViewedRun, name: str) -> str:
+    """HTML of what a run is, and of its warnings."""
     psnr = run.record.summary.get("psnr")
     tested = f" · test PSNR {psnr:.2f} dB" if isinstance(psnr, float) else ""
-    return f"{name} · {len(run.splats.means):,} Gaussians{tested}"
+    lines = [f"{name} · {len(run.splats.means):,} Gaussians{tested}"]
+    lines += [f"Warning: {text}" for text in run.record.warnings]
+    return "".join(f"<p>{html.escape(printable_line(line))}</p>" for line in lines)
 
 
 def _data(

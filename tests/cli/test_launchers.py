@@ -65,7 +65,7 @@ def test_workers_end_with_the_command_that_started_them(tmp_path: Path) -> None:
 
 def _workers(folder: Path) -> list[int]:
     """The processes that are at a run; a lock is signed just after it was made."""
-    texts = [path.read_text() for path in (folder / "reports").glob("*/runs/*/.lock")]
+    texts = [path.read_text() for path in (folder / "reports").glob("*/runs/*/.lock.holder")]
     return [int(json.loads(text)["pid"]) for text in texts if text]
 
 

@@ -142,7 +142,7 @@ def test_a_killed_process_costs_one_run_and_no_byte(
 
 def holders(folder: Path) -> list[int]:
     """The processes that are at a run."""
-    texts = [path.read_text() for path in (folder / "reports").glob("*/runs/*/.lock")]
+    texts = [path.read_text() for path in (folder / "reports").glob("*/runs/*/.lock.holder")]
     return [int(json.loads(text)["pid"]) for text in texts if text]
 
 

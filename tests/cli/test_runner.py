@@ -1,4 +1,4 @@
-"""A lone run in two processes: the shell's process does the run, its child is the command line."""
+"""A command from its arguments to the exit code, with a stand-in for the training."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from framework.command.config.schema import ROOT
 SCRIPT = """
 import os, signal, sys, time, types
 from pathlib import Path
-from framework.command import entry, runner
+from framework.command import entry
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 
@@ -26,7 +26,6 @@ run, report = types.ModuleType("framework.run.experiment"), types.ModuleType("fr
 run.run_experiment = run_experiment
 report.build_report = build_report
 sys.modules |= {{"framework.run.experiment": run, "framework.report": report}}
-runner.REPORT = ("framework.report",)
 entry.command(sys.argv[1:])
 """
 GOOD = """
@@ -34,7 +33,7 @@ def run_experiment(config, run_dir, progress, overrides):
     print("run by", os.getpid(), config["seed"], overrides, flush=True)
     progress.done("finished")
 def build_report(folder):
-    print("report by", os.getppid(), flush=True)
+    print("report by", os.getpid(), flush=True)
     return folder / "report.md"
 """
 
@@ -65,15 +64,16 @@ def _raising(error: str) -> str:
     return GOOD.replace('    progress.done("finished")', f"    {error}")
 
 
-def test_the_parent_does_the_run_and_its_child_the_rest(tmp_path: Path) -> None:
+def test_a_run_and_its_report(tmp_path: Path) -> None:
     process = _started(GOOD, tmp_path, "seed=3")
     out, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
-    lines = out.splitlines()
-    assert lines[0] == f"run by {process.pid} 3 ['seed=3']"
-    assert lines[1] == "none+none seed 3 · finished"
-    assert lines[2] == f"report by {process.pid}"
-    assert lines[3] == "report: reports/embedded/report.md"
+    assert out.splitlines() == [
+        f"run by {process.pid} 3 ['seed=3']",
+        "none+none seed 3 · finished",
+        f"report by {process.pid}",
+        "report: reports/embedded/report.md",
+    ]
 
 
 def test_several_runs_without_a_flag(tmp_path: Path) -> None:
@@ -81,13 +81,6 @@ def test_several_runs_without_a_flag(tmp_path: Path) -> None:
     code, out, _ = _ended(GOOD, tmp_path, "hydra.mode=MULTIRUN", "seed=0,1")
     assert code == 0
     assert out.count("run by") == 2 and "[run 2 of 2] none+none seed 1 · finished" in out
-
-
-def test_a_study_stays_in_one_process(tmp_path: Path) -> None:
-    process = _started(GOOD.replace("getppid", "getpid"), tmp_path, "seed=0,1", "-m")
-    out, _ = process.communicate(timeout=60)
-    assert process.returncode == 0
-    assert f"run by {process.pid}" in out and f"report by {process.pid}" in out
 
 
 @pytest.mark.parametrize(
@@ -102,28 +95,18 @@ def test_a_study_stays_in_one_process(tmp_path: Path) -> None:
          " or choose another, and run the same again\n"),
     ],
 )  # fmt: skip
-def test_bad_input_is_told_as_in_one_process(
-    error: str, code: int, told: str, tmp_path: Path
-) -> None:
+def test_bad_input_is_one_line(error: str, code: int, told: str, tmp_path: Path) -> None:
     ended = _ended(_raising(error), tmp_path)
     assert ended[0] == code and ended[2] == told
 
 
-def test_a_bug_is_told_with_the_place_in_the_other_process(tmp_path: Path) -> None:
+def test_a_bug_shows_its_traceback(tmp_path: Path) -> None:
     code, _, err = _ended(_raising("{}[7]"), tmp_path)
     assert code == 1
     assert "in run_experiment" in err and "KeyError: 7" in err
     assert err.endswith("error: KeyError: 7\n")
     (record,) = tmp_path.glob("reports/*/runs/*/record.json")
     assert "KeyError: 7" in record.read_text()
-
-
-def test_a_mistyped_line_does_not_wait_for_the_imports(tmp_path: Path) -> None:
-    body = GOOD + "\nrunner.import_uncollected = lambda module: time.sleep(50)\n"
-    start = time.monotonic()
-    code, _, err = _ended(body, tmp_path, "augment=nope")
-    assert code == 2 and err.startswith("error: augment=nope: unknown augment")
-    assert time.monotonic() - start < 30
 
 
 SLOW = _raising("""
@@ -144,47 +127,13 @@ def _busy(folder: Path) -> subprocess.Popen[str]:
     return process
 
 
-def _children(process: int) -> list[int]:
-    path = Path(f"/proc/{process}/task/{process}/children")
-    if not path.exists():
-        pytest.skip("the children of a process are asked of /proc")
-    return [int(word) for word in path.read_text().split()]
-
-
 def test_ctrl_c_ends_run_and_command(tmp_path: Path) -> None:
     process = _busy(tmp_path)
-    (child,) = _children(process.pid)
-    os.kill(child, signal.SIGINT)  # a terminal sends it to both, here to the child first
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=30)
     assert process.returncode == 130
     assert "tidied" in out
     assert err.startswith("error: interrupted; what is done is kept") and err.count("\n") == 1
-
-
-def test_the_command_line_ends_with_the_run(tmp_path: Path) -> None:
-    """Killed, that is: nobody writes a record then, and the next try finds no lock."""
-    process = _busy(tmp_path)
-    (child,) = _children(process.pid)
-    process.kill()
-    process.communicate(timeout=30)
-    end = time.monotonic() + 30
-    while Path(f"/proc/{child}").exists():
-        assert time.monotonic() < end
-        time.sleep(0.05)
-    assert not list(tmp_path.glob("reports/*/runs/*/record.json"))
-
-
-def test_a_killed_command_line_is_told_by_the_exit_code(tmp_path: Path) -> None:
-    body = GOOD.replace('    progress.done("finished")', "    os.kill(child(), 9)")
-    process = _started(
-        "def child(): return int(Path(f'/proc/{os.getpid()}/task/{os.getpid()}/children')"
-        ".read_text())\n" + body,
-        tmp_path,
-    )
-    _children(process.pid)  # skips where there is no /proc
-    process.communicate(timeout=60)
-    assert process.returncode == 128 + 9
 
 
 def test_ctrl_c_while_the_command_line_is_read(tmp_path: Path) -> None:
@@ -195,7 +144,7 @@ def test_ctrl_c_while_the_command_line_is_read(tmp_path: Path) -> None:
         time.sleep(delay)
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=30)
-        assert process.returncode in (130, -signal.SIGINT), err  # the latter before the fork
+        assert process.returncode in (130, -signal.SIGINT), err  # the latter before main
 
 
 def test_streams_may_be_closed(tmp_path: Path) -> None:
@@ -244,17 +193,3 @@ def test_a_report_that_cannot_be_imported_is_told(tmp_path: Path) -> None:
     )
     assert process.returncode == 1
     assert "error: report of reports/embedded: ImportError" in process.stderr
-
-
-def test_what_cannot_be_told_there_is_told_here(tmp_path: Path) -> None:
-    body = (
-        _raising('raise ValueError("x")')
-        + """
-import framework.command.studies.failures
-from framework.errors import UserError
-def tell(job, error): raise UserError("ledger: expected room, got none")
-framework.command.studies.failures.tell = tell
-"""
-    )
-    code, _, err = _ended(body, tmp_path)
-    assert code == 2 and "error: ledger: expected room, got none" in err

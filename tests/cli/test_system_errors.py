@@ -35,7 +35,6 @@ LINES = {
     "-m reg.start=interval(0,1)": "reg.start=interval(0,1): expected values to sweep over, as",
     "-m seed=range(0,nan)": "expected finite bounds and step",
     "-m seed=range(0,inf)": "expected finite bounds and step",
-    "hydra.searchpath=[file:///]": "/: expected at most",
     f"study={LONG}": "got 'File name too long'; correct the path",
     f"study={LONG} -m": "got 'File name too long'; correct the path",
     f"hydra.run.dir={LONG}": "got 'File name too long'; correct the path",
@@ -160,7 +159,7 @@ def run(job):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))  # every file is full at once
     try:
-        return add(1, 2) == 3
+        add(1, 2)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 

@@ -201,7 +201,12 @@ def test_a_run_evens_the_photos_and_tests_as_they_were_exposed(
         "trainer.steps=40",
         "metrics.lpips_weights=none",
     )
-    for cached in (experiment._scene, experiment._depth, experiment._log_gains):
+    for cached in (
+        experiment._scene,
+        experiment._depth,
+        experiment._pose_check,
+        experiment._log_gains,
+    ):
         cached.cache_clear()
     monkeypatch.setattr(Embedded, "load", uneven)
     for evened in ("true", "false"):
@@ -220,6 +225,11 @@ def test_a_run_evens_the_photos_and_tests_as_they_were_exposed(
         factors = [frame["exposure"] for frame in frames[:6] if "exposure" in frame]
         if factors:
             assert np.log(factors) == pytest.approx(gains - gains.mean(0), abs=0.03)
-    for cached in (experiment._scene, experiment._depth, experiment._log_gains):
+    for cached in (
+        experiment._scene,
+        experiment._depth,
+        experiment._pose_check,
+        experiment._log_gains,
+    ):
         cached.cache_clear()
     assert results["true"] > results["false"] + 0.3

@@ -30,3 +30,5 @@ def test_it_builds_and_holds_options_contracts_and_formulas(tmp_path: Path) -> N
     for page in ("tutorials/plugins.html", "benchmarks.html", "reference/options.html"):
         assert page in index
     assert "fonts.googleapis" not in index
+    assert 'src="http' not in index  # the search works without a network, from file:// too
+    assert (tmp_path / "iframe-worker.js").is_file()

@@ -14,13 +14,9 @@ import torch
 import yaml
 from PIL import Image
 
-from framework.command.complaints import USER_ERRORS, one_line
-from framework.command.config.schema import register_config
-from framework.command.config.trust import check_command, check_config_files
-from framework.command.words import normalise, parse
 from framework.depth.from_file import DepthFile
 from framework.depth.read import load_map
-from framework.errors import UserError, mendable
+from framework.errors import UserError
 from framework.exports import export, render, video
 from framework.exports.flight import flight, lens_of
 from framework.exports.formats import packed
@@ -167,23 +163,6 @@ def _exported(folder: Path) -> None:
         packed(run.gaussians, run.background, kind)
 
 
-def _line(folder: Path) -> None:
-    words = ["augment=safi", "seed=0,1", "reg.weight=0.5", "hydra.searchpath=[file:///srv/conf]"]
-    (folder / "words.line").write_text("\n".join([*words, "+trainer.steps=range(1,9)", "-m"]))
-
-
-def _commanded(folder: Path) -> None:
-    words = os.fsdecode(read_bytes(folder / "words.line", 1 << 20)).split("\n")
-    try:
-        register_config()
-        check_command(parse(normalise(words)))
-    except USER_ERRORS as error:
-        raise UserError(one_line(error)) from None
-    except OSError as error:
-        assert mendable(error), "the command line tells no other in a line"
-        raise UserError(one_line(error)) from None
-
-
 def _photo(name: str, mode: str) -> Step:
     pixels = np.arange(24 * 32 * 4, dtype=np.uint32).reshape(24, 32, 4).astype(np.uint8)
     channels = {"RGB": pixels[..., :3], "L": pixels[..., 0], "RGBA": pixels}[mode]
@@ -203,11 +182,6 @@ def _points(folder: Path, text: bool) -> None:
 
 def _pack(folder: Path) -> None:
     (folder / "state.safetensors").write_bytes(pack(state(3), CLASSES, "mine", "fuzz"))
-
-
-def _config(folder: Path) -> None:
-    tree = "study: demo\nhydra:\n  sweeper:\n    params:\n      seed: 0,1,2\n      a: [1, {b: 2}]\n"
-    (folder / "a.yaml").write_text(tree, encoding="utf-8")
 
 
 def _depth(file: str) -> Step:
@@ -366,8 +340,6 @@ READERS: dict[str, Reader] = {
     "kept poses": Reader(commands.kept_poses, ("poses.json",), commands.poses_told),
     "request to view": Reader(commands.request, ("asked.line",), commands.answered),
     "photo names": Reader(_named, ("photo.line",), _renamed),
-    "command line": Reader(_line, ("words.line",), _commanded),
-    # the command line tells what the system refuses
     "lpips weights": Reader(
         _lpips,
         ("weights.pth",),
@@ -381,5 +353,4 @@ READERS: dict[str, Reader] = {
         lambda f: unpack(f / "state.safetensors", CLASSES),
         (ValueError, RecursionError),
     ),
-    "yaml": Reader(_config, ("a.yaml",), check_config_files),
 }

@@ -72,8 +72,8 @@ def start(folder: Path, augment: str, reg: str, seed: int) -> None:
         config = plain(compose("config", line))
     parallel.set_threads(1)
     key = experiment._key(config["scene"])
-    scene, _ = experiment._scene(key)
-    depth, _ = experiment._depth(key, experiment._key(config["depth"]), "")
+    scene = experiment._scene(key)[0]
+    depth = experiment._depth(key, experiment._key(config["depth"]), "")[0]
     options = TrainerOptions(**config["trainer"])
     run_dir = folder / f"{augment}-{reg}-{seed}"
     run = Run(

@@ -9,7 +9,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
@@ -117,21 +116,11 @@ class Call:
         return self.call
 
 
-ARRAY = pickle.dumps(np.ones(3, np.float32), protocol=3).replace(b"numpy._core", b"numpy.core")
 FORGED = {
     "a call": pickle.dumps(Call(Path.mkdir, Path("canary")), protocol=3),
-    "a late protocol": pickle.dumps({"a": 1}, protocol=5),
     "no pickle": b"no pickle",
     "nothing": b"",
-    "cut": ARRAY[:-9],
-    "objects": ARRAY.replace(b"f4", b"O8"),
-    "big-endian": ARRAY.replace(b"<", b">"),
-    "too few bytes": ARRAY.replace(b"K\x03\x85", b"K\x04\x85"),
-    "a call of a number": b"\x80\x03K\x01)R.",
-    "an unknown place": b"\x80\x03h\x07.",
-    "a mark that lacks": b"\x80\x03K\x01t.",
-    "a list as a key": b"\x80\x03}}K\x01s.",
-    "two values": b"\x80\x03K\x01K\x02.",
+    "cut": pickle.dumps({"a": 1})[:-3],
 }
 
 

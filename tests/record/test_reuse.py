@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -9,14 +11,32 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from framework.command.config.schema import register_config, rows
+from framework.exports.formats import SUFFIXES
+from framework.exports.render import _png
 from framework.files.locks import LOCK
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
-from framework.records.record import RunRecord
-from framework.records.run_files import EXPORT, METRICS_CSV, PICTURES, VIDEOS, VIEW
+from framework.records.record import (
+    PLY,
+    RECORD,
+    RunRecord,
+    damaged_file,
+    find_complete,
+    read_record,
+)
+from framework.records.run_files import (
+    EXPORT,
+    EXPORTED,
+    HISTORY_CSV,
+    METRICS_CSV,
+    PICTURES,
+    VIDEOS,
+    VIEW,
+)
 from framework.run import experiment
 from framework.run.experiment import run_experiment
 from framework.train.resume.checkpoint import FOLDER
@@ -68,6 +88,13 @@ def run(config: dict[str, Any], folder: Path) -> tuple[RunRecord, bool]:
     progress = Told()
     record = run_experiment(config, folder, progress)
     return record, "reused" in progress.result
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    run(small_config(group("depth", "plane_sweep")), folder)
+    return folder
 
 
 def test_what_a_process_killed_at_its_end_left_is_removed(tmp_path: Path) -> None:
@@ -129,10 +156,58 @@ def test_what_was_made_of_an_older_model_goes_with_it(tmp_path: Path) -> None:
     run(config, tmp_path / "run")
     made = [VIEW, *VIDEOS, f"{EXPORT}/scene.compressed.ply", f"{PICTURES}/IMG 1.png"]
     left = [tmp_path / "run" / name for name in made]
-    theirs = tmp_path / "run" / EXPORT / "notes.txt"
-    for path in (*left, theirs):
+    names = [f"{EXPORT}/scene.blend", f"{PICTURES}/mine.png", "renders/mine.png", "photos/mine.jpg"]
+    theirs = [tmp_path / "run" / name for name in names]
+    for path in (*left, *theirs):
         path.parent.mkdir(exist_ok=True)
         path.touch()
+    left[-1].write_bytes(_png(np.zeros((4, 4, 3), np.uint8)))
+    Image.new("RGB", (4, 4)).save(theirs[1])
     assert run(config, tmp_path / "run")[1] and all(path.exists() for path in left)
-    run({**config, "force": True}, tmp_path / "run")
-    assert not any(path.exists() for path in left) and theirs.exists()
+    (tmp_path / "run" / RECORD).unlink()
+    run(config, tmp_path / "run")
+    assert not any(path.exists() for path in left) and all(path.exists() for path in theirs)
+
+
+def test_formats_that_are_removed_are_those_of_export() -> None:
+    assert {f".{ending}" for ending in EXPORTED} == set(SUFFIXES.values())
+
+
+def truncate(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[:-100])
+
+
+def flip_a_byte(file: Path) -> None:
+    content = bytearray(file.read_bytes())
+    content[-1] ^= 1
+    file.write_bytes(content)
+
+
+@pytest.mark.parametrize("name", [PLY, HISTORY_CSV, "renders/*.png", "photos/*.jpg"])
+@pytest.mark.parametrize("damage", [truncate, flip_a_byte, Path.unlink])
+def test_a_damaged_run_is_repeated(
+    finished: Path, tmp_path: Path, name: str, damage: Callable[[Path], None]
+) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(finished, folder)
+    identity = read_record(folder / RECORD).identity
+    assert find_complete(folder, identity) is not None
+    file = sorted(folder.glob(name))[0]
+    damage(file)
+    assert find_complete(folder, identity) is None
+    assert file.name in damaged_file(folder, identity)
+
+
+def test_a_repeated_run_says_why_and_removes_stale_pictures(finished: Path, tmp_path: Path) -> None:
+    config, folder = small_config(group("depth", "plane_sweep")), tmp_path / "run"
+    shutil.copytree(finished, folder)
+    truncate(folder / PLY)
+    progress = Told()
+    run_experiment(config, folder, progress)
+    assert any(PLY in note and note.startswith("warning") for note in progress.notes)
+    assert run(config, folder)[1]
+    fewer = {**config["scene"], "n_views": 4}
+    before = {path.name for path in (folder / "photos").iterdir()}
+    run({**config, "scene": fewer}, folder)
+    assert {path.name for path in (folder / "photos").iterdir()} != before
+    assert len(list((folder / "photos").iterdir())) == 4

@@ -52,7 +52,12 @@ def scribblers() -> Iterator[None]:
                 far = torch.full(size, 2.0)
                 return tuple(DepthMap(far, torch.ones(size)) for _ in training.views)
 
-        for kept in (experiment._scene, experiment._depth, experiment._log_gains):
+        for kept in (
+            experiment._scene,
+            experiment._depth,
+            experiment._pose_check,
+            experiment._log_gains,
+        ):
             kept.cache_clear()
         yield
 

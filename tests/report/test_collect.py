@@ -150,6 +150,21 @@ def test_runs_of_different_code_are_told(tmp_path: Path) -> None:
     assert "2 versions of the code" in collect(tmp_path).notes[0]
 
 
+def test_own_plugins_are_no_other_version_of_the_code(tmp_path: Path) -> None:
+    """Older records hash the user's plugins into `code`; newer ones beside it."""
+    for seed, old in ((0, False), (1, True), (2, False)):
+        path = fake_run(tmp_path, seed=seed) / "record.json"
+        record = json.loads(path.read_text())
+        record["provenance"] |= {"git": {"sha": "a" * 40, "dirty": False}}
+        if old:
+            record["provenance"] |= {"code": "0" * 64, "own_plugins": ["mine.py"]}
+        else:
+            record["provenance"] |= {"plugins": {"reg=none": str(seed)}}
+        path.write_text(json.dumps(record))
+    (note,) = (note for note in collect(tmp_path).notes if "versions" in note)
+    assert "2 versions of `reg=none`" in note
+
+
 def info(name: str, fingerprint: str) -> SceneInfo:
     return SceneInfo(name, "own", fingerprint * 32, ("a",), ("b",))
 

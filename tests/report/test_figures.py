@@ -15,7 +15,7 @@ from PIL import Image
 from framework.report import build_report
 from framework.report.export import comparisons_tex
 from framework.report.figures import images
-from framework.report.figures.closeup import _window
+from framework.report.figures.closeup import _window, draw_closeup
 from framework.report.figures.images import BESIDE
 from framework.report.figures.stress import panels
 from framework.report.figures.tradeoff import charts
@@ -23,8 +23,10 @@ from framework.report.parts.chart import Band, Chart, Point, Series
 from framework.report.parts.draw import draw
 from framework.report.parts.forest import Forest, Row, limits
 from framework.report.parts.forest import draw as draw_forest
+from framework.report.statistics.numbers import signed
 from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
+from tests.record import fakes
 from tests.record.fakes import fake_run
 
 
@@ -155,6 +157,47 @@ def test_close_ups_show_the_two_that_the_verdict_is_about(study_dir: Path) -> No
         assert image.width == 792
     text = (study_dir / "report.md").read_text(encoding="utf-8")
     assert "ground truth, then safi + none and none + none" in text
+
+
+@pytest.mark.parametrize(
+    ("tags", "why"),
+    [
+        (("interpolating",) * 4, "interpolating, median"),
+        (((),) * 2, "median and worst"),
+        (((),) * 1, "the only one"),
+        (((),) * 4, "median"),
+    ],
+)
+def test_the_close_up_names_the_view_that_it_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tags: Any, why: str
+) -> None:
+    monkeypatch.setattr(fakes, "TAGS", tuple((tag,) if tag else () for tag in tags))
+    monkeypatch.setattr(fakes, "BASE_PSNR", fakes.BASE_PSNR[: len(tags)])
+    for augment in ("none", "safi"):
+        fake_run(tmp_path, augment)
+    shown = draw_closeup(collect(tmp_path), "embedded", ("none + none", "safi + none"))
+    assert shown is not None and f"({why} by PSNR)" in shown.caption
+
+
+@pytest.mark.parametrize(
+    ("difference", "text"),
+    [(-0.02, "-0.02"), (-0.002, "-0.002"), (0.0, "0.00"), (1e-9, "0.00"), (1.234, "+1.23")],
+)
+def test_a_difference_keeps_its_sign(difference: float, text: str) -> None:
+    assert signed(difference) == text
+
+
+def test_verdict_table_and_latex_agree_about_a_small_difference(tmp_path: Path) -> None:
+    for augment, values in (("none", (24.0, 24.1, 24.0)), ("safi", (22.5, 25.54, 24.0))):
+        for seed, psnr in enumerate(values):
+            path = fake_run(tmp_path, augment, seed=seed) / "record.json"
+            record = json.loads(path.read_text())
+            record["summary"]["psnr"]["mean"] = psnr
+            path.write_text(json.dumps(record))
+    build_report(tmp_path)
+    text = (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert "safi + none -0.02 dB" in text and " -0.02 |" in text
+    assert "$-$0.02" in (tmp_path / "comparisons.tex").read_text(encoding="utf-8")
 
 
 def test_doses_are_a_section(tmp_path: Path) -> None:

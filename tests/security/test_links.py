@@ -10,7 +10,7 @@ import pytest
 
 from framework.command.cli import main
 from framework.files import whole
-from framework.files.locks import HELD, LOCK, locked
+from framework.files.locks import HOLDER, LOCK, locked
 from framework.files.whole import Unwritable, write_whole
 from tests.cli.conftest import FakeRuns, runs
 
@@ -25,7 +25,7 @@ def precious(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("kind", ["link", "link to nothing", "pipe", "folder"])
+@pytest.mark.parametrize("kind", ["link", "link to nothing", "folder"])
 @pytest.mark.parametrize("wait", [False, True])
 def test_a_lock_is_a_file_of_ours(tmp_path: Path, precious: Path, kind: str, wait: bool) -> None:
     path = tmp_path / "run" / LOCK
@@ -33,7 +33,6 @@ def test_a_lock_is_a_file_of_ours(tmp_path: Path, precious: Path, kind: str, wai
     put: dict[str, Callable[[], object]] = {
         "link": lambda: path.symlink_to(precious),
         "link to nothing": lambda: path.symlink_to(tmp_path / "new"),
-        "pipe": lambda: os.mkfifo(path),
         "folder": path.mkdir,
     }
     put[kind]()
@@ -42,22 +41,10 @@ def test_a_lock_is_a_file_of_ours(tmp_path: Path, precious: Path, kind: str, wai
     assert precious.read_text() == "precious" and not (tmp_path / "new").exists()
 
 
-def test_what_stands_for_a_lock_is_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the file system has no locks; nobody waits for a pipe."""
-
-    def no_locks(*_: object) -> None:
-        raise OSError(37, "No locks available")
-
-    monkeypatch.setattr("fcntl.flock", no_locks)
-    os.mkfifo(tmp_path / HELD)
-    with pytest.raises(Unwritable, match="a link, a pipe or the like"), locked(tmp_path, wait=True):
-        pass
-
-
 def test_an_owner_that_is_none(tmp_path: Path) -> None:
     """Somebody holds the lock, and its file holds brackets without end."""
     with locked(tmp_path):
-        (tmp_path / LOCK).write_text("[" * 100_000)
+        (tmp_path / HOLDER).write_text("[" * 100_000)
         with pytest.raises(Unwritable.__base__, match="got another process"), locked(tmp_path):
             pass
 

@@ -64,8 +64,13 @@ def test_all_of_a_package_counts_in_what_makes_a_run_the_same(tmp_path: Path) ->
     install(site, "")
     (site / "foreign.py").unlink()
     (site / "foreign").mkdir()
-    (site / "foreign" / "__init__.py").write_text("")
-    code = "from framework.records.provenance import code_hash; print(code_hash())"
+    (site / "foreign" / "__init__.py").write_text(PLUGIN)
+    code = (
+        "from framework.run.plugin_code import plugin_hashes as h;"
+        "none = dict(name='none');"
+        "print(h(dict(metrics={}, augment=none, reg=dict(name='foreign'), capacity=none,"
+        " scene=none, depth=none, init=none)))"
+    )
     hashes = []
     for helper in ("A = 1\n", "A = 2\n"):
         (site / "foreign" / "helper.py").write_text(helper)
@@ -85,7 +90,7 @@ def test_one_that_does_not_import_is_named_in_one_line(tmp_path: Path, source: s
     install(tmp_path / "site", source)
     done = run(tmp_path, str(tmp_path / "site"))
     assert done.returncode == 2
-    assert done.stderr.startswith("error: entry point foreign = foreign: expected a module")
+    assert done.stderr.startswith("error: entry point foreign = foreign: importing it: ")
     assert done.stderr.count("\n") == 1
 
 

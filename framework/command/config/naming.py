@@ -18,7 +18,6 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 
 from framework.command.config.check import check
 from framework.command.config.schema import rows
-from framework.command.config.trust import refuse_environment
 from framework.records import RUN_FOLDERS
 from framework.records.provenance import NEUTRAL_KEYS
 from framework.scenes import DRAWN, HELD_OUT, untested
@@ -77,10 +76,8 @@ def study_dir(run_dir: Path) -> Path:
 def register_resolvers() -> None:
     """Make `${fishersplat.study:}` and `${fishersplat.run_name:}` known to OmegaConf.
 
-    Both check the configuration first: a bad one is refused before a folder is made. The
-    environment (`${oc.env:NAME}`) is refused, see `framework.command.config.trust`.
+    Both check the configuration first: a bad one is refused before a folder is made.
     """
-    OmegaConf.register_new_resolver("oc.env", refuse_environment, replace=True)
     for name, resolver in (("study", _resolve_study), ("run_name", _resolve_run_name)):
         OmegaConf.register_new_resolver(f"fishersplat.{name}", resolver, replace=True)
 

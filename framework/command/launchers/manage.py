@@ -19,9 +19,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from framework.command.launchers.detached import detach
-from framework.command.launchers.known import missing_extra
 from framework.command.launchers.page import status, told, write_page
 from framework.command.launchers.plan import CANCELLED, PLAN, Plan, plans, read_plan
+from framework.command.launchers.supported import missing_extra
 from framework.command.studies.failures import conclude
 from framework.command.studies.study import JOBS_VARIABLE, add_outcome, build_reports, ledger
 from framework.errors import Arguments, UserError, require
@@ -62,6 +62,11 @@ def _submit(words: list[str], prog: str) -> int:
     if "-h" in words or "--help" in words:
         print(__doc__)
         return 0
+    require(
+        any(word not in MULTIRUN_FLAGS and not word.startswith(LAUNCHER) for word in words),
+        f"{prog}: expected the words of a study, got none; write for instance {prog}"
+        " reg=none,uar seed=0,1,2, or sweep=NAME",
+    )
     chosen = [word.removeprefix(LAUNCHER) for word in words if word.startswith(LAUNCHER)]
     require(
         all(name in ENGINES for name in chosen),

@@ -20,8 +20,6 @@ from typing import Any
 
 from framework.command.config.naming import study_dir
 from framework.command.config.schema import register_config
-from framework.command.config.trust import check_command
-from framework.command.hydra_inside import argument_parser
 from framework.command.program import program
 from framework.command.search.driver import JUDGES, Search, check_search, fixed_of, run_search
 from framework.command.search.space import space_of
@@ -76,7 +74,6 @@ def _search(options: Any) -> Search:
         " choose what is measured; give one value, and judge the best with several",
     )
     first = [dimension.first for dimension in space]
-    check_command(argument_parser().parse_args([*fixed, *first]))
     scene = job_of([*fixed, *first]).config["scene"]
     split = str(scene.get("split", UNTESTED))
     if untested(split):

@@ -15,7 +15,6 @@ from framework.command.complaints import composing
 from framework.command.config.check import check
 from framework.command.config.naming import plain, register_resolvers
 from framework.command.config.schema import CONF_DIR, register_config
-from framework.command.config.trust import check_composed
 from framework.command.job import Job
 from framework.command.program import program
 from framework.command.studies.failures import tell
@@ -62,7 +61,6 @@ def job_of(words: Sequence[str]) -> Job:
     register_config()
     with initialize_config_dir(version_base="1.3", config_dir=str(CONF_DIR)), composing():
         composed = compose("config", overrides=list(words), return_hydra_config=True)
-        check_composed(composed)
         config = plain(composed)
         check(config)
         run_dir = str(composed.hydra.run.dir)

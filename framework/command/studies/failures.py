@@ -149,8 +149,7 @@ def _shown(error: Exception, show: bool) -> str:
         return printable_line(memory_line(error))
     traceback.print_exception(error)
     first = next(iter(str(error).splitlines()), "")
-    where = "".join(f"{note}: " for note in getattr(error, "__notes__", [])[:1])
-    return f"{where}{type(error).__name__}: {first}".rstrip(": ")
+    return f"{type(error).__name__}: {first}".rstrip(": ")
 
 
 def _recorded(job: Job, message: str, kind: str) -> str:

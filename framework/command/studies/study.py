@@ -26,7 +26,7 @@ from framework.command.collector import import_uncollected
 from framework.command.complaints import USER_ERRORS, composing
 from framework.command.config.check import check
 from framework.command.config.naming import plain, study_dir
-from framework.command.config.trust import check_composed
+from framework.command.config.overrides import check_method, check_run_count, parsed
 from framework.command.hydra_inside import jobs_of
 from framework.command.launchers.detached import detached
 from framework.command.launchers.workers import watch_workers
@@ -134,6 +134,7 @@ class StudyCallback(Callback):
                 " run; add -m, or leave estimate=true out: a run tells the time that is left",
             )
             check_links(Path(config.hydra.run.dir))
+            check_method(parsed(config.hydra.overrides.task), ())
         except (*USER_ERRORS, OSError) as error:
             raise Refused from error
         os.environ[JOBS_VARIABLE] = "1"
@@ -175,10 +176,15 @@ def sweep_jobs(config: DictConfig) -> list[list[str]]:
     """The overrides of every run of a multirun, as Hydra's own sweeper splits them."""
     params = OmegaConf.to_container(config.hydra.sweeper.params or OmegaConf.create({}))
     assert isinstance(params, dict)
-    lines = [f"{key!s}={value}" for key, value in params.items()]
-    lines += list(config.hydra.overrides.task)
     parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
-    return jobs_of(parser.parse_overrides(lines))
+    typed = parser.parse_overrides(list(config.hydra.overrides.task))
+    check_run_count(typed, params)
+    check_method(typed, params)
+    swept = parser.parse_overrides([f"{key!s}={value}" for key, value in params.items()])
+    jobs = jobs_of([*swept, *typed])
+    empty = [str(o.input_line) for o in (*swept, *typed) if not jobs and not jobs_of([o])]
+    require(len(jobs) > 0, f"multirun: {' '.join(empty)} gives no value, so there is no run")
+    return jobs
 
 
 def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dict[str, Any]]]:
@@ -212,7 +218,6 @@ def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dic
         else:
             with composing():
                 composed = checked[method] = loader.load_sweep_config(config, job)
-            check_composed(composed)
         check(plain(composed))
         if "Slurm" not in str(config.hydra.launcher.get("_target_")):  # the run is on this machine
             check_ready(plain(composed))

@@ -7,7 +7,6 @@ depth, so that its numbers do not depend on the unit of length.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from framework.depth.options import PlaneSweepOptions
-
-log = logging.getLogger(__name__)
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
 ONE_PLACE = 0.01  # of the near bound; closer cameras see no parallax
@@ -187,9 +184,6 @@ def _partners(
             f" scene '{training.scene}' without any overlap between depths {training.near:g} and"
             f" {training.far:g}; {_advice(training)}, or set depth=file or depth=ground_truth"
         )
-    for view, sources in zip(training.views, chosen, strict=True):
-        if not sources:
-            log.warning("plane sweep: view '%s' overlaps no other, it gets no depth", view.name)
     return chosen
 
 

@@ -1,8 +1,7 @@
 """The picture of a scene that answers first: truth, two methods, and a crop of where methods differ
 most.
 
-The view is the one in the middle by PSNR, not the one that shows the largest difference; the crop
-is the window where the renders of all methods vary most (variance over the methods, mean over the
+The view is the median by PSNR, not the one with the largest difference; the crop is the window where the renders of all methods vary most (variance over the methods, mean over the
 window).
 """
 
@@ -21,8 +20,8 @@ from framework.report.study.runs import Study
 SHARE = 4  # of the width and height that a crop takes: one part in so many
 FRAME = np.array([255, 215, 0], dtype=np.uint8)
 CAPTION = (
-    "The middle test view by PSNR ({view}) with seed {seed}: ground truth, then {methods}. Below:"
-    " the framed part, where the renders of all methods of the report differ most, and the error"
+    "Test view {view} ({why} by PSNR) with seed {seed}: ground truth, then {methods}. Below: the"
+    " framed part, where the renders of all methods of the report differ most, and the error"
     " maps (mean absolute difference over the channels, black = 0)."
 )
 
@@ -34,7 +33,7 @@ def draw_closeup(study: Study, scene: str, families: tuple[str, ...]) -> Picture
     runs = runs or list(shown.runs[:2])
     if not shown.views:
         return None
-    view, _ = shown.views[min(1, len(shown.views) - 1)]
+    view, why = [pair for pair in shown.views if "median" in pair[1]][-1]
     truth = picture(runs[0], view, "truth")
     for run in (*runs, *shown.runs):
         for kind in ("render", "error"):
@@ -53,6 +52,7 @@ def draw_closeup(study: Study, scene: str, families: tuple[str, ...]) -> Picture
     seeds = sorted({run.seed for run in runs})
     caption = CAPTION.format(
         view=outside(view),
+        why="the only one" if len(shown.views) == 1 else why.replace("; ", " and "),
         seed=" and ".join(map(str, seeds)),
         methods=" and ".join(run.method for run in runs),
     )

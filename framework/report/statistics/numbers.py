@@ -81,10 +81,14 @@ def p_text(p: float) -> str:
     return "p < 0.001" if p < 0.001 else f"p = {p:.2g}"
 
 
-def signed(difference: float, interval: Interval | None) -> str:
-    """`+0.21`, rounded by the interval."""
-    places = 2 if interval is None else decimals((interval.high - interval.low) / 2, 2)
-    return f"{difference:+z.{places}f}"
+def signed(difference: float) -> str:
+    """Format a difference in dB, the same in verdicts, tables and LaTeX: `+0.21`.
+
+    One that would round to zero gets up to two more decimals, so that it keeps its sign; below
+    these it is `0.00`, without one.
+    """
+    texts = (f"{difference:+.{places}f}" for places in (2, 3, 4))
+    return next((text for text in texts if float(text) != 0), "0.00")
 
 
 def average(values: Sequence[float | None]) -> float | None:

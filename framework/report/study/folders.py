@@ -6,6 +6,7 @@ import os
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
+from framework.errors import UserError, os_line
 from framework.records import RUN_FOLDERS
 from framework.records.failure import FAILED
 from framework.records.record import RECORD
@@ -43,10 +44,15 @@ def begun_dirs(folder: Path) -> list[Path]:
 
 
 def _listed(folder: Path) -> tuple[set[str], list[str]]:
-    """(all names, those of folders); nothing where it cannot be read, or is none."""
+    """Return all names, and those of folders; nothing where it cannot be read, or is none.
+
+    Raises UserError for runs that cannot be read, of which a report must not be silent.
+    """
     try:
         with os.scandir(folder) as entries:
             kinds = {entry.name: entry.is_dir(follow_symlinks=False) for entry in entries}
-    except OSError:
+    except OSError as error:
+        if isinstance(error, PermissionError) and RUN_FOLDERS in (folder.name, folder.parent.name):
+            raise UserError(os_line(error, folder)) from error
         return set(), []
     return set(kinds), [name for name, is_folder in kinds.items() if is_folder]

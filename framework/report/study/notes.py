@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import os
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from framework.errors import UserError, printable_line
 from framework.records.failure import FAILED, read_failure
@@ -18,11 +19,13 @@ from framework.report.study.runs import BUSY, ReportRun
 from framework.report.study.tabled import TABLE, TOLD
 
 MOST_NAMED = 5
+MOST_WARNINGS = 10
 
 
 def notes(unique: Sequence[ReportRun], runs: Sequence[Run]) -> list[str]:
     """What `unique`, the runs that are reported, and `runs`, all complete ones, ask to be told."""
     return [
+        *_warning_notes(unique),
         *_repeat_notes(unique),
         *_equal_notes(unique),
         *_still_notes(unique),
@@ -31,6 +34,23 @@ def notes(unique: Sequence[ReportRun], runs: Sequence[Run]) -> list[str]:
         *_busy_notes(unique),
         *_exposure_notes(unique),
     ]
+
+
+def _warning_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """Every distinct warning of the runs, with the scenes and the number of runs that gave it."""
+    gave: dict[str, list[ReportRun]] = defaultdict(list)
+    for run in runs:
+        for text in run.record.warnings:
+            gave[text].append(run)
+    warned = []
+    for text, those in gave.items():
+        scenes = listed(sorted({run.scene for run in those}), "and")
+        share = "" if len(those) == len(runs) else f", {len(those)} of {len(runs)} runs"
+        warned.append(f"Warning ({scenes}{share}): {outside(text)}")
+    if len(warned) <= MOST_WARNINGS:
+        return warned
+    more = len(warned) - MOST_WARNINGS
+    return [*warned[:MOST_WARNINGS], f"{more} more warnings are in the runs' record.json."]
 
 
 def begun_notes(folders: Sequence[Path]) -> list[str]:
@@ -144,13 +164,33 @@ def table_notes(runs: Sequence[ReportRun], whole: int) -> list[str]:
 
 
 def _code_notes(runs: Sequence[Run]) -> list[str]:
-    versions = {str(run.record.provenance.get("code")) for run in runs}
-    if len(versions) < 2:
-        return []
+    sources = [run.record.provenance for run in runs]
+    # older records hash the user's plugins into `code`, so take their commit's code instead
+    of_commit = {_commit(p): str(p.get("code")) for p in sources if not _with_plugins(p)}
+    versions = defaultdict[str, set[str]](set)
+    for p in sources:
+        hashed = str(p.get("code"))
+        versions["code"].add(of_commit.get(_commit(p), hashed) if _with_plugins(p) else hashed)
+        for name, digest in (p.get("plugins") or {}).items():
+            versions[name].add(digest)
     return [
-        f"The runs were made with {len(versions)} versions of the code, which may explain a"
-        " difference; the study's command repeats the outdated ones."
+        f"The runs were made with {len(versions[name])} versions of"
+        f" {'the code' if name == 'code' else code(name)}, which may explain a difference; the"
+        " study's command repeats the outdated ones."
+        for name in versions
+        if len(versions[name]) > 1
     ]
+
+
+def _commit(source: Mapping[str, Any]) -> str:
+    """The commit, "" without one or with local changes."""
+    git = source.get("git")
+    return str(git["sha"]) if git and not git["dirty"] else ""
+
+
+def _with_plugins(source: Mapping[str, Any]) -> bool:
+    """Return whether `code` is of the user's plugins too."""
+    return "own_plugins" in source and "plugins" not in source and bool(_commit(source))
 
 
 def _machine_notes(runs: Sequence[ReportRun]) -> list[str]:

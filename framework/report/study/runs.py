@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from framework.metrics.values import Missing
-from framework.records.record import Run, RunRecord
+from framework.records.record import POSE_CHECK, Run, RunRecord
 from framework.records.search import Searched
 from framework.report.study.axes import Axis
 from framework.report.study.files import file_names
@@ -89,6 +89,12 @@ class ReportRun:
         time than CPU time."""
         wall, cpu = self.record.train_s or 0.0, self.record.train_cpu_s or 0.0
         return wall > BUSY * cpu > 0
+
+    @property
+    def poses_doubtful(self) -> bool:
+        """Whether the check by stereo found that the poses do not fit the photos."""
+        check = self.record.provenance.get(POSE_CHECK)
+        return isinstance(check, Mapping) and check.get("fits") is False
 
     def level(self, axis: Axis) -> float | None:
         """The strength of a stress; None where the run's options do not have it as a number."""

@@ -146,7 +146,7 @@ def _told(c: Contest) -> str:
     size = _size(c)
     time = "" if c.cpu is None else f", {significant(c.cpu)} times the CPU time"
     found = c.comparison
-    change = f"{signed(found.difference, found.joint)} dB"
+    change = f"{signed(found.difference)} dB"
     if found.joint is None:
         return f"{size}{time}, {change} in a single run, which says nothing of chance"
     claim = "" if found.significant else ", not told apart"

@@ -32,7 +32,7 @@ def tested_cells(c: Comparison) -> dict[str, str]:
     """The figures of a paired comparison, all corrected for the comparisons beside it."""
     cells = {
         "Seeds": str(c.n),
-        "ΔPSNR (dB)": signed(c.difference, c.joint),
+        "ΔPSNR (dB)": signed(c.difference),
         "these scenes, 95 %": interval_text(c.joint) if c.joint else ABSENT,
         "p": p_text(c.p_joint) if c.p_joint is not None else ABSENT,
     }

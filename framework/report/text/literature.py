@@ -17,7 +17,7 @@ from framework.metrics.values import AVERAGE
 from framework.registry import SWEPT
 from framework.report.parts.document import Block, Heading, Text, table
 from framework.report.statistics.compare import compare
-from framework.report.statistics.numbers import ABSENT, average, mean_text
+from framework.report.statistics.numbers import ABSENT, average, mean_text, signed
 from framework.report.statistics.outcomes import by_pair
 from framework.report.study.labels import outside
 from framework.report.study.recipes import recipe_of
@@ -112,9 +112,9 @@ def _reversed(
             c = compare(row["method"], psnr, other["method"], measured[other["recipe"]])
             if c is None or c.difference >= 0:
                 continue
-            here = f"{c.difference:+z.2f}"
+            here = signed(c.difference)
             here = f"{here} shown" if c.significant else here
-            pairs.append(f"{other['method']} ({own - float(other[column]):+z.2f}, {here})")
+            pairs.append(f"{other['method']} ({signed(own - float(other[column]))}, {here})")
         if pairs:
             told.append({REVERSED: row["method"], OVER: "; ".join(pairs)})
     return told

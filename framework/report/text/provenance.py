@@ -40,6 +40,7 @@ def _facts(sources: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
     """Each fact of provenance with all the distinct values it has among the runs."""
     facts = {
         "Code": [_code(p) for p in sources],
+        "Plugins": [_plugins(p.get("plugins") or {}) for p in sources],
         "fishersplat": [outside(str(p.get("fishersplat"))) for p in sources],
         "Python": [outside(str(p.get("python"))) for p in sources],
         "Packages": [_packages(p.get("packages") or {}) for p in sources],
@@ -123,6 +124,10 @@ def _git(state: Mapping[str, object] | None) -> str:
 
 def _gpu(told: Mapping[str, Any]) -> str:
     return outside(f"{told['gpu']}, CUDA {told.get('cuda')}, gsplat {told.get('gsplat')}")
+
+
+def _plugins(hashes: Mapping[str, str]) -> str:
+    return outside(", ".join(f"{name} {digest[:12]}" for name, digest in sorted(hashes.items())))
 
 
 def _packages(versions: Mapping[str, str | None]) -> str:

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from framework.report.statistics.compare import Comparison, compare
 from framework.report.statistics.estimates import Interval
-from framework.report.statistics.numbers import decimals, interval_text, significant
+from framework.report.statistics.numbers import decimals, interval_text, signed, significant
 from framework.report.statistics.outcomes import Outcomes, by_pair
 from framework.report.study.labels import listed
 from framework.report.study.order import BASELINE
@@ -128,7 +128,7 @@ def alike(study: Study, found: Outcomes) -> str:
     rest = not_told_apart(study, found, tested) if tested else []
     if not rest:
         return ""
-    named = [f"{c.method} {c.difference:+z.2f} dB ({inside(c.joint)})" for c in rest[:MOST_NAMED]]
+    named = [f"{c.method} {signed(c.difference)} dB ({inside(c.joint)})" for c in rest[:MOST_NAMED]]
     hidden = could_hide(c.joint for c in rest)
     more = len(rest) - MOST_NAMED
     named += [f"{more} more under Comparisons"] if more > 0 else []
@@ -149,7 +149,7 @@ def _by_family(study: Study, rest: Sequence[Comparison], tested: Sequence[Compar
         own = [c.difference for c in rest if study.family_of[c.method] == family]
         share = f"{len(own)} of its" if len(own) < every[family] else "all its"
         at = "" if every[family] == 1 else f" at {share} {every[family]} budgets"
-        low, high = f"{min(own):+z.2f}", f"{max(own):+z.2f}"
+        low, high = signed(min(own)), signed(max(own))
         means = f"{low} dB on average" if low == high else f"averages from {low} to {high} dB"
         told.append(f"{family}{at} ({means})")
     return told
@@ -197,9 +197,8 @@ def plainly(method: str) -> str:
 def amount(c: Comparison) -> str:
     """`costs 0.10 dB (-0.14 to -0.06)`."""
     assert c.joint is not None, "only what was tested is told"
-    places = decimals((c.joint.high - c.joint.low) / 2, 2)
     does = "gains" if c.difference >= 0 else "costs"
-    return f"{does} {abs(c.difference):.{places}f} dB ({interval_text(c.joint)})"
+    return f"{does} {signed(c.difference).lstrip('+-')} dB ({interval_text(c.joint)})"
 
 
 def where(study: Study, of: Comparison | None = None) -> str:

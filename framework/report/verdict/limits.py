@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from framework.report.figures.stress import Limit, Panel
-from framework.report.statistics.numbers import average, interval_text, significant
+from framework.report.statistics.numbers import average, interval_text, signed, significant
 from framework.report.study.axes import Axis
 from framework.report.study.labels import joined, listed
 from framework.report.study.runs import ReportRun
@@ -170,7 +170,7 @@ def _ends(limit: Limit) -> str:
     """The mean gain at the weakest and at the strongest strength that was compared."""
     (first, low), (last, high) = limit.ends
     axis = limit.panel.axis
-    return f"gain {low:+z.2f} dB at {_at(axis, first)}, {high:+z.2f} dB at {_at(axis, last)}"
+    return f"gain {signed(low)} dB at {_at(axis, first)}, {signed(high)} dB at {_at(axis, last)}"
 
 
 def _at(axis: Axis, value: float) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from framework.report.statistics.compare import Comparison
 from framework.report.statistics.drawn import draws
 from framework.report.statistics.estimates import SIGNIFICANCE
-from framework.report.statistics.numbers import average, mean_text, p_text
+from framework.report.statistics.numbers import average, mean_text, p_text, signed
 from framework.report.statistics.outcomes import Outcomes
 from framework.report.statistics.robustness import failure_rate, worst_case
 from framework.report.study.labels import listed, outside
@@ -107,7 +107,7 @@ def _elsewhere(tested: Sequence[Comparison]) -> list[str]:
     if over:
         scenes = max(c.like.n for c in over if c.like)
         shown = [c for c in over if c.general]
-        said = "; ".join(f"{c.method} {c.like.mean:+z.2f} dB ({inside(c.like_joint)})"
+        said = "; ".join(f"{c.method} {signed(c.like.mean)} dB ({inside(c.like_joint)})"
                          for c in (shown or clear) if c.like)  # fmt: skip
         start = f"To be expected on other scenes, judged by how these {scenes} differ"
         if shown:
@@ -138,8 +138,8 @@ def _other_photos(study: Study) -> str:
     if not sure:
         return "With other photos of a scene: no gain is shown to depend on which were drawn."
     told = [
-        f"{d.method} on {d.scene} {min(d.gains):+z.2f} to {max(d.gains):+z.2f} dB over"
-        f" {len(d.gains)} draws ({p_text(p)}), {d.over.mean:+z.2f} in the mean"
+        f"{d.method} on {d.scene} {signed(min(d.gains))} to {signed(max(d.gains))} dB over"
+        f" {len(d.gains)} draws ({p_text(p)}), {signed(d.over.mean)} in the mean"
         for p, d in sorted(sure, key=lambda pair: pair[0])
     ]
     return f"What is gained depends on which photos one has: {'; '.join(told)}."

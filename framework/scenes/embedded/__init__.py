@@ -8,7 +8,7 @@ with the same bits on every machine. Poses, intrinsics and depth are exact.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from framework.scenes.embedded.options import EmbeddedOptions
 
@@ -23,6 +23,8 @@ class Embedded(EmbeddedOptions):
     The training cameras stand in a zigzag of their own (protocol `rig`); eight test cameras, tagged
     `interpolating` (inside the training cameras' hull) or `extrapolating`, are always the same.
     """
+
+    poses_are_exact: ClassVar[bool] = True
 
     def load(self) -> Scene:
         """The scene, from the cache or generated (a few seconds, once)."""

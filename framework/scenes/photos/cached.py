@@ -37,14 +37,10 @@ def _complete(folder: Path) -> bool:
 
 def _made(folder: Path, source: Source) -> Path:
     """`folder`, by this process or by another that is at it."""
-    work = folder.with_name(f".{folder.name}.work")
-    try:
-        with _alone(work):
-            if not _complete(folder):
-                _make(folder, work / "made", source)
-    finally:
-        with contextlib.suppress(OSError):  # another process may have come for the lock
-            work.rmdir()
+    work = folder.with_name(f".{folder.name}.work")  # stays: others may be waiting for its lock
+    with _alone(work):
+        if not _complete(folder):
+            _make(folder, work / "made", source)
     return folder
 
 

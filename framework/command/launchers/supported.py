@@ -1,4 +1,4 @@
-"""Which of Hydra's launchers may be chosen, and what of each the command line may set.
+"""Hydra's launchers that this project supports.
 
 `basic` and `joblib` are Hydra's own. Those of submitit and of Ray wait for their results in a way
 that one lost run ends the whole study, and tell their processes nothing of the command's folder and
@@ -19,22 +19,20 @@ from hydra.core.plugins import Plugins
 from omegaconf import OmegaConf
 
 OURS = "hydra_plugins.fishersplat_launchers"
-BOTH = ("timeout_min", "cpus_per_task", "gpus_per_node", "mem_gb", "name")
-SLURM = (
-    *("partition", "qos", "comment", "constraint", "exclude", "gres", "account"),
-    *("cpus_per_gpu", "gpus_per_task", "mem_per_gpu", "mem_per_cpu"),
-    *("signal_delay_s", "max_num_timeout", "array_parallelism"),
-)
 WEEK_MIN = 7 * 24 * 60
 
 
 @dataclass(frozen=True)
-class Known:
-    """A launcher. options: what may be set, dots between levels. extra: what it is installed with,
-    of this project; needs: the module that comes with it. ours: module and class below `OURS`.
-    defaults: what differs from Hydra's."""
+class Launcher:
+    """A launcher and where it comes from.
 
-    options: tuple[str, ...] = ()
+    Attributes:
+        extra: this project's extra that installs it; "" for Hydra's own.
+        needs: the module that comes with the extra.
+        ours: module and class below `OURS`.
+        defaults: options that differ from Hydra's.
+    """
+
     extra: str = ""
     needs: str = ""
     ours: tuple[str, str] = ("", "")
@@ -47,27 +45,21 @@ class Known:
 
 
 LAUNCHERS = {
-    "basic": Known(),
-    "joblib": Known(("n_jobs",)),
-    "submitit_local": Known(
-        ("n_jobs", *BOTH),
+    "basic": Launcher(),
+    "joblib": Launcher(),
+    "submitit_local": Launcher(
         "submitit",
         "hydra_plugins.hydra_submitit_launcher",
         ("_submitit", "Local"),
         {"n_jobs": -1, "timeout_min": WEEK_MIN},
     ),
-    "submitit_slurm": Known(
-        (*BOTH, *SLURM),
+    "submitit_slurm": Launcher(
         "slurm",
         "hydra_plugins.hydra_submitit_launcher",
         ("_submitit", "Slurm"),
         {"max_num_timeout": 10},  # a run that had no time left goes on from its checkpoint
     ),
-    "ray": Known(
-        (
-            *("ray.init.address", "ray.init.num_cpus", "ray.init.num_gpus"),
-            *(f"ray.remote.{key}" for key in ("num_cpus", "num_gpus", "memory", "max_retries")),
-        ),
+    "ray": Launcher(
         "ray",
         "hydra_plugins.hydra_ray_launcher",
         ("_ray", "Ray"),
