@@ -1,9 +1,9 @@
 """What two studies must share to count as equal: everything but measured times and memory.
 
 `digests` copies a study, replaces every measured time (`timings` and `peak_memory_bytes` of the
-records, `resumed`, `render_s` of metrics.csv, `seconds` of history.csv) by a constant, builds the
-report of the copy, and hashes every file of it: records, tables, Gaussians, renders, the report and
-its figures. Hydra's own notes (`.hydra/`) are left out.
+records, `resumed`, hashes of the two tables, `render_s` of metrics.csv, `seconds` of history.csv)
+by a constant, builds the report of the copy, and hashes every file of it: records, tables,
+Gaussians, renders, the report and its figures. Hydra's own notes (`.hydra/`) are left out.
 """
 
 from __future__ import annotations
@@ -59,6 +59,8 @@ def _mask_record(path: Path) -> None:
     for entry in record["timings"]:
         entry["wall_s"] = entry["cpu_s"] = 1.0
     record["peak_memory_bytes"] = record["resumed"] = 0
+    for name in (METRICS_CSV, HISTORY_CSV):  # hold times
+        record.get("files", {}).pop(name, None)
     path.write_text(json.dumps(record, indent=2, sort_keys=True), encoding="utf-8")
 
 

@@ -22,6 +22,7 @@ def make_safe() -> None:
             setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
         elif name != "stdin" and type(stream) is io.TextIOWrapper:
             lines, encoding = stream.line_buffering, stream.encoding
+            lines = lines or name == "stderr"
             safe = _Safe(stream.detach(), encoding, "backslashreplace", line_buffering=lines)
             setattr(sys, name, safe)
 
@@ -31,7 +32,10 @@ class _Safe(io.TextIOWrapper):
 
     def write(self, text: str) -> int:
         try:
-            return super().write(text)
+            written = super().write(text)
+            if self.line_buffering and "\n" in text:
+                super().flush()
+            return written
         except OSError as error:
             return self._lost(error, len(text))
 

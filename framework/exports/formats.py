@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     from framework.types import Gaussians
 
+LOG = logging.getLogger(__name__)
 Y0 = 0.28209479177387814  # the harmonic of degree 0: 1 / (2 sqrt(pi))
 SPZ_VERSION = 3
 SPZ_BITS = 24  # of a coordinate, signed; how many are behind the point is for the file to say
@@ -94,10 +95,27 @@ def _ply(gaussians: Gaussians, background: Tensor) -> bytes:
 def _compressed_ply(gaussians: Gaussians, background: Tensor) -> bytes:
     import gsply
 
-    return _written(
-        ".compressed.ply",
-        lambda file: gsply.plywrite(file, _for_gsply(gaussians), compressed=True),
-    )
+    def write(file: str) -> None:
+        gsply.plywrite(file, _for_gsply(gaussians), compressed=True)
+        _check_places(gaussians, np.asarray(gsply.plyread(file).means))
+
+    return _written(".compressed.ply", write)
+
+
+def _check_places(gaussians: Gaussians, stored: NDArray[np.floating[Any]]) -> None:
+    """Warn where a far Gaussian makes the grid of its chunk coarser than its neighbours.
+
+    Args:
+        stored: [N, 3], the means as a reader gets them.
+    """
+    error = np.abs(stored - gaussians.means.numpy()).max(axis=1)
+    lost = error > gaussians.scales.max(1).values.numpy()
+    if lost.any():
+        LOG.warning(
+            f"compressed-ply: {lost.sum():,} of {len(lost):,} Gaussians move by up to"
+            f" {error.max():.2g} scene units, more than their size, as some are far away; use"
+            " another format where that matters"
+        )
 
 
 def _spz(gaussians: Gaussians, background: Tensor) -> bytes:
@@ -131,6 +149,11 @@ def _spz(gaussians: Gaussians, background: Tensor) -> bytes:
 
 
 def _splat(gaussians: Gaussians, background: Tensor) -> bytes:
+    if gaussians.shN.numel() and bool(gaussians.shN.any()):
+        LOG.warning(
+            "splat: holds no SH bands, so colours no longer change with the direction; use another"
+            " format to keep them"
+        )
     scales, opacities = gaussians.scales.numpy(), gaussians.opacities.numpy()
     order = np.argsort(-scales.prod(axis=1) * opacities, kind="stable")
     quats = gaussians.quats.numpy()

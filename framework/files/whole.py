@@ -138,10 +138,10 @@ def unwritable(error: OSError, path: Path | str, n_bytes: int | None = None) -> 
     return f"{path}: expected {what}, got '{error.strerror}'; {advice} and run the same again"
 
 
-def remove_temporaries(folder: Path) -> None:
+def remove_temporaries(folder: Path, pattern: str = "**/.*.tmp") -> None:
     """Remove what killed processes were writing in `folder` and below. Call it only while nobody
     else writes there."""
-    for path in folder.rglob(".*.tmp"):
+    for path in folder.glob(pattern):
         if TEMPORARY.fullmatch(path.name):
             with contextlib.suppress(OSError):
                 path.unlink()

@@ -2,8 +2,8 @@
 
 Two runs have the same identity when nothing that can change their bits differs: the resolved
 config without `NEUTRAL_KEYS`, the loaded scene, the other files read, the sources of the framework
-and of the plugins that the run uses, and the package versions. No host name and no path of the machine is recorded, beyond what the user's own config
-holds.
+and of the plugins that the run uses, and the package versions. No host name and no path of the
+machine is recorded, beyond what the user's own config holds.
 """
 
 from __future__ import annotations
@@ -113,11 +113,17 @@ def identity_of(
     return hashlib.sha256(strict_json(content).encode()).hexdigest()
 
 
-def strict_json(value: Any, indent: int | None = None) -> str:
+def strict_json(value: Any, indent: int | None = None, compact: bool = False) -> str:
     """JSON with sorted keys, of plain values only. A non-finite number becomes null, which
-    whoever writes one explains in a field beside it."""
-    plain = _finite(value)
-    return json.dumps(plain, indent=indent, sort_keys=True, allow_nan=False, ensure_ascii=False)
+    whoever writes one explains in a field beside it. compact: without blanks."""
+    return json.dumps(
+        plain_json(value),
+        indent=indent,
+        sort_keys=True,
+        allow_nan=False,
+        ensure_ascii=False,
+        separators=(",", ":") if compact else None,
+    )
 
 
 def cpu_model() -> str:
@@ -172,11 +178,12 @@ def _sources(root: Path) -> list[tuple[str, Path]]:
     return [(n, named[n]) for n in sorted(named) if not n.startswith(SHOWING)]
 
 
-def _finite(value: Any) -> Any:
+def plain_json(value: Any) -> Any:
+    """Return the dicts, lists and finite numbers that `strict_json` writes."""
     if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
+        return {str(key): plain_json(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
+        return [plain_json(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, Path):

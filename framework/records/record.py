@@ -26,7 +26,6 @@ import contextlib
 import csv
 import dataclasses
 import hashlib
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,7 +42,7 @@ from framework.files.whole import Disturbed, Written, difference, following, wri
 from framework.metrics.evaluate import mean_of
 from framework.metrics.values import METRICS, Measurement, Missing, ViewMetrics
 from framework.records.failure import FAILED
-from framework.records.provenance import provenance, strict_json
+from framework.records.provenance import plain_json, provenance, strict_json
 from framework.records.record_check import check_record
 from framework.records.run_files import (
     HISTORY_CSV,
@@ -291,8 +290,7 @@ def read_record(path: Path) -> RunRecord:
     """The record in a `record.json`. Raises UserError when it is missing or damaged."""
     content = read_json(path, RUN_BYTES)
     try:
-        check_record(content)
-        return _from_json(content)
+        return record_of(content)
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(
             f"{path}: expected a run's record, got a damaged one ({type(error).__name__}: {error});"
@@ -355,6 +353,16 @@ def parameters_sha256(gaussians: Gaussians) -> str:
 
 def write_record(run_dir: Path, record: RunRecord) -> None:
     """Write `record.json` alone; the other files of a complete run must be there."""
+    content = record_content(record)
+    try:  # what the reader refuses must not look like a finished run
+        check_record(plain_json(content))
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{run_dir / RECORD}: cannot hold this run: {error}") from error
+    write_whole(run_dir / RECORD, strict_json(content, indent=2) + "\n")
+
+
+def record_content(record: RunRecord) -> dict[str, Any]:
+    """A record as plain values, which `record_of` reads."""
     content = {f.name: getattr(record, f.name) for f in dataclasses.fields(record)}
     content["seed"] = record.config.get("seed")
     content["methods"] = record.methods
@@ -370,15 +378,12 @@ def write_record(run_dir: Path, record: RunRecord) -> None:
         else {"mean": value, "missing": None}
         for name, value in record.summary.items()
     }
-    text = strict_json(content, indent=2) + "\n"
-    try:  # what the reader refuses must not look like a finished run
-        check_record(json.loads(text))
-    except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{run_dir / RECORD}: cannot hold this run: {error}") from error
-    write_whole(run_dir / RECORD, text)
+    return content
 
 
-def _from_json(content: dict[str, Any]) -> RunRecord:
+def record_of(content: dict[str, Any]) -> RunRecord:
+    """The record with this content. Raises ValueError, KeyError or TypeError for any other."""
+    check_record(content)
     scene = content["scene"]
     lists = ("training", "test")
     # older records lack these fields

@@ -81,6 +81,8 @@ def check_config(config: Any, complete: bool) -> None:
         named = isinstance(options, Mapping) and _is_name(options.get("name"))
         optional = options is None and not (complete and group == "scene")
         _check(f"config.{group}", options, named or optional)
+    for group, options in config.items():
+        _check_options(f"config.{group}", options)
     path = (config.get("scene") or {}).get("path")
     _check("config.scene.path", path, path is None or isinstance(path, str))
     trainer = config.get("trainer", None if complete else {})
@@ -190,6 +192,25 @@ def _check_all(name: str, values: Iterable[str], good: Callable[[str], object]) 
 def _check(name: str, value: Any, good: object) -> None:
     if not good:
         raise ValueError(f"{name[:60]} is {' '.join(str(value)[:200].split())[:60]!r}")
+
+
+def _check_options(where: str, options: Any) -> None:
+    """Check that options are values, in a group of several plugins those of each."""
+    if not isinstance(options, Mapping):
+        _check(where, options, _is_plain(options))
+        return
+    parts = str(options.get("name", "")).split("+")
+    for name, value in options.items():
+        if isinstance(value, Mapping) and len(parts) > 1 and name in parts:
+            _check_options(f"{where}.{name}", value)
+        else:
+            _check(f"{where}.{name}", value, _is_plain(value))
+
+
+def _is_plain(value: Any) -> bool:
+    """Return whether it is a value of an option, or a list of them."""
+    values = value if isinstance(value, list) else [value]
+    return all(one is None or isinstance(one, bool | int | float | str) for one in values)
 
 
 def _fits(value: Any, declared: Any) -> bool:

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from framework.errors import require
 from framework.files.whole import make_folder, write_whole
-from framework.report.export import LATEX, comparisons_tex, runs_csv
+from framework.records.archive import ARCHIVE, has_archive, read_archive
+from framework.report.export import LATEX, TABLE, comparisons_tex, runs_archive, runs_csv
 from framework.report.figures.images import remove_pictures
 from framework.report.figures.views import DamagedRun, damaged_pictures, own_scenes
 from framework.report.page import html as page
@@ -19,8 +20,7 @@ from framework.report.sections import document
 from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
 from framework.report.study.folders import run_dirs
-from framework.report.study.runs import ReportRun, Study
-from framework.report.study.tabled import TABLE, is_tabled, read_tabled
+from framework.report.study.runs import Study
 
 REPORT, PAGE = "report.md", "report.html"
 
@@ -65,57 +65,52 @@ def built(
 
 
 def _keep_fuller_report(study: Study) -> None:
-    """Raises UserError where a report made of a table alone, without pictures and curves, would
-    overwrite the one that was made of the runs."""
-    there = study.out_dir / REPORT
+    """Raise UserError where a report made of an archive, without pictures, would overwrite the one
+    that was made of the runs."""
     require(
-        study.out_dir not in study.tabled or not there.exists(),
-        f"{study.out_dir}: expected runs, got their table alone beside the report that was made"
-        " with them, which would lose what only the runs have; add --out DIR for another one",
+        study.out_dir not in study.archived or not (study.out_dir / REPORT).exists(),
+        f"{study.out_dir}: expected runs, got only {ARCHIVE} beside a report that was made with the"
+        " runs' pictures; add --out DIR to write another report",
     )
 
 
-def _keep_other_table(study: Study) -> None:
-    """Raises UserError where the report would overwrite the table of runs that are not in it, as
-    that may be all that is left of them. A run whose folder is there may have been repeated."""
-    if not is_tabled(study.out_dir):
+def _keep_other_archive(study: Study) -> None:
+    """Raise UserError where the report would overwrite an archive with runs that are not in it, as
+    that may be all that is left of them."""
+    if not has_archive(study.out_dir):
         return
     folders = {folder.name for folder in run_dirs(study.out_dir)}
-    known = {run.run.run_dir.name: run.mean("psnr") for run in study.runs}
-    damaged = {run.run_dir.name for run in study.failed}
-    there = {
-        run.run.run_dir.name: run.mean("psnr")
-        for run in (ReportRun(*parts) for parts in read_tabled(study.out_dir))
-    }
+    reported = {run.run.run_dir.name for run in study.runs}
     lost = sorted(
-        name
-        for name, psnr in there.items()
-        if name not in damaged | folders and (name not in known or known[name] != psnr)
+        {entry.run.run_dir.name for entry in read_archive(study.out_dir)}
+        - {run.run_dir.name for run in study.failed}
+        - folders
+        - reported
     )
     require(
         not lost,
-        f"{study.out_dir / TABLE}: expected a table of runs of this report, got one with"
-        f" {len(lost)} others (as {lost[0] if lost else ''}), whose folders are not beside it;"
-        " write the report to another --out DIR, or delete the table",
+        f"{study.out_dir / ARCHIVE}: expected runs of this report, got {len(lost)} others (as"
+        f" {lost[0] if lost else ''}), whose folders are gone; write the report to another --out"
+        " DIR, or delete that file",
     )
 
 
 def _build(study: Study, title: str | None, photos: bool) -> Path:
     """The report of a study. Raises DamagedRun for a run with a picture that is none."""
-    reads = study.out_dir.resolve() in {folder.resolve() for folder in study.tabled}
-    if not reads:
-        _keep_other_table(study)
+    _keep_other_archive(study)
     make_folder(study.out_dir)
     shown = study.scenes if photos else own_scenes(study)
+    if study.archived:  # the pictures went with the runs' folders
+        shown = []
     if not photos:
         remove_pictures(study, shown)
     with ThreadPoolExecutor(1) as beside:  # photos are encoded while charts are drawn
         shots = beside.submit(gallery, study, shown)
         made = document(study, title or study.out_dir.resolve().name, shown)
         write_whole(study.out_dir / PAGE, page.render(made, shots.result(), study.out_dir))
+    write_whole(study.out_dir / ARCHIVE, runs_archive(study))
     if study.runs:
-        if not reads:  # else it is what was read
-            write_whole(study.out_dir / TABLE, runs_csv(study))
+        write_whole(study.out_dir / TABLE, runs_csv(study))
         found = outcomes(study)
         if found.comparisons:
             write_whole(study.out_dir / LATEX, comparisons_tex(found))

@@ -144,7 +144,7 @@ def _of_sigmas(found: Sequence[SigmaComparison]) -> str:
 def worst(study: Study) -> list[Block]:
     """The worst seed and view, and how often a run fails."""
     rows = tables.worst_rows(study)
-    if not rows or study.tabled:  # a table knows neither views nor failed runs
+    if not rows or not study.has_views:
         return []
     limit = (
         ", or lies at least 1 dB below `none + none` of the same scene, budget and seed"

@@ -6,7 +6,10 @@ from __future__ import annotations
 from typing import Any
 
 from framework.metrics.values import METRICS
+from framework.records.archive import Entry, archive
 from framework.records.provenance import NEUTRAL_KEYS
+from framework.records.record import Run, RunRecord
+from framework.records.run_files import Table
 from framework.report.statistics.compare import Comparison
 from framework.report.statistics.estimates import Interval
 from framework.report.statistics.numbers import interval_text, p_text, signed
@@ -14,16 +17,38 @@ from framework.report.statistics.outcomes import Outcomes
 from framework.report.study.axes import VIEWS
 from framework.report.study.defaults import with_defaults
 from framework.report.study.labels import flatten, outside
-from framework.report.study.runs import ReportRun, Study
-from framework.report.study.tabled import ALSO, CODE, DOSE, PROTOCOL
+from framework.report.study.runs import FailedRun, ReportRun, Study
 from framework.report.text.provenance import code_of
 
-LATEX = "comparisons.tex"
+TABLE, LATEX = "runs.csv", "comparisons.tex"
+ALSO, DOSE = "also.", "dose."  # begin the columns of plugins' metrics and of what the method did
 ESCAPES = {
     **{character: f"\\{character}" for character in "&%$#_{}"},
     **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
     **{"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", "°": r"\textdegree{}"},
 }
+
+
+def runs_archive(study: Study) -> str:
+    """All runs of the study, complete and failed, as `framework.records.archive` describes."""
+    failed = [run for run in study.failed if "seed" in run.config]  # others left no record
+    entries = [Entry(run.run) for run in study.runs]
+    return archive([*entries, *map(_failed_entry, failed)])
+
+
+def _failed_entry(run: FailedRun) -> Entry:
+    record = RunRecord(
+        identity="",
+        config=run.config,
+        overrides=run.overrides,
+        scene=None,
+        timings={},
+        provenance=run.provenance,
+        status="failed",
+        error=run.error,
+    )
+    empty = Table({}, {})
+    return Entry(Run(run.run_dir, record, empty, empty), run.kind, run.again)
 
 
 def runs_csv(study: Study) -> str:
@@ -64,8 +89,8 @@ def _measured(run: ReportRun) -> dict[str, Any]:
         "train_cpu_s": record.train_cpu_s,
         "ply_bytes": record.ply_bytes,
         "parameters_sha256": record.parameters_sha256[:12],
-        PROTOCOL: outside(run.protocol),
-        CODE: code_of(record.provenance),
+        "protocol": outside(run.protocol),
+        "code": code_of(record.provenance),
         "cpu": run.machine,
         "overrides": outside(" ".join(w for w in record.overrides if not w.startswith("seed="))),
         "run": outside(run.run.run_dir.name),

@@ -20,6 +20,7 @@ from framework.errors import Arguments, UserError, printable_line, require
 from framework.files.limits import RUNS
 from framework.files.whole import make_folder, write_whole
 from framework.records import RUN_FOLDERS
+from framework.records.archive import ARCHIVE
 from framework.report.figures.files import forest_picture
 from framework.report.page import html as page
 from framework.report.page import markdown
@@ -35,8 +36,6 @@ from framework.report.study.folders import holds_run, walked
 from framework.report.study.labels import listed, outside
 from framework.report.study.order import method_order, natural
 from framework.report.study.runs import Study
-from framework.report.study.tabled import TABLE as TABLE_OF_RUNS
-from framework.report.study.tabled import is_tabled
 from framework.scenes import HELD_OUT
 
 REPORT, PAGE, TABLE = "leaderboard.md", "leaderboard.html", "leaderboard.csv"
@@ -137,7 +136,7 @@ def _study_dirs(folder: Path) -> list[Path]:
         inside = here.relative_to(folder).parts
         if inside and holds_run(names):
             found.add(_study_of(folder, inside))
-        elif TABLE_OF_RUNS in names and RUN_FOLDERS not in inside and is_tabled(here):
+        elif ARCHIVE in names and RUN_FOLDERS not in inside:
             found.add(here)
     require(len(found) <= RUNS, f"{folder}: expected at most {RUNS:,} studies, got more")
     return sorted(found)

@@ -11,7 +11,6 @@ from framework.report.figures import curves, stress
 from framework.report.figures.closeup import draw_closeup
 from framework.report.figures.files import chart_picture
 from framework.report.figures.images import draw_images, draw_sigma_maps
-from framework.report.figures.kept import kept
 from framework.report.parts.document import Block, Document, Heading, Picture, Text, table
 from framework.report.statistics.outcomes import Outcomes, outcomes
 from framework.report.study.beside import OPEN
@@ -57,7 +56,7 @@ def document(study: Study, title: str, visible: Sequence[str]) -> Document:
         blocks += [*literature(study), *published(study)]
     if study.runs:
         blocks += [Heading(2, "Every run"), table(tables.seed_rows(study), details.WORDS)]
-        blocks += [Text(OPEN)] if study.linked and not study.tabled else []
+        blocks += [Text(OPEN)] if study.linked else []
     blocks += [*gaps.missing_metrics(study), *provenance_blocks(study)]
     scenes, families, methods = map(tuple, (study.scenes, study.families, study.methods))
     return Document(outside(title), tuple(blocks), scenes, families, methods)
@@ -76,14 +75,13 @@ def _pictures(
     study: Study, found: Outcomes, seen: Sequence[str], visible: Sequence[str]
 ) -> list[Block]:
     """Close-ups of what the verdict is about, then all methods on all chosen views."""
+    if study.archived:
+        return []
     hidden = [scene for scene in study.scenes if scene not in visible]
     blocks: list[Block] = []
     if hidden:
         blocks = [Heading(2, "Pictures left out"), Text(HIDDEN.format(scenes=study.listed(hidden)))]
     told = shown_pair(study, found)
-    if study.tabled:
-        found_ones = [(scene, kept(study, "images", scene)) for scene in seen]
-        return [*blocks, *_section(study, "Pictures", found_ones)]
     close = [(scene, draw_closeup(study, scene, told)) for scene in seen]
     return [
         *blocks,
@@ -107,14 +105,7 @@ def shown_pair(study: Study, found: Outcomes) -> tuple[str, ...]:
 
 def _courses(study: Study, shown: Sequence[str], seen: Sequence[str]) -> list[Block]:
     """Where runs disagree, and quality over training time."""
-    if study.tabled:
-        maps = [(scene, kept(study, "sigma", scene)) for scene in seen]
-        courses = [(scene, kept(study, "curves", scene)) for scene in shown]
-        return [
-            *_section(study, "Where runs disagree", maps),
-            *_section(study, "Quality over training time", courses),
-        ]
-    maps = [(scene, draw_sigma_maps(study, scene)) for scene in seen]
+    maps = [(scene, draw_sigma_maps(study, scene)) for scene in seen if not study.archived]
     return [
         *_section(study, "Where runs disagree", maps),
         *_section(study, "Quality over training time", [(s, _curves(study, s)) for s in shown]),

@@ -391,7 +391,8 @@ class PluginsAtWork:
         without the plugin's own name."""
         if not isinstance(name, str) or not name.isprintable():
             raise UserError(f"ctx.log: expected a name in one line, got {name!r:.40}")
-        value = float(value)
+        if not isinstance(value, int | float | np.number):  # a tensor of one value
+            value = float(value)
         self.logged[name] = value
         short = name.removeprefix(f"{_name(running.plugged.plugin)}_")
         if running is self._augment and short.startswith(REFUSED):

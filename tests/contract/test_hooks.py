@@ -153,8 +153,8 @@ def test_a_step_of_its_own_and_another_gradient() -> None:
     with pytest.raises(UserError, match="gradient: `means`: expected float32"):
         hooks.gradient(mine, {"means": torch.zeros(2, 3)}, found)
     assert hooks.evaluated(mine, THREE, THREE.shN.shape[1]) is THREE
-    with pytest.raises(UserError, match="evaluated: expected Gaussians, got int"):
-        hooks.evaluated(mine, 3)
+    with pytest.raises(UserError, match="evaluated: the Gaussians: expected Gaussians, got int"):
+        hooks.evaluated(mine, 3, 0)
 
 
 def test_what_is_right_passes() -> None:
@@ -241,7 +241,7 @@ def test_a_hook_that_raises_is_placed() -> None:
     ):
         raise ValueError("lost")
     with (
-        pytest.raises(UserError, match="^mine: no$"),
+        pytest.raises(UserError, match=r"^mine: no$"),
         hooks.at_work("capacity", mine, "update", 39, THREE),
     ):
         raise UserError("mine: no")

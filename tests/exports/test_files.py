@@ -123,6 +123,36 @@ def test_all_are_those_that_can_be_written(
     assert "scene.splat" in written and "settings.json" in written and "scene.sog" not in written
 
 
+def test_a_missing_package_stops_export_before_it_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("framework.exports.formats.can_write", lambda kind: kind != "sog")
+    run = run_folder(tmp_path / "run", side_by_side())
+    with pytest.raises(UserError, match=r"^sog: needs the package gaussforge"):
+        main([str(run), "--format", "spz", "sog"], "export")
+    assert not (run / "export").exists()
+
+
+def test_splat_says_that_it_loses_bands(caplog: pytest.LogCaptureFixture) -> None:
+    gaussians = some_gaussians()
+    packed(gaussians.replace(shN=torch.zeros_like(gaussians.shN)), BLACK, "splat")
+    assert not caplog.records
+    packed(gaussians.replace(shN=torch.ones(len(gaussians), 3, 3)), BLACK, "splat")
+    assert "splat: holds no SH bands" in caplog.text
+
+
+def test_compressed_ply_says_where_a_far_gaussian_moves_others(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    gaussians = some_gaussians(1000)
+    packed(gaussians, BLACK, "compressed-ply")
+    assert not caplog.records
+    means = gaussians.means.clone()
+    means[7, 0] = 1e5
+    packed(gaussians.replace(means=means), BLACK, "compressed-ply")
+    assert "of 1,000 Gaussians move by up to" in caplog.text
+
+
 def test_sog_is_a_zip_of_pictures() -> None:
     pytest.importorskip("gaussforge", reason="an extra")
     content = packed(some_gaussians(300), BLACK, "sog")

@@ -157,6 +157,7 @@ def test_what_was_made_of_an_older_model_goes_with_it(tmp_path: Path) -> None:
     made = [VIEW, *VIDEOS, f"{EXPORT}/scene.compressed.ply", f"{PICTURES}/IMG 1.png"]
     left = [tmp_path / "run" / name for name in made]
     names = [f"{EXPORT}/scene.blend", f"{PICTURES}/mine.png", "renders/mine.png", "photos/mine.jpg"]
+    names += [f"{FOLDER}/mine.txt", ".mine.tmp"]
     theirs = [tmp_path / "run" / name for name in names]
     for path in (*left, *theirs):
         path.parent.mkdir(exist_ok=True)

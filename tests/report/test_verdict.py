@@ -110,7 +110,7 @@ def test_equal_runs_are_not_told_apart(tmp_path: Path) -> None:
         content["config"]["augment"]["name"] = "safi"
         twin.write_text(json.dumps(content))
     rest = told(tmp_path)[1]
-    assert "Not told apart from none + none: safi + none +0.00 dB (0.00 to 0.00)." in rest
+    assert "Not told apart from none + none: safi + none 0.00 dB (0.00 to 0.00)." in rest
     assert "could hide" not in rest
 
 

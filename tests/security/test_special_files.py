@@ -22,6 +22,7 @@ LEFT_TO_CALLER = ("checkpoint", "command line", "leaderboard", "photo names", "s
 OPENERS = ("framework/files/opened.py",)  # the one place where files from elsewhere are opened
 OWN = {  # our own sources and settings, caches and what was written a moment ago
     *("framework/compute/jit.py", "framework/records/provenance.py", "framework/files/whole.py"),
+    *("framework/run/plugin_code.py", "framework/command/streams.py"),
     *(
         "framework/files/locks.py",
         "framework/records/progress.py",

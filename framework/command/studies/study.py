@@ -39,7 +39,7 @@ from framework.compute.stopwatch import Stopwatch, duration
 from framework.errors import UserError, mendable, os_line, printable_line, require
 from framework.files.locks import locked
 from framework.files.tidy import own_folder
-from framework.files.whole import write_whole
+from framework.files.whole import remove_temporaries, write_whole
 from framework.records.progress import say
 
 LEDGER_VARIABLE = "FISHERSPLAT_LEDGER"
@@ -260,8 +260,7 @@ def build_reports() -> None:
             from framework.report import build_report
 
             with locked(folder, wait=True):
-                for path in folder.glob(".*.tmp"):  # of a process killed while it built the report
-                    path.unlink()
+                remove_temporaries(folder, ".*.tmp")  # of a process killed at its report
                 report = build_report(folder)
             for line in closing(report):
                 say(line)

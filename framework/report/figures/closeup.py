@@ -1,8 +1,8 @@
 """The picture of a scene that answers first: truth, two methods, and a crop of where methods differ
 most.
 
-The view is the median by PSNR, not the one with the largest difference; the crop is the window where the renders of all methods vary most (variance over the methods, mean over the
-window).
+The view is the median by PSNR, not the one with the largest difference; the crop is the window
+where the renders of all methods vary most (variance over the methods, mean over the window).
 """
 
 from __future__ import annotations

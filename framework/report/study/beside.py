@@ -41,6 +41,6 @@ def video_file(run: ReportRun) -> Path | None:
 
 def _link(study: Study, run: ReportRun, text: str, names: tuple[str, ...]) -> Link | None:
     there = [name for name in names if is_file(run.run.run_dir / name)]
-    if not study.linked or study.tabled or not there:
+    if not study.linked or not there:
         return None
     return Link(text, folder_target(study, run) + there[0])

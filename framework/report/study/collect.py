@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations, product
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 
@@ -15,19 +14,17 @@ from framework.errors import UserError, require
 from framework.files.limits import RUNS
 from framework.metrics.values import Missing
 from framework.records import RUN_FOLDERS
+from framework.records.archive import has_archive, read_archive
 from framework.records.failure import FAILED, read_failure
 from framework.records.record import RECORD, Run, read_run
 from framework.records.search import read_search
 from framework.report.study.folders import run_dirs
-from framework.report.study.labels import MethodLabel, code, method_labels, outside, scene_labels
-from framework.report.study.notes import begun_notes, notes, table_notes, within
+from framework.report.study.labels import code, method_labels, scene_labels
+from framework.report.study.notes import archive_notes, begun_notes, notes, within
 from framework.report.study.order import method_order, natural
 from framework.report.study.recipes import NOTE, by_recipe
 from framework.report.study.runs import DAMAGED, FailedRun, ReportRun, Study
 from framework.report.study.shorten import shortened
-from framework.report.study.tabled import is_tabled, method_label, read_tabled
-
-DIGEST = re.compile(r"-s\d+-([0-9a-f]{8})$")  # of all options of a run but its seed, in its name
 
 
 def collect(
@@ -40,26 +37,23 @@ def collect(
     broken: folders of runs that turned out damaged, and why. rival: the method to compare the
     others with, by its name in the report, else plain training.
 
-    A folder without runs is read from its table (`framework.report.study.tabled`). Raises UserError
+    A folder without runs is read from its archive (`framework.records.archive`). Raises UserError
     if a folder has neither, or no run is the rival's.
     """
     folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
-    runs, failed, origins, told, tabled = _gathered(folders, broken)
+    runs, failed, origins, archived = _gathered(folders, broken)
     labelled, named = _label(runs, failed)
-    labelled, named, told, apart = _told_apart(labelled, named, origins, told)
-    short, shortened_notes = shortened([run.method_label for run in (*labelled, *told)])
+    short, shortened_notes = shortened([run.method_label for run in labelled])
     recipes = by_recipe(
         [(run.method_label, run.record.overrides, run.scene) for run in labelled]
-        + [(method_label(run.method), run.overrides, run.scene) for run in named if run.method]
+        + [(run.method_label, run.overrides, run.scene) for run in named if run.method_label]
     )
-    if recipes and not told:
+    if recipes:
         short, shortened_notes = recipes, [NOTE]
-    labelled, told = (
-        [replace(run, method_label=short[run.method]) for run in some] for some in (labelled, told)
-    )
-    named = [replace(run, method=_short(short, run.method)) for run in named]
-    missing = _missing(labelled, named, origins, told)
-    unique, repeated = _without_repeats([*labelled, *told])
+    labelled = [replace(run, method_label=short[run.method]) for run in labelled]
+    named = [replace(run, method_label=short.get(run.method, run.method_label)) for run in named]
+    missing = _missing(labelled, named, origins)
+    unique, repeated = _without_repeats(labelled)
     unique.sort(key=lambda r: (natural(r.scene), method_order(r.method), r.seed))
     known = sorted({run.method for run in unique}, key=method_order)
     require(
@@ -75,16 +69,15 @@ def collect(
         tuple(unique),
         tuple(named),
         (
-            *table_notes(told, len(labelled)),
+            *archive_notes(archived),
             *shortened_notes,
-            *apart,
             *repeated,
             *notes(unique, runs),
             *begun_notes(folders),
         ),
         tuple(missing),
-        linked=not tabled,
-        tabled=tuple(tabled),
+        linked=not archived,
+        archived=tuple(archived),
         searched=searched,
         rival=rival,
     )
@@ -92,19 +85,15 @@ def collect(
 
 def _gathered(
     folders: Sequence[Path], broken: Mapping[Path, str]
-) -> tuple[list[Run], list[FailedRun], list[Path], list[ReportRun], list[Path]]:
-    """Complete runs, failed ones, the folder that each complete one is of; what is told of those
-    that are in a table alone, and the folders of such tables. A run that is in both is the
-    folder's."""
-    runs, failed, origins = [], [], []
-    told: list[ReportRun] = []
-    tabled = []
+) -> tuple[list[Run], list[FailedRun], list[Path], list[Path]]:
+    """Complete runs, failed ones, the folder of each complete one, and the folders whose runs are
+    in an archive alone."""
+    runs, failed, origins, archived = [], [], [], []
     for folder in folders:
         complete, lost = _read(folder, broken)
-        if not complete and not lost and is_tabled(folder):
-            told += [ReportRun(*parts) for parts in read_tabled(folder)]
-            tabled.append(folder)
-            continue
+        if not complete and not lost and has_archive(folder):
+            complete, lost = _archived(folder)
+            archived.append(folder)
         require(
             len(complete) + len(lost) > 0,
             f"{folder}: expected a study's folder with runs in it, got none; give the folder that"
@@ -113,16 +102,25 @@ def _gathered(
         runs += complete
         failed += lost
         origins += [folder] * len(complete)
-    there = {_bits(run) for run in runs}
-    told = [run for run in told if "" in _bits(run.run) or _bits(run.run) not in there]
-    left = {run.run.run_dir.parent.parent for run in told}
-    tabled = [folder for folder in tabled if folder in left]
-    return runs, failed, origins, told, tabled
+    return runs, failed, origins, archived
 
 
-def _bits(run: Run) -> tuple[str, str]:
-    """By which the same run is known in a folder and in a table; the second may be ""."""
-    return run.run_dir.name, run.record.parameters_sha256[:12]
+def _archived(folder: Path) -> tuple[list[Run], list[FailedRun]]:
+    """The complete and the failed runs in a folder's archive."""
+    complete: list[Run] = []
+    failed: list[FailedRun] = []
+    for entry in read_archive(folder):
+        if entry.run.record.status == "complete":
+            complete.append(entry.run)
+        else:
+            failed.append(_failed(entry.run, entry.kind, entry.again))
+    return complete, failed
+
+
+def _failed(run: Run, kind: str, again: str) -> FailedRun:
+    record, error = run.record, run.record.error or "not told"
+    own = record.overrides, record.config, record.provenance
+    return FailedRun(run.run_dir, error, kind, *own, again)
 
 
 def _read(folder: Path, broken: Mapping[Path, str]) -> tuple[list[Run], list[FailedRun]]:
@@ -163,9 +161,7 @@ def _read_run(path: Path) -> Run | FailedRun:
     if record.status == "complete":
         return run
     last = read_failure(path) if os.path.lexists(path / FAILED) else None
-    kind, again = (last.kind, last.again) if last else ("", "")
-    error = record.error or "not told"
-    return FailedRun(path, error, kind, record.overrides, record.config, record.provenance, again)
+    return _failed(run, *((last.kind, last.again) if last else ("", "")))
 
 
 def _label(
@@ -178,31 +174,26 @@ def _label(
     scenes = scene_labels(configs, [run.record.scene for run in runs] + [None] * len(known))
     cut = len(runs)
     labelled = [ReportRun(*p) for p in zip(runs, methods[:cut], scenes[:cut], strict=True)]
-    named = {
-        run.run_dir: (method.full, scene.full)
+    found = {
+        run.run_dir: (method, scene.full)
         for run, method, scene in zip(known, methods[cut:], scenes[cut:], strict=True)
     }
-    return labelled, [_named(run, *named.get(run.run_dir, ("", ""))) for run in failed]
-
-
-def _short(short: Mapping[str, MethodLabel], method: str) -> str:
-    """The short name of a method, its own where none of its runs is complete."""
-    return short[method].full if method in short else method
-
-
-def _named(run: FailedRun, method: str, scene: str) -> FailedRun:
-    return replace(run, method=method, scene=scene)
+    named = [
+        replace(run, method_label=found[run.run_dir][0], scene=found[run.run_dir][1])
+        if run.run_dir in found
+        else run
+        for run in failed
+    ]
+    return labelled, named
 
 
 def _missing(
     runs: Sequence[ReportRun],
     failed: Sequence[FailedRun],
     origins: Sequence[Path],
-    told: Sequence[ReportRun],
 ) -> list[tuple[str, str, int]]:
-    """What each folder lacks to be the full cross of its own scenes, methods and seeds, and no
-    table has either."""
-    there = {(run.scene, run.method, run.seed) for run in (*runs, *told)}
+    """What each folder lacks to be the full cross of its own scenes, methods and seeds."""
+    there = {(run.scene, run.method, run.seed) for run in runs}
     there |= {(run.scene, run.method, run.seed) for run in failed if run.seed is not None}
     by_folder: dict[Path, list[ReportRun]] = defaultdict(list)
     for run, folder in zip(runs, origins, strict=True):
@@ -215,64 +206,6 @@ def _missing(
     asked = [(a, b, c) for a, b, c in crosses if len(a) * len(b) * len(c) <= RUNS]
     lacking = {cell for cross in asked for cell in product(*cross)} - there
     return sorted(lacking, key=lambda cell: (natural(cell[0]), method_order(cell[1]), cell[2]))
-
-
-Ways = dict[int, tuple[str, str]]  # seed -> digest of all options but the seed, and the bits
-
-
-def _told_apart(
-    runs: list[ReportRun], failed: list[FailedRun], origins: Sequence[Path], told: list[ReportRun]
-) -> tuple[list[ReportRun], list[FailedRun], list[ReportRun], list[str]]:
-    """All runs and what is `told` in tables, which do not hold what all runs of a study share.
-    Where one name is of runs with different options in two folders, each gets its folder's too."""
-    every = [*runs, *told]
-    at = [*origins, *(run.run.run_dir.parent.parent for run in told)]
-    found: dict[tuple[str, str], dict[Path, Ways]] = defaultdict(lambda: defaultdict(dict))
-    for run, folder in zip(every, at, strict=True):
-        digest = DIGEST.search(run.run.run_dir.name)
-        if digest is not None:
-            own = found[run.scene, run.method][folder]
-            own[run.seed] = digest[1], run.record.parameters_sha256[:12]
-    clash = [
-        key
-        for key, folders in found.items()
-        if any(_differ(one, two) for one, two in combinations(folders.values(), 2))
-    ]
-    if not told or not clash:
-        return runs, failed, told, []
-
-    def marked(label: MethodLabel, folder: Path) -> MethodLabel:
-        source = f"from={outside(folder.resolve().name)}"
-        return replace(label, options=", ".join(filter(None, (label.options, source))))
-
-    named = [
-        replace(run, method_label=marked(run.method_label, folder))
-        for run, folder in zip(every, at, strict=True)
-    ]
-    lost = [
-        replace(run, method=marked(method_label(run.method), run.run_dir.parent.parent).full)
-        if run.method
-        else run
-        for run in failed
-    ]
-    scene, method = min(clash)
-    note = (
-        f"{method} on {scene} was run with options that are not all the same in these folders, and"
-        " a table of runs does not name them: methods have the name of their folder (`from=`)."
-    )
-    return named[: len(runs)], lost, named[len(runs) :], [note]
-
-
-def _differ(one: Ways, two: Ways) -> bool:
-    """Whether two folders ran something else: other bits with a seed of both; without one, other
-    options, where the seed is no part of them."""
-    both = one.keys() & two.keys()
-    if both:
-        return any(
-            one[s][0] != two[s][0] and (not one[s][1] or one[s][1] != two[s][1]) for s in both
-        )
-    first, second = ({digest for digest, _ in own.values()} for own in (one, two))
-    return len(first) == len(second) == 1 and first != second
 
 
 def _without_repeats(runs: list[ReportRun]) -> tuple[list[ReportRun], list[str]]:

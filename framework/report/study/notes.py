@@ -6,17 +6,16 @@ import math
 import os
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from framework.errors import UserError, printable_line
+from framework.records.archive import ARCHIVE
 from framework.records.failure import FAILED, read_failure
 from framework.records.record import EXPOSURE, Run
 from framework.report.study.folders import begun_dirs
 from framework.report.study.labels import code, listed, outside
 from framework.report.study.runs import BUSY, ReportRun
-from framework.report.study.tabled import TABLE, TOLD
 
 MOST_NAMED = 5
 MOST_WARNINGS = 10
@@ -137,30 +136,11 @@ def _seeds(seeds: Sequence[int]) -> str:
     return f"seed{'s' if len(seeds) > 1 else ''} {listed(seeds, 'and')}"
 
 
-def table_notes(runs: Sequence[ReportRun], whole: int) -> list[str]:
-    """What a report from a table does not know, and of which code its runs are. whole: runs beside
-    them whose folders are there."""
-    if not runs:
+def archive_notes(folders: Sequence[Path]) -> list[str]:
+    """What a report lacks whose runs have no folders any more."""
+    if not folders:
         return []
-    told = [str(run.record.provenance[TOLD]).split(" or ") for run in runs]
-    codes = sorted({*chain(*told)} - {""})
-    made = "one version" if len(codes) == 1 else f"{len(codes)} versions"
-    of = (
-        f" The runs were made by {made} of the code ({', '.join(codes)}); today's defaults may"
-        " differ from theirs."
-        if codes
-        else ""
-    )
-    built = (
-        f"{len(runs)} of {len(runs) + whole} runs are those of a table `{TABLE}`"
-        if whole
-        else f"Built from the table `{TABLE}` alone"
-    )
-    return [
-        f"{built}, as the folders of the runs were not kept: nothing"
-        " is said about single views, the course of a training or failed runs, and the pictures"
-        f" are those that were drawn when the runs were made.{of}"
-    ]
+    return [f"Made from {code(ARCHIVE)}, as the folders of the runs were not kept: no pictures."]
 
 
 def _code_notes(runs: Sequence[Run]) -> list[str]:

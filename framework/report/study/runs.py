@@ -17,7 +17,6 @@ from framework.report.study.axes import Axis
 from framework.report.study.files import file_names
 from framework.report.study.labels import MethodLabel, SceneLabel, listed, outside
 from framework.report.study.order import BASELINE, method_order, natural
-from framework.report.study.tabled import PROTOCOL
 from framework.scenes import published_split
 
 MOST_LISTED = 8  # scenes that are named one by one in a sentence
@@ -56,9 +55,8 @@ class ReportRun:
 
     @property
     def protocol(self) -> str:
-        """The rule by which views train and test; "" where a table does not tell it."""
-        scene = self.record.scene
-        return scene.protocol if scene else str(self.record.provenance.get(PROTOCOL, ""))
+        """The rule by which views train and test; "" of a run without a scene."""
+        return self.record.scene.protocol if self.record.scene else ""
 
     @property
     def tested(self) -> bool:
@@ -105,7 +103,8 @@ class ReportRun:
 @dataclass(frozen=True)
 class FailedRun:
     """A run that ended with an error. kind: of it, a word or two; again: the command that does it
-    alone; "" where they were not kept. method, scene: "" where it left no configuration."""
+    alone; "" where they were not kept. method_label, scene: empty where it left no
+    configuration."""
 
     run_dir: Path
     error: str
@@ -114,8 +113,12 @@ class FailedRun:
     config: Mapping[str, Any]
     provenance: Mapping[str, Any]
     again: str = ""
-    method: str = ""
+    method_label: MethodLabel | None = None
     scene: str = ""
+
+    @property
+    def method(self) -> str:
+        return self.method_label.full if self.method_label else ""
 
     @property
     def seed(self) -> int | None:
@@ -126,8 +129,8 @@ class FailedRun:
 class Study:
     """out_dir: where the report goes. runs: complete, sorted by scene, method, seed. notes: what a
     reader must be told. missing: (scene, method, seed) that a full cross would have. linked:
-    whether the folders of the runs can be reached from the report. tabled: folders of which only
-    the table of runs is there. searched: the trials, where the runs are those of a search. rival:
+    whether the folders of the runs can be reached from the report. archived: folders whose
+    runs are in an archive alone. searched: the trials, where the runs are those of a search. rival:
     the method, with its budget or without, to compare the others with, where somebody named one."""
 
     out_dir: Path
@@ -136,7 +139,7 @@ class Study:
     notes: tuple[str, ...]
     missing: tuple[tuple[str, str, int], ...] = ()
     linked: bool = True
-    tabled: tuple[Path, ...] = ()
+    archived: tuple[Path, ...] = ()
     searched: Searched | None = None
     rival: str = ""
 
@@ -154,6 +157,11 @@ class Study:
     def methods(self) -> list[str]:
         """Method labels: the baseline first, then by name."""
         return sorted({run.method for run in self.runs}, key=self._order)
+
+    @property
+    def has_views(self) -> bool:
+        """Whether metrics of single views are there; old archives lack them."""
+        return any(run.files for run in self.runs)
 
     @property
     def tried(self) -> list[str]:

@@ -11,7 +11,6 @@ from framework.records.provenance import BITS
 from framework.report.parts.document import Block, Bullets, Heading, Text
 from framework.report.study.labels import code, outside
 from framework.report.study.runs import Study
-from framework.report.study.tabled import TOLD
 
 SHOWN_VIEWS = 12
 WITHOUT_BITS = (
@@ -55,8 +54,6 @@ def _facts(sources: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
 
 def code_of(source: Mapping[str, Any]) -> str:
     """Of which code a run is, for a table: `git 80cf492d6c with local changes`."""
-    if TOLD in source:
-        return str(source[TOLD])
     state = source.get("git")
     if not state:
         return f"sources {outside(str(source.get('code'))[:12])}"
@@ -64,8 +61,6 @@ def code_of(source: Mapping[str, Any]) -> str:
 
 
 def _code(source: Mapping[str, Any]) -> str:
-    if TOLD in source:
-        return str(source[TOLD])
     return f"{_git(source.get('git'))}, sources {code(str(source.get('code'))[:12])}"
 
 
@@ -76,8 +71,6 @@ def _runs(study: Study) -> list[str]:
     stages = [stage for run in study.runs for stage in run.record.timings.values()]
     wall, cpu = sum(stage.wall_s for stage in stages), sum(stage.cpu_s for stage in stages)
     row = "Every run in a row, with its options and figures: `runs.csv`"
-    if study.tabled:
-        return [row, f"Time: {duration(wall)} in the trainings of all {len(study.runs)} runs"]
     return [
         row,
         f"Time: {duration(wall)} in the stages of all {len(study.runs)} runs, {duration(cpu)} of"
@@ -91,7 +84,7 @@ def _scenes(study: Study) -> list[str]:
         f"{label}: protocol {outside(scene.protocol)}, fingerprint {code(scene.fingerprint)};"
         f" trained on {_some(scene.training)}; tested on {_some(scene.test) or 'none'}"
         for label, scene in found.items()
-        if scene is not None
+        if scene is not None and scene.training
     ]
 
 

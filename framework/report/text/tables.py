@@ -137,7 +137,7 @@ def _seed_row(study: Study, run: ReportRun, metrics: Sequence[str]) -> dict[str,
     for metric in metrics:
         row[heading_of(metric, study)] = mean_text([run.mean(metric)], digits(metric))
     row["Train (s)"] = mean_text([record.train_s], 1)
-    if not study.tabled:
+    if len(record.timings) > 1:  # archives of before have the training alone
         row["All stages (s)"] = f"{sum(stage.wall_s for stage in record.timings.values()):.1f}"
         row["Peak memory (MiB)"] = f"{record.peak_memory_bytes / 2**20:.0f}"
     row["Gaussians"] = str(record.gaussians)

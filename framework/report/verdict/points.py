@@ -224,7 +224,7 @@ def weakest(study: Study, found: Outcomes) -> str:
         told.append(view + (seed if several else ""))
     elif several and (values := [(psnr, r.seed) for r in runs if (psnr := r.mean("psnr"))]):
         told.append(f"its worst seed is {min(values)[1]} with {min(values)[0]:.2f} dB")
-    rate = None if study.tabled else failure_rate(study, best)
+    rate = failure_rate(study, best) if study.has_views else None
     told += [f"{rate.failed} of {rate.n} runs failed"] if rate and rate.n > 1 else []
     place = "" if len(means) > 1 else f" on {scene}"
     return f"Where {best} is weakest{place}: {'; '.join(told)}." if told else ""

@@ -12,12 +12,13 @@ When they happen changes no result.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
 import logging
 import math
-import shutil
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -31,7 +32,7 @@ from framework import types
 from framework.files.limits import CHECKPOINT_BYTES
 from framework.files.opened import file_size, read_bytes
 from framework.files.tree import decode, encode
-from framework.files.whole import write_whole
+from framework.files.whole import TEMPORARY, write_whole
 from framework.fisher import information as fisher
 from framework.records.run_files import HistoryRow
 from framework.train import optimizer
@@ -42,6 +43,7 @@ Check = Callable[[TrainerState], None]
 
 LOG = logging.getLogger(__name__)
 FOLDER, KEY = "checkpoints", "fishersplat"
+NAME = re.compile(r"step-.*\.safetensors")
 KEPT = 2
 COST_TIMES = 75  # so many times a checkpoint's cost pass until the next
 SLOW_DISK = 25e6  # bytes per second assumed before the first one was measured
@@ -91,8 +93,15 @@ def unpack(path: Path, classes: Iterable[type], wanted: str | None = None) -> tu
 
 
 def remove_checkpoints(run_dir: Path) -> None:
-    """Remove all of a run: it is complete, or begins anew."""
-    shutil.rmtree(run_dir / FOLDER, ignore_errors=True)
+    """Remove all checkpoints of a run, which is complete or starts again, and no other file."""
+    folder = run_dir / FOLDER
+    with contextlib.suppress(OSError):
+        for file in folder.rglob("*"):
+            if NAME.fullmatch(file.name) or TEMPORARY.fullmatch(file.name):
+                file.unlink()
+        for path in (*folder.glob("*/"), folder):
+            if path.is_dir() and not any(path.iterdir()):
+                path.rmdir()
 
 
 class Checkpoints:
@@ -147,7 +156,7 @@ class Checkpoints:
 
     def _paths(self) -> list[Path]:
         """Oldest first."""
-        return sorted(self.folder.glob("step-*.safetensors"))
+        return sorted(file for file in self.folder.glob("step-*") if NAME.fullmatch(file.name))
 
     def _read(self, path: Path, check: Check) -> TrainerState | None:
         """The state in `path`; None if it is damaged, which is told, or another run's."""
