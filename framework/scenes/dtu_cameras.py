@@ -6,6 +6,7 @@ section 6.2.4), K with positive diagonal and K[2, 2] = 1.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,16 +34,19 @@ class Calibration:
     lens: Lens
 
 
-def read_cameras(folder: Path, n: int) -> list[Calibration]:
-    """The calibrations of positions 0 to n - 1. Raises UserError unless all are there and sound."""
+def read_cameras(folder: Path, positions: Sequence[int]) -> dict[int, Calibration]:
+    """Calibrations of the positions. Raises UserError unless all are there and sound."""
     path = next((folder / name for name in FILES if is_file(folder / name)), None)
     if path is None:
         raise UserError(
             f"{folder}: expected the cameras in {' or '.join(FILES)}, found neither; is scene.path"
             " the folder of one scan?"
         )
-    matrices = read_npz(path, [f"world_mat_{i}" for i in range(n)])
-    return [decompose(m, f"{path}: world_mat_{i}") for i, m in enumerate(matrices)]
+    matrices = read_npz(path, [f"world_mat_{i}" for i in positions])
+    return {
+        i: decompose(matrix, f"{path}: world_mat_{i}")
+        for i, matrix in zip(positions, matrices, strict=True)
+    }
 
 
 def decompose(matrix: NDArray, where: str) -> Calibration:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from framework.errors import require
 from framework.scenes.splits import ALL, protocol
 
@@ -38,11 +40,22 @@ def check_folder_options(
     protocol(split)
 
 
-def check_images(loader: str, images: str) -> None:
-    """The name of a folder inside the scene's."""
+def check_images(loader: str, images: str, model: str = "auto") -> None:
+    """Names of folders inside the scene's: of the photos, and of the COLMAP model."""
+    for option, what, name in (("images", "photos", images), ("model", "COLMAP model", model)):
+        require(
+            isinstance(name, str) and name != "",
+            f"scene={loader}: expected the folder of the {what}, got '{name}'; set scene.{option}",
+        )
+
+
+def check_range(loader: str, near: float | None, far: float | None) -> None:
+    """Depth bounds, of which either may be None."""
+    given = [bound for bound in (near, far) if bound is not None]
     require(
-        isinstance(images, str) and images != "",
-        f"scene={loader}: expected the folder of the photos, got '{images}'; set scene.images",
+        all(0 < bound < math.inf for bound in given) and given == sorted(set(given)),
+        f"scene={loader}: expected 0 < near < far, got near={near}, far={far}; correct scene.near"
+        " and scene.far",
     )
 
 

@@ -169,6 +169,10 @@ def _photo(name: str, mode: str) -> Step:
     return lambda folder: Image.fromarray(channels).save(folder / name)
 
 
+def _read(name: str) -> Step:
+    return lambda folder: read_image(folder / name)
+
+
 def _points(folder: Path, text: bool) -> None:
     write_transforms(folder)
     kinds = [(axis, "f4") for axis in "xyz"] + [(c, "u1") for c in ("red", "green", "blue")]
@@ -246,6 +250,12 @@ READERS: dict[str, Reader] = {
         _photo("a.png", "RGBA"), ("a.png",), lambda f: read_on_paper(f / "a.png", 255)
     ),
     "image jpeg": Reader(_photo("a.jpg", "RGB"), ("a.jpg",), lambda f: read_image(f / "a.jpg")),
+    **{
+        f"image {suffix}": Reader(
+            _photo(f"a.{suffix}", "RGB"), (f"a.{suffix}",), _read(f"a.{suffix}")
+        )
+        for suffix in ("tif", "webp", "bmp")
+    },
     "depth npy": Reader(lambda f: np.save(f / "a.npy", VALUES), ("a.npy",), _depth("a.npy")),
     "depth npz": Reader(
         lambda f: np.savez_compressed(f / "a.npz", depth=VALUES), ("a.npz",), _depth("a.npz")
