@@ -15,13 +15,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from framework.compute import portable
-from framework.errors import UserError, require
+from framework.errors import require
 from framework.scenes.assemble import Tracks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from framework.scenes.assemble import Shot
+
+MOST_BEHIND = 0.2  # share of points behind the cameras that see them
 
 log = logging.getLogger(__name__)
 
@@ -187,11 +189,16 @@ def depth_bounds(
         xyz, viewmat = tracks.xyz[tracks.seen[:, i]], viewmats[i]
         depths.append(portable.product(xyz, viewmat[2, :3]) + viewmat[2, 3])
     z = np.concatenate(depths)
-    z = z[z > 0]
-    if not len(z):
-        raise UserError(
-            f"{where}: expected 3D points seen by the training views, got none, so that"
-            " depth bounds are unknown; triangulate points or choose other views"
-        )
-    near, far = np.percentile(z, PERCENTILES)
+    require(
+        len(z) > 0,
+        f"{where}: expected 3D points seen by the training views, got none, so that"
+        " depth bounds are unknown; triangulate points or choose other views",
+    )
+    behind = float((z <= 0).mean())
+    misfit = f"{behind:.0%} of the points lie behind the cameras that see them, so the poses do not"
+    advice = "fit the points; if they are written in another convention, set scene.poses"
+    require(behind < 1, f"{where}: {misfit} {advice}")
+    if behind > MOST_BEHIND:
+        log.warning("%s: %s seem to %s", where, misfit, advice)
+    near, far = np.percentile(z[z > 0], PERCENTILES)
     return float(near), float(max(far, near * (1 + 1e-6)))
