@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from framework.errors import require
 from framework.files.opened import is_file
 from framework.files.paths import inside
-from framework.scenes.options import CONVENTIONS, check_choice, check_folder_options, check_range
+from framework.scenes.options import check_choice, check_folder_options
 from framework.scenes.splits import BLENDER_FILES, FILES, protocol, told, untested
 from framework.scenes.transforms import PAPERS, shot
 
@@ -54,11 +54,8 @@ class Blender:
     poses: str = "opengl_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
-        split = "blender" if self.split in FILES else self.split
-        check_folder_options("blender", self.path, self.n_views, split, self.downscale)
+        check_folder_options("blender", self, files=True)
         check_choice("blender", "paper", self.paper, tuple(PAPERS))
-        check_range("blender", self.near, self.far)
-        check_choice("blender", "poses", self.poses, CONVENTIONS)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where files and photos do not hold what they must."""

@@ -20,13 +20,7 @@ from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
 from framework.files.paths import inside
-from framework.scenes.options import (
-    CONVENTIONS,
-    check_choice,
-    check_folder_options,
-    check_images,
-    check_range,
-)
+from framework.scenes.options import check_folder_options
 from framework.scenes.splits import protocol
 
 if TYPE_CHECKING:
@@ -52,10 +46,7 @@ class Colmap:
     poses: str = "opencv_w2c"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
-        check_folder_options("colmap", self.path, self.n_views, self.split, self.downscale)
-        check_images("colmap", self.images, self.model)
-        check_range("colmap", self.near, self.far)
-        check_choice("colmap", "poses", self.poses, CONVENTIONS)
+        check_folder_options("colmap", self)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where folder, model and photos do not fit together."""

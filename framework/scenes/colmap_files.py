@@ -125,13 +125,12 @@ def _points(path: Path, images: dict[int, int]) -> None:
 def _order(folder: Path) -> tuple[str, str]:
     """The suffixes of model files, the preferred one first: .bin, or .txt if it is newer, as after
     the text was edited. Logs a warning in the second case."""
-    times = [
-        [(folder / f"{stem}{suffix}").stat().st_mtime for stem in STEMS]
-        if all(is_file(folder / f"{stem}{suffix}") for stem in STEMS)
-        else []
+    newest = {
+        suffix: max(file.stat().st_mtime for file in files)
         for suffix in (".bin", ".txt")
-    ]
-    if not all(times) or max(times[1]) <= max(times[0]):
+        if all(map(is_file, files := [folder / f"{stem}{suffix}" for stem in STEMS]))
+    }
+    if len(newest) < 2 or newest[".txt"] <= newest[".bin"]:
         return ".bin", ".txt"
     log.warning(
         f"{folder}: the model is there as .bin and as .txt; the .txt files are newer and are read;"

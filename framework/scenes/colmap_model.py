@@ -27,8 +27,8 @@ from framework.scenes import colmap_files
 from framework.scenes.assemble import Tracks, untracked
 from framework.scenes.cameras import checked_lens, checked_pose, near_points
 from framework.scenes.colmap_text import read_lines
-from framework.scenes.images import AUTO
 from framework.scenes.lens import Distortion, Lens
+from framework.scenes.options import AUTO
 from framework.scenes.ply_vertices import read_coloured
 
 log = logging.getLogger(__name__)

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING
 from framework.errors import UserError, require
 from framework.files.paths import inside
 from framework.scenes.formats import listed
-from framework.scenes.options import check_choice, check_folder_options, check_images, check_range
+from framework.scenes.options import check_choice, check_folder_options
 from framework.scenes.splits import protocol
 
 if TYPE_CHECKING:
@@ -72,10 +72,7 @@ class Dtu:
     split: str = "dtu"  # which views train and which test: llff, mip360, dtu; none = no test
 
     def __post_init__(self) -> None:
-        downscale = 1 if self.downscale is None else self.downscale
-        check_folder_options("dtu", self.path, self.n_views, self.split, downscale)
-        check_images("dtu", self.images, self.model)
-        check_range("dtu", self.near, self.far)
+        check_folder_options("dtu", self)
         check_choice("dtu", "train_mask", self.train_mask, TRAIN_MASKS)
 
     def load(self) -> Scene:
@@ -106,7 +103,7 @@ class Dtu:
             self._training_shot(files[i], masks[i], cameras[i], factor, folder.name)
             for i in split.train
         ]
-        test = [_shot(files[i], masks[i], cameras[i], factor) for i in split.test]
+        test = [cameras[i].shot(files[i], factor, masks[i]) for i in split.test]
         names, viewmats = [f.name for f in files.values()], [cameras[i].viewmat for i in files]
         points, near, far = points_and_bounds(
             colmap_tracks(folder, "the cameras' file", names, viewmats, self.model),
@@ -155,10 +152,8 @@ class Dtu:
         """The photo with the mask that training uses."""
         from dataclasses import replace
 
-        if self.train_mask == "object":
-            return _shot(file, mask, camera, factor)
-        shot = _shot(file, None, camera, factor)
-        if self.train_mask == "full":
+        shot = camera.shot(file, factor, mask if self.train_mask == "object" else None)
+        if self.train_mask != "background":
             return shot
         level = DARK_SCAN_110 if scan.endswith("scan110") else DARK
         kept = 1 - background(shot.image, level)
@@ -233,10 +228,3 @@ def _masks(folder: Path, files: dict[int, Path]) -> dict[int, Path]:
             f"{folder / 'masks'}: not used, as scene=dtu takes the object's mask from mask/"
         )
     return masks
-
-
-def _shot(file: Path, mask: Path | None, camera: Calibration, factor: int) -> Shot:
-    """The photo with the object's mask."""
-    from framework.scenes.photo import photo_shot
-
-    return photo_shot(file, file.name, camera.lens, camera.viewmat, factor, mask)

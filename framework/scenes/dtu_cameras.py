@@ -17,8 +17,10 @@ from framework.compute import portable
 from framework.errors import UserError, require
 from framework.files.arrays import read_npz
 from framework.files.opened import is_file
+from framework.scenes.assemble import Shot
 from framework.scenes.cameras import checked_lens, checked_pose
 from framework.scenes.lens import Lens
+from framework.scenes.photo import photo_shot
 
 FILES = ("cameras_sphere.npz", "cameras.npz")
 WIDTH, HEIGHT = 1600, 1200  # of the photos the projections are for
@@ -32,6 +34,10 @@ class Calibration:
 
     viewmat: NDArray[np.float64]
     lens: Lens
+
+    def shot(self, file: Path, downscale: int, mask: Path | None) -> Shot:
+        """Read the photo that was taken with it."""
+        return photo_shot(file, file.name, self.lens, self.viewmat, downscale, mask)
 
 
 def read_cameras(folder: Path, positions: Sequence[int]) -> dict[int, Calibration]:

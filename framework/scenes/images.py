@@ -15,12 +15,12 @@ from framework.files.opened import is_file
 from framework.files.paths import inside
 from framework.scenes.decoding import eight_bit, opened, orientation, turned
 from framework.scenes.formats import SUFFIXES, is_photo, listed, unread_files, warn_left_out
+from framework.scenes.options import AUTO
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-AUTO = "auto"
 # of photos: the usual size of the sparse-view benchmarks, an eighth, and the full one
 EIGHTH_OR_FULL = ("images_8", "images")
 MASK_STRETCH = 1.02  # by which the two axes of a resized mask may differ
@@ -90,29 +90,9 @@ def read_image(path: Path, factor: int = 1, turn: int = 1) -> NDArray[np.uint8]:
     return rgb
 
 
-def read_on_paper(
-    path: Path, paper: int, factor: int = 1, turn: int = 1
-) -> tuple[NDArray[np.uint8], bool]:
-    """([H, W, 3] uint8, whether the image is transparent). paper: the grey value 0 to 255 that it
-    is laid on, alpha blending the stored (sRGB) values as the NeRF synthetic data set is used.
-    factor, turn: as of `read_image`.
-
-    Raises UserError for a damaged image, or another kind of channels.
-    """
-    import numpy as np
-
-    rgb, alpha = _pixels(path, factor, turn)
-    if alpha is None:
-        return rgb, False
-    for row, opaque in zip(rgb, alpha, strict=True):  # by rows: float64 takes eight times as much
-        share = opaque[:, None].astype(np.float64) / 255.0
-        row[:] = np.rint(row * share + float(paper) * (1.0 - share))
-    return rgb, True
-
-
 def read_masked(
-    path: Path, mask: Path | None = None, factor: int = 1, turn: int = 1
-) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
+    path: Path, mask: Path | None, factor: int = 1, turn: int = 1, paper: int | None = None
+) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None, bool]:
     """Read a photo and its mask.
 
     Args:
@@ -120,10 +100,13 @@ def read_masked(
         mask: a picture, black where the photo does not count.
         factor: as of `read_image`, of both.
         turn: as of `read_image`, of the photo.
+        paper: grey value 0 to 255 that a transparent photo is laid on, alpha blending the stored
+            (sRGB) values as the NeRF synthetic data set is used.
 
     Returns:
-        Pixels [H, W, 3], and a mask [H, W] that is 0 where the photo is transparent (alpha below
-        one half) or `mask` is black; None where neither is given.
+        Pixels [H, W, 3]; a mask [H, W] that is 0 where `mask` is black or, without paper, the photo
+        is transparent (alpha below one half), None where all pixels count; and whether the photo is
+        transparent.
 
     Raises:
         UserError: a file is damaged, the mask has another shape, or no pixel counts.
@@ -131,17 +114,21 @@ def read_masked(
     import numpy as np
 
     rgb, alpha = _pixels(path, factor, turn)
-    valid = None if alpha is None else (alpha >= 128).astype(np.float32)
-    if mask is not None:
-        height, width = rgb.shape[:2]
-        white = read_mask(mask, height, width, factor)
-        valid = white if valid is None else valid * white
+    height, width = rgb.shape[:2]
+    valid = None if mask is None else read_mask(mask, height, width, factor)
+    if alpha is not None and paper is None:
+        opaque = (alpha >= 128).astype(np.float32)
+        valid = opaque if valid is None else valid * opaque
+    elif alpha is not None:
+        for row, a in zip(rgb, alpha, strict=True):  # by rows: float64 takes eight times as much
+            share = a[:, None].astype(np.float64) / 255.0
+            row[:] = np.rint(row * share + float(paper or 0) * (1.0 - share))
     require(
         valid is None or bool(valid.any()),
         f"{mask or path}: expected some white pixels in a mask, or some that are not transparent in"
         " a photo, got none; replace it",
     )
-    return rgb, valid
+    return rgb, valid, alpha is not None
 
 
 def _pixels(

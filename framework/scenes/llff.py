@@ -26,13 +26,7 @@ from typing import TYPE_CHECKING
 
 from framework.errors import UserError, check_option, require
 from framework.files.limits import SIDE_PIXELS
-from framework.scenes.options import (
-    CONVENTIONS,
-    check_choice,
-    check_folder_options,
-    check_images,
-    check_range,
-)
+from framework.scenes.options import check_folder_options
 from framework.scenes.splits import protocol
 
 if TYPE_CHECKING:
@@ -64,12 +58,9 @@ class Llff:
     poses: str = "llff_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
-        check_folder_options("llff", self.path, self.n_views, self.split, self.downscale)
-        check_images("llff", self.images, self.model)
-        check_range("llff", self.near, self.far)
+        check_folder_options("llff", self)
         expected = "COLMAP's SIMPLE_RADIAL distortion in (-1, 1), 0 for none"
         check_option(self, "scene", "k1", -1 < self.k1 < 1, expected)
-        check_choice("llff", "poses", self.poses, CONVENTIONS)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where the folder does not hold what the layout asks for."""

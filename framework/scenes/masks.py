@@ -51,12 +51,9 @@ def find_masks(folder: Path, photos: str, names: Sequence[str]) -> list[Path | N
 
 def _images(root: Path) -> dict[str, str]:
     """Path inside the folder by its lower-case form."""
-    paths = (
-        os.path.relpath(os.path.join(at, name), root)
-        for at, _, names in os.walk(root)
-        for name in sorted(names)
-    )
-    return {path.lower(): path for path in paths if Path(path).suffix.lower() in SUFFIXES}
+    files = (path for path in sorted(root.rglob("*")) if path.suffix.lower() in SUFFIXES)
+    paths = [file.relative_to(root).as_posix() for file in files]
+    return {path.lower(): path for path in paths}
 
 
 def _mask(root: Path, files: dict[str, str], name: str) -> Path | None:

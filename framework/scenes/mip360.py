@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from framework.scenes.colmap import Colmap, load_colmap
-from framework.scenes.options import check_folder_options, check_images, check_range
+from framework.scenes.options import check_folder_options
 
 if TYPE_CHECKING:
     from framework.types import Scene
@@ -26,9 +26,7 @@ class Mip360(Colmap):
     split: str = "mip360"  # which views train and which test: llff, mip360, dtu; none = no test
 
     def __post_init__(self) -> None:
-        check_folder_options("mip360", self.path, self.n_views, self.split, self.downscale)
-        check_images("mip360", self.images, self.model)
-        check_range("mip360", self.near, self.far)
+        check_folder_options("mip360", self)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where folder, model and photos do not fit together."""

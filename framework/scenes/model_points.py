@@ -14,7 +14,7 @@ import numpy as np
 from framework.compute import portable
 from framework.errors import UserError
 from framework.scenes.assemble import Tracks
-from framework.scenes.images import AUTO
+from framework.scenes.options import AUTO
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -139,17 +139,30 @@ def photo_shot(
     viewmat: NDArray[np.float64],
     downscale: int = 1,
     mask: Path | None = None,
+    paper: int | None = None,
+    sized: bool = True,
 ) -> Shot:
-    """Read a photo; what is transparent, or black in `mask`, does not count.
+    """Read a photo with its camera, undistort and reduce it.
+
+    Args:
+        file: the photo.
+        name: of the view.
+        lens: its camera.
+        viewmat: [4, 4] world-to-camera.
+        downscale: `scene.downscale`.
+        mask: a picture, black where the photo does not count.
+        paper: grey value that a transparent photo is laid on; None: what is transparent does not
+            count.
+        sized: see `reading`.
 
     Raises:
         UserError: a file is damaged or has other proportions.
     """
-    how = reading(file, lens, downscale)
-    image, valid = read_masked(file, mask, how.factor, how.turn)
+    how = reading(file, lens, downscale, sized)
+    image, valid, clear = read_masked(file, mask, how.factor, how.turn, paper)
     rest = downscale // how.factor
     shot = pinhole_shot(name, viewmat, how.K, image, lens.distortion, valid, rest)
-    return replace(shot, exif=how.exif)
+    return replace(shot, exif=how.exif, clear=clear and paper is not None)
 
 
 def downscaled(shot: Shot, factor: int, share: float = 0.5) -> Shot:

@@ -19,20 +19,14 @@ training views' points, as in `scene=colmap`, unless given.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from os.path import splitext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
 from framework.files.paths import inside
-from framework.scenes.options import (
-    CONVENTIONS,
-    check_choice,
-    check_folder_options,
-    check_images,
-    check_range,
-)
+from framework.scenes.options import check_choice, check_folder_options
 from framework.scenes.splits import FILES, Split, protocol, told
 
 if TYPE_CHECKING:
@@ -67,12 +61,8 @@ class Transforms:
     poses: str = "opengl_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
-        split = "llff" if self.split in FILES else self.split
-        check_folder_options("transforms", self.path, self.n_views, split, self.downscale)
+        check_folder_options("transforms", self, files=True)
         check_choice("transforms", "paper", self.paper, tuple(PAPERS))
-        check_range("transforms", self.near, self.far)
-        check_images("transforms", "auto", self.model)
-        check_choice("transforms", "poses", self.poses, CONVENTIONS)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where file and photos do not hold what they must."""
@@ -170,18 +160,16 @@ def shot(frame: Frame, paper: str, downscale: int) -> Shot:
     `PAPERS`. Raises UserError for a bad file or one of other proportions."""
     from framework.files.limits import PHOTO_PIXELS
     from framework.scenes.decoding import image_size
-    from framework.scenes.images import read_mask, read_on_paper
-    from framework.scenes.photo import pinhole_shot, reading
+    from framework.scenes.photo import photo_shot
 
     lens = frame.lens(*image_size(frame.file, PHOTO_PIXELS))
-    how = reading(frame.file, lens, downscale, sized={"w", "h"} <= frame.values.keys())
-    image, clear = read_on_paper(frame.file, PAPERS[paper], how.factor, how.turn)
-    height, width = image.shape[:2]
-    mask = None if frame.mask is None else read_mask(frame.mask, height, width, how.factor)
-    require(
-        mask is None or bool(mask.any()),
-        f"{frame.mask}: expected a mask with some white pixels, got none; replace the mask",
+    return photo_shot(
+        frame.file,
+        frame.name,
+        lens,
+        frame.viewmat,
+        downscale,
+        frame.mask,
+        PAPERS[paper],
+        sized={"w", "h"} <= frame.values.keys(),
     )
-    rest = downscale // how.factor
-    made = pinhole_shot(frame.name, frame.viewmat, how.K, image, lens.distortion, mask, rest)
-    return replace(made, clear=clear, exif=how.exif)

@@ -102,9 +102,8 @@ def read_in_order(path: Path, poses: str = OWN_POSES) -> list[Frame]:
     """
     frames = []
     for frame in read_cameras(path):
-        file = find_photo(path.parent, frame.name)
+        name, file = _relative(path.parent, frame.name)
         mask = frame.mask and find_photo(path.parent, str(frame.mask))
-        name = _relative(path.parent, frame.name)
         viewmat = decoded_as(frame.viewmat, OWN_POSES, poses)
         frames.append(replace(frame, name=name, file=file, mask=mask, viewmat=viewmat))
     _check_once(path, [frame.name for frame in frames])
@@ -196,7 +195,7 @@ def read_roles(path: Path) -> tuple[set[str], set[str]]:
             isinstance(names, list) and all(isinstance(name, str) for name in names),
             f"{path}: expected {key} to be a list of names, got something else; correct it",
         )
-        roles.append({_relative(path.parent, name) for name in names})
+        roles.append({_relative(path.parent, name)[0] for name in names})
     train, test, val = roles
     return train, test or val
 
@@ -285,10 +284,11 @@ def _values(entry: Mapping[str, Any], where: str) -> dict[str, float]:
     return values
 
 
-def _relative(folder: Path, file_path: str) -> str:
-    """The path of a photo from the folder; as written if there is no such photo."""
+def _relative(folder: Path, file_path: str) -> tuple[str, Path]:
+    """The path of a photo from the folder, as written if there is no such photo; and the photo."""
     file = find_photo(folder, file_path)
-    return file.relative_to(folder).as_posix() if is_file(file) else file_path.removeprefix("./")
+    exists = is_file(file)
+    return file.relative_to(folder).as_posix() if exists else file_path.removeprefix("./"), file
 
 
 def _viewmat(matrix: Any, where: str) -> NDArray[np.float64]:

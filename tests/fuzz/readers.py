@@ -27,7 +27,7 @@ from framework.metrics.lpips import load as load_lpips
 from framework.records.ply import read_ply, write_ply
 from framework.records.record import read_run, write_failed
 from framework.report.build import build_report
-from framework.scenes.images import read_image, read_on_paper
+from framework.scenes.images import read_image, read_masked
 from framework.train.resume.checkpoint import pack, unpack
 from framework.types import Gaussians, Scene
 from framework.view import find_run, read_viewed, view_page
@@ -247,7 +247,7 @@ READERS: dict[str, Reader] = {
     ),
     "image png": Reader(_photo("a.png", "RGB"), ("a.png",), lambda f: read_image(f / "a.png")),
     "image png alpha": Reader(
-        _photo("a.png", "RGBA"), ("a.png",), lambda f: read_on_paper(f / "a.png", 255)
+        _photo("a.png", "RGBA"), ("a.png",), lambda f: read_masked(f / "a.png", None, paper=255)
     ),
     "image jpeg": Reader(_photo("a.jpg", "RGB"), ("a.jpg",), lambda f: read_image(f / "a.jpg")),
     **{

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from framework.errors import check_option
-from framework.scenes.options import check_folder_options, check_range
+from framework.scenes.options import check_folder_options
 from framework.scenes.splits import ALL
 
 if TYPE_CHECKING:
@@ -43,8 +43,7 @@ class Photos:
     split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
 
     def __post_init__(self) -> None:
-        check_folder_options("photos", self.path, self.n_views, self.split, self.downscale or 1)
-        check_range("photos", self.near, self.far)
+        check_folder_options("photos", self)
         check_option(self, "scene", "side", 64 <= self.side <= 8192, "64 to 8192 pixels")
         check_option(self, "scene", "frames", 3 <= self.frames <= 1000, "3 to 1000")
 
