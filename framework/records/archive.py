@@ -10,7 +10,6 @@ repeats it. The file holds all that a report needs but the pictures.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from framework.errors import UserError, require
+from framework.files.documents import json_value
 from framework.files.limits import RUNS, TEXT_BYTES
 from framework.files.opened import is_file, read_text
 from framework.records import RUN_FOLDERS
@@ -62,8 +62,10 @@ def read_archive(folder: Path) -> list[Entry]:
     entries = []
     for number, line in enumerate(lines, 1):
         try:
-            entries.append(_entry(folder, json.loads(line)))
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            entries.append(_entry(folder, json_value(path, line)))
+        except UserError:
+            raise
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise UserError(
                 f"{path}: expected a run of schema {SCHEMA} in line {number}, got another"
                 f" ({type(error).__name__}: {error}); write the report again from the runs"
