@@ -18,7 +18,7 @@ from framework.files.limits import IMAGE_BYTES, IMAGE_PIXELS
 from framework.files.opened import is_file, read_bytes
 from framework.files.paths import inside
 from framework.files.whole import file_sha256
-from framework.scenes.images import image_size
+from framework.scenes.decoding import image_size
 from framework.types import DepthMap, TrainingSet, View
 
 if TYPE_CHECKING:

@@ -15,6 +15,8 @@ MIB = 1 << 20
 
 IMAGE_PIXELS = 50_000_000  # of one image or depth map; a 45 megapixel photo fits
 IMAGE_BYTES = 4 * IMAGE_PIXELS  # of one image file
+PHOTO_PIXELS = 170_000_000  # of a photo that is reduced while it is read
+PHOTO_BYTES = 4 * PHOTO_PIXELS
 SCENE_BYTES = 4096 * MIB  # of all images of a scene together, as float32
 SIDE_PIXELS = 65_500  # of an image's or camera's longer side
 ARRAY_BYTES = 8 * IMAGE_PIXELS  # of one array in a .npy or .npz
@@ -46,11 +48,11 @@ def check_address_space() -> None:
         )
 
 
-def check_pixels(where: object, width: int, height: int) -> None:
-    """Raise UserError unless width x height is at least one pixel and at most `IMAGE_PIXELS`."""
+def check_pixels(where: object, width: int, height: int, most: int = IMAGE_PIXELS) -> None:
+    """Raise UserError unless width x height is 1 to `most` pixels."""
     fits = 0 < width <= SIDE_PIXELS and 0 < height <= SIDE_PIXELS
     require(
-        fits and width * height <= IMAGE_PIXELS,
-        f"{where}: expected an image of 1 to {IMAGE_PIXELS:,} pixels with sides of at most"
+        fits and width * height <= most,
+        f"{where}: expected an image of 1 to {most:,} pixels with sides of at most"
         f" {SIDE_PIXELS:,}, got {width}x{height}; resize it",
     )

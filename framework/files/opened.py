@@ -7,6 +7,7 @@ device has no end. A file is never read beyond its limit. Whatever the system sa
 
 from __future__ import annotations
 
+import codecs
 import os
 import stat
 from io import BufferedReader
@@ -55,13 +56,16 @@ def read_bytes(path: Path, limit: int) -> bytes:
 
 
 def read_text(path: Path, limit: int) -> str:
-    """The content as UTF-8, line ends as they are. Raises as `read_bytes`."""
+    """Read UTF-8 text, or UTF-16 with a byte order mark as PowerShell writes it. The mark is
+    removed; line ends are kept. Raises as `read_bytes`, and UserError for another encoding."""
+    data = read_bytes(path, limit)
+    utf16 = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     try:
-        return read_bytes(path, limit).decode("utf-8")
+        return data.decode("utf-16" if utf16 else "utf-8-sig")
     except UnicodeDecodeError as error:
         raise UserError(
             f"{path}: expected text in UTF-8, got byte {error.object[error.start]:#04x} at"
-            f" {error.start}; the file is damaged, write it again"
+            f" {error.start}; save it as UTF-8 or write it again"
         ) from None
 
 

@@ -6,6 +6,7 @@ RUN_FOLDERS = "runs"  # in the folder of a study; each of its runs has one there
 
 __all__ = [
     "RUN_FOLDERS",
+    "archive",
     "cameras",
     "failure",
     "first_view",

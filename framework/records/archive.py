@@ -10,9 +10,8 @@ repeats it. The file holds all that a report needs but the pictures.
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,16 +19,17 @@ from typing import Any
 import numpy as np
 
 from framework.errors import UserError, require
+from framework.files.documents import json_value
 from framework.files.limits import RUNS, TEXT_BYTES
 from framework.files.opened import is_file, read_text
 from framework.records import RUN_FOLDERS
 from framework.records.provenance import strict_json
 from framework.records.record import Run, record_content, record_of
-from framework.records.record_check import check_number, check_stems, check_views
+from framework.records.record_check import check_columns, check_number, check_stems, check_views
 from framework.records.run_files import LOGGED, TEXT_COLUMNS, Table
 
 ARCHIVE, SCHEMA = "runs.jsonl", 1
-DERIVED = ("seed", "methods", "parameters")  # from other fields of a record
+LEFT_OUT = ("seed", "methods", "parameters", "files")  # from other fields, and of the folder alone
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,10 @@ def read_archive(folder: Path) -> list[Entry]:
     entries = []
     for number, line in enumerate(lines, 1):
         try:
-            entries.append(_entry(folder, json.loads(line)))
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            entries.append(_entry(folder, json_value(path, line)))
+        except UserError:
+            raise
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise UserError(
                 f"{path}: expected a run of schema {SCHEMA} in line {number}, got another"
                 f" ({type(error).__name__}: {error}); write the report again from the runs"
@@ -75,7 +77,7 @@ def _line(entry: Entry) -> str:
     content = {
         "schema": SCHEMA,
         "run": entry.run.run_dir.name,
-        "record": {k: v for k, v in record_content(entry.run.record).items() if k not in DERIVED},
+        "record": {k: v for k, v in record_content(entry.run.record).items() if k not in LEFT_OUT},
         "metrics": _columns(entry.run.metrics),
         "history": _columns(entry.run.history),
         "kind": entry.kind,
@@ -90,9 +92,10 @@ def _entry(folder: Path, content: Mapping[str, Any]) -> Entry:
     name, kind, again = (str(content[key]) for key in ("run", "kind", "again"))
     if not name or Path(name).name != name:
         raise ValueError(f"the run's name is {name[:60]!r}")
-    tables = (_table(content[key]) for key in ("metrics", "history"))
+    metrics = _table(content["metrics"], ("view", "tags", "file", "psnr", "render_s"))
+    history = _table(content["history"], ("step", "seconds", "test_psnr"))
     run_dir = folder / RUN_FOLDERS / name
-    return Entry(Run(run_dir, record_of(content["record"]), *tables), kind, again)
+    return Entry(Run(run_dir, record_of(content["record"]), metrics, history), kind, again)
 
 
 def _columns(table: Table) -> dict[str, list[Any]]:
@@ -100,7 +103,12 @@ def _columns(table: Table) -> dict[str, list[Any]]:
     return {**table.texts, **numbers}
 
 
-def _table(columns: Mapping[str, list[Any]]) -> Table:
+def _table(columns: Mapping[str, list[Any]], needed: Sequence[str]) -> Table:
+    """The table with these columns; one of a failed run has none."""
+    if columns:
+        check_columns(list(columns), needed)
+    if len({len(cells) for cells in columns.values()}) > 1:
+        raise ValueError("columns of different lengths")
     texts = {name: list(map(str, columns[name])) for name in TEXT_COLUMNS if name in columns}
     numbers = {}
     for name, cells in columns.items():

@@ -100,6 +100,8 @@ def _build(study: Study, title: str | None, photos: bool) -> Path:
     _keep_other_archive(study)
     make_folder(study.out_dir)
     shown = study.scenes if photos else own_scenes(study)
+    if study.archived:  # the pictures went with the runs' folders
+        shown = []
     if not photos:
         remove_pictures(study, shown)
     with ThreadPoolExecutor(1) as beside:  # photos are encoded while charts are drawn

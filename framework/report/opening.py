@@ -134,13 +134,13 @@ def _verdict(study: Study, found: Outcomes, budget: str = "", beside: str = "") 
 
 
 def _caution(study: Study) -> str:
-    """A sentence that names the scenes whose poses failed the check by stereo."""
-    doubted = [
-        scene for scene in study.scenes if any(run.poses_doubtful for run in study.of(scene=scene))
-    ]
-    if not doubted:
-        return ""
-    return f" Caution: the poses do not seem to fit the photos of {listed(doubted, 'and')}."
+    """A sentence that names the scenes whose poses failed the check by stereo, or the scenes whose
+    runs gave other warnings."""
+    doubted = sorted({run.scene for run in study.runs if run.poses_doubtful})
+    if doubted:
+        return f" Caution: the poses do not seem to fit the photos of {listed(doubted, 'and')}."
+    warned = sorted({run.scene for run in study.runs if run.record.warnings})
+    return f" Caution: see the warnings about {listed(warned, 'and')} below." if warned else ""
 
 
 def _roles(study: Study) -> str:

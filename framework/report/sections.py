@@ -75,13 +75,13 @@ def _pictures(
     study: Study, found: Outcomes, seen: Sequence[str], visible: Sequence[str]
 ) -> list[Block]:
     """Close-ups of what the verdict is about, then all methods on all chosen views."""
+    if study.archived:
+        return []
     hidden = [scene for scene in study.scenes if scene not in visible]
     blocks: list[Block] = []
     if hidden:
         blocks = [Heading(2, "Pictures left out"), Text(HIDDEN.format(scenes=study.listed(hidden)))]
     told = shown_pair(study, found)
-    if study.archived:
-        return blocks
     close = [(scene, draw_closeup(study, scene, told)) for scene in seen]
     return [
         *blocks,

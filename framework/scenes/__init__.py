@@ -24,6 +24,7 @@ __all__ = [
     "Embedded",
     "cameras",
     "conventions",
+    "decoding",
     "images",
     "lens",
     "options",

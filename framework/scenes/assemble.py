@@ -7,6 +7,7 @@ test views support would leak what they saw.
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ import numpy as np
 
 from framework.compute import portable
 from framework.errors import require
+from framework.files.limits import MODEL_CELLS
 from framework.scenes.cameras import check_bounds, check_places, check_rounding
 
 if TYPE_CHECKING:
@@ -23,6 +25,9 @@ if TYPE_CHECKING:
     from framework.types import Scene, SparsePoints, View
 
 
+log = logging.getLogger(__name__)
+
+ONE_PLACE = 0.01  # of the near bound; closer cameras see no parallax
 SKEWED = 1e-2  # by which a rotation times its transpose may differ from 1, as poses are rounded
 
 
@@ -32,7 +37,8 @@ class Shot:
 
     viewmat: [4, 4] world-to-camera (OpenCV axes). K: [3, 3] pixels. image: [H, W, 3] uint8.
     depth: [H, W] float32 or None. mask: [H, W] float32 or None (all valid). lens: see `View`.
-    clear: the photo is transparent and was laid on paper.
+    clear: the photo is transparent and was laid on paper. exif: (EXIF orientation, whether it was
+    applied) of a photo that is not stored upright, unless its size says that poses ignore that.
     """
 
     name: str
@@ -44,6 +50,7 @@ class Shot:
     tags: tuple[str, ...] = ()
     lens: tuple[float, ...] = ()
     clear: bool = False
+    exif: tuple[int, bool] | None = None
 
 
 @dataclass(frozen=True)
@@ -61,6 +68,16 @@ class Tracks:
         seen = self.seen[:, list(train)]
         keep = seen.sum(axis=1) >= 2
         return Tracks(self.xyz[keep], self.rgb[keep], seen[keep])
+
+
+def untracked(xyz: NDArray[np.float64], rgb: NDArray[np.uint8], images: int) -> Tracks:
+    """Points that no image is listed as seeing. Raises UserError for too many of them."""
+    require(
+        len(xyz) * images <= MODEL_CELLS,
+        f"points: expected at most {MODEL_CELLS:,} points x images, got {len(xyz) * images:,};"
+        " thin out the points",
+    )
+    return Tracks(xyz, rgb, np.zeros((len(xyz), images), dtype=bool))
 
 
 def intrinsics(fx: float, fy: float, cx: float, cy: float) -> NDArray[np.float64]:
@@ -106,6 +123,32 @@ def _check(shot: Shot) -> None:
         f"view {shot.name}: expected a rotation in viewmat, got one that mirrors; turn two axes"
         " around, not one or three (x is right, y down, z ahead)",
     )
+
+
+def _warn_of_orientations(where: str, shots: Sequence[Shot]) -> None:
+    """Log a warning for each kind of EXIF orientation that may not fit the poses."""
+    for orientation, applied in sorted({shot.exif for shot in shots if shot.exif is not None}):
+        names = [shot.name for shot in shots if shot.exif == (orientation, applied)]
+        photos = f"{len(names)} photos (first: {names[0]}) have EXIF orientation {orientation}"
+        if applied:
+            advice = "which is applied, as only upright they have the size of their cameras"
+        else:
+            advice = (
+                "which is not applied: the poses must be those of the photos as stored; if they do"
+                " not fit, store the photos upright"
+            )
+        log.warning(f"{where}: {photos}, {advice}")
+
+
+def _warn_of_one_place(where: str, shots: Sequence[Shot], near: float) -> None:
+    """Log a warning if all training cameras are at one place, so that nothing shows depth."""
+    centers = _centers(shots)
+    if len(shots) > 1 and np.linalg.norm(centers - centers[0], axis=1).max() < ONE_PLACE * near:
+        log.warning(
+            f"{where}: all {len(shots)} training photos are from one place, with less than"
+            f" {ONE_PLACE:.0%} of the near bound between the cameras, so they show no depth; take"
+            " photos from different places, a step to the side between one and the next"
+        )
 
 
 def _points(tracks: Tracks) -> SparsePoints:
@@ -178,9 +221,11 @@ def assemble(
     where, both = f"scene {name}", [*train, *test]
     for shot in both:
         _check(shot)
+    _warn_of_orientations(where, both)
     check_bounds(near, far, where)
     check_places(_centers(both), [shot.name for shot in both], far, where)
     focal = max(float(shot.K[:2, :2].max()) for shot in both)
+    _warn_of_one_place(where, train, near)
     check_rounding(_centers(both), focal, near, far, where)
     if not len(points.xyz):
         points = points.for_training(range(len(train)))

@@ -3,6 +3,8 @@
 `scene=transforms` reads one. Transparent photos are laid on white, as papers do; near and far are
 NeRF's.
 
+Without test views (`split=none`) `transforms_test.json` may be missing.
+
 `split=blender` is the literature's choice of few views (see `splits`), counted in the order of the
 files. `split=file` is for objects of your own: what the one file lists trains, evenly spaced, and
 all of the other tests.
@@ -10,19 +12,28 @@ all of the other tests.
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from framework.errors import require
+from framework.files.opened import is_file
 from framework.files.paths import inside
-from framework.scenes.options import CONVENTIONS, check_choice, check_folder_options
-from framework.scenes.splits import BLENDER_FILES, FILES, protocol, told
-from framework.scenes.transforms import PAPERS, check_range, shot
+from framework.scenes.options import check_choice, check_folder_options
+from framework.scenes.splits import BLENDER_FILES, FILES, protocol, told, untested
+from framework.scenes.transforms import PAPERS, shot
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from framework.scenes.splits import Split
     from framework.types import Scene
 
+log = logging.getLogger(__name__)
+
+PARALLEL = 1e-3  # mean squared sine of the angle between optical axes and their main direction
 TRAINING, TESTING = "transforms_train.json", "transforms_test.json"
 
 
@@ -43,31 +54,30 @@ class Blender:
     poses: str = "opengl_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
-        split = "blender" if self.split in FILES else self.split
-        check_folder_options("blender", self.path, self.n_views, split, self.downscale)
+        check_folder_options("blender", self, files=True)
         check_choice("blender", "paper", self.paper, tuple(PAPERS))
-        check_range("blender", self.near, self.far)
-        check_choice("blender", "poses", self.poses, CONVENTIONS)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where files and photos do not hold what they must."""
         from framework.scenes.assemble import Tracks, assemble
         from framework.scenes.images import scene_folder
         from framework.scenes.photo import check_memory
-        from framework.scenes.transforms_file import read_in_order
+        from framework.scenes.transforms_file import read_in_order, with_photos
 
         folder = scene_folder("blender", self.path)
-        first, second = (
-            read_in_order(inside(folder, file), self.poses) for file in (TRAINING, TESTING)
-        )
+        first = read_in_order(inside(folder, TRAINING), self.poses)
+        without_tests = untested(self.split) and not is_file(folder / TESTING)
+        second = [] if without_tests else read_in_order(inside(folder, TESTING), self.poses)
         both = sorted({f.file.resolve() for f in first} & {f.file.resolve() for f in second})
         require(
             not both,
             f"{folder / TESTING}: expected photos that {TRAINING} does not list, {len(both)} are in"
             f" both (first: {both[0].name if both else ''}); remove them from one of the files",
         )
-        frames = [*first, *second]
-        split = self._split(len(first), len(frames), f"scene=blender: {folder}")
+        where = f"scene=blender: {folder}"
+        frames = with_photos(folder / TRAINING, [*first, *second])
+        missing = {*range(len(first) + len(second))} - {*frames}
+        split = self._split(len(first), len(first) + len(second), missing, where)
         check_memory([frames[i].file for i in (*split.train, *split.test)], self.downscale)
         train, test = (
             [shot(frames[i], self.paper, self.downscale) for i in part]
@@ -75,9 +85,10 @@ class Blender:
         )
         bounds, paper = (self.near, self.far), PAPERS[self.paper] / 255
         name = folder.resolve().name
+        _warn_of_depths([s.viewmat for s in (*train, *test)], self.near, self.far, str(folder))
         return assemble(name, self.split, train, test, Tracks(), *bounds, paper)
 
-    def _split(self, training: int, images: int, where: str) -> Split:
+    def _split(self, training: int, images: int, missing: set[int], where: str) -> Split:
         """Of all frames in their order, the first `training` of which the one file lists."""
         counts = (training, images - training)
         require(
@@ -88,4 +99,34 @@ class Blender:
         names = [f"{i:06d}" for i in range(images)]
         rule = protocol(self.split) if self.split not in FILES else None
         rule = rule or told(names, names[:training], names[training:], self.split)
-        return rule.split(names, self.n_views, where)
+        return rule.split(names, self.n_views, where, missing)
+
+
+def _warn_of_depths(
+    viewmats: Sequence[NDArray[np.float64]], near: float, far: float, where: str
+) -> None:
+    """Log a warning if the point that the cameras look at lies outside the depth bounds.
+
+    It is the point with the least squared distances to all optical axes, which exists unless these
+    are almost parallel. Cameras that look away from it are not around an object.
+    """
+    import numpy as np
+
+    from framework.compute import portable
+
+    poses = np.array(viewmats)
+    axes = poses[:, 2, :3]
+    centers = -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    if np.linalg.eigvalsh(across.mean(axis=0))[0] < PARALLEL:
+        return
+    inverse = portable.inverse(across.sum(axis=0))
+    point = portable.product(inverse, np.einsum("nij,nj->i", across, centers))
+    depths = (axes * (point - centers)).sum(axis=1)
+    depth = float(np.median(depths))
+    if depths.min() > 0 and not near <= depth <= far:
+        log.warning(
+            f"{where}: the cameras look at a point at depth {depth:.3g}, outside"
+            f" scene.near={near:g} and scene.far={far:g}; set these to the depths between which the"
+            " object lies"
+        )

@@ -1,10 +1,15 @@
-"""`scene=colmap`: photos and a COLMAP sparse model (`sparse/0` or `sparse`, bin or txt).
+"""`scene=colmap`: photos and a COLMAP sparse model (bin or txt).
 
-Cameras: PINHOLE, SIMPLE_PINHOLE, and SIMPLE_RADIAL, RADIAL, OPENCV (their photos are undistorted to
-a pinhole of the same focal lengths; pixels that the lens did not see get mask 0). Photos may be the
-model's size or that times or over an integer, rounded (`images_4`); K is scaled by the exact ratio
-of the sizes. Near and far are the 0.1 and 99.9 percentiles, as in LLFF, of the depths at which the
-training views see points; they count every point with a training view in its track.
+Of several models (`sparse/0`, `sparse/1`, `sparse`, nerfstudio's `colmap/sparse/0`) the one that
+has poses for most of the photos is used. Photos without a pose, and poses without a photo, are left
+out.
+
+Cameras: PINHOLE, SIMPLE_PINHOLE, and SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV (their photos are
+undistorted to a pinhole of the same focal lengths; pixels that the lens did not see get mask 0).
+Photos may have any size of the model's proportions, rounded (`images_4`); K is scaled by the exact
+ratio of the sizes. Near and far are the 0.1 and 99.9 percentiles, as in LLFF, of the depths at
+which the training views see points; see `points` for models without points or tracks. Pixels that
+are black in `masks/`, or transparent, do not count.
 """
 
 from __future__ import annotations
@@ -13,10 +18,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from framework.errors import require
-from framework.files.opened import is_file
+from framework.errors import UserError, require
 from framework.files.paths import inside
-from framework.scenes.options import CONVENTIONS, check_choice, check_folder_options, check_images
+from framework.scenes.options import check_folder_options
 from framework.scenes.splits import protocol
 
 if TYPE_CHECKING:
@@ -26,19 +30,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Colmap:
-    """Options of `scene=colmap`."""
+    """Options of `scene=colmap`.
+
+    near, far: depth bounds in scene units; null = from the points.
+    """
 
     path: str  # folder of the scene
     n_views: int | str = 12  # training views; all = every one that is not for testing
     images: str = "images"  # folder of the photos inside path
+    model: str = "auto"  # folder of the COLMAP model inside path; auto = that of the most photos
     downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
+    near: float | None = None
+    far: float | None = None
     split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
     poses: str = "opencv_w2c"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
-        check_folder_options("colmap", self.path, self.n_views, self.split, self.downscale)
-        check_images("colmap", self.images)
-        check_choice("colmap", "poses", self.poses, CONVENTIONS)
+        check_folder_options("colmap", self)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where folder, model and photos do not fit together."""
@@ -49,49 +57,77 @@ class Colmap:
 
 
 def load_colmap(
-    loader: str, folder: Path, photos: Path, options: Colmap, name: str | None = None
+    loader: str,
+    folder: Path,
+    photos: Path,
+    options: Colmap,
+    name: str | None = None,
+    masks: Path | None = None,
 ) -> Scene:
-    """The scene of the model in `folder` and the images in `photos`, for `scene=<loader>`. It is
-    called `name`, or as the folder."""
+    """Load the scene of the model in `folder` and the images in `photos`, for `scene=<loader>`.
+
+    Args:
+        name: of the scene; default the folder's.
+        masks: the folder that has `masks/`; default `folder`.
+    """
     from framework.scenes.assemble import assemble
-    from framework.scenes.colmap_model import find_model, read_model
     from framework.scenes.conventions import decoded_all
+    from framework.scenes.formats import find_photo
+    from framework.scenes.listed import find_photos, warn_unplaced
+    from framework.scenes.masks import find_masks
     from framework.scenes.photo import check_memory, photo_shot
-    from framework.scenes.points import depth_bounds
+    from framework.scenes.points import points_and_bounds
 
     require(
         photos.is_dir(),
         f"{photos}: expected a folder of the model's photos, got no such folder; correct"
         " scene.images",
     )
-    model = read_model(find_model(folder))
+    model = _model(folder, photos, options.model)
     model = replace(model, viewmats=decoded_all(model.viewmats, Colmap.poses, options.poses))
     where = f"scene={loader}: {folder}"
-    split = protocol(options.split).split(model.names, options.n_views, where)
-    files = _files(photos, model)
-    check_memory([files[i] for i in (*split.train, *split.test)], options.downscale)
-    train, test = (
+    files = find_photos([find_photo(photos, image) for image in model.names], where)
+    warn_unplaced(photos, files.values())
+    names = [model.names[i] for i in files]
+    split = protocol(options.split).split(names, options.n_views, where)
+    placed = [*files]
+    train, test = ([placed[k] for k in part] for part in (split.train, split.test))
+    check_memory([files[i] for i in (*train, *test)], options.downscale)
+    found = find_masks(masks or folder, photos.name, names)
+    mask_of = dict(zip(files, found, strict=True))
+    training, testing = (
         [
             photo_shot(
-                files[i], model.names[i], model.lenses[i], model.viewmats[i], options.downscale
+                files[i],
+                model.names[i],
+                model.lenses[i],
+                model.viewmats[i],
+                options.downscale,
+                mask_of[i],
             )
             for i in part
         ]
-        for part in (split.train, split.test)
+        for part in (train, test)
     )
-    near, far = depth_bounds(model.tracks, model.viewmats, split.train, where)
-    tracks = model.tracks.for_training(split.train)
+    tracks, near, far = points_and_bounds(
+        model.tracks, model.viewmats, train, training, options.near, options.far, where
+    )
     called = folder.resolve().name if name is None else name
-    return assemble(called, options.split, train, test, tracks, near, far)
+    return assemble(called, options.split, training, testing, tracks, near, far)
 
 
-def _files(folder: Path, model: Model) -> list[Path]:
-    """The photo of each image of the model, by name."""
-    files = [inside(folder, name) for name in model.names]
-    missing = [f.name for f in files if not is_file(f)]
-    require(
-        not missing,
-        f"{folder}: expected the {len(files)} images of the model, {len(missing)} missing (first:"
-        f" {missing[0] if missing else ''}); restore them or choose another scene.images",
+def _model(folder: Path, photos: Path, option: str) -> Model:
+    from framework.scenes.colmap_model import choose_model
+    from framework.scenes.formats import find_photo
+    from framework.scenes.listed import match_photos
+
+    chosen = choose_model(
+        folder, option, lambda m: len(match_photos([find_photo(photos, n) for n in m.names]))
     )
-    return files
+    if chosen is None:
+        raise UserError(
+            f"{folder}: expected a COLMAP model in sparse/0 or sparse (cameras, images, points3D as"
+            " .bin or .txt), found none; is scene.path right? For photos without poses:"
+            " scene=photos"
+        )
+    return chosen[1]

@@ -9,6 +9,7 @@ error float64, uint64 n, n x (image id int32, point index int32).
 
 from __future__ import annotations
 
+import logging
 import struct
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from framework.files.opened import is_file, read_bytes
 from framework.files.paths import inside
 from framework.scenes.cameras import check_quaternion
 from framework.scenes.colmap_text import check_text
+
+log = logging.getLogger(__name__)
 
 PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4)  # by COLMAP's camera model id
 STEMS = ("cameras", "images", "points3D")
@@ -119,14 +122,42 @@ def _points(path: Path, images: dict[int, int]) -> None:
     reader.finish()
 
 
+def _order(folder: Path) -> tuple[str, str]:
+    """The suffixes of model files, the preferred one first: .bin, or .txt if it is newer, as after
+    the text was edited. Logs a warning in the second case."""
+    newest = {
+        suffix: max(file.stat().st_mtime for file in files)
+        for suffix in (".bin", ".txt")
+        if all(map(is_file, files := [folder / f"{stem}{suffix}" for stem in STEMS]))
+    }
+    if len(newest) < 2 or newest[".txt"] <= newest[".bin"]:
+        return ".bin", ".txt"
+    log.warning(
+        f"{folder}: the model is there as .bin and as .txt; the .txt files are newer and are read;"
+        " remove the files that are out of date"
+    )
+    return ".txt", ".bin"
+
+
 def check(folder: Path) -> tuple[list[Path], dict[int, str]]:
-    """The three files of the model in `folder`: .bin (preferred, as pycolmap does) or .txt; and of
-    the latter the names of the images by id. Raises UserError unless they are whole."""
-    for suffix in (".bin", ".txt"):
+    """Check the files of a model; a model of known poses may lack `points3D`.
+
+    Returns:
+        The cameras, images and points3D files that exist, as .bin or .txt, of both the newer ones;
+        and, of text files, the names of the images by id.
+
+    Raises:
+        UserError: a file is missing or damaged.
+    """
+    for suffix in _order(folder):
         files = [folder / f"{stem}{suffix}" for stem in STEMS]
-        missing = [file.name for file in files if not is_file(file)]
-        if len(missing) < len(STEMS):
+        missing = [file.name for file in files[:2] if not is_file(file)]
+        if not missing:
             break
+    other = f"points3D{'.txt' if suffix == '.bin' else '.bin'}"
+    if not is_file(files[2]):
+        missing += [files[2].name] if missing or is_file(folder / other) else []
+        files = files[:2]
     require(
         not missing,
         f"{folder}: expected cameras, images and points3D as .bin or .txt, missing"
@@ -136,5 +167,7 @@ def check(folder: Path) -> tuple[list[Path], dict[int, str]]:
         inside(folder, file.name)
     if suffix == ".txt":
         return files, check_text(files)
-    _points(files[2], _images(files[1], _cameras(files[0])))
+    images = _images(files[1], _cameras(files[0]))
+    if len(files) == len(STEMS):
+        _points(files[2], images)
     return files, {}

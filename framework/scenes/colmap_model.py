@@ -6,10 +6,11 @@ points3D.bin never ends), hence `colmap_files.check`.
 
 from __future__ import annotations
 
+import logging
 import signal
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,12 +22,19 @@ from numpy.typing import NDArray
 from framework.errors import UserError, require
 from framework.files.limits import MODEL_BYTES, MODEL_CELLS
 from framework.files.opened import is_file, read_bytes
+from framework.files.paths import inside
 from framework.scenes import colmap_files
-from framework.scenes.assemble import Tracks
+from framework.scenes.assemble import Tracks, untracked
 from framework.scenes.cameras import checked_lens, checked_pose, near_points
+from framework.scenes.colmap_text import read_lines
 from framework.scenes.lens import Distortion, Lens
+from framework.scenes.options import AUTO
+from framework.scenes.ply_vertices import read_coloured
 
-SUPPORTED = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+log = logging.getLogger(__name__)
+
+PLY = "points3D.ply"  # written in place of points3D.bin by MASt3R's and other exports
+SUPPORTED = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 
 
 @dataclass(frozen=True)
@@ -39,15 +47,60 @@ class Model:
     tracks: Tracks
 
 
-def find_model(folder: Path) -> Path:
-    """`sparse/0`, else `sparse`. Raises UserError if neither holds a model."""
-    for candidate in (folder / "sparse" / "0", folder / "sparse"):
-        if any(is_file(candidate / f"cameras{suffix}") for suffix in (".bin", ".txt")):
-            return candidate
-    raise UserError(
-        f"{folder}: expected a COLMAP model in sparse/0 or sparse (cameras, images, points3D as"
-        " .bin or .txt), found none; is scene.path right? For photos without poses: scene=photos"
-    )
+def model_folders(folder: Path) -> list[Path]:
+    """List the folders of COLMAP models in a scene: of `sparse` and nerfstudio's `colmap/sparse`
+    their folders by number, then they themselves; last the scene's own."""
+    candidates = []
+    for root in (folder / "sparse", folder / "colmap" / "sparse"):
+        folders = [path for path in root.iterdir() if path.is_dir()] if root.is_dir() else []
+        candidates += [*sorted(folders, key=lambda path: (len(path.name), path.name)), root]
+    names = [f"{stem}{suffix}" for stem in ("cameras", "images") for suffix in (".bin", ".txt")]
+    return [path for path in (*candidates, folder) if any(is_file(path / n) for n in names)]
+
+
+def choose_model(
+    folder: Path, model: str, count_photos: Callable[[Model], int]
+) -> tuple[Path, Model] | None:
+    """Read the COLMAP model that has poses for the most photos, the first one if several do.
+
+    Args:
+        folder: the scene.
+        model: `scene.model`: a model's folder inside the scene's, or "auto".
+        count_photos: number of the scene's photos that a model has poses for.
+
+    Returns:
+        The model and its folder; None if the scene has none.
+
+    Raises:
+        UserError: the model, or each of several ones, is damaged or unsupported.
+    """
+    if model != AUTO:
+        path = inside(folder, model)
+        return path, read_model(path)
+    models, counts, errors = {}, {}, []
+    for path in model_folders(folder):
+        try:
+            models[path] = read_model(path)
+            counts[path] = count_photos(models[path])
+        except UserError as error:
+            models.pop(path, None)
+            errors.append((path, error))
+    if not models and errors:
+        raise errors[0][1]
+    if not models:
+        return None
+    best = max(models, key=lambda path: counts[path])
+    others = [
+        f"{path.relative_to(folder)} ({n} photos)" for path, n in counts.items() if path != best
+    ]
+    others += [f"{path.relative_to(folder)} ({error})" for path, error in errors]
+    if others:
+        log.warning(
+            f"{folder}: of {len(others) + 1} COLMAP models {best.relative_to(folder)} is used, with"
+            f" poses of {counts[best]} photos, and not {', '.join(others)}; scene.model=FOLDER"
+            " chooses another"
+        )
+    return best, models[best]
 
 
 def _lens(camera: Any, where: Path) -> Lens:
@@ -59,7 +112,7 @@ def _lens(camera: Any, where: Path) -> Lens:
         f" {camera.camera_id}); undistort with `colmap image_undistorter` first",
     )
     p = [float(v) for v in camera.params]
-    two_focals = name in ("PINHOLE", "OPENCV")
+    two_focals = name in ("PINHOLE", "OPENCV", "FULL_OPENCV")
     fx, fy, cx, cy = p[:4] if two_focals else (p[0], p[0], p[1], p[2])
     # after these come the model's coefficients, in the order of Distortion's fields
     distortion = Distortion(*p[4 if two_focals else 3 :])
@@ -121,7 +174,12 @@ def _reconstruction(folder: Path) -> Any:
     pycolmap = _pycolmap()
     with tempfile.TemporaryDirectory() as copy, _quiet(pycolmap):
         for file in files:
-            (Path(copy) / file.name).write_bytes(read_bytes(file, MODEL_BYTES))
+            text = names and read_lines(file)  # pycolmap reads no byte order mark
+            content = text.encode() if text else read_bytes(file, MODEL_BYTES)
+            (Path(copy) / file.name).write_bytes(content)
+        if len(files) < len(colmap_files.STEMS):
+            binary = files[0].suffix == ".bin"
+            (Path(copy) / f"points3D{files[0].suffix}").write_bytes(bytes(8) if binary else b"")
         try:
             model = pycolmap.Reconstruction(copy)
         except (ValueError, IndexError, RuntimeError, OSError, KeyError) as error:
@@ -142,11 +200,13 @@ def read_model(folder: Path) -> Model:
     require(len(images) > 0, f"{folder}: expected images with poses, got none; rebuild the model")
     used = {image.camera_id for image in images}  # another may be of a kind that is not read
     lenses = {i: _lens(camera, folder) for i, camera in model.cameras.items() if i in used}
+    tracks = _tracks(dict(model.points3D), {im.image_id: k for k, im in enumerate(images)}, folder)
+    if not len(tracks.xyz) and is_file(folder / PLY):
+        xyz, rgb = read_coloured(inside(folder, PLY))
+        tracks = untracked(xyz, rgb, len(images))
     return Model(
         names=[image.name for image in images],
         lenses=[lenses[image.camera_id] for image in images],
         viewmats=[_viewmat(image, folder) for image in images],
-        tracks=_tracks(
-            dict(model.points3D), {im.image_id: k for k, im in enumerate(images)}, folder
-        ),
+        tracks=tracks,
     )

@@ -8,6 +8,7 @@ image id and index into that image's triples.
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,16 +18,19 @@ from framework.files.limits import MODEL_BYTES
 from framework.files.opened import read_text
 from framework.scenes.cameras import check_quaternion
 
+log = logging.getLogger(__name__)
+
 INTEGER = re.compile(r"-?\d{1,18}", re.ASCII)
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|nan)", re.ASCII | re.I)
 
 
 def check_text(files: Sequence[Path]) -> dict[int, str]:
     """The names of the images by id, which pycolmap ends at their first blank. Raises UserError
-    unless cameras.txt, images.txt and points3D.txt are sound."""
+    unless cameras.txt, images.txt and, if it exists, points3D.txt are sound."""
     cameras = _cameras(files[0])
     points, names = _images(files[1], cameras)
-    _points(files[2], points)
+    for file in files[2:]:
+        _points(file, points)
     return names
 
 
@@ -77,7 +81,7 @@ def _points(path: Path, images: dict[int, int]) -> None:
 def _records(path: Path, noun: str, pairs: bool = False) -> Iterator[tuple[int, list[str], str]]:
     """(line number, words, line) of the lines that are no comment; blank ones only where the format
     gives them a meaning (`pairs`). As many records as the header says, if it does."""
-    text = read_text(path, MODEL_BYTES).replace("\r\n", "\n")
+    text = read_lines(path)
     lines = text.removesuffix("\n").split("\n")
     found = 0
     for number, line in enumerate(lines, start=1):
@@ -90,10 +94,20 @@ def _records(path: Path, noun: str, pairs: bool = False) -> Iterator[tuple[int, 
     records = -(-found // 2) if pairs else found
     expected = int(said.group(1)) if said else records
     require(
-        (not text or text.endswith("\n")) and records == expected,
-        f"{path}: expected {expected} records and an ended last line, got {records} whole"
-        " records; the file is truncated or damaged; copy it again or rebuild the model",
+        records == expected,
+        f"{path}: expected {expected} records, got {records}; the file is truncated or damaged;"
+        " copy it again or rebuild the model",
     )
+    if text and not text.endswith("\n"):
+        log.warning(
+            f"{path}: the last line has no newline; if the file is truncated, copy it again, else"
+            " add one"
+        )
+
+
+def read_lines(path: Path) -> str:
+    """Read a text file with the line ends of Unix, without a byte order mark."""
+    return read_text(path, MODEL_BYTES).replace("\r\n", "\n")
 
 
 def _integers(words: Sequence[str]) -> bool:

@@ -4,7 +4,10 @@
 `world_mat_i` is the 3 x 4 projection K [R | t] of position i for the rig's 1600 x 1200 photos, in
 millimetres; photos may be smaller, by default they are reduced to the usual 400 x 300 pixels.
 Near and far are the depths of 425 to 935 mm that stereo on this rig searches (Yao et al. 2018,
-MVSNet, with CasMVSNet's end). Sparse points come from `sparse/0` where there is such a model.
+MVSNet, with CasMVSNet's end), unless given. Sparse points come from the COLMAP model with these
+poses, if there is one. Missing photos are left out; their positions keep their numbers. Transparent
+pixels do not count. Photos may also have the names of MVSNet's `Rectified/`, of light 3 as RegNeRF
+takes them: `rect_001_3_r5000.png` is position 0. Its `Cameras/` are not read.
 
 Protocol (see `splits`): tests measure the object only: PSNR over the mask, the other metrics with
 all else white in render and truth (RegNeRF; CoR-GS's `metrics_dtu.py`). Training (`train_mask`):
@@ -17,14 +20,17 @@ all else white in render and truth (RegNeRF; CoR-GS's `metrics_dtu.py`). Trainin
 
 from __future__ import annotations
 
+import logging
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
 from framework.files.paths import inside
-from framework.scenes.options import check_choice, check_folder_options, check_images
+from framework.scenes.formats import listed
+from framework.scenes.options import check_choice, check_folder_options
 from framework.scenes.splits import protocol
 
 if TYPE_CHECKING:
@@ -33,31 +39,40 @@ if TYPE_CHECKING:
 
     from framework.scenes.assemble import Shot
     from framework.scenes.dtu_cameras import Calibration
+    from framework.scenes.splits import Split
     from framework.types import Scene
 
+log = logging.getLogger(__name__)
+
+POSITION = re.compile(r"(\d{1,9})|rect_(\d{3})_3_r5000", re.ASCII)
 TRAIN_MASKS = ("background", "full", "object")
 NEAR_MM, FAR_MM = 425.0, 935.0
 USUAL_WIDTH = 400
 DARK, DARK_SCAN_110 = 30, 15  # grey values below which a pixel may be background
+MOST = 1000  # positions
 DARK_RUN = 50  # pixels: a background pixel and those above it
 
 
 @dataclass(frozen=True)
 class Dtu:
-    """Options of `scene=dtu`."""
+    """Options of `scene=dtu`.
+
+    near, far: depth bounds in millimetres.
+    """
 
     path: str  # folder of the scene
     n_views: int | str = 3  # training views; all = every one that is not for testing
     scan: int | None = None  # which scan, where path is a folder of scans
     images: str = "auto"  # folder of the photos; auto = images where there is one, else image
     downscale: int | None = None  # photos are reduced by it; null = to 400 x 300
+    model: str = "auto"  # folder of the COLMAP model inside path; auto = that of the most photos
+    near: float = NEAR_MM
+    far: float = FAR_MM
     train_mask: str = "background"  # what of the training photos counts: background, full, object
     split: str = "dtu"  # which views train and which test: llff, mip360, dtu; none = no test
 
     def __post_init__(self) -> None:
-        downscale = 1 if self.downscale is None else self.downscale
-        check_folder_options("dtu", self.path, self.n_views, self.split, downscale)
-        check_images("dtu", self.images)
+        check_folder_options("dtu", self)
         check_choice("dtu", "train_mask", self.train_mask, TRAIN_MASKS)
 
     def load(self) -> Scene:
@@ -65,57 +80,84 @@ class Dtu:
         from framework.scenes.assemble import assemble
         from framework.scenes.dtu_cameras import read_cameras
         from framework.scenes.images import photo_folder
+        from framework.scenes.model_points import colmap_tracks
         from framework.scenes.photo import check_memory
-        from framework.scenes.points import colmap_tracks
+        from framework.scenes.points import points_and_bounds
 
         folder = scan_folder(self.path, self.scan)
+        where = f"scene=dtu: {folder}"
         beside = "mask/ and cameras_sphere.npz"
-        files = _numbered(photo_folder("dtu", folder, self.images, ("images", "image"), beside))
-        masks = _numbered(inside(folder, "mask"))
         require(
-            len(masks) == len(files),
-            f"{folder}: expected a mask for each of {len(files)} photos, got {len(masks)}; restore"
-            " the missing ones",
+            self.images != "auto" or not (folder / "Rectified").is_dir(),
+            f"scene=dtu: expected images/, mask/ and cameras_sphere.npz of one scan, as IDR and"
+            f" NeuS share DTU, in '{folder}', got MVSNet's layout (Rectified/, Cameras/), which is"
+            " not read; download the scans in IDR's layout",
         )
-        cameras = read_cameras(folder, len(files))
-        names = [f.name for f in files]
-        split = protocol(self.split).split(names, self.n_views, f"scene=dtu: {folder}")
-        factor = self._downscale(files[0])
+        files = _numbered(photo_folder("dtu", folder, self.images, ("images", "image"), beside))
+        masks = _masks(folder, files)
+        split = self._split([*files], where)
+        cameras = read_cameras(folder, [*files])
+        factor = self._downscale(next(iter(files.values())))
         check_memory([files[i] for i in (*split.train, *split.test)], factor)
         train = [
-            self._for_training(_shot(files[i], masks[i], cameras[i], factor), folder.name)
+            self._training_shot(files[i], masks[i], cameras[i], factor, folder.name)
             for i in split.train
         ]
-        test = [_shot(files[i], masks[i], cameras[i], factor) for i in split.test]
-        viewmats = [camera.viewmat for camera in cameras]
-        tracks = colmap_tracks(folder, "the cameras' file", names, viewmats)
-        points = tracks.for_training(split.train)
-        return assemble(folder.name, self.split, train, test, points, NEAR_MM, FAR_MM)
+        test = [cameras[i].shot(files[i], factor, masks[i]) for i in split.test]
+        names, viewmats = [f.name for f in files.values()], [cameras[i].viewmat for i in files]
+        points, near, far = points_and_bounds(
+            colmap_tracks(folder, "the cameras' file", names, viewmats, self.model),
+            viewmats,
+            [[*files].index(i) for i in split.train],
+            train,
+            self.near,
+            self.far,
+            where,
+        )
+        return assemble(folder.name, self.split, train, test, points, near, far)
+
+    def _split(self, positions: Sequence[int], where: str) -> Split:
+        """Split the rig's positions; logs a warning about those without a photo."""
+        rule = protocol(self.split)
+        count = max(rule.images or 0, positions[-1] + 1)
+        missing = sorted({*range(count)} - {*positions})
+        if missing:
+            log.warning(
+                f"{where}: {len(missing)} of {count} photos are missing and left out"
+                f" ({listed([f'{i:06d}' for i in missing])}); restore them"
+            )
+        names = [f"{i:06d}" for i in range(count)]
+        return rule.split(names, self.n_views, where, missing)
 
     def _downscale(self, file: Path) -> int:
         """The factor that was asked for, or that which makes photos 400 pixels wide."""
-        from framework.scenes.images import image_size
+        from framework.files.limits import PHOTO_PIXELS
+        from framework.scenes.decoding import image_size
 
         if self.downscale is not None:
             return self.downscale
-        width, height = image_size(file)
-        require(
-            width % USUAL_WIDTH == 0,
-            f"{file}: expected a photo of 1600x1200 over an integer, got {width}x{height}; set"
-            " scene.downscale",
-        )
-        return width // USUAL_WIDTH
+        width, height = image_size(file, PHOTO_PIXELS)
+        factor = max(1, round(width / USUAL_WIDTH))
+        if width != factor * USUAL_WIDTH:
+            log.warning(
+                f"{file}: photos of {width}x{height} are reduced to {width // factor}x"
+                f"{height // factor}, not the 400x300 of the usual protocol; for that take photos"
+                " of 1600x1200 or 800x600"
+            )
+        return factor
 
-    def _for_training(self, shot: Shot, scan: str) -> Shot:
-        """The shot with the mask that training uses in place of the object's."""
+    def _training_shot(
+        self, file: Path, mask: Path, camera: Calibration, factor: int, scan: str
+    ) -> Shot:
+        """The photo with the mask that training uses."""
         from dataclasses import replace
 
-        if self.train_mask == "object":
+        shot = camera.shot(file, factor, mask if self.train_mask == "object" else None)
+        if self.train_mask != "background":
             return shot
-        if self.train_mask == "full":
-            return replace(shot, mask=None)
         level = DARK_SCAN_110 if scan.endswith("scan110") else DARK
-        return replace(shot, mask=1 - background(shot.image, level))
+        kept = 1 - background(shot.image, level)
+        return replace(shot, mask=kept if shot.mask is None else kept * shot.mask)
 
 
 def scan_folder(path: str, scan: int | None) -> Path:
@@ -150,27 +192,39 @@ def background(image: NDArray[np.uint8], level: int) -> NDArray[np.float32]:
     return (rows - last_bright >= DARK_RUN).astype(np.float32)
 
 
-def _numbered(folder: Path) -> list[Path]:
-    """The images of `folder`, which are named after their positions 0, 1, ... on the rig."""
+def _numbered(folder: Path) -> dict[int, Path]:
+    """The images of `folder` by their position on the rig, from 0, after which they are named."""
     from framework.scenes.images import list_images
 
-    files = list_images(folder)
-    wrong = [f.name for i, f in enumerate(files) if not f.stem.isdecimal() or int(f.stem) != i]
+    images = list_images(folder)
+    files = {_position(file): file for file in images}
+    wrong = [f.name for f in images if files[_position(f)] != f or not 0 <= _position(f) < MOST]
     require(
         not wrong,
-        f"{folder}: expected files named after the rig's positions from 0 without a gap"
-        f" (000000.png, 000001.png ...), got {wrong[0] if wrong else ''}; rename or restore them",
+        f"{folder}: expected files named after the rig's positions from 0 (000000.png, 000001.png"
+        f" ...), each once, got {wrong[0] if wrong else ''}; rename them",
     )
-    return files
+    return dict(sorted(files.items()))
 
 
-def _shot(file: Path, mask: Path, camera: Calibration, factor: int) -> Shot:
-    """The photo with the object's mask."""
-    from framework.scenes.images import read_image, read_mask
-    from framework.scenes.photo import pinhole_shot, resized
+def _position(file: Path) -> int:
+    """The number in the name of a photo; -1 for another name."""
+    match = POSITION.fullmatch(file.stem)
+    if match is None:
+        return -1
+    return int(match[1]) if match[1] else int(match[2]) - 1
 
-    image = read_image(file)
-    K = resized(file, image, camera.lens)
-    valid = read_mask(mask, *image.shape[:2])
-    require(bool(valid.any()), f"{mask}: expected some white pixels, got none; replace the mask")
-    return pinhole_shot(file.name, camera.viewmat, K, image, mask=valid, downscale=factor)
+
+def _masks(folder: Path, files: dict[int, Path]) -> dict[int, Path]:
+    masks = _numbered(inside(folder, "mask"))
+    bare = [file.name for i, file in files.items() if i not in masks]
+    require(
+        not bare,
+        f"{folder}: expected a mask for each of {len(files)} photos, got {len(files) - len(bare)};"
+        f" restore those of {listed(bare)}",
+    )
+    if (folder / "masks").is_dir():
+        log.warning(
+            f"{folder / 'masks'}: not used, as scene=dtu takes the object's mask from mask/"
+        )
+    return masks

@@ -6,6 +6,7 @@ section 6.2.4), K with positive diagonal and K[2, 2] = 1.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,8 +17,10 @@ from framework.compute import portable
 from framework.errors import UserError, require
 from framework.files.arrays import read_npz
 from framework.files.opened import is_file
+from framework.scenes.assemble import Shot
 from framework.scenes.cameras import checked_lens, checked_pose
 from framework.scenes.lens import Lens
+from framework.scenes.photo import photo_shot
 
 FILES = ("cameras_sphere.npz", "cameras.npz")
 WIDTH, HEIGHT = 1600, 1200  # of the photos the projections are for
@@ -32,17 +35,24 @@ class Calibration:
     viewmat: NDArray[np.float64]
     lens: Lens
 
+    def shot(self, file: Path, downscale: int, mask: Path | None) -> Shot:
+        """Read the photo that was taken with it."""
+        return photo_shot(file, file.name, self.lens, self.viewmat, downscale, mask)
 
-def read_cameras(folder: Path, n: int) -> list[Calibration]:
-    """The calibrations of positions 0 to n - 1. Raises UserError unless all are there and sound."""
+
+def read_cameras(folder: Path, positions: Sequence[int]) -> dict[int, Calibration]:
+    """Calibrations of the positions. Raises UserError unless all are there and sound."""
     path = next((folder / name for name in FILES if is_file(folder / name)), None)
     if path is None:
         raise UserError(
             f"{folder}: expected the cameras in {' or '.join(FILES)}, found neither; is scene.path"
             " the folder of one scan?"
         )
-    matrices = read_npz(path, [f"world_mat_{i}" for i in range(n)])
-    return [decompose(m, f"{path}: world_mat_{i}") for i, m in enumerate(matrices)]
+    matrices = read_npz(path, [f"world_mat_{i}" for i in positions])
+    return {
+        i: decompose(matrix, f"{path}: world_mat_{i}")
+        for i, matrix in zip(positions, matrices, strict=True)
+    }
 
 
 def decompose(matrix: NDArray, where: str) -> Calibration:

@@ -1,35 +1,29 @@
-"""Image files of a scene: listing and reading. Pixels are 8-bit RGB as stored, EXIF turns ignored
-(structure from motion ignores them too, so the poses belong to the stored pixels).
+"""Image files of a scene: listing and reading. Pixels are 8-bit RGB; those of 16 bits lose their
+lower byte. EXIF orientations are applied only where `photo.reading` says so: structure from motion
+mostly ignores them, so that poses belong to the stored pixels.
 """
 
 from __future__ import annotations
 
-import io
-import re
-import threading
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
-from framework.files.limits import IMAGE_BYTES, check_pixels
-from framework.files.opened import is_file, read_bytes
+from framework.files.limits import IMAGE_PIXELS, PHOTO_PIXELS
+from framework.files.opened import is_file
 from framework.files.paths import inside
+from framework.scenes.decoding import eight_bit, opened, orientation, turned
+from framework.scenes.formats import SUFFIXES, is_photo, listed, unread_files, warn_left_out
+from framework.scenes.options import AUTO
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-    from PIL import Image
 
-AUTO = "auto"
 # of photos: the usual size of the sparse-view benchmarks, an eighth, and the full one
 EIGHTH_OR_FULL = ("images_8", "images")
-SUFFIXES = {".png", ".jpg", ".jpeg"}
-FORMATS = ("PNG", "JPEG")  # whatever the suffix says; Pillow knows many more, some run programs
-_FILTERS = threading.Lock()  # of warnings are the process's, and threads read images
-EIGHT_BIT = {"L", "P", "RGB", "RGBA", "LA"}
+MASK_STRETCH = 1.02  # by which the two axes of a resized mask may differ
 
 
 def scene_folder(loader: str, path: str) -> Path:
@@ -47,17 +41,19 @@ def scene_folder(loader: str, path: str) -> Path:
 
 
 def list_images(folder: Path) -> list[Path]:
-    """The image files of `folder`, sorted by name. Raises UserError if there are none, or if one is
-    a link that leads out of the folder."""
-    found = sorted(folder.glob("*")) if folder.is_dir() else []
-    named = [p for p in found if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
-    images = [inside(folder, p.name) for p in named]
+    """The photos of `folder`, sorted by name; warns about pictures that are not read. Raises
+    UserError if there are none, or if one is a link that leads out of the folder."""
+    entries = sorted(folder.glob("*")) if folder.is_dir() else []
+    images = [inside(folder, path.name) for path in entries if is_photo(path)]
+    unread = unread_files(folder) if entries else []
     if not images:
         what = "no image in it" if folder.is_dir() else "no such folder"
+        what += f" but {listed(unread)}" if unread else ""
         raise UserError(
             f"{folder}: expected a folder of {', '.join(sorted(SUFFIXES))} images, got {what};"
             " put the images there or choose another folder"
         )
+    warn_left_out(str(folder), unread)
     return images
 
 
@@ -75,117 +71,113 @@ def photo_folder(loader: str, folder: Path, images: str, names: Sequence[str], b
     )
 
 
-DAMAGED = (OSError, SyntaxError, ValueError, EOFError)  # what Pillow raises; the last for HEIC
+def read_image(path: Path, factor: int = 1, turn: int = 1) -> NDArray[np.uint8]:
+    """Read an opaque image.
 
+    Args:
+        path: the file; one of more than `IMAGE_PIXELS` needs a factor above 1.
+        factor: the image is reduced by it while it is read, averaging boxes of pixels.
+        turn: the EXIF orientation to apply; 1 keeps the pixels as stored.
 
-@contextmanager
-def opened(path: Path, formats: tuple[str, ...] = FORMATS) -> Iterator[Image.Image]:
-    """The image, of which only the header was decoded: its size is within `limits`, also that of a
-    small file that would unpack to a huge image. Whatever is wrong raises UserError.
+    Returns:
+        [H, W, 3] uint8.
 
-    Pillow gets the bytes and not the file: of a file it allocates what a damaged length asks for.
+    Raises:
+        UserError: the file is damaged, or has another kind of channels, or transparency.
     """
-    from PIL import Image
-
-    try:
-        stored = io.BytesIO(read_bytes(path, IMAGE_BYTES))
-        with _FILTERS, warnings.catch_warnings():
-            # Pillow warns of large images, which are refused here
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            image = Image.open(stored, formats=formats)
-        with image:
-            check_pixels(path, *image.size)
-            yield image
-    except (*DAMAGED, Image.DecompressionBombError) as error:
-        if isinstance(error, UserError):
-            raise
-        reason = re.sub(r"<_io\.BytesIO.*?>|\s+", " ", str(error).replace(str(path), "")).strip(
-            " '"
-        )
-        raise UserError(
-            f"{path}: expected a readable image, got a damaged file ({reason}); replace it"
-        ) from None
-
-
-def image_size(path: Path) -> tuple[int, int]:
-    """(width, height) from the file's header."""
-    with opened(path) as image:
-        return image.size
-
-
-def bits(image: Image.Image) -> str:
-    """Pillow's mode of an image that is not loaded yet, or of what is stored where that has 16 bits
-    per channel: Pillow cuts them off without a word."""
-    stored = [str(tile[3]) for tile in getattr(image, "tile", ()) if len(tile) > 3]
-    deep = [name for name in stored if ";16" in name]
-    return deep[0] if deep and image.mode in EIGHT_BIT else image.mode
-
-
-def read_image(path: Path) -> NDArray[np.uint8]:
-    """[H, W, 3] uint8. Raises UserError for a damaged, deeper than 8-bit or transparent image."""
-    rgb, alpha = _pixels(path)
+    rgb, alpha = _pixels(path, factor, turn)
     require(alpha is None, f"{path}: expected an opaque image, got transparency; flatten it")
     return rgb
 
 
-def read_on_paper(path: Path, paper: int) -> tuple[NDArray[np.uint8], bool]:
-    """([H, W, 3] uint8, whether the image is transparent). paper: the grey value 0 to 255 that it
-    is laid on, alpha blending the stored (sRGB) values as the NeRF synthetic data set is used.
+def read_masked(
+    path: Path, mask: Path | None, factor: int = 1, turn: int = 1, paper: int | None = None
+) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None, bool]:
+    """Read a photo and its mask.
 
-    Raises UserError for a damaged or deeper than 8-bit image.
+    Args:
+        path: the photo.
+        mask: a picture, black where the photo does not count.
+        factor: as of `read_image`, of both.
+        turn: as of `read_image`, of the photo.
+        paper: grey value 0 to 255 that a transparent photo is laid on, alpha blending the stored
+            (sRGB) values as the NeRF synthetic data set is used.
+
+    Returns:
+        Pixels [H, W, 3]; a mask [H, W] that is 0 where `mask` is black or, without paper, the photo
+        is transparent (alpha below one half), None where all pixels count; and whether the photo is
+        transparent.
+
+    Raises:
+        UserError: a file is damaged, the mask has another shape, or no pixel counts.
     """
     import numpy as np
 
-    rgb, alpha = _pixels(path)
-    if alpha is None:
-        return rgb, False
-    for row, opaque in zip(rgb, alpha, strict=True):  # by rows: float64 takes eight times as much
-        share = opaque[:, None].astype(np.float64) / 255.0
-        row[:] = np.rint(row * share + float(paper) * (1.0 - share))
-    return rgb, True
+    rgb, alpha = _pixels(path, factor, turn)
+    height, width = rgb.shape[:2]
+    valid = None if mask is None else read_mask(mask, height, width, factor)
+    if alpha is not None and paper is None:
+        opaque = (alpha >= 128).astype(np.float32)
+        valid = opaque if valid is None else valid * opaque
+    elif alpha is not None:
+        for row, a in zip(rgb, alpha, strict=True):  # by rows: float64 takes eight times as much
+            share = a[:, None].astype(np.float64) / 255.0
+            row[:] = np.rint(row * share + float(paper or 0) * (1.0 - share))
+    require(
+        valid is None or bool(valid.any()),
+        f"{mask or path}: expected some white pixels in a mask, or some that are not transparent in"
+        " a photo, got none; replace it",
+    )
+    return rgb, valid, alpha is not None
 
 
-def _pixels(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
-    """([H, W, 3], [H, W] alpha or None where every pixel is opaque), as stored."""
+def _pixels(
+    path: Path, factor: int, turn: int
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
+    """([H, W, 3], [H, W] alpha or None where every pixel is opaque)."""
     import numpy as np
 
-    with opened(path) as image:
-        kind = bits(image)
-        image.load()
-        require(
-            kind in EIGHT_BIT, f"{path}: expected 8 bits per channel, got mode {kind}; convert it"
-        )
+    with opened(path, PHOTO_PIXELS if factor > 1 else IMAGE_PIXELS) as stored:
+        # Pillow turns a TIFF as it loads it, which is undone
+        by_pillow = orientation(stored) if stored.format == "TIFF" else 1
+        image = eight_bit(path, stored)
         clear = image.has_transparency_data
-        pixels = np.asarray(image.convert("RGBA" if clear else "RGB"), dtype=np.uint8)
+        mode = "RGBA" if clear else "RGB"
+        image = image if image.mode == mode else image.convert(mode)
+        image = turned(turned(image, {6: 8, 8: 6}.get(by_pillow, by_pillow)), turn)
+        if factor > 1:  # an incomplete last row or column is cut
+            width, height = (side // factor * factor for side in image.size)
+            image = image.reduce(factor, (0, 0, width, height))
+        pixels = np.asarray(image, dtype=np.uint8)
     if not clear:
         return pixels, None
     rgb, alpha = pixels[..., :3].copy(), pixels[..., 3]
+    require(
+        factor == 1 or alpha.min() == 255,
+        f"{path}: expected an opaque photo above {IMAGE_PIXELS:,} pixels, got transparency;"
+        " reduce it, or lay it on a background",
+    )
     return rgb, None if alpha.min() == 255 else alpha
 
 
-def read_mask(path: Path, height: int, width: int) -> NDArray[np.float32]:
-    """[H, W] float32, 1 where the first channel is at least one half of white, else 0.
+def read_mask(path: Path, height: int, width: int, factor: int = 1) -> NDArray[np.float32]:
+    """[H, W] float32, 1 where the first channel is at least one half of white, else 0. factor: as
+    of `read_image`.
 
-    Raises UserError for a missing or damaged file or another size.
+    A mask of another size is resized. Raises UserError for a missing or damaged file or one of
+    another shape.
     """
+    import cv2
     import numpy as np
 
     require(is_file(path), f"{path}: expected a mask, found no file; restore it")
-    grey = read_image(path)[..., 0]
+    grey = read_image(path, factor)[..., 0]
+    stretch = grey.shape[1] / width * height / grey.shape[0]
     require(
-        grey.shape == (height, width),
-        f"{path}: expected a mask of the photo's {width}x{height} pixels, got"
+        1 / MASK_STRETCH <= stretch <= MASK_STRETCH,
+        f"{path}: expected a mask of the photo's {width}x{height} pixels or of that shape, got"
         f" {grey.shape[1]}x{grey.shape[0]}; resize it",
     )
+    if grey.shape != (height, width):
+        grey = np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA))
     return (grey >= 128).astype(np.float32)
-
-
-def resize_ratio(model: int, image: int) -> float | None:
-    """Factor from camera pixels to image pixels along one axis; None if `image` is neither `model`
-    nor `model` times or over an integer (rounded either way, as resizers do)."""
-    if model == image:
-        return 1.0
-    large, small = max(model, image), min(model, image)
-    if abs(large / round(large / small) - small) < 1 and round(large / small) > 1:
-        return image / model
-    return None

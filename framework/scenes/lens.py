@@ -2,9 +2,10 @@
 
 The model is OpenCV's (its calib3d documentation), for x, y in units of the focal length from the
 principal point and r^2 = x^2 + y^2:
-x_distorted = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
-y_distorted = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y.
-COLMAP's SIMPLE_RADIAL, RADIAL and OPENCV cameras are special cases of it.
+x_distorted = x q + 2 p1 x y + p2 (r^2 + 2 x^2)
+y_distorted = y q + p1 (r^2 + 2 y^2) + 2 p2 x y
+q = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6).
+COLMAP's FULL_OPENCV cameras have it; SIMPLE_RADIAL, RADIAL and OPENCV are special cases of it.
 """
 
 from __future__ import annotations
@@ -26,11 +27,20 @@ class Distortion:
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
 
     @property
     def none(self) -> bool:
         """Whether the lens is a pinhole."""
         return not any(astuple(self))
+
+    @property
+    def terms(self) -> tuple[float, ...]:
+        """The fields in order, without k4, k5 and k6 if all of these are 0."""
+        values = astuple(self)
+        return values if any(values[5:]) else values[:5]
 
 
 PINHOLE = Distortion()
@@ -59,11 +69,15 @@ def distorted_pixels(
     x = (np.arange(width) + 0.5 - K[0, 2]) / K[0, 0]
     y = ((np.arange(height) + 0.5 - K[1, 2]) / K[1, 1])[:, None]
     r2 = x * x + y * y
-    radial = 1.0 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
+    top = 1.0 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
+    bottom = 1.0 + r2 * (lens.k4 + r2 * (lens.k5 + r2 * lens.k6))
+    radial = top / bottom
+    # d/dr (r top / bottom) times bottom^2
     slope = 1.0 + r2 * (3 * lens.k1 + r2 * (5 * lens.k2 + r2 * 7 * lens.k3))
+    slope = slope * bottom - top * r2 * (2 * lens.k4 + r2 * (4 * lens.k5 + r2 * 6 * lens.k6))
     u = x * radial + 2 * lens.p1 * x * y + lens.p2 * (r2 + 2 * x * x)
     v = y * radial + lens.p1 * (r2 + 2 * y * y) + 2 * lens.p2 * x * y
-    return K[0, 0] * u + K[0, 2], K[1, 1] * v + K[1, 2], slope > 0
+    return K[0, 0] * u + K[0, 2], K[1, 1] * v + K[1, 2], (slope > 0) & (bottom > 0)
 
 
 def undistort(

@@ -4,24 +4,29 @@ A row of `poses_bounds.npy` holds a 3 x 5 matrix, row-major, and the near and fa
 columns are the camera's down, right and backward axes in the world, its centre, and (height, width,
 focal) in pixels of the full-size photo (Mildenhall et al. 2019, LLFF's `poses/pose_utils.py`). Row
 i belongs to the i-th image in sorted order. The principal point is the image's middle. Photos may
-be of that size or over an integer, rounded (`images_4`, `images_8`).
+have any size of these proportions, rounded (`images_4`, `images_8`).
 
 The poses were found with a lens (COLMAP's SIMPLE_RADIAL) whose distortion the layout does not hold
 and the usual evaluation ignores; `k1` removes it from the photos, test photos included.
 
 Sparse points come from the COLMAP model `sparse/0` where there is one (else there are none); it
-must have the same poses. Near and far are the bounds of the training rows.
+must have the same poses. Near and far are the bounds of the training rows, unless given.
+
+If there are more or fewer photos than rows, the images of the model that has the rows' poses say
+which photo a row belongs to; without such a model the folder is refused.
 """
 
 from __future__ import annotations
 
+import logging
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from framework.errors import check_option, require
+from framework.errors import UserError, check_option, require
 from framework.files.limits import SIDE_PIXELS
-from framework.scenes.options import CONVENTIONS, check_choice, check_folder_options, check_images
+from framework.scenes.options import check_folder_options
 from framework.scenes.splits import protocol
 
 if TYPE_CHECKING:
@@ -31,59 +36,119 @@ if TYPE_CHECKING:
     from framework.scenes.lens import Lens
     from framework.types import Scene
 
+log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True)
 class Llff:
-    """Options of `scene=llff`."""
+    """Options of `scene=llff`.
+
+    near, far: depth bounds in scene units; null = from the file.
+    """
 
     path: str  # folder of the scene
     n_views: int | str = 3  # training views; all = every one that is not for testing
     images: str = "auto"  # folder of the photos; auto = images_8 where there is one, else images
     downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
+    model: str = "auto"  # folder of the COLMAP model inside path; auto = that of the most photos
+    near: float | None = None
+    far: float | None = None
     k1: float = 0.0  # radial distortion to remove, x (1 + k1 r^2); 0 = none, as is usual
     split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
     poses: str = "llff_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
-        check_folder_options("llff", self.path, self.n_views, self.split, self.downscale)
-        check_images("llff", self.images)
+        check_folder_options("llff", self)
         expected = "COLMAP's SIMPLE_RADIAL distortion in (-1, 1), 0 for none"
         check_option(self, "scene", "k1", -1 < self.k1 < 1, expected)
-        check_choice("llff", "poses", self.poses, CONVENTIONS)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where the folder does not hold what the layout asks for."""
         from framework.scenes.assemble import assemble
         from framework.scenes.conventions import decoded_all
-        from framework.scenes.images import EIGHTH_OR_FULL, list_images, photo_folder, scene_folder
+        from framework.scenes.images import EIGHTH_OR_FULL, photo_folder, scene_folder
+        from framework.scenes.masks import find_masks
+        from framework.scenes.model_points import colmap_tracks
         from framework.scenes.photo import check_memory, photo_shot
-        from framework.scenes.points import colmap_tracks
+        from framework.scenes.points import points_and_bounds
 
         folder = scene_folder("llff", self.path)
-        beside = "poses_bounds.npy"
-        photos = photo_folder("llff", folder, self.images, EIGHTH_OR_FULL, beside)
-        files = list_images(photos)
-        rows = _read_poses(folder / "poses_bounds.npy", files)
         source = folder / "poses_bounds.npy"
-        places = [f"{source}: row {i}" for i in range(len(rows))]
-        names = [f.name for f in files]
-        viewmats = decoded_all(map(_viewmat, rows, places), Llff.poses, self.poses)
-        lenses = [_lens(row, self.k1, place) for row, place in zip(rows, places, strict=True)]
+        photos = photo_folder("llff", folder, self.images, EIGHTH_OR_FULL, source.name)
+        rows = _read_poses(source)
+        viewmats = [_viewmat(row, f"{source}: row {i}") for i, row in enumerate(rows)]
+        viewmats = decoded_all(viewmats, Llff.poses, self.poses)
+        listed, files = self._pair(folder, photos, viewmats)
+        placed, names = [*files], [listed[i] for i in files]
+        rows, viewmats = rows[placed], [viewmats[i] for i in placed]
+        lenses = [
+            _lens(row, self.k1, f"{source}: row {i}") for row, i in zip(rows, placed, strict=True)
+        ]
         split = protocol(self.split).split(names, self.n_views, f"scene=llff: {folder}")
-        check_memory([files[i] for i in (*split.train, *split.test)], self.downscale)
+        paths, masks = [*files.values()], find_masks(folder, photos.name, names)
+        check_memory([paths[i] for i in (*split.train, *split.test)], self.downscale)
         train, test = (
-            [photo_shot(files[i], names[i], lenses[i], viewmats[i], self.downscale) for i in part]
+            [
+                photo_shot(paths[i], names[i], lenses[i], viewmats[i], self.downscale, masks[i])
+                for i in part
+            ]
             for part in (split.train, split.test)
         )
-        tracks = colmap_tracks(folder, "poses_bounds.npy", names, viewmats)
+        tracks = colmap_tracks(folder, source.name, names, viewmats, self.model)
         bounds = rows[list(split.train), 15:]
-        near, far = float(bounds[:, 0].min()), float(bounds[:, 1].max())
-        points = tracks.for_training(split.train)
+        near = float(bounds[:, 0].min()) if self.near is None else self.near
+        far = float(bounds[:, 1].max()) if self.far is None else self.far
+        points, near, far = points_and_bounds(
+            tracks, viewmats, split.train, train, near, far, f"scene=llff: {folder}"
+        )
         return assemble(folder.resolve().name, self.split, train, test, points, near, far)
 
+    def _pair(
+        self, folder: Path, photos: Path, viewmats: list[NDArray[np.float64]]
+    ) -> tuple[list[str], dict[int, Path]]:
+        """The name of each row's photo, and the photos that exist by their row's index."""
+        from framework.scenes.formats import find_photo
+        from framework.scenes.images import list_images
+        from framework.scenes.listed import find_photos, warn_unplaced
+        from framework.scenes.model_points import same_poses
 
-def _read_poses(path: Path, files: list[Path]) -> NDArray[np.float64]:
-    """[n, 17] rows for n images. Raises UserError unless they are complete and sensible."""
+        files = list_images(photos)
+        if len(files) == len(viewmats):
+            _warn_of_numbers(files)
+            return [file.name for file in files], dict(enumerate(files))
+        names = same_poses(folder, viewmats, self.model)
+        if names is None:
+            raise UserError(
+                f"{folder / 'poses_bounds.npy'}: expected one row per image, got"
+                f" {len(viewmats)} rows and {len(files)} images in {photos.name}; remove the"
+                " surplus or restore what is missing"
+            )
+        found = find_photos([find_photo(photos, name) for name in names], str(photos))
+        warn_unplaced(photos, found.values())
+        return names, found
+
+
+def _warn_of_numbers(files: list[Path]) -> None:
+    """Log a warning if the numbers in the names of sorted files are in another order."""
+
+    def by_number(file: Path) -> list[int | str]:
+        parts = re.split(r"(\d+)", file.name)
+        return [int(part) if k % 2 else part for k, part in enumerate(parts)]
+
+    natural = sorted(files, key=by_number)
+    if natural != files:
+        pairs = zip(files, natural, strict=True)
+        first, second = next(pair for pair in pairs if pair[0] != pair[1])
+        log.warning(
+            f"{files[0].parent}: row i of poses_bounds.npy is taken as that of the i-th photo in"
+            f" alphabetical order, in which {first.name} comes before {second.name}; if the poses"
+            " are in the order of the numbers, they do not fit: give all numbers in the names"
+            " equally many digits"
+        )
+
+
+def _read_poses(path: Path) -> NDArray[np.float64]:
+    """[n, 17] rows. Raises UserError unless they are complete and sensible."""
     import numpy as np
 
     from framework.files.arrays import read_npy
@@ -95,11 +160,6 @@ def _read_poses(path: Path, files: list[Path]) -> NDArray[np.float64]:
     require(
         rows.ndim == 2 and rows.shape[1] == 17 and rows.dtype.kind in "fiu",
         f"{path}: expected an array of n x 17 numbers, got {shape} {rows.dtype}; replace it",
-    )
-    require(
-        len(rows) == len(files),
-        f"{path}: expected one row per image, got {len(rows)} rows and {len(files)} images in"
-        f" {files[0].parent.name}; remove the surplus or restore what is missing",
     )
     rows = rows.astype(np.float64)
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))

@@ -3,7 +3,7 @@ full-size photos and these reduced, `images_2`, `images_4`, `images_8`.
 
 Sparse-view work (FSGS, CoR-GS, DropGaussian) trains on 12 or 24 views at an eighth of the size and
 tests on every 8th photo, see protocol `mip360`. The data set's photos are free of distortion. All
-else is as in `scene=colmap`.
+else, as the choice among several models, is as in `scene=colmap`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from framework.scenes.colmap import Colmap, load_colmap
-from framework.scenes.options import check_folder_options, check_images
+from framework.scenes.options import check_folder_options
 
 if TYPE_CHECKING:
     from framework.types import Scene
@@ -26,8 +26,7 @@ class Mip360(Colmap):
     split: str = "mip360"  # which views train and which test: llff, mip360, dtu; none = no test
 
     def __post_init__(self) -> None:
-        check_folder_options("mip360", self.path, self.n_views, self.split, self.downscale)
-        check_images("mip360", self.images)
+        check_folder_options("mip360", self)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where folder, model and photos do not fit together."""

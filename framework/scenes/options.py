@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from framework.errors import require
-from framework.scenes.splits import ALL, protocol
+import math
+from typing import Any
 
+from framework.errors import require
+from framework.scenes.splits import ALL, FILES, protocol
+
+AUTO = "auto"  # let the loader choose a folder
 # axes of the camera, and whether a matrix is camera-to-world or its inverse: see `conventions`
 CONVENTIONS = ("opencv_c2w", "opencv_w2c", "opengl_c2w", "opengl_w2c", "llff_c2w", "llff_w2c")
 
@@ -19,30 +23,50 @@ def check_n_views(loader: str, n_views: int | str, all_too: bool = False) -> Non
     )
 
 
-def check_folder_options(
-    loader: str, path: str, n_views: int | str, split: str, downscale: int = 1
-) -> None:
-    """What every loader of a folder takes: its path, the number of views, the split protocol and
-    by how much the photos are reduced."""
+def check_folder_options(loader: str, options: Any, files: bool = False) -> None:
+    """Check what loaders of a folder share, as far as these options have it.
+
+    Args:
+        loader: name of the loader.
+        options: its options.
+        files: whether the scene's files may give the split.
+
+    Raises:
+        UserError: an option has no sensible value.
+    """
     require(
-        isinstance(path, str) and path != "",
-        f"scene={loader}: expected the scene's folder, got '{path}'; give scene.path=DIR",
+        isinstance(options.path, str) and options.path != "",
+        f"scene={loader}: expected the scene's folder, got '{options.path}'; give scene.path=DIR",
     )
-    check_n_views(loader, n_views, all_too=True)
+    check_n_views(loader, options.n_views, all_too=True)
+    downscale = options.downscale
     whole = isinstance(downscale, int) and not isinstance(downscale, bool)
+    least = 0 if loader == "photos" else 1
     require(
-        whole and downscale >= 1,
+        (downscale is None and loader == "dtu") or (whole and downscale >= least),
         f"scene={loader}: expected downscale to be an integer >= 1, got {downscale};"
         " 1 keeps the photos' size",
     )
-    protocol(split)
+    if not (files and options.split in FILES):
+        protocol(options.split)
+    for option, what in (("images", "photos"), ("model", "COLMAP model")):
+        name = getattr(options, option, AUTO)
+        require(
+            isinstance(name, str) and name != "",
+            f"scene={loader}: expected the folder of the {what}, got '{name}'; set scene.{option}",
+        )
+    _check_range(loader, options.near, options.far)
+    if hasattr(options, "poses"):
+        check_choice(loader, "poses", options.poses, CONVENTIONS)
 
 
-def check_images(loader: str, images: str) -> None:
-    """The name of a folder inside the scene's."""
+def _check_range(loader: str, near: float | None, far: float | None) -> None:
+    """Depth bounds, of which either may be None."""
+    given = [bound for bound in (near, far) if bound is not None]
     require(
-        isinstance(images, str) and images != "",
-        f"scene={loader}: expected the folder of the photos, got '{images}'; set scene.images",
+        all(0 < bound < math.inf for bound in given) and given == sorted(set(given)),
+        f"scene={loader}: expected 0 < near < far, got near={near}, far={far}; correct scene.near"
+        " and scene.far",
     )
 
 

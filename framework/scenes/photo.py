@@ -1,5 +1,7 @@
 """From a stored photo and its camera to a `Shot`: undistorted, then box-downscaled.
 
+A photo may have another size than its camera, if the proportions are the same; K is scaled.
+
 Photos are read one at a time and reduced at once, so a scene never needs much more memory than its
 reduced views; what those need is checked from the file headers before the first photo is decoded.
 """
@@ -7,16 +9,17 @@ reduced views; what those need is checked from the file headers before the first
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from framework.errors import UserError, require
-from framework.files.limits import SCENE_BYTES
+from framework.files.limits import IMAGE_PIXELS, PHOTO_PIXELS, SCENE_BYTES
 from framework.scenes.assemble import Shot, intrinsics
-from framework.scenes.images import image_size, read_image, resize_ratio
+from framework.scenes.decoding import SIDEWAYS, image_header, image_size
+from framework.scenes.images import read_masked
 from framework.scenes.lens import PINHOLE, Distortion, Lens, undistort
 
 if TYPE_CHECKING:
@@ -24,14 +27,19 @@ if TYPE_CHECKING:
 
 BYTES_PER_PIXEL = 12  # three float32
 REACH = 6  # pixels from which taking a lens out mixes a pixel: half of 8, and what overshoots
-MOST_STRETCH = 1.1  # by which the two axes of a resized photo may differ
 
 
 def check_memory(files: Sequence[Path], downscale: int) -> None:
-    """Raise UserError if the downscaled images would take more than 4 GiB."""
+    """Raise UserError if the downscaled images would take more than 4 GiB, or one is too large to
+    be read without reducing it."""
     pixels = 0
     for file in files:
-        width, height = image_size(file)
+        width, height = image_size(file, PHOTO_PIXELS)
+        require(
+            downscale > 1 or width * height <= IMAGE_PIXELS,
+            f"{file}: expected a photo of at most {IMAGE_PIXELS:,} pixels with scene.downscale=1,"
+            f" got {width}x{height}; set scene.downscale=2 or more",
+        )
         pixels += (width // downscale) * (height // downscale)
     need = pixels * BYTES_PER_PIXEL
     require(
@@ -41,19 +49,63 @@ def check_memory(files: Sequence[Path], downscale: int) -> None:
     )
 
 
-def resized(file: Path, image: NDArray[np.uint8], lens: Lens) -> NDArray[np.float64]:
-    """[3, 3] K of `lens` for `image`, which may be the lens' size or that times or over an integer.
+@dataclass(frozen=True)
+class Reading:
+    """How to read a photo.
 
-    Raises UserError for any other size.
+    Attributes:
+        K: [3, 3] intrinsics of the pixels that are read.
+        factor: by which the photo is reduced while it is read; 1 unless it is very large.
+        turn: EXIF orientation to apply; 1 for none.
+        exif: see `Shot`.
     """
-    height, width = image.shape[:2]
-    sx, sy = resize_ratio(lens.width, width), resize_ratio(lens.height, height)
-    if sx is None or sy is None or max(sx, sy) > MOST_STRETCH * min(sx, sy):
+
+    K: NDArray[np.float64]
+    factor: int = 1
+    turn: int = 1
+    exif: tuple[int, bool] | None = None
+
+
+def reading(file: Path, lens: Lens, downscale: int, sized: bool = True) -> Reading:
+    """Decide how to read the photo of a camera.
+
+    Args:
+        file: the photo.
+        lens: its camera.
+        downscale: `scene.downscale`.
+        sized: whether the lens' size is known from elsewhere than the photo.
+
+    Raises:
+        UserError: the photo has other proportions than the camera, also with its EXIF orientation.
+    """
+    width, height, orientation = image_header(file, PHOTO_PIXELS)
+    upright = (height, width) if orientation in SIDEWAYS else (width, height)
+    scale, upright_scale = resize_scale(lens, width, height), resize_scale(lens, *upright)
+    turn = orientation if scale is None and upright_scale is not None else 1
+    doubtful = orientation != 1 and (upright_scale is not None or not sized)
+    scale = scale or upright_scale
+    if scale is None:
+        exif = f" and EXIF orientation {orientation}" if orientation != 1 else ""
         raise UserError(
-            f"{file}: expected the camera's {lens.width}x{lens.height} pixels or that times or over"
-            f" an integer, got {width}x{height}; resize the images or choose another scene.images"
+            f"{file}: expected the camera's {lens.width}x{lens.height} pixels or a photo of the"
+            f" same proportions, got {width}x{height}{exif}; use the photos that the poses were"
+            " found from, or choose another scene.images"
         )
-    return intrinsics(lens.fx * sx, lens.fy * sy, lens.cx * sx, lens.cy * sy)
+    sx, sy = scale
+    K = intrinsics(lens.fx * sx, lens.fy * sy, lens.cx * sx, lens.cy * sy)
+    factor = downscale if width * height > IMAGE_PIXELS else 1
+    K[:2] /= factor
+    return Reading(K, factor, turn, (orientation, turn != 1) if doubtful else None)
+
+
+def resize_scale(lens: Lens, width: int, height: int) -> tuple[float, float] | None:
+    """Factors from camera to image pixels along x and y.
+
+    None if no single factor explains both sides, each rounded to a whole pixel either way.
+    """
+    sx, sy = width / lens.width, height / lens.height
+    slack = max(1.0, sx, sy) * (1 / lens.width + 1 / lens.height)
+    return (sx, sy) if abs(sx - sy) < slack else None
 
 
 def pinhole_shot(
@@ -75,18 +127,42 @@ def pinhole_shot(
             kept, _ = undistort(np.repeat(white[..., None], 3, axis=2), K, distortion)
             whole = (kept[..., 0] == 255).astype(np.float32)
             covered = whole if covered is None else covered * whole
-        shot = Shot(name, viewmat, K, image, mask=covered, lens=astuple(distortion))
+        shot = Shot(name, viewmat, K, image, mask=covered, lens=distortion.terms)
         return downscaled(shot, downscale, share=1.0)
     return downscaled(Shot(name, viewmat, K, image, mask=mask), downscale)
 
 
 def photo_shot(
-    file: Path, name: str, lens: Lens, viewmat: NDArray[np.float64], downscale: int = 1
+    file: Path,
+    name: str,
+    lens: Lens,
+    viewmat: NDArray[np.float64],
+    downscale: int = 1,
+    mask: Path | None = None,
+    paper: int | None = None,
+    sized: bool = True,
 ) -> Shot:
-    """The shot of an opaque photo on disk. Raises UserError for a bad file or another size."""
-    image = read_image(file)
-    K = resized(file, image, lens)
-    return pinhole_shot(name, viewmat, K, image, lens.distortion, downscale=downscale)
+    """Read a photo with its camera, undistort and reduce it.
+
+    Args:
+        file: the photo.
+        name: of the view.
+        lens: its camera.
+        viewmat: [4, 4] world-to-camera.
+        downscale: `scene.downscale`.
+        mask: a picture, black where the photo does not count.
+        paper: grey value that a transparent photo is laid on; None: what is transparent does not
+            count.
+        sized: see `reading`.
+
+    Raises:
+        UserError: a file is damaged or has other proportions.
+    """
+    how = reading(file, lens, downscale, sized)
+    image, valid, clear = read_masked(file, mask, how.factor, how.turn, paper)
+    rest = downscale // how.factor
+    shot = pinhole_shot(name, viewmat, how.K, image, lens.distortion, valid, rest)
+    return replace(shot, exif=how.exif, clear=clear and paper is not None)
 
 
 def downscaled(shot: Shot, factor: int, share: float = 0.5) -> Shot:

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from framework.errors import UserError, require
 from framework.files.limits import PLY_BYTES
-from framework.files.opened import open_regular
+from framework.files.opened import is_file, open_regular
+from framework.scenes.cameras import near_points
 
 HEADER_BYTES = 65536
 KINDS = {
@@ -28,6 +29,7 @@ KINDS = {
     **{"float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
 }
 ORDERS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
+COLUMNS = ("x", "y", "z", "red", "green", "blue")  # of coloured points
 COUNT = re.compile(r"\d{1,15}", re.ASCII)
 
 
@@ -57,6 +59,29 @@ def read_vertices(path: Path) -> NDArray[Any]:
         )
         file.seek(header.begin)
         return _as_text(path, header, file.read()) if header.text else _as_binary(header, file)
+
+
+def read_coloured(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Read positions [M, 3] and uchar colours [M, 3]. Raises UserError for another PLY file."""
+    require(
+        is_file(path),
+        f"{path}: expected a PLY file of coloured points, found none; correct scene.points",
+    )
+    vertices = read_vertices(path)
+    lacks = [name for name in COLUMNS if name not in (vertices.dtype.names or ())]
+    require(
+        not lacks,
+        f"{path}: expected a PLY file of coloured points ({' '.join(COLUMNS)}), got none with"
+        f" {' '.join(lacks)}; correct scene.points",
+    )
+    xyz = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=1)
+    rgb = np.stack([vertices[colour] for colour in COLUMNS[3:]], axis=1)
+    require(
+        rgb.dtype == np.uint8,
+        f"{path}: expected colours of type uchar, got {rgb.dtype}; convert the file",
+    )
+    good = near_points(xyz)
+    return xyz[good], rgb[good]
 
 
 def _as_binary(header: _Header, file: io.BufferedReader) -> NDArray[Any]:

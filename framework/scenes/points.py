@@ -1,115 +1,167 @@
-"""Where a scene's sparse points come from, and the depth bounds they give.
+"""The sparse points that training gets, and the depth bounds they give.
 
-Points of a COLMAP model have tracks, so those that too few training views support are left out (see
-`assemble.Tracks.for_training`). A PLY file has none: it is taken only when the user names it.
+Points with tracks, as of a COLMAP model, need two training views in their track (see
+`assemble.Tracks.for_training`). Points without tracks, as of a PLY file, a scanner or a network,
+are seen by the training views that they project into. Without any points they are triangulated
+from the training photos.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from framework.compute import portable
-from framework.errors import UserError, require
-from framework.files.opened import is_file
+from framework.errors import require
 from framework.scenes.assemble import Tracks
-from framework.scenes.cameras import near_points
-from framework.scenes.ply_vertices import read_vertices
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from framework.scenes.assemble import Shot
 
+MOST_BEHIND = 0.2  # share of points behind the cameras that see them
+
 log = logging.getLogger(__name__)
 
-SAME_POSE = 0.01  # distance between two models' camera centres, of the rig's size
-COLUMNS = ("x", "y", "z", "red", "green", "blue")  # of a PLY file
 FEWEST = 20  # points to know bounds from
 PERCENTILES = (0.1, 99.9)  # of the depths, as LLFF's poses_bounds.npy has them
+POINTS_PER_CELL = 4  # of the grid in which near points hide far ones
+MOST = 200_000  # points without tracks
+CORRELATION = 0.1  # of colours: 0.5 to 0.9 for the open scenes, below 0.1 in another world
+HIDDEN = 1.5  # times the depth of the nearest point in its cell: from there a point is hidden
 
 
-def center_of(viewmat: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[3] camera centre of a [4, 4] world-to-camera."""
-    return -portable.product(viewmat[:3, :3].T, viewmat[:3, 3])
+def points_and_bounds(
+    tracks: Tracks,
+    viewmats: Sequence[NDArray[np.float64]],
+    train: Sequence[int],
+    shots: Sequence[Shot],
+    near: float | None,
+    far: float | None,
+    where: str,
+) -> tuple[Tracks, float, float]:
+    """Choose the training views' points and the depth bounds.
+
+    Args:
+        tracks: points, `seen` over all photos; may be empty.
+        viewmats: [4, 4] world-to-camera of all photos.
+        train: indices of the training views.
+        shots: the training views.
+        near: `scene.near`, None if it is not set.
+        far: `scene.far`, None if it is not set.
+        where: opens a message.
+
+    Returns:
+        The points that at least two training views see, near and far. If no training view sees a
+        point and a bound is not set, points are triangulated from the training views.
+
+    Raises:
+        UserError: a bound is not set, and there are too few points to find it.
+    """
+    from framework.scenes.triangulate import triangulate
+
+    tracks = see_untracked(tracks, train, shots, where)
+    if near is None or far is None:
+        if not len(tracks.xyz) or not tracks.seen[:, list(train)].any():
+            tracks = triangulate(shots, where)
+            viewmats, train = [shot.viewmat for shot in shots], range(len(shots))
+        bounds = depth_bounds(tracks, viewmats, train, where)
+        near, far = near or bounds[0], far or bounds[1]
+        require(
+            near < far,
+            f"{where}: expected near < far, got near={near:.4g}, far={far:.4g} (one of them from"
+            " the points); give both",
+        )
+    return tracks.for_training(train), near, far
 
 
-def colmap_tracks(
-    folder: Path, source: str, names: Sequence[str], viewmats: Sequence[NDArray[np.float64]]
+def see_untracked(
+    tracks: Tracks, train: Sequence[int], shots: Sequence[Shot], where: str
 ) -> Tracks:
-    """The points of `folder/sparse/0` with their tracks over the (sorted) images `names`; none
-    without such a model. `source` names what the poses are from.
+    """Let points without a track be seen by the training views that they project into.
 
-    Raises UserError unless the model has as many images at the same places; names may differ.
+    If no track has more than one image, as of networks that predict a depth per image, tracks only
+    name the images that the points come from: those of training views are treated alike.
+
+    Of more than `MOST` points every k-th counts. Logs a warning, as points of unknown origin may
+    know what the test photos show. Points whose colours do not match the photos, as of another
+    world than the poses', are left out with a warning.
     """
-    from framework.scenes.colmap_model import read_model
-
-    sparse = folder / "sparse" / "0"
-    if not sparse.is_dir():
-        return Tracks()
-    model = read_model(sparse)
-    require(
-        len(model.names) == len(names),
-        f"{sparse}: expected the {len(names)} images of {source}, got {len(model.names)};"
-        " remove the folder (then there are no sparse points) or rebuild the model",
+    images = tracks.seen.sum(axis=1)
+    chosen = images == 0
+    if len(images) and images.max() == 1:
+        chosen |= tracks.seen[:, list(train)].any(axis=1)
+    if not chosen.any():
+        return tracks
+    index = np.flatnonzero(chosen)
+    chosen[:] = False
+    chosen[index[:: -(-len(index) // MOST)]] = True
+    xyz, rgb = tracks.xyz[chosen], tracks.rgb[chosen]
+    pixels = [_project(shot, xyz) for shot in shots]
+    visible = [_visible(shot, *uvz) for shot, uvz in zip(shots, pixels, strict=True)]
+    if not _same_colours(rgb, shots, pixels, visible):
+        log.warning(
+            f"{where}: {len(xyz)} sparse points without tracks are left out, as their colours do"
+            " not match the training photos; bring them into the world of the poses"
+        )
+        return Tracks(tracks.xyz[~chosen], tracks.rgb[~chosen], tracks.seen[~chosen])
+    seen = tracks.seen.copy()
+    seen[np.ix_(chosen, train)] = np.stack(visible, axis=1)
+    log.warning(
+        f"{where}: {len(xyz)} sparse points have no track of several photos, so they count as seen"
+        " by the training photos that they project into; if test photos took part in making them,"
+        " test scores are too high"
     )
-    theirs = np.array([center_of(v) for v in model.viewmats])
-    ours = np.array([center_of(v) for v in viewmats])
-    size = np.linalg.norm(ours - ours.mean(axis=0), axis=1).max()
-    away = np.linalg.norm(theirs - ours, axis=1).max()
-    require(
-        away <= SAME_POSE * size,
-        f"{sparse}: expected the poses of {source}, got camera centres up to {away:.3g}"
-        f" away (rig radius {size:.3g}); remove the folder or rebuild the model with these poses",
-    )
-    return model.tracks
+    return Tracks(tracks.xyz, tracks.rgb, seen)
 
 
-def ply_points(path: Path, shots: Sequence[Shot]) -> Tracks:
-    """The points (x, y, z and uchar red, green, blue) of a PLY file that at least two of the
-    training `shots` have in their image; `seen` says so, occlusion unknown.
-
-    Raises UserError for a file that is no such PLY.
-    """
-    xyz, rgb = _read_ply(path)
-    seen = np.stack([_in_image(shot, xyz) for shot in shots], axis=1)
-    return Tracks(xyz, rgb, seen).for_training(range(len(shots)))
+Pixels = tuple["NDArray[np.float64]", "NDArray[np.float64]", "NDArray[np.float64]"]
 
 
-def _read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    require(
-        is_file(path),
-        f"{path}: expected a PLY file of coloured points, found none; correct scene.points",
-    )
-    vertices = read_vertices(path)
-    lacks = [name for name in COLUMNS if name not in (vertices.dtype.names or ())]
-    require(
-        not lacks,
-        f"{path}: expected a PLY file of coloured points ({' '.join(COLUMNS)}), got none with"
-        f" {' '.join(lacks)}; correct scene.points",
-    )
-    xyz = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    rgb = np.stack([vertices[colour] for colour in COLUMNS[3:]], axis=1)
-    require(
-        rgb.dtype == np.uint8,
-        f"{path}: expected colours of type uchar, got {rgb.dtype}; convert the file",
-    )
-    good = near_points(xyz)
-    return xyz[good], rgb[good]
-
-
-def _in_image(shot: Shot, xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """[M] whether each point lies in front of the camera and inside its image."""
+def _project(shot: Shot, xyz: NDArray[np.float64]) -> Pixels:
+    """Pixel coordinates u and v, 0 behind the camera, and depth z of [M, 3] points."""
     seen = portable.product(xyz, shot.viewmat[:3, :3].T) + shot.viewmat[:3, 3]
-    pixel = portable.product(seen, shot.K.T)
-    z = pixel[:, 2]
-    u, v = pixel[:, 0], pixel[:, 1]
+    u, v, z = portable.product(seen, shot.K.T).T
+    ahead = np.where(z > 0, z, np.inf)
+    return u / ahead, v / ahead, z
+
+
+def _visible(
+    shot: Shot, u: NDArray[np.float64], v: NDArray[np.float64], z: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """[M] whether each point is in the image, and not far behind the nearest one in its cell."""
     height, width = shot.image.shape[:2]
-    return (z > 0) & (u >= 0) & (u < width * z) & (v >= 0) & (v < height * z)
+    visible = (z > 0) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    z = z[visible]
+    side = max(1.0, (width * height * POINTS_PER_CELL / max(len(z), 1)) ** 0.5)
+    row, column = ((values[visible] // side).astype(np.intp) for values in (v, u))
+    cell = row * int(width // side + 1) + column
+    nearest = np.full(int(cell.max(initial=0)) + 1, np.inf)
+    np.minimum.at(nearest, cell, z)
+    visible[visible] = z < HIDDEN * nearest[cell]
+    return visible
+
+
+def _same_colours(
+    rgb: NDArray[np.uint8],
+    shots: Sequence[Shot],
+    pixels: Sequence[Pixels],
+    visible: Sequence[NDArray[np.bool_]],
+) -> bool:
+    """Whether grey values of points correlate with those of the pixels where they are seen. Too few
+    points, or points of a single colour, pass if any is seen."""
+    theirs, ours = [np.zeros(0)], [np.zeros(0)]
+    for shot, (u, v, _), seen in zip(shots, pixels, visible, strict=True):
+        theirs.append(rgb[seen].mean(axis=1))
+        ours.append(shot.image[v[seen].astype(int), u[seen].astype(int)].mean(axis=1))
+    a, b = (np.concatenate(values) for values in (theirs, ours))
+    if len(a) < FEWEST or a.std() * b.std() == 0:
+        return len(a) > 0
+    return float(np.corrcoef(a, b)[0, 1]) > CORRELATION
 
 
 def depth_bounds(
@@ -137,11 +189,16 @@ def depth_bounds(
         xyz, viewmat = tracks.xyz[tracks.seen[:, i]], viewmats[i]
         depths.append(portable.product(xyz, viewmat[2, :3]) + viewmat[2, 3])
     z = np.concatenate(depths)
-    z = z[z > 0]
-    if not len(z):
-        raise UserError(
-            f"{where}: expected 3D points seen by the training views, got none, so that"
-            " depth bounds are unknown; triangulate points or choose other views"
-        )
-    near, far = np.percentile(z, PERCENTILES)
+    require(
+        len(z) > 0,
+        f"{where}: expected 3D points seen by the training views, got none, so that"
+        " depth bounds are unknown; triangulate points or choose other views",
+    )
+    behind = float((z <= 0).mean())
+    misfit = f"{behind:.0%} of the points lie behind the cameras that see them, so the poses do not"
+    advice = "fit the points; if they are written in another convention, set scene.poses"
+    require(behind < 1, f"{where}: {misfit} {advice}")
+    if behind > MOST_BEHIND:
+        log.warning("%s: %s seem to %s", where, misfit, advice)
+    near, far = np.percentile(z[z > 0], PERCENTILES)
     return float(near), float(max(far, near * (1 + 1e-6)))

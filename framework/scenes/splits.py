@@ -83,16 +83,27 @@ class Protocol:
     images: int | None = None
     held_out: bool = False
 
-    def split(self, names: Sequence[str], n_views: int | str, where: str) -> Split:
+    def split(
+        self,
+        names: Sequence[str],
+        n_views: int | str,
+        where: str,
+        missing: Collection[int] = (),
+    ) -> Split:
         """The split of `names` (sorted) with n_views training views, a number or `ALL`; `where`
-        opens the error."""
+        opens the error. missing: indices of views that have a name but no photo."""
         require(list(names) == sorted(names), f"{where}: split protocols need sorted names")
         require(
             self.images in (None, len(names)),
             f"{where}: expected {self.images} images for scene.split={self.name}, got {len(names)};"
             " restore the missing ones or choose another scene.split",
         )
-        pool, test = self.divide(len(names))
+        pool, test = ([i for i in part if i not in missing] for part in self.divide(len(names)))
+        require(
+            bool(test) or not self.divide(len(names))[1],
+            f"{where}: expected test photos for scene.split={self.name}, but all are missing;"
+            " restore them or choose another scene.split",
+        )
         count = len(pool) if n_views == ALL else int(n_views)
         require(
             count > 0,
@@ -153,12 +164,9 @@ def _blender(n: int) -> tuple[list[int], list[int]]:
 
 
 def _usual(pool: list[int], count: int) -> list[int]:
-    """Those that papers take of a rendered object."""
-    return (
-        [pool[i] for i in BLENDER_TRAINING[:count]]
-        if count <= len(BLENDER_TRAINING)
-        else _spaced(pool, count)
-    )
+    """Those that papers take of a rendered object, as far as they are in the pool."""
+    usual = [i for i in BLENDER_TRAINING if i in pool]
+    return usual[:count] if count <= len(usual) else _spaced(pool, count)
 
 
 PROTOCOLS: dict[str, Protocol] = {

@@ -9,22 +9,24 @@ photos are laid on white or black, on which renders are then drawn too.
 
 `split=llff` names no standard of these scenes; it is the usual every-8th rule on the sorted paths.
 `split=file` takes the file's own `test_filenames` (or `val_filenames`) and `train_filenames`.
-A frame's `mask_path` is a picture, black where the photo does not count.
-Depth bounds are those of the training views' points, as in `scene=colmap`, unless given.
+A frame's `mask_path` is a picture, black where the photo does not count; frames without one use
+`masks/` (see `masks`). Frames without a photo are left out.
+Points come from the COLMAP model whose poses are those of the file, also after nerfstudio's
+`applied_transform`, else from the PLY file of its `ply_file_path`. Depth bounds are those of the
+training views' points, as in `scene=colmap`, unless given.
 """
 
 from __future__ import annotations
 
 import logging
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from os.path import splitext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import UserError, require
 from framework.files.paths import inside
-from framework.scenes.options import CONVENTIONS, check_choice, check_folder_options
+from framework.scenes.options import check_choice, check_folder_options
 from framework.scenes.splits import FILES, Split, protocol, told
 
 if TYPE_CHECKING:
@@ -41,8 +43,8 @@ PAPERS = {"white": 255, "black": 0}  # grey values
 class Transforms:
     """Options of `scene=transforms`.
 
-    points: auto = the COLMAP model `sparse/0` where there is one; none; or a PLY file of points,
-    relative to path. A PLY has no tracks: it must have been made from the training views alone.
+    points: auto = the COLMAP model or the file's `ply_file_path`; none; or a PLY file of points,
+    relative to path. A PLY has no tracks: it should be made from the training views alone.
     near, far: depth bounds in scene units; null = from the points.
     """
 
@@ -52,42 +54,50 @@ class Transforms:
     downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
     paper: str = "white"  # what transparent photos are laid on: white, black
     points: str = "auto"
+    model: str = "auto"  # folder of the COLMAP model inside path; auto = that of the most photos
     near: float | None = None
     far: float | None = None
     split: str = "llff"  # which views train and which test: llff, mip360, dtu, file; none = no test
     poses: str = "opengl_c2w"  # how the file writes poses: opencv, opengl or llff axes, c2w or w2c
 
     def __post_init__(self) -> None:
-        split = "llff" if self.split in FILES else self.split
-        check_folder_options("transforms", self.path, self.n_views, split, self.downscale)
+        check_folder_options("transforms", self, files=True)
         check_choice("transforms", "paper", self.paper, tuple(PAPERS))
-        check_range("transforms", self.near, self.far)
-        check_choice("transforms", "poses", self.poses, CONVENTIONS)
 
     def load(self) -> Scene:
         """The scene. Raises UserError where file and photos do not hold what they must."""
-        from framework.scenes.assemble import assemble
+        from framework.scenes.assemble import Tracks, assemble
         from framework.scenes.images import scene_folder
         from framework.scenes.photo import check_memory
-        from framework.scenes.transforms_file import read_frames
+        from framework.scenes.points import points_and_bounds
+        from framework.scenes.transforms_file import read_frames, with_photos
 
         folder = scene_folder("transforms", self.path)
         file = inside(folder, self.file)
-        frames = read_frames(file, self.poses)
+        listed = read_frames(file, self.poses)
         where = f"scene=transforms: {folder}"
-        split = self._split(file, [f.name for f in frames], where)
+        frames = [*with_photos(file, listed).values()]
+        split = self._split(file, [f.name for f in frames], {f.name for f in listed}, where)
         check_memory([frames[i].file for i in (*split.train, *split.test)], self.downscale)
         train, test = (
             [shot(frames[i], self.paper, self.downscale) for i in part]
             for part in (split.train, split.test)
         )
-        tracks = self._tracks(folder, frames, split, train)
-        near, far = self._bounds(tracks, frames, split, where)
-        points = tracks.for_training(split.train)
+        tracks, near, far = points_and_bounds(
+            self._tracks(folder, file, frames),
+            [f.viewmat for f in frames],
+            split.train,
+            train,
+            self.near,
+            self.far,
+            where,
+        )
+        if self.points == "none":  # then they gave bounds only
+            tracks = Tracks()
         name, paper = folder.resolve().name, PAPERS[self.paper] / 255
-        return assemble(name, self.split, train, test, points, near, far, paper)
+        return assemble(name, self.split, train, test, tracks, near, far, paper)
 
-    def _split(self, file: Path, names: list[str], where: str) -> Split:
+    def _split(self, file: Path, names: list[str], listed: set[str], where: str) -> Split:
         """By the rule, or by what the file says; warns where the rule trains on its test photos."""
         from framework.scenes.transforms_file import read_roles
 
@@ -99,13 +109,18 @@ class Transforms:
                 f"{file}: expected test_filenames or val_filenames for scene.split={self.split},"
                 " got none; name test photos there or take scene.split=llff",
             )
-            known = {*names, *(splitext(name)[0] for name in names)}
+            known = {*listed, *(splitext(name)[0] for name in listed)}
             strange = sorted((train | test) - known)
             require(
                 not strange,
                 f"{file}: expected the photos of train_filenames and test_filenames among its"
                 f" frames, {len(strange)} are not (first: {strange[0] if strange else ''}); correct"
                 " their names or take scene.split=llff",
+            )
+            require(
+                bool(own.divide(len(names))[1]),
+                f"{file}: expected the test photos that it names, got none of them; restore them or"
+                " take scene.split=llff",
             )
             return own.split(names, self.n_views, where)
         split = protocol(self.split).split(names, self.n_views, where)
@@ -117,70 +132,44 @@ class Transforms:
             )
         return split
 
-    def _tracks(self, folder: Path, frames: list[Frame], split: Split, train: list[Shot]) -> Tracks:
-        """Points with their tracks over all frames; those of a PLY only over the training ones."""
-        import numpy as np
-
-        from framework.scenes.assemble import Tracks
-        from framework.scenes.points import colmap_tracks, ply_points
+    def _tracks(self, folder: Path, file: Path, frames: list[Frame]) -> Tracks:
+        """Read the points, with their tracks over all frames."""
+        from framework.scenes.assemble import Tracks, untracked
+        from framework.scenes.model_points import colmap_tracks
+        from framework.scenes.ply_vertices import read_coloured
+        from framework.scenes.transforms_file import read_extras
 
         if self.points == "none":
             return Tracks()
-        if self.points == "auto":
-            names, viewmats = [f.name for f in frames], [f.viewmat for f in frames]
-            return colmap_tracks(folder, self.file, names, viewmats)
-        found = ply_points(inside(folder, self.points), train)
-        seen = np.zeros((len(found.xyz), len(frames)), dtype=bool)
-        seen[:, list(split.train)] = found.seen
-        return Tracks(found.xyz, found.rgb, seen)
-
-    def _bounds(
-        self, tracks: Tracks, frames: list[Frame], split: Split, where: str
-    ) -> tuple[float, float]:
-        """(near, far): given, or from the points; without points both must be given."""
-        from framework.scenes.points import depth_bounds
-
-        if self.near is not None and self.far is not None:
-            return self.near, self.far
-        if not len(tracks.xyz):
-            raise UserError(
-                f"{where}: expected sparse points to know the depth bounds from, found none; give"
-                " scene.near and scene.far in the units of the poses"
-            )
-        near, far = depth_bounds(tracks, [f.viewmat for f in frames], split.train, where)
-        near, far = self.near or near, self.far or far
-        require(
-            near < far,
-            f"{where}: expected near < far, got near={near:.4g}, far={far:.4g} (one of them from"
-            " the points); give both",
-        )
-        return near, far
-
-
-def check_range(loader: str, near: float | None, far: float | None) -> None:
-    """Bounds of depth, of which either may be None."""
-    given = [bound for bound in (near, far) if bound is not None]
-    require(
-        all(0 < bound < math.inf for bound in given) and given == sorted(set(given)),
-        f"scene={loader}: expected 0 < near < far, got near={near}, far={far}; correct scene.near"
-        " and scene.far",
-    )
+        if self.points != "auto":
+            return untracked(*read_coloured(inside(folder, self.points)), len(frames))
+        extras = read_extras(file)
+        names, viewmats = [f.name for f in frames], [f.viewmat for f in frames]
+        tracks = colmap_tracks(folder, self.file, names, viewmats, self.model, extras.worlds)
+        if len(tracks.xyz) or extras.ply is None:
+            return tracks
+        try:
+            return untracked(*read_coloured(extras.ply), len(frames))
+        except UserError as error:
+            log.warning(f"{error}; the points of ply_file_path are not used")
+            return tracks
 
 
 def shot(frame: Frame, paper: str, downscale: int) -> Shot:
     """The photo of a frame with its camera and mask, reduced; transparent ones on that of
-    `PAPERS`. Raises UserError for a bad file or one of another size."""
-    from framework.scenes.images import read_mask, read_on_paper
-    from framework.scenes.photo import pinhole_shot, resized
+    `PAPERS`. Raises UserError for a bad file or one of other proportions."""
+    from framework.files.limits import PHOTO_PIXELS
+    from framework.scenes.decoding import image_size
+    from framework.scenes.photo import photo_shot
 
-    image, clear = read_on_paper(frame.file, PAPERS[paper])
-    height, width = image.shape[:2]
-    lens = frame.lens(width, height)
-    K = resized(frame.file, image, lens)
-    mask = None if frame.mask is None else read_mask(frame.mask, height, width)
-    require(
-        mask is None or bool(mask.any()),
-        f"{frame.mask}: expected a mask with some white pixels, got none; replace the mask",
+    lens = frame.lens(*image_size(frame.file, PHOTO_PIXELS))
+    return photo_shot(
+        frame.file,
+        frame.name,
+        lens,
+        frame.viewmat,
+        downscale,
+        frame.mask,
+        PAPERS[paper],
+        sized={"w", "h"} <= frame.values.keys(),
     )
-    made = pinhole_shot(frame.name, frame.viewmat, K, image, lens.distortion, mask, downscale)
-    return replace(made, clear=clear)

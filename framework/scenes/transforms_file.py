@@ -6,7 +6,7 @@ import json
 import math
 import sys
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,18 +18,23 @@ from framework.compute import portable
 from framework.errors import UserError, require
 from framework.files.limits import TEXT_BYTES
 from framework.files.opened import is_file, read_text
-from framework.files.paths import inside
 from framework.scenes.cameras import checked_lens, checked_pose
 from framework.scenes.conventions import decoded_as
-from framework.scenes.images import SUFFIXES
+from framework.scenes.formats import find_photo
 from framework.scenes.lens import Distortion, Lens
+from framework.scenes.listed import find_photos
+from framework.scenes.masks import find_masks
 
-MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
-UNSUPPORTED = ("k4", "k5", "k6", "s1", "s2", "s3", "s4")
+FULL = "FULL_OPENCV"
+MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", FULL)
+LENS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # in the order of Distortion's fields
+UNSUPPORTED = ("s1", "s2", "s3", "s4")
 NUMBERS = (
     *("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", "camera_angle_y"),
-    *("k1", "k2", "k3", "p1", "p2", *UNSUPPORTED),
+    *(*LENS, *UNSUPPORTED),
 )
+# what nerfstudio applied to a COLMAP model before it wrote applied_transform
+OLD_NERFSTUDIO = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])  # the signs of a camera's axes
 OWN_POSES = "opengl_c2w"  # of the layout
 
@@ -62,7 +67,7 @@ class Frame:
         )
         assert fx is not None
         fy = self._focal("fl_y", "camera_angle_y", h)
-        distortion = Distortion(*(v.get(k, 0.0) for k in ("k1", "k2", "p1", "p2", "k3")))
+        distortion = Distortion(*(v.get(k, 0.0) for k in LENS))
         cx, cy = v.get("cx", w / 2), v.get("cy", h / 2)
         lens = Lens(round(w), round(h), fx, fx if fy is None else fy, cx, cy, distortion)
         return checked_lens(lens, self.where)
@@ -81,25 +86,81 @@ class Frame:
 
 
 def read_frames(path: Path, poses: str = OWN_POSES) -> list[Frame]:
-    """The frames, sorted by name. Raises UserError for whatever is missing or unsound."""
+    """The frames, sorted by name; photos may be missing. Raises UserError for what is unsound."""
     return sorted(read_in_order(path, poses), key=lambda frame: frame.name)
 
 
 def read_in_order(path: Path, poses: str = OWN_POSES) -> list[Frame]:
-    """The frames as the file lists them; poses: how it writes them (`options.CONVENTIONS`).
+    """Read the frames in the file's order; photos may be missing.
 
-    Raises UserError for whatever is missing or unsound.
+    Args:
+        path: the file.
+        poses: how it writes poses, see `options.CONVENTIONS`.
+
+    Raises:
+        UserError: something is unsound.
     """
     frames = []
     for frame in read_cameras(path):
-        name = _relative(path.parent, frame.name)
-        file = _photo(path.parent, name)
-        mask = frame.mask and inside(path.parent, _relative(path.parent, str(frame.mask)))
+        name, file = _relative(path.parent, frame.name)
+        mask = frame.mask and find_photo(path.parent, str(frame.mask))
         viewmat = decoded_as(frame.viewmat, OWN_POSES, poses)
-        name = _with_suffix(name, file)
         frames.append(replace(frame, name=name, file=file, mask=mask, viewmat=viewmat))
-    _check_files(path, frames)
+    _check_once(path, [frame.name for frame in frames])
     return frames
+
+
+def with_photos(path: Path, frames: Sequence[Frame]) -> dict[int, Frame]:
+    """Leave out frames without a photo, and add masks of `masks/`; logs warnings about both.
+
+    Returns:
+        The frames with photos by their index.
+
+    Raises:
+        UserError: no photo exists.
+    """
+    files = find_photos([frame.file for frame in frames], str(path))
+    kept = {i: replace(frames[i], file=file) for i, file in files.items()}
+    bare = {i: frame.name for i, frame in kept.items() if frame.mask is None}
+    photos = next((name.split("/")[0] for name in bare.values() if name.startswith("images")), "")
+    names = [name.removeprefix(f"{photos}/") for name in bare.values()]
+    for i, mask in zip(bare, find_masks(path.parent, photos, names), strict=True):
+        kept[i] = replace(kept[i], mask=mask)
+    return kept
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What nerfstudio adds about points.
+
+    ply: the file of `ply_file_path`. worlds: [4, 4] transforms that may lead from the world of the
+    COLMAP model to that of the poses.
+    """
+
+    ply: Path | None
+    worlds: tuple[NDArray[np.float64], ...]
+
+
+def read_extras(path: Path) -> Extras:
+    """Read `ply_file_path` and `applied_transform`. Raises UserError for what is unsound."""
+    data = _read_json(path)
+    ply = _text(data, "ply_file_path", str(path))
+    applied = data.get("applied_transform", OLD_NERFSTUDIO)
+    try:
+        matrix = np.array(applied, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        matrix = np.zeros(0)
+    require(
+        matrix.shape in ((3, 4), (4, 4)) and bool(np.isfinite(matrix).all()),
+        f"{path}: expected applied_transform to be a 3x4 matrix, got {str(applied)[:80]}; correct"
+        " or remove it",
+    )
+    world = np.eye(4)
+    world[:3] = matrix[:3]
+    return Extras(
+        None if ply is None else find_photo(path.parent, ply),
+        (np.eye(4), world),
+    )
 
 
 def read_cameras(path: Path) -> list[Frame]:
@@ -134,7 +195,7 @@ def read_roles(path: Path) -> tuple[set[str], set[str]]:
             isinstance(names, list) and all(isinstance(name, str) for name in names),
             f"{path}: expected {key} to be a list of names, got something else; correct it",
         )
-        roles.append({_relative(path.parent, name) for name in names})
+        roles.append({_relative(path.parent, name)[0] for name in names})
     train, test, val = roles
     return train, test or val
 
@@ -213,45 +274,21 @@ def _values(entry: Mapping[str, Any], where: str) -> dict[str, float]:
             f"{where}: expected {key} to be a finite number, got {value}; correct it",
         )
         values[key] = float(value)
-    odd = [key for key in UNSUPPORTED if values.get(key, 0.0) != 0.0]
+    rational = () if model == FULL else ("k4", "k5", "k6")  # k4 of nerfstudio is another term
+    odd = [key for key in (*rational, *UNSUPPORTED) if values.get(key, 0.0) != 0.0]
     require(
         not odd,
         f"{where}: expected the lens terms k1, k2, k3, p1, p2 only, got {', '.join(odd)};"
-        " undistort the photos first",
+        f" undistort the photos first, or set camera_model to {FULL} if k4, k5, k6 are OpenCV's",
     )
     return values
 
 
-def _photo(folder: Path, file_path: str) -> Path:
-    """The photo of a file_path: as it stands, else with a suffix appended. May not exist. Raises
-    UserError when it is not inside the folder."""
-    exact = inside(folder, file_path)
-    if exact.suffix.lower() in SUFFIXES or is_file(exact):
-        return exact
-    for suffixes in (sorted(SUFFIXES), sorted(map(str.upper, SUFFIXES))):
-        candidates = [exact.with_name(exact.name + suffix) for suffix in suffixes]
-        found = [inside(folder, c.relative_to(folder)) for c in candidates if is_file(c)]
-        if found:
-            break
-    require(
-        len(found) <= 1,
-        f"{exact}: expected one photo of that name, found {', '.join(f.name for f in found)};"
-        " write the suffix into file_path",
-    )
-    return found[0] if found else exact.with_name(exact.name + ".png")
-
-
-def _relative(folder: Path, file_path: str) -> str:
-    """An absolute path below the folder as one from there; others as they are, without `./`."""
-    absolute = Path(file_path)
-    for root in (folder.absolute(), folder.resolve()):  # the folder may be a link
-        if absolute.is_absolute() and absolute.is_relative_to(root):
-            return absolute.relative_to(root).as_posix()
-    return file_path.removeprefix("./")
-
-
-def _with_suffix(name: str, file: Path) -> str:
-    return name if name.endswith(file.suffix) else name + file.suffix
+def _relative(folder: Path, file_path: str) -> tuple[str, Path]:
+    """The path of a photo from the folder, as written if there is no such photo; and the photo."""
+    file = find_photo(folder, file_path)
+    exists = is_file(file)
+    return file.relative_to(folder).as_posix() if exists else file_path.removeprefix("./"), file
 
 
 def _viewmat(matrix: Any, where: str) -> NDArray[np.float64]:
@@ -270,14 +307,3 @@ def _viewmat(matrix: Any, where: str) -> NDArray[np.float64]:
     with np.errstate(over="ignore", invalid="ignore"):  # refused in the next line
         viewmat[:3, 3] = -portable.product(viewmat[:3, :3], pose[:3, 3])
     return checked_pose(viewmat, f"{where}: transform_matrix")
-
-
-def _check_files(path: Path, frames: list[Frame]) -> None:
-    """Every frame has a photo of its own."""
-    missing = [frame.name for frame in frames if not is_file(frame.file)]
-    require(
-        not missing,
-        f"{path}: expected a photo for each of {len(frames)} frames, {len(missing)} missing (first:"
-        f" {missing[0] if missing else ''}); restore them or remove their frames",
-    )
-    _check_once(path, [frame.name for frame in frames])

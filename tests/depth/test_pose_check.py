@@ -11,9 +11,12 @@ import torch
 
 from framework import registry
 from framework.depth.pose_check import LIMIT, check_poses
+from framework.errors import UserError
 from framework.run import poses
+from framework.scenes.assemble import Tracks
 from framework.scenes.conventions import decoded_as, repaired
 from framework.scenes.options import CONVENTIONS
+from framework.scenes.points import depth_bounds
 from framework.types import Camera, TrainingSet
 
 
@@ -93,3 +96,15 @@ def test_conventions_invert(room: TrainingSet, own: str, other: str) -> None:
     assert np.allclose(decoded_as(there, other, own), viewmat, atol=1e-12)
     assert np.allclose(there[:3, :3] @ there[:3, :3].T, np.eye(3), atol=1e-12)
     assert torch.linalg.det(torch.from_numpy(there)).item() == pytest.approx(1)
+
+
+def test_points_behind_the_cameras_name_the_option(caplog: pytest.LogCaptureFixture) -> None:
+    xyz, seen = np.ones((20, 3)), np.ones((20, 2), dtype=bool)
+    xyz[:, 2] = -5.0
+    tracks = Tracks(xyz, np.zeros((20, 3), np.uint8), seen)
+    with pytest.raises(UserError, match=r"100% of the points lie behind .* set scene\.poses"):
+        depth_bounds(tracks, [np.eye(4)] * 2, [0, 1], "scene=colmap: x")
+    xyz[5:, 2] = 4.0
+    with caplog.at_level(logging.WARNING):
+        assert depth_bounds(tracks, [np.eye(4)] * 2, [0, 1], "x")[0] == pytest.approx(4.0)
+    assert "25% of the points" in caplog.text and "scene.poses" in caplog.text

@@ -27,7 +27,7 @@ from framework.metrics.lpips import load as load_lpips
 from framework.records.ply import read_ply, write_ply
 from framework.records.record import read_run, write_failed
 from framework.report.build import build_report
-from framework.scenes.images import read_image, read_on_paper
+from framework.scenes.images import read_image, read_masked
 from framework.train.resume.checkpoint import pack, unpack
 from framework.types import Gaussians, Scene
 from framework.view import find_run, read_viewed, view_page
@@ -169,6 +169,10 @@ def _photo(name: str, mode: str) -> Step:
     return lambda folder: Image.fromarray(channels).save(folder / name)
 
 
+def _read(name: str) -> Step:
+    return lambda folder: read_image(folder / name)
+
+
 def _points(folder: Path, text: bool) -> None:
     write_transforms(folder)
     kinds = [(axis, "f4") for axis in "xyz"] + [(c, "u1") for c in ("red", "green", "blue")]
@@ -243,9 +247,15 @@ READERS: dict[str, Reader] = {
     ),
     "image png": Reader(_photo("a.png", "RGB"), ("a.png",), lambda f: read_image(f / "a.png")),
     "image png alpha": Reader(
-        _photo("a.png", "RGBA"), ("a.png",), lambda f: read_on_paper(f / "a.png", 255)
+        _photo("a.png", "RGBA"), ("a.png",), lambda f: read_masked(f / "a.png", None, paper=255)
     ),
     "image jpeg": Reader(_photo("a.jpg", "RGB"), ("a.jpg",), lambda f: read_image(f / "a.jpg")),
+    **{
+        f"image {suffix}": Reader(
+            _photo(f"a.{suffix}", "RGB"), (f"a.{suffix}",), _read(f"a.{suffix}")
+        )
+        for suffix in ("tif", "webp", "bmp")
+    },
     "depth npy": Reader(lambda f: np.save(f / "a.npy", VALUES), ("a.npy",), _depth("a.npy")),
     "depth npz": Reader(
         lambda f: np.savez_compressed(f / "a.npz", depth=VALUES), ("a.npz",), _depth("a.npz")
@@ -265,7 +275,9 @@ READERS: dict[str, Reader] = {
         ),
         _reported,
     ),
-    "table of runs": Reader(_table, ("runs.csv",), lambda f: build_report(f, out_dir=f)),
+    "archive of runs": Reader(
+        _table, ("runs.jsonl",), lambda f: build_report(f, out_dir=f / "out")
+    ),
     "viewed run": Reader(
         lambda f: seen_run(f, run_name="run"),
         tuple(
@@ -289,7 +301,7 @@ READERS: dict[str, Reader] = {
     ),
     "leaderboard": Reader(
         commands.two_studies,
-        (*(f"one/runs/b0/{name}" for name in RUN), "two/runs.csv"),
+        (*(f"one/runs/b0/{name}" for name in RUN), "two/runs.jsonl"),
         commands.all_studies,
     ),
     "video of a run": Reader(

@@ -20,7 +20,7 @@ from tests.fuzz.drive import fuzz, watched
 from tests.fuzz.readers import READERS
 
 CASES, DEAR_CASES = 36, 8  # of each reader
-DEAR = {"study", "table of runs", "compared runs"}  # up to half a second each
+DEAR = {"study", "archive of runs", "compared runs"}  # up to half a second each
 RARE = {"leaderboard"}  # refuses one in twenty; `tests/system/test_fuzz.py` does it
 
 

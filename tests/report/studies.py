@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 from framework.records.provenance import ROOT
+from framework.report.study.collect import collect
 from tests.record.fakes import fake_run
 
 METHODS = (("none", "none"), ("none", "uar"), ("safi", "none"), ("safi", "uar"))
@@ -42,10 +43,14 @@ def _rename(record: Path, scene: str, seed: int) -> None:
 
 
 def write_committed(folder: Path, name: str) -> None:
-    """Records with the PSNR of a committed study's `runs.csv`, as far as its methods are pairs of
-    augmenter and regularizer."""
-    text = (ROOT / "reports" / "committed" / name / "runs.csv").read_text(encoding="utf-8")
-    rows = [row for row in csv.DictReader(text.splitlines()) if "," not in row["method"]]
+    """Records with the PSNR of a committed study, as far as its methods are pairs of augmenter and
+    regularizer."""
+    runs = collect(ROOT / "reports" / "committed" / name).runs
+    rows = [
+        {"method": run.method, "scene": run.scene, "seed": run.seed, "psnr": run.mean("psnr")}
+        for run in runs
+        if "," not in run.method
+    ]
     with tempfile.TemporaryDirectory() as source:
         made = {
             method: fake_run(Path(source), *method.split(" + "), seed=0)

@@ -66,7 +66,7 @@ def test_an_archive_of_other_runs_is_not_overwritten(study: Path) -> None:
         ({"schema": 2}, "schema 2"),
         ({"run": "../x"}, "the run's name"),
         ({"record": {}}, "KeyError"),
-        ({"metrics": {"psnr": [1e300]}}, "psnr is"),
+        ({"metrics": {"psnr": [1e300]}}, "columns is"),
     ],
 )
 def test_a_damaged_line_is_named(study: Path, damage: dict[str, object], message: str) -> None:

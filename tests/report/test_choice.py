@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import csv
-import io
+import hashlib
 import re
 from collections.abc import Iterable
 from pathlib import Path
 
-import pytest
+import numpy as np
+import yaml
 
-from framework.errors import UserError
+from framework.metrics.values import METRICS, Missing
+from framework.records.archive import ARCHIVE, Entry, archive
+from framework.records.record import Run, RunRecord, SceneInfo, StageTime
+from framework.records.run_files import Table
 from framework.report import build_report
 from framework.report.figures.tradeoff import entries, train_s, worth
 from framework.report.statistics.bootstrap import sd_interval
@@ -19,32 +23,67 @@ from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
 from framework.report.text import budgets
 from framework.report.text.capacities import contests
-from tests.record.fakes import fake_run
+from tests.record.fakes import fake_run, make_config
 
-COLUMNS = ("scene", "method", "seed", "psnr", "gaussians", "parameters", "train_wall_s", "run")
+BUDGETS = {"steps": "trainer.steps", "budget": "init.budget"}  # by their short names
+
 Row = dict[str, object]
 
 
 def row(scene: str, method: str, seed: int, psnr: float | str, **more: object) -> Row:
-    """A row of a table of runs; PSNR with a noise of 0.01 dB that seed and method decide."""
+    """A run of a study; PSNR with a noise of 0.01 dB that seed and method decide."""
     noise = 0.01 * ((seed * 7 + len(method)) % 5 - 2)
     value = psnr if isinstance(psnr, str) else psnr + noise
     known = {"scene": scene, "method": method, "seed": seed, "psnr": value}
-    rest = {"gaussians": 100, "parameters": 1400, "train_wall_s": 10, "train_cpu_s": 10}
+    rest = {"gaussians": 100, "train_wall_s": 10, "train_cpu_s": 10}
     return known | rest | {"run": f"{scene}-{method}-s{seed}".replace(" ", "")} | more
 
 
 def table(folder: Path, rows: Iterable[Row]) -> Path:
-    """A folder of which a table is all that there is."""
-    made = list(rows)
-    names = list(dict.fromkeys([*COLUMNS, *(key for one in made for key in one)]))
-    buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, names, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(made)
+    """A folder in which an archive of these runs is all that there is."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "runs.csv").write_text(buffer.getvalue(), encoding="utf-8")
+    entries = [Entry(_run(folder, one)) for one in rows]
+    (folder / ARCHIVE).write_text(archive(entries), encoding="utf-8")
     return folder
+
+
+def _run(folder: Path, one: Row) -> Run:
+    pair, *options = str(one["method"]).split(", ")
+    augment, reg = pair.split(" + ")
+    config = make_config(augment, reg, int(str(one["seed"])))
+    for option in options:
+        key, _, value = option.partition("=")
+        group, _, name = BUDGETS.get(key, key).partition(".")
+        config[group][name or "name"] = yaml.safe_load(value)
+    name, _, conditions = str(one["scene"]).partition(" (")
+    config["scene"] = {"name": name} | dict(
+        (key, yaml.safe_load(value))
+        for key, _, value in (c.partition("=") for c in conditions.rstrip(")").split(", ") if c)
+    )
+    fingerprint = hashlib.sha256(str(one["scene"]).encode()).hexdigest()
+    cpu, _, cores = str(one.get("cpu", "cpu, 2 cores")).partition(", ")
+    views = tuple(map(str, range(int(str(one.get("scene.n_views", 0))))))
+    seconds = StageTime(float(str(one["train_wall_s"])), float(str(one["train_cpu_s"])))
+    record = RunRecord(
+        identity="",
+        config=config,
+        overrides=(),
+        scene=SceneInfo(name, str(one.get("protocol", "own")), fingerprint, views, ()),
+        timings={"train": seconds},
+        provenance={"cpu": cpu, "cores": int(cores.split()[0])},
+        gaussians=int(str(one["gaussians"])),
+        parameters_sha256=hashlib.sha256(str(one["run"]).encode()).hexdigest(),
+        summary={
+            key: float(str(one[key])) if one.get(key, "") != "" else Missing("not measured")
+            for key in METRICS
+        },
+    )
+    metrics = Table(
+        {key: [] for key in ("view", "tags", "file", "missing")},
+        {k: np.zeros(0) for k in (*METRICS, "render_s")},
+    )
+    course = Table({}, {key: np.zeros(0) for key in ("step", "seconds", "test_psnr")})
+    return Run(folder / "runs" / str(one["run"]), record, metrics, course)
 
 
 def first_lines(folder: Path, out: Path) -> str:
@@ -122,7 +161,7 @@ def test_more_time_pays_is_corrected_for_all_others(tmp_path: Path) -> None:
     gains = (0.08, 0.28, 0.06, 0.2, 0.15)
     fast = [row("a", "none + none", k, 20.0, train_wall_s=5, train_cpu_s=5) for k in range(5)]
     slow = [row("a", "safi + none", k, 20.0 + gain) for k, gain in enumerate(gains)]
-    worse = [row("a", f"none + none, lr={i}", k, 19.0) for i in range(9) for k in range(5)]
+    worse = [row("a", f"none + none, trainer.x={i}", k, 19.0) for i in range(9) for k in range(5)]
     for others, indices in (([], [0, 1]), (worse, [0])):
         found = entries(collect(table(tmp_path / f"{len(others)}", fast + slow + others)), "a")
         kept = worth(found, train_s)
@@ -166,7 +205,7 @@ def test_what_is_really_better_is_not_told_as_worse(tmp_path: Path) -> None:
     ]
     advice = "".join(budgets.advice(collect(table(tmp_path, rows)), "a"))
     assert "really worse" not in advice
-    assert "safi + none takes 20.0 s and is really better, by 0.05 dB" in advice
+    assert "safi + none, steps=800 takes 20.0 s and is really better, by 0.05 dB" in advice
 
 
 def test_a_baseline_without_a_seed_on_all_scenes_is_no_crash(tmp_path: Path) -> None:
@@ -265,41 +304,6 @@ def test_a_method_without_a_psnr_anywhere_is_no_crash(tmp_path: Path) -> None:
     rows[3]["psnr"] = ""
     text = first_lines(table(tmp_path / "t", rows), tmp_path / "out")
     assert text.startswith("# out\n\n**")
-
-
-def test_tables_of_other_options_are_told_apart(tmp_path: Path) -> None:
-    def some(name: str, psnr: float, digest: str) -> Path:
-        rows = study({"none + none": psnr, "safi + none": psnr + 1})
-        named = [one | {"run": f"x-s{one['seed']}-{digest}"} for one in rows]
-        return table(tmp_path / name, named)
-
-    best, paper = some("best", 24.0, "0" * 8), some("paper", 21.0, "1" * 8)
-    found = collect([best, paper], tmp_path / "both")
-    assert found.methods[:2] == ["none + none, from=best", "none + none, from=paper"]
-    assert any("was run with options that are not all the same" in note for note in found.notes)
-    same = [one | {"parameters_sha256": "a" * 12} for one in study({"none + none": 24.0}, 3)]
-    for name, digest in (("here", "2" * 8), ("there", "3" * 8)):
-        table(tmp_path / name, [one | {"run": f"x-s{one['seed']}-{digest}"} for one in same])
-    bits = collect([tmp_path / "here", tmp_path / "there"], tmp_path / "both")
-    assert bits.methods == ["none + none"], "other options with the same bits are the same run"
-    alike = collect([best, some("again", 24.0, "0" * 8)], tmp_path / "both")
-    assert alike.methods == ["none + none", "safi + none"] and len(alike.runs) == 10
-
-
-def test_the_only_table_of_another_study_is_not_overwritten(tmp_path: Path) -> None:
-    one = table(tmp_path / "one", study({"none + none": 20.0, "safi + none": 21.0}))
-    other = table(tmp_path / "other", study({"none + none": 20.0, "dba + none": 21.0}))
-    before = (other / "runs.csv").read_bytes()
-    with pytest.raises(UserError, match=r"runs\.csv: expected a table of runs of this report"):
-        build_report(one, out_dir=other)
-    assert (other / "runs.csv").read_bytes() == before
-    same_names = table(tmp_path / "same", study({"none + none": 25.0, "safi + none": 26.0}))
-    with pytest.raises(UserError, match="got one with 10 others"):
-        build_report(one, out_dir=same_names)
-    build_report(one, out_dir=tmp_path / "out")
-    build_report(one, out_dir=tmp_path / "out")  # its own table may be written again
-    build_report(other, out_dir=tmp_path / "one" / ".." / "other")
-    assert (other / "runs.csv").read_bytes() == before
 
 
 def test_no_advice_by_time_across_machines(tmp_path: Path) -> None:

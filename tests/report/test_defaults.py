@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from framework.records.record import SceneInfo
-from framework.report.export import runs_csv
-from framework.report.figures import stress
 from framework.report.study import defaults
-from framework.report.study.collect import collect
 from framework.report.study.defaults import BEFORE
 from framework.report.study.labels import method_labels, scene_labels, text_of
 from plugins.augment.safi import Safi
 from plugins.regularize.uar import Uar
-from tests.record.fakes import fake_run, make_config
+from tests.record.fakes import make_config
 
 
 def _names(configs: Sequence[dict[str, Any]]) -> list[str]:
@@ -72,18 +68,6 @@ def test_what_was_done_before_an_option_that_acts_by_default() -> None:
             names = _names([old, new, same])
             assert names[0] == names[2] != names[1], (group, plugin, key)
             assert f"{key}={text_of(before)}" in names[0], names
-
-
-def test_the_table_has_what_the_names_have(tmp_path: Path) -> None:
-    """Else a report built from it has other conditions than that of the records."""
-    for noise in (None, 1.0, 2.0):
-        more = {} if noise is None else {"pose_noise": noise}
-        fake_run(tmp_path, condition=more, run_name=f"noise{noise}")
-    (tmp_path / "table").mkdir()
-    table = tmp_path / "table" / "runs.csv"
-    table.write_text(runs_csv(collect(tmp_path)), encoding="utf-8")
-    of_records, of_table = (stress.panels(collect(f)) for f in (tmp_path, table.parent))
-    assert [p.levels for p in of_records] == [p.levels for p in of_table] == [(0.0, 1.0, 2.0)]
 
 
 def test_a_scene_that_lacks_an_option_is_the_one_with_the_default() -> None:

@@ -42,7 +42,7 @@ def test_methods_over_studies(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "[one](one/report.md)" in text and (folder / "leaderboard.html").is_file()
     rows = list(csv.DictReader((folder / "leaderboard.csv").read_text("utf-8").splitlines()))
     assert {row["study"] for row in rows} == {"one", "two"} and len(rows) == 4
-    assert "in two studies" not in text
+    assert "alone and two (4) and one and two (8)" in text
     before = (folder / "leaderboard.html").read_bytes()
     leaderboard(folder, folder)
     assert (folder / "leaderboard.html").read_bytes() == before
@@ -101,9 +101,9 @@ def test_a_folder_without_studies_and_a_broken_table(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="expected studies with runs"):
         leaderboard(tmp_path, tmp_path / "out")
     (tmp_path / "odd").mkdir()
-    (tmp_path / "odd" / "runs.csv").write_text("a,b\n1,2\n", encoding="utf-8")
+    (tmp_path / "odd" / "runs.jsonl").write_text("{}\n", encoding="utf-8")
     text = leaderboard(tmp_path, tmp_path / "out")[0].read_text(encoding="utf-8")
-    assert "## Not read" in text and "it lacks scene" in text
+    assert "## Not read" in text and "in line 1" in text
 
 
 def test_a_leaderboard_of_no_study_is_written_and_an_error(

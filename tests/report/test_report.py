@@ -121,7 +121,14 @@ def test_rebuilding_gives_the_same_bytes(study_dir: Path, report: str) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"report: {study_dir / 'report.md'}\n"
     assert set(before) == {
-        *("report.md", "report.html", "runs.csv", "images_embedded.jpg", "sigma_embedded.jpg"),
+        *(
+            "report.md",
+            "report.html",
+            "runs.csv",
+            "runs.jsonl",
+            "images_embedded.jpg",
+            "sigma_embedded.jpg",
+        ),
         *("curves_embedded.png", "curves_embedded.svg"),
         *("tradeoff_embedded.png", "tradeoff_embedded.svg", "tradeoff_embedded.csv"),
         *("differences.png", "differences.svg", "differences.csv", "comparisons.tex"),

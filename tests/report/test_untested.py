@@ -43,7 +43,7 @@ def test_the_first_screen_says_that_nothing_was_tested(tmp_path: Path, methods: 
     assert "protocol none" in text and "tested on none" in text
     headings = {line for line in text.splitlines() if line.startswith("## ")}
     assert headings == {"## Results", "## Every run", "## Missing metrics", "## Provenance"}
-    assert {path.suffix for path in tmp_path.iterdir()} == {"", ".md", ".html", ".csv"}
+    assert {path.suffix for path in tmp_path.iterdir()} == {"", ".md", ".html", ".csv", ".jsonl"}
 
 
 def test_budgets_and_stresses_without_test_views(tmp_path: Path) -> None:

@@ -30,6 +30,16 @@ def test_verdict_and_notes_name_the_warning_and_the_scene(tmp_path: Path) -> Non
     assert f"1 of 2 runs): {TEXT}" in report
 
 
+def test_other_warnings_reach_the_verdict_too(tmp_path: Path) -> None:
+    run = fake_run(tmp_path)
+    content = json.loads((run / "record.json").read_text())
+    content["warnings"] = ["scene=photos: 2 photos were placed by few points, so perhaps wrongly"]
+    (run / "record.json").write_text(json.dumps(content))
+    report = build_report(tmp_path).read_text()
+    assert "Caution: see the warnings about embedded below." in report.split("\n\n")[1]
+    assert "placed by few points" in report
+
+
 def test_records_without_warnings_are_read(tmp_path: Path) -> None:
     file = fake_run(tmp_path) / "record.json"
     content = json.loads(file.read_text())

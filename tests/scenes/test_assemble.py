@@ -52,3 +52,12 @@ def test_geographic_coordinates_are_refused() -> None:
     far_off(500.0)
     with pytest.raises(UserError, match=r"before it by 36 pixels; subtract \(500000, 3, 0\)"):
         far_off(5e5)
+
+
+def test_photos_from_one_place_are_told(caplog: pytest.LogCaptureFixture) -> None:
+    poses = [np.eye(4), np.eye(4)]
+    for step in (0.02, 0.005):
+        poses[1][0, 3] = step
+        shots = [Shot(f"{i}.png", pose, np.eye(3), IMAGE) for i, pose in enumerate(poses)]
+        assemble("s", "p", shots, [], Tracks(), 1.0, 2.0)
+        assert ("from one place" in caplog.text) == (step < 0.01)

@@ -164,3 +164,38 @@ def test_what_is_no_such_folder(tmp_path: Path) -> None:
     told = r"transforms\.json: .* found no file, but transforms_train\.json; take scene=blender"
     with pytest.raises(UserError, match=told):
         load_scene("transforms", {"path": str(tmp_path), "near": 1.0, "far": 9.0})
+
+
+def test_all_photos_train_without_a_file_of_tests(tmp_path: Path) -> None:
+    folder = write(tmp_path)
+    assert len(load(folder, split="none", n_views="all").training.views) == 8
+    (folder / "transforms_test.json").unlink()
+    scene = load(folder, split="none", n_views="all")
+    assert (len(scene.training.views), scene.test) == (5, ())
+
+
+def test_an_object_outside_the_depth_bounds(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The cameras stand 4 away from what they look at."""
+    folder = write(tmp_path)
+    load(folder, split="file", n_views=5)
+    assert not caplog.text
+    load(folder, split="file", n_views=5, near=5.0, far=9.0)
+    assert "look at a point at depth 4, outside scene.near=5 and scene.far=9" in caplog.text
+
+
+def test_missing_photos_and_masks(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder = write(tmp_path, 100, 200)
+    for name in ("train/r_26", "train/r_5", "test/r_0", "test/r_3"):
+        (folder / f"{name}.png").unlink()
+    (folder / "masks/train").mkdir(parents=True)
+    mask = np.full((SIDE, SIDE), 255, np.uint8)
+    mask[:4] = 0
+    Image.fromarray(mask).save(folder / "masks/train/r_86.png")
+    scene = load(folder, n_views=3)
+    train, test = numbers(scene)
+    assert train == [2, 55, 86] and test == list(range(8, 200, 8))
+    assert "4 of 300 photos are missing and left out (r_5, r_26, r_0, r_3)" in caplog.text
+    assert scene.training.views[2].mask is not None
+    assert not scene.training.views[2].mask[:4].any() and scene.training.views[0].mask is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -22,14 +23,14 @@ def noise(height: int, width: int) -> np.ndarray:
     return stream(0, "tests/lens").integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
-def test_the_map_is_opencvs() -> None:
+@pytest.mark.parametrize("lens", [LENS, replace(LENS, k4=0.11, k5=-0.03, k6=0.02)])
+def test_the_map_is_opencvs(lens: Distortion) -> None:
     K = intrinsics(348.0, 347.0, 138.6, 241.3)
-    u, v, single = distorted_pixels(480, 270, K, LENS)
+    u, v, single = distorted_pixels(480, 270, K, lens)
     theirs = K.copy()
     theirs[:2, 2] -= 0.5  # their pixel centres are whole numbers
-    coefficients = np.array([LENS.k1, LENS.k2, LENS.p1, LENS.p2, LENS.k3])
     a, b = cv2.initUndistortRectifyMap(
-        theirs, coefficients, np.eye(3), theirs, (270, 480), cv2.CV_32FC1
+        theirs, np.array(lens.terms), np.eye(3), theirs, (270, 480), cv2.CV_32FC1
     )
     assert np.abs(u - 0.5 - a).max() < 1e-3 and np.abs(v - 0.5 - b).max() < 1e-3
     assert single.all()
@@ -81,6 +82,15 @@ def test_where_the_radial_model_folds_back_nothing_is_valid() -> None:
     assert mask is not None
     r2 = ((np.arange(100) + 0.5 - 50) / 40) ** 2
     assert np.array_equal(mask[50] > 0, 1 - 0.9 * (r2 + r2[50]) > 0)
+
+
+def test_where_the_rational_model_folds_back_nothing_is_valid() -> None:
+    """Of r q(r) the slope is that of its values."""
+    K, lens = intrinsics(40.0, 40.0, 0.5, 0.5), Distortion(k4=0.9)
+    u, _, single = distorted_pixels(1, 100, K, lens)
+    slope = np.gradient(u[0])
+    clear = np.abs(slope) > 0.01
+    assert slope.min() < 0 and np.array_equal(single[0, clear], slope[clear] > 0)
 
 
 def test_downscaling_averages_boxes_and_moves_the_camera_along() -> None:

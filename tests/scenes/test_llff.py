@@ -183,6 +183,12 @@ def _cut_image(folder: Path) -> None:
     file.write_bytes(file.read_bytes()[:500])
 
 
+def _model_of_others(folder: Path) -> None:
+    write_model(folder / "sparse/0", 9, [])
+    images = folder / "sparse/0/images.txt"
+    images.write_text(images.read_text().replace(" im", " IMG_"))
+
+
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
@@ -196,7 +202,7 @@ def _cut_image(folder: Path) -> None:
         (_with(3, 2, np.nan), r"expected finite numbers, got NaN or infinity in rows \[3\]"),
         (_with(4, 15, 20.0), r"expected 0 < near < far.* rows \[4\]"),
         (_with(4, 0, 0.5), "orthonormal camera axes"),
-        (lambda f: write_model(f / "sparse/0", 9, []), "expected the 10 images .*, got 9"),
+        (_model_of_others, "expected the 10 images .*, got 9 with other names"),
         (lambda f: write_model(f / "sparse/0", 10, [], center_step=0.2), "camera centres up to"),
     ],
 )
@@ -205,6 +211,18 @@ def test_damaged_folders(tmp_path: Path, damage: Callable[[Path], None], message
     with pytest.raises(UserError, match=message) as caught:
         load(tmp_path)
     assert "\n" not in str(caught.value)
+
+
+def test_numbers_in_another_order_than_the_names(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = write_llff(tmp_path)
+    load(folder)
+    assert not caplog.text
+    for i in range(10):
+        (folder / f"images_8/im{i:02d}.png").rename(folder / f"images_8/x{i + 4}.png")
+    load(folder)
+    assert "in which x10.png comes before x4.png; if the poses are in the order" in caplog.text
 
 
 def test_missing_folder_and_factor(tmp_path: Path) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
+import os
 import shutil
 import subprocess
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +19,6 @@ from PIL import Image
 
 from framework.compute import parallel
 from framework.errors import UserError
-from framework.files.whole import Unwritable
 from framework.scenes.colmap_model import read_model
 from framework.scenes.photos import cached, child
 from framework.scenes.photos.found import FILE, Found, read_found, write_found
@@ -29,15 +31,31 @@ from tests.scenes.unplaced import FOUND, FRAMES, kept, load, noise_photos, sourc
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the room's photos, with their poses beside them."""
+    """The folder of the room's photos, whose poses are in the cache."""
     folder = write_photos(tmp_path_factory.mktemp("photos") / "my room")
     before = parallel.threads()
     parallel.set_threads(1)
     try:
-        load(folder)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(cached, "cache_dir", lambda: folder.parent / "cache")
+            load(folder)
     finally:
         parallel.set_threads(before)
     return folder
+
+
+@pytest.fixture(autouse=True)
+def cache(
+    request: pytest.FixtureRequest,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Path:
+    """An empty cache, or that with the poses of the room."""
+    folder = tmp_path_factory.mktemp("cache")
+    if "room" in request.fixturenames:
+        folder = request.getfixturevalue("room").parent / "cache"
+    monkeypatch.setattr(cached, "cache_dir", lambda: folder)
+    return Path(folder)
 
 
 def test_the_poses_are_those_of_the_cameras(room: Path) -> None:
@@ -66,6 +84,21 @@ def test_the_scene_is_that_of_colmap(room: Path) -> None:
         load(room, n_views=9)
 
 
+def test_masks_and_given_bounds(room: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "room"
+    shutil.copytree(room, folder)
+    (folder / "masks").mkdir()
+    for k in range(6):
+        with Image.open(folder / f"room{k}.jpg") as photo:
+            half = Image.new("L", photo.size, 255)
+        half.paste(0, (0, 0, half.width // 2, half.height))
+        half.save(folder / f"masks/room{k}.jpg.png")
+    scene = load(folder, near=0.5, far=90.0)
+    assert (scene.training.near, scene.training.far) == (0.5, 90.0)
+    for view in (*scene.training.views, *scene.test):
+        assert view.mask is not None and 0.4 < float(view.mask.mean()) <= 0.5
+
+
 def test_it_stands_upright(room: Path) -> None:
     views = np.array(read_model(kept(room) / "sparse" / "0").viewmats)
     assert views[:, 1, 1].mean() > 0.99 and views[:, 2, 2].mean() > 0.9  # down is +y, ahead +z
@@ -85,9 +118,13 @@ def test_the_search_repeats_bit_for_bit_on_other_threads(room: Path, tmp_path: P
         assert (tmp_path / name).read_bytes() == (kept(room) / name).read_bytes(), stem
 
 
-def test_what_was_found_is_used_again(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_found_is_used_again(
+    room: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     monkeypatch.setattr(cached, "run_child", lambda *_: pytest.fail("searched again"))
-    first = load(room).fingerprint
+    with caplog.at_level(logging.INFO, "framework"):
+        first = load(room).fingerprint
+    assert f"6 of 6 photos have poses, kept in {kept(room)}" in caplog.text
     (room / "room0.jpg").touch()
     assert load(room).fingerprint == first
     assert [p.name for p in room.iterdir() if p.name.startswith(".")] == []
@@ -132,26 +169,26 @@ def test_two_at_once_do_it_once(
             thread.join()
     assert len(calls) == 1 and found[0] == found[1] and (found[0] / FILE).is_file()
     assert "waiting for another process" in caplog.text
-    assert [p.name for p in source.beside.iterdir() if p.name.startswith(".")] == []
+    assert [p.name for p in source.folder.iterdir() if p.name.startswith(".")] == []
 
 
-def test_a_folder_that_cannot_be_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+def test_nothing_is_written_beside_the_photos(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache: Path
 ) -> None:
-    photos, real = noise_photos(tmp_path / "photos"), cached.locked
+    photos, real = noise_photos(tmp_path / "photos"), os.open
 
-    def locked(folder: Path, wait: bool = False) -> object:
-        if photos in folder.parents:
-            raise Unwritable("read-only")
-        return real(folder, wait)
+    def refuse(path: str | Path, flags: int, *args: Any, **options: Any) -> int:
+        if photos in Path(path).parents and flags & (os.O_WRONLY | os.O_RDWR):
+            raise PermissionError(errno.EACCES, "denied", str(path))
+        return real(path, flags, *args, **options)
 
     monkeypatch.setattr(cached, "run_child", stored_by_hand)
-    monkeypatch.setattr(cached, "locked", locked)
-    monkeypatch.setenv("FISHERSPLAT_CACHE", str(tmp_path / "cache"))
-    with caplog.at_level(logging.INFO, "framework"):
-        folder = cached.poses_folder(source_of(photos))
-    assert folder.parent == tmp_path / "cache" / "poses" and "cannot be written" in caplog.text
+    monkeypatch.setattr(os, "open", refuse)
+    photos.chmod(0o555)  # root may write all the same
+    folder = cached.poses_folder(source_of(photos))
+    assert folder.parent == cache / "poses"
     assert cached.poses_folder(source_of(photos)) == folder
+    assert sorted(p.name for p in photos.iterdir()) == ["n0.png", "n1.png", "n2.png"]
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), UserError("too little overlap")])
@@ -166,7 +203,7 @@ def test_a_search_that_fails_leaves_nothing(
     source = source_of(noise_photos(tmp_path / "photos"))
     with pytest.raises(type(error)):
         cached.poses_folder(source)
-    assert sorted(p.name for p in source.beside.iterdir()) == ["n0.png", "n1.png", "n2.png"]
+    assert sorted(p.name for p in source.folder.iterdir()) == ["n0.png", "n1.png", "n2.png"]
 
 
 def test_what_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

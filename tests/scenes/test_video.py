@@ -51,7 +51,7 @@ def test_blur_lowers_sharpness() -> None:
 def test_the_key_of_a_video(tmp_path: Path) -> None:
     video = write_video(tmp_path / "clip.mp4")
     source = find_source(str(video), 1200, 40)
-    assert source.video and (source.title, source.beside) == ("clip", tmp_path)
+    assert source.video and (source.title, source.folder) == ("clip", tmp_path)
     assert find_source(str(video), 1200, 20).key != source.key
 
 

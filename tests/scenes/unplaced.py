@@ -8,6 +8,7 @@ import numpy as np
 from PIL import Image
 
 from framework.compute.rng import stream
+from framework.scenes.photos import cached
 from framework.scenes.photos.found import Found, Link
 from framework.scenes.photos.source import Source, find_source
 from framework.types import Scene
@@ -25,8 +26,7 @@ def source_of(folder: Path) -> Source:
 
 
 def kept(room: Path) -> Path:
-    (folder,) = room.glob("fishersplat-poses-*")
-    return folder
+    return cached.poses_folder(source_of(room))
 
 
 def noise_photos(folder: Path, n: int = 3) -> Path:

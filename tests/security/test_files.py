@@ -114,9 +114,8 @@ def test_an_image_beyond_what_pillow_opens(tmp_path: Path) -> None:
         read_image(tmp_path / "a.png")
 
 
-def test_images_are_png_or_jpeg_whatever_their_suffix(tmp_path: Path) -> None:
-    Image.new("RGB", (8, 8)).save(tmp_path / "a.tiff")
-    (tmp_path / "a.tiff").rename(tmp_path / "a.png")
+def test_images_are_of_few_formats_whatever_their_suffix(tmp_path: Path) -> None:
+    Image.new("RGB", (8, 8)).save(tmp_path / "a.png", format="GIF")
     (tmp_path / "b.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n")
     for name in ("a.png", "b.png"):
         with pytest.raises(UserError, match="expected a readable image"):

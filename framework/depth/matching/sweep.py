@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from framework.depth.options import PlaneSweepOptions
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
+ONE_PLACE = 0.01  # of the near bound; closer cameras see no parallax
 MIN_ZNCC = 0.05  # floor of the score in a confidence, so that a consistent pixel never gets zero
 
 
@@ -181,9 +182,20 @@ def _partners(
         raise UserError(
             f"depth=plane_sweep: expected training views that overlap, got {len(chosen)} views of"
             f" scene '{training.scene}' without any overlap between depths {training.near:g} and"
-            f" {training.far:g}; use closer views, depth=file or depth=ground_truth"
+            f" {training.far:g}; {_advice(training)}, or set depth=file or depth=ground_truth"
         )
     return chosen
+
+
+def _advice(training: TrainingSet) -> str:
+    """What to do about views without overlap: photos from one place show no depth."""
+    centers = torch.stack([view.camera.center for view in training.views])
+    if float((centers - centers[0]).norm(dim=1).max()) < ONE_PLACE * training.near:
+        return (
+            "all cameras are at one place, so the photos show no depth: take photos from different"
+            " places, a step to the side between one and the next"
+        )
+    return "check scene.near and scene.far, use closer views"
 
 
 def checked(

@@ -1,9 +1,9 @@
 """`scene=photos`: a folder of photos, or a video, without camera poses.
 
 pycolmap finds the poses in a process of its own, with settings for few photos, and tries harder
-where photos are left over (`steps`). What it found is kept beside the photos, in
-`fishersplat-poses-<hash of the photos' content>`, or in the user's cache where the folder cannot be
-written. That folder is a scene of `scene=colmap`, and is loaded as one: the same photos give the
+where photos are left over (`steps`). What it found is kept in the user's cache, in
+`poses/fishersplat-poses-<hash of the photos' content>`; nothing is written beside the photos. That
+folder is a scene of `scene=colmap`, and is loaded as one: the same photos give the
 same scene from then on. pycolmap itself repeats bit for bit on one machine, for any number of
 threads; another machine may round otherwise and then has another scene, with another fingerprint.
 """
@@ -28,25 +28,31 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Photos:
-    """Photos without poses: pycolmap finds them, once."""
+    """Photos without poses: pycolmap finds them, once.
 
-    path: str  # folder of the photos (JPEG, PNG, HEIC where Pillow reads it), or a video
+    near, far: depth bounds in units of the poses found; null = from the points.
+    """
+
+    path: str  # folder of the photos, or a video
     n_views: int | str = ALL  # training views; all = every one that is not for testing
     side: int = 1200  # pixels; larger photos are first reduced to this longer side
     downscale: int = 0  # by which they are then reduced; 0 = until the longer side is at most 800
     frames: int = 40  # of a video: so many of its frames are taken, the sharpest ones
+    near: float | None = None
+    far: float | None = None
     split: str = "llff"  # which views train and which test: llff, mip360, dtu; none = no test
 
     def __post_init__(self) -> None:
-        check_folder_options("photos", self.path, self.n_views, self.split, self.downscale or 1)
+        check_folder_options("photos", self)
         check_option(self, "scene", "side", 64 <= self.side <= 8192, "64 to 8192 pixels")
         check_option(self, "scene", "frames", 3 <= self.frames <= 1000, "3 to 1000")
 
     def load(self) -> Scene:
         """The scene; the first time this takes from seconds to many minutes. Raises UserError where
         too few photos find a place, with what to do."""
+        from framework.files.limits import PHOTO_PIXELS
         from framework.scenes.colmap import Colmap, load_colmap
-        from framework.scenes.images import image_size
+        from framework.scenes.decoding import image_size
         from framework.scenes.photos.advice import advice
         from framework.scenes.photos.cached import poses_folder
         from framework.scenes.photos.found import read_found
@@ -55,10 +61,12 @@ class Photos:
         source = find_source(self.path, self.side, self.frames)
         folder = poses_folder(source)
         found = read_found(folder)
+        counts = (len(found.placed), len(found.photos))
+        log.info("scene=photos: %d of %d photos have poses, kept in %s", *counts, folder)
         for line in advice(found):
             log.warning("scene=photos: %s", line)
         images = folder / "images"
-        sizes = [image_size(images / name) for name in found.placed]
+        sizes = [image_size(images / name, PHOTO_PIXELS) for name in found.placed]
         downscale = self.downscale or -(-max(max(size) for size in sizes) // TRAINED_SIDE)
         if downscale > 1 or found.reduced:
             width, height = sizes[0]
@@ -66,5 +74,13 @@ class Photos:
                 "scene=photos: trained at %dx%d pixels (scene.downscale=%d of %dx%d)",
                 *(width // downscale, height // downscale, downscale, width, height),
             )
-        options = Colmap(str(folder), n_views=self.n_views, downscale=downscale, split=self.split)
-        return load_colmap("photos", folder, images, options, name=source.title)
+        options = Colmap(
+            str(folder),
+            n_views=self.n_views,
+            downscale=downscale,
+            near=self.near,
+            far=self.far,
+            split=self.split,
+        )
+        masks = source.folder.parent if source.folder.name == "images" else source.folder
+        return load_colmap("photos", folder, images, options, source.title, masks)

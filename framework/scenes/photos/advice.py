@@ -9,6 +9,7 @@ import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from framework.scenes.formats import listed
 from framework.scenes.photos.found import Found, Link, Overruled
 
 FLAT = 100  # features; a photo with fewer has too little texture
@@ -16,7 +17,6 @@ STRONG = 20  # matches; fewer may be chance
 STILL = 0.005  # shift in shares of the longer side; the camera has not moved
 CLOSE = 0.02  # of neighbours: frames of a video
 WEAK = 20  # 3D points; a pose from fewer is not to be trusted
-SHOWN = 5  # names at most
 NEARLY_ALL = 0.9
 
 
@@ -40,19 +40,19 @@ def advice(found: Found) -> Iterator[str]:
     """Lines about a search that went well enough to go on."""
     if found.copies:
         pairs = [f"{copy} is {first}" for copy, first in found.copies.items()]
-        yield f"left out as copies: {_some(pairs)}"
+        yield f"left out as copies: {listed(pairs)}"
     yield from _groups(found)
     alone = [n for n in found.left_out if not any(n in group for group in found.groups)]
     if alone:
         told = [_neighbours(found, name) for name in alone]
         yield (
-            f"{len(alone)} of {len(found.photos)} photos found no place: {_some(told)}; take more"
+            f"{len(alone)} of {len(found.photos)} photos found no place: {listed(told)}; take more"
             " between these, each a step from the last and with most of its view"
         )
     weak = [f"{name} ({n})" for name, n in found.placed.items() if n < WEAK]
     if weak:
         yield (
-            f"placed by few points, so perhaps wrongly: {_some(weak)}; take more photos near them,"
+            f"placed by few points, so perhaps wrongly: {listed(weak)}; take more photos near them,"
             " or remove them"
         )
     if found.held:
@@ -80,7 +80,7 @@ def failure(place: Path, found: Found) -> str:
     if len(found.photos) - len(flat) < 3:
         return (
             f"{opening} {len(flat)} of {len(found.photos)} photos without enough texture"
-            f" ({_some(flat)}); poses need detail that stays in place: no bare walls, no blur"
+            f" ({listed(flat)}); poses need detail that stays in place: no bare walls, no blur"
         )
     if not strong:
         return (
@@ -120,8 +120,8 @@ def _groups(found: Found) -> Iterator[str]:
     for group in found.groups:
         yield (
             f"{len(group)} photos belong together, but not to the other {len(found.placed)}:"
-            f" {_some(group)}; if it is the same scene, take photos that lead from one group to the"
-            " other, else move them to a folder of their own"
+            f" {listed(group)}; if it is the same scene, take photos that lead from one group to"
+            " the other, else move them to a folder of their own"
         )
 
 
@@ -147,9 +147,3 @@ def _is_video(found: Found) -> bool:
     neighbours = list(itertools.pairwise(found.photos))
     close = [pair for pair in neighbours if shifts.get(pair, 1.0) < CLOSE]
     return len(found.photos) > 10 and 2 * len(close) > len(neighbours)
-
-
-def _some(names: Sequence[str]) -> str:
-    """At most five of them."""
-    rest = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return ", ".join(names[:SHOWN]) + rest

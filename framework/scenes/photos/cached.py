@@ -15,7 +15,6 @@ from pathlib import Path
 
 from framework.files.cache import cache_dir
 from framework.files.locks import Busy, locked
-from framework.files.whole import Unwritable
 from framework.scenes.photos.child import run_child
 from framework.scenes.photos.found import FILE
 from framework.scenes.photos.source import Source
@@ -26,18 +25,10 @@ log = logging.getLogger(__name__)
 
 
 def poses_folder(source: Source) -> Path:
-    """The folder with `sparse/0`, `images` and `poses.json` of the source: beside the photos, else
-    in the user's cache. Raises UserError where too few photos find a place."""
-    name = f"{PREFIX}{source.key}"
-    beside, cache = source.beside / name, cache_dir() / "poses" / name
-    for folder in (beside, cache):
-        if _complete(folder):
-            return folder
-    try:
-        return _made(beside, source)
-    except Unwritable:
-        log.info("scene=photos: %s cannot be written; poses are kept in %s", beside.parent, cache)
-        return _made(cache, source)
+    """The folder in the user's cache with `sparse/0`, `images` and `poses.json` of the source.
+    Raises UserError where too few photos find a place."""
+    folder = cache_dir() / "poses" / f"{PREFIX}{source.key}"
+    return folder if _complete(folder) else _made(folder, source)
 
 
 def _complete(folder: Path) -> bool:
@@ -46,14 +37,10 @@ def _complete(folder: Path) -> bool:
 
 def _made(folder: Path, source: Source) -> Path:
     """`folder`, by this process or by another that is at it."""
-    work = folder.with_name(f".{folder.name}.work")
-    try:
-        with _alone(work):
-            if not _complete(folder):
-                _make(folder, work / "made", source)
-    finally:
-        with contextlib.suppress(OSError):  # another process may have come for the lock
-            work.rmdir()
+    work = folder.with_name(f".{folder.name}.work")  # stays: others may be waiting for its lock
+    with _alone(work):
+        if not _complete(folder):
+            _make(folder, work / "made", source)
     return folder
 
 

@@ -73,7 +73,7 @@ def _listen(child: subprocess.Popen[str], request: str, source: Source, printed:
         printed.seek(0)
         lines = printed.read().strip().splitlines() or ["it printed nothing"]
         raise UserError(
-            f"{source.beside}: expected pycolmap to find poses, but its process ended with"
+            f"{source.folder}: expected pycolmap to find poses, but its process ended with"
             f" {child.returncode} ({lines[-1][:200]}); try other photos, or make the poses yourself"
             " and use scene=colmap"
         )

@@ -1,5 +1,5 @@
 """Photos as the search for poses and the training read them: upright, at most `side` pixels long,
-8-bit RGB in JPEG or PNG; and which of them one camera took.
+8-bit RGB in JPEG or PNG (RGBA if they are partly transparent); and which of them one camera took.
 
 Focal length in pixels from EXIF (CIPA DC-008): the 35 mm equivalent compares diagonals, of which
 the film's is 43.27 mm; else focal length in mm times the sensor's pixels per mm.
@@ -7,7 +7,6 @@ the film's is 43.27 mm; else focal length in mm times the sensor's pixels per mm
 
 from __future__ import annotations
 
-import importlib
 import logging
 import math
 import shutil
@@ -15,22 +14,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from framework.errors import UserError, require
-from framework.scenes.images import EIGHT_BIT, FORMATS, bits, opened
-from framework.scenes.photos.source import HEIC
+from framework.files.limits import PHOTO_PIXELS
+from framework.scenes.decoding import eight_bit, exif_of, has_16_bits, opened, orientation, turned
 
 if TYPE_CHECKING:
     from PIL import Image
 
 FILM_DIAGONAL_MM = 43.27
-ORIENTATION, MAKE, MODEL, EXIF = 0x0112, 0x010F, 0x0110, 0x8769
+MAKE, MODEL, EXIF = 0x010F, 0x0110, 0x8769
 FOCAL_MM, FOCAL_35MM, PLANE_X, PLANE_UNIT, PIXELS = 0x920A, 0xA405, 0xA20E, 0xA210, (0xA002, 0xA003)
-# Pillow's plugins, no dependencies: their wheels hold libheif (LGPL), the second one's x265 (GPL)
-HEIF_READERS = ("pi_heif", "pillow_heif")
-TURNS: dict[object, str] = {  # EXIF's orientation -> what makes the photo upright
-    **{2: "FLIP_LEFT_RIGHT", 3: "ROTATE_180", 4: "FLIP_TOP_BOTTOM", 5: "TRANSPOSE"},
-    **{6: "ROTATE_270", 7: "TRANSVERSE", 8: "ROTATE_90"},
-}
 UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0}  # inch, cm, mm
 
 log = logging.getLogger(__name__)
@@ -52,22 +44,23 @@ class Photo:
 
 def prepare(file: Path, folder: Path, number: int, side: int) -> Photo:
     """Store the photo in `folder`. Raises UserError for one that cannot be used."""
-    with opened(file, _formats(file)) as image:
-        _check_bits(file, bits(image))
-        exif = image.getexif()
-        turn = exif.get(ORIENTATION, 1)
-        size, kind = image.size, image.format
-        _check_plain(file, image)
+    with opened(file, PHOTO_PIXELS) as image:
+        exif, size, kind = exif_of(image), image.size, image.format
+        turn = orientation(image) if kind != "TIFF" else 1  # which Pillow turns as it loads it
+        deep = has_16_bits(image)
+        clear = _is_transparent(image)
         reduced = max(size) > side
-        as_is = not reduced and turn == 1 and kind in FORMATS and image.mode in ("RGB", "L")
-        suffix = ".jpg" if kind != "PNG" else ".png"
+        plain = turn == 1 and image.mode in ("RGB", "L") and not deep
+        as_is = not reduced and plain and kind in ("PNG", "JPEG")
+        suffix = ".png" if kind in ("PNG", "TIFF", "BMP") or clear else ".jpg"
         stored = folder / f"{number:06d}{suffix}"
         if as_is:
             image.load()  # a damaged photo must not get further
             shutil.copyfile(file, stored)
             width, height = size
         else:
-            width, height = _store(image, turn, side, stored)
+            image = eight_bit(file, image) if deep or image.mode not in ("RGB", "L") else image
+            width, height = _store(image, turn, side, stored, "RGBA" if clear else "RGB")
         focal = _focal_px(exif, size)
     scale = max(width, height) / max(size)
     camera = (width, height, exif.get(MAKE), exif.get(MODEL), None if not focal else round(focal))
@@ -76,50 +69,19 @@ def prepare(file: Path, folder: Path, number: int, side: int) -> Photo:
     )
 
 
-def _formats(file: Path) -> tuple[str, ...]:
-    """What Pillow may take the file for."""
-    if file.suffix.lower() not in HEIC:
-        return FORMATS
-    for name in HEIF_READERS:
-        try:
-            importlib.import_module(name).register_heif_opener()
-        except ImportError:
-            continue
-        break
-    else:
-        raise UserError(
-            f"{file}: expected a JPEG or PNG photo, got HEIC, which is not read without the"
-            " package pi-heif; pip install pi-heif, or convert it to JPEG"
-        )
-    return ("HEIF",)
-
-
-def _check_bits(file: Path, kind: str) -> None:
-    require(
-        kind in EIGHT_BIT,
-        f"{file}: expected a photo of 8 bits per channel in RGB or grey, got mode {kind}; convert"
-        " it",
-    )
-
-
-def _check_plain(file: Path, image: Image.Image) -> None:
+def _is_transparent(image: Image.Image) -> bool:
     alpha: Any = image.convert("RGBA").getchannel("A") if image.has_transparency_data else None
-    require(
-        alpha is None or alpha.getextrema()[0] == 255,
-        f"{file}: expected an opaque photo, got transparency; flatten it",
-    )
+    return alpha is not None and alpha.getextrema()[0] < 255
 
 
-def _store(image: Image.Image, turn: object, side: int, path: Path) -> tuple[int, int]:
+def _store(image: Image.Image, turn: int, side: int, path: Path, mode: str) -> tuple[int, int]:
     """Write the reduced image, turned upright from EXIF's orientation; returns its size."""
-    from PIL.Image import Resampling, Transpose
+    from PIL.Image import Resampling
 
-    if image.mode not in ("RGB", "L"):  # Pillow reduces a palette without any filter
-        image = image.convert("RGB")
+    if image.mode not in (mode, "L"):  # Pillow reduces a palette without any filter
+        image = image.convert(mode)
     image.thumbnail((side, side), Resampling.LANCZOS, reducing_gap=3.0)  # a JPEG is read reduced
-    upright = image.convert("RGB")
-    if turn in TURNS:  # not by exif_transpose, which writes EXIF anew and so stumbles over odd ones
-        upright = upright.transpose(Transpose[TURNS[turn]])
+    upright = turned(image.convert(mode), turn)
     for key in ("exif", "icc_profile", "xmp"):
         upright.info.pop(key, None)
     if path.suffix == ".png":

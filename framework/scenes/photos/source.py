@@ -6,20 +6,29 @@ Photos count by their bytes: renamed, added or edited ones give another key, a n
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from framework.errors import UserError, require
-from framework.files.limits import IMAGE_BYTES
+from framework.files.limits import PHOTO_BYTES
 from framework.files.opened import open_regular
 from framework.files.paths import inside
-from framework.scenes.images import SUFFIXES
+from framework.scenes.formats import (
+    HEIC,
+    SUFFIXES,
+    UNREAD,
+    VIDEO,
+    is_photo,
+    listed,
+    unread_files,
+    warn_left_out,
+)
+
+log = logging.getLogger(__name__)
 
 VERSION = 2  # of the settings and of what is kept; another one finds the poses anew
-HEIC = {".heic", ".heif"}
-VIDEO = {".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm"}
-OTHERS = {".tif", ".tiff", ".webp", ".bmp", ".gif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw"}
 VIDEO_BYTES = 2**40  # it is read frame by frame
 FEWEST = 3  # photos with a place: two to train and one to test
 MOST = 2000
@@ -27,12 +36,12 @@ MOST = 2000
 
 @dataclass(frozen=True)
 class Source:
-    """Distinct photos, or one video. title: what the scene is called. beside: the folder in which
-    the poses are kept. copies: photo -> the earlier one with the same bytes, or the JPEG that a
+    """Distinct photos, or one video. title: what the scene is called. folder: where they are.
+    copies: photo -> the earlier one with the same bytes, or the JPEG that a
     phone's HEIC photo was also stored as."""
 
     title: str
-    beside: Path
+    folder: Path
     files: tuple[Path, ...]
     video: bool
     key: str
@@ -67,6 +76,7 @@ def find_source(path: str, side: int, frames: int) -> Source:
         first.setdefault(sha, file)
     copies = {f.name: first[sha].name for f, sha in hashes.items() if first[sha] != f} | twins
     distinct = tuple(first.values())
+    _warn_left_out(folder)
     _check_count(place, len(files), len(distinct))
     key = _key([side, *((file.name, hashes[file]) for file in distinct)])
     return Source(place.resolve().name, folder, distinct, False, key, side, frames, copies)
@@ -91,9 +101,19 @@ def _video(file: Path, side: int, frames: int) -> Source:
 
 def _photos(folder: Path) -> list[Path]:
     """Sorted by name, hidden files left out. Raises UserError for one that leads elsewhere."""
-    kinds = SUFFIXES | HEIC
-    found = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in kinds)
-    return [inside(folder, name) for name in found if not name.startswith(".")]
+    return [inside(folder, p.name) for p in sorted(folder.iterdir()) if is_photo(p)]
+
+
+def _warn_left_out(folder: Path) -> None:
+    """Log warnings about pictures and videos that are not read, and about folders with photos."""
+    warn_left_out(f"scene=photos: {folder}", unread_files(folder, UNREAD | VIDEO))
+    folders = [p for p in sorted(folder.iterdir()) if p.is_dir() and not p.name.startswith(".")]
+    nested = [p.name for p in folders if any(map(is_photo, p.iterdir()))]
+    if nested:
+        log.warning(
+            f"scene=photos: {folder}: photos in its folders are left out ({listed(nested)}); move"
+            " all photos into one folder"
+        )
 
 
 def _instead(folder: Path) -> str:
@@ -102,9 +122,9 @@ def _instead(folder: Path) -> str:
     videos = [name for name in names if Path(name).suffix.lower() in VIDEO]
     if videos:
         return f"a video; give it itself, scene.path={folder / videos[0]}"
-    others = [name for name in names if Path(name).suffix.lower() in OTHERS]
+    others = unread_files(folder)
     if others:
-        return f"{len(others)} pictures of other kinds (first: {others[0]}); convert them to JPEG"
+        return f"{len(others)} pictures in other formats ({listed(others)}); convert them to JPEG"
     folders = [name for name in names if not name.startswith(".") and (folder / name).is_dir()]
     got = f"only folders ({', '.join(folders[:5])})" if folders else "none"
     return f"{got}; put photos there or correct scene.path"
@@ -127,7 +147,7 @@ def _check_count(place: Path, n_files: int, n_distinct: int) -> None:
     )
 
 
-def _sha256(file: Path, limit: int = IMAGE_BYTES) -> str:
+def _sha256(file: Path, limit: int = PHOTO_BYTES) -> str:
     with open_regular(file, limit) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

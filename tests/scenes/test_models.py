@@ -1,0 +1,305 @@
+"""Several models, masks, missing photos, and poses without points: what every loader does."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from framework.compute.rng import stream
+from framework.errors import UserError
+from framework.scenes.listed import match_photos
+from framework.scenes.points import FEWEST
+from framework.types import Scene
+from tests.built import load_scene
+from tests.scenes.synthetic import FOCAL, HEIGHT, WIDTH, Point, llff_rows, write_model, write_scene
+from tests.scenes.test_transforms import frames, write_ply
+
+LOADERS = ("colmap", "mip360", "transforms", "llff")
+FILES = ("cameras.txt", "images.txt", "points3D.txt")
+
+
+def write(folder: Path, points: list[Point] | None = None) -> Path:
+    """A folder of ten photos that each of LOADERS reads."""
+    write_scene(folder, points=points)
+    np.save(folder / "poses_bounds.npy", llff_rows())
+    data = {"fl_x": FOCAL, "frames": frames()}
+    (folder / "transforms.json").write_text(json.dumps(data))
+    return folder
+
+
+def load(loader: str, folder: Path, **options: object) -> Scene:
+    return load_scene(loader, {"path": str(folder), "n_views": 3, **options})
+
+
+def names(scene: Scene) -> list[str]:
+    return [view.name.removeprefix("images/") for view in (*scene.training.views, *scene.test)]
+
+
+def spread(train: tuple[int, ...], n: int = 2 * FEWEST) -> list[Point]:
+    """Points at depths 4 to 6 that the images in `train` see."""
+    x, y = (stream(0, "tests/spread").uniform(-0.5, 1.0, (2, n)) * [[1], [0.5]]).tolist()
+    return [((x[k], y[k], 4.0 + 2 * k / n), train) for k in range(n)]
+
+
+@pytest.mark.parametrize("loader", LOADERS)
+def test_the_model_of_most_photos(
+    tmp_path: Path, loader: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    first = load(loader, write(tmp_path, spread(tuple(range(10)))))
+    assert not caplog.text
+    shutil.move(tmp_path / "sparse/0", tmp_path / "sparse/1")
+    write_model(tmp_path / "sparse/0", 3, [((0, 0, 4.0), (0, 1, 2))])
+    write_model(tmp_path / "colmap/sparse/0", 6, [((0, 0, 4.0), (0, 1, 2))])
+    (tmp_path / "colmap/sparse/0/cameras.txt").write_text("no")
+    assert load(loader, tmp_path).fingerprint == first.fingerprint
+    assert "sparse/1 is used, with poses of 10 photos, and not sparse/0 (3 photos)" in caplog.text
+    assert "colmap/sparse/0 (" in caplog.text and "scene.model=FOLDER" in caplog.text
+    assert load(loader, tmp_path, model="sparse/1").fingerprint == first.fingerprint
+    with pytest.raises(UserError, match="expected names inside this folder"):
+        load(loader, tmp_path, model="../x")
+
+
+def test_a_chosen_model_and_photos_without_a_pose(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write(tmp_path)
+    write_model(tmp_path / "sparse/1", 4, spread((1, 2, 3)))
+    scene = load("colmap", tmp_path, model="sparse/1")
+    assert names(scene) == [f"im0{i}.png" for i in (1, 2, 3, 0)]
+    assert "6 of 10 photos have no pose in the COLMAP model" in caplog.text
+    assert "(im04.png, im05.png, im06.png, im07.png, im08.png and 1 more)" in caplog.text
+
+
+@pytest.mark.parametrize("loader", LOADERS)
+def test_missing_photos_are_left_out(
+    tmp_path: Path, loader: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    write(tmp_path, spread(tuple(range(10))))
+    for i in (2, 3, 4, 5):
+        (tmp_path / f"images/im0{i}.png").unlink()
+    (tmp_path / "images/im06.png").rename(tmp_path / "images/IM06.JPG")
+    scene = load(loader, tmp_path)
+    assert "4 of 10 photos are missing and left out (im02.png, im03.png, im04.png" in caplog.text
+    assert "IM06.JPG for im06.png" in caplog.text
+    assert len(match_photos([tmp_path / name for name in ("..png", "a/..", ".png")])) == 0
+    trained = [0.1, 0.7, 0.9]  # x of cameras 1, 7 and 9
+    assert [v.camera.center[0].item() for v in scene.training.views] == pytest.approx(trained)
+    assert len(scene.training.points.xyz) == 2 * FEWEST
+    with pytest.raises(UserError, match="n_views of at most 5"):
+        load(loader, tmp_path, n_views=6)
+    shutil.rmtree(tmp_path / "images")
+    (tmp_path / "images").mkdir()
+    with pytest.raises(UserError, match=r"all are missing|no image in it"):
+        load(loader, tmp_path)
+
+
+def test_llff_without_a_model_refuses_a_missing_photo(tmp_path: Path) -> None:
+    shutil.rmtree(write(tmp_path) / "sparse")
+    (tmp_path / "images/im02.png").unlink()
+    with pytest.raises(UserError, match="got 10 rows and 9 images in images"):
+        load("llff", tmp_path)
+
+
+def test_llff_rows_of_registered_photos(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """LLFF writes rows of the photos that COLMAP registered alone."""
+    write(tmp_path)
+    write_model(tmp_path / "sparse/0", 8, [])
+    np.save(tmp_path / "poses_bounds.npy", llff_rows()[:8])
+    assert names(load("llff", tmp_path))[-1] == "im00.png"
+    assert "2 of 10 photos have no pose" in caplog.text
+
+
+@pytest.mark.parametrize("loader", LOADERS)
+@pytest.mark.parametrize("name", ["im{:02d}.png.png", "im{:02d}.png", "IM{:02d}.PNG"])
+def test_masks(tmp_path: Path, loader: str, name: str, caplog: pytest.LogCaptureFixture) -> None:
+    write(tmp_path)
+    mask = np.full((2 * HEIGHT, 2 * WIDTH), 255, np.uint8)
+    mask[:, :20] = 0
+    (tmp_path / "masks").mkdir()
+    for i in range(10):
+        Image.fromarray(mask).save(tmp_path / "masks" / name.format(i))
+    scene = load(loader, tmp_path)
+    assert not caplog.text
+    for view in (*scene.training.views, *scene.test):
+        assert view.mask is not None and not view.mask[:, :10].any() and view.mask[:, 10:].all()
+    (tmp_path / "masks" / name.format(3)).unlink()
+    load(loader, tmp_path)
+    assert "1 of 10 photos have no mask and count as a whole" in caplog.text
+
+
+def test_masks_of_reduced_photos_in_folders(tmp_path: Path) -> None:
+    write(tmp_path)
+    for file in (tmp_path / "images").iterdir():
+        for folder in ("images_2/left", "masks/left", "masks_2/left"):
+            (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+            shutil.copy(file, tmp_path / folder / file.name)
+        Image.new("L", (WIDTH, HEIGHT), 255).save(tmp_path / "masks_2/left" / file.name)
+    table = tmp_path / "sparse/0/images.txt"
+    table.write_text(table.read_text().replace(" im", " left/im"))
+    mask = load("colmap", tmp_path, images="images_2").training.views[0].mask
+    assert mask is not None and bool(mask.all())
+
+
+@pytest.mark.parametrize("loader", ["colmap", "mip360", "llff"])
+def test_transparent_pixels_do_not_count(tmp_path: Path, loader: str) -> None:
+    write(tmp_path)
+    pixels = np.full((HEIGHT, WIDTH, 4), 255, np.uint8)
+    pixels[:, :10, 3] = 127
+    Image.fromarray(pixels).save(tmp_path / "images/im01.png")
+    mask = load(loader, tmp_path).training.views[0].mask
+    assert mask is not None and not mask[:, :10].any() and bool(mask[:, 10:].all())
+
+
+@pytest.mark.parametrize("loader", LOADERS)
+def test_given_bounds(tmp_path: Path, loader: str) -> None:
+    scene = load(loader, write(tmp_path), near=0.5)
+    assert scene.training.near == 0.5 < scene.training.far
+    with pytest.raises(UserError, match=r"expected 0 < near < far, got near=3.0, far=2.0"):
+        load(loader, tmp_path, near=3.0, far=2.0)
+
+
+def textured(folder: Path) -> Path:
+    """Ten photos of a plane at depth 5, taken 0.2 apart, with known poses and no points."""
+    rng = stream(0, "tests/textured")
+    small = rng.integers(0, 256, (60, 160, 3), dtype=np.uint8)
+    plane = np.asarray(Image.fromarray(small).resize((320, 120), Image.Resampling.BICUBIC))
+    (folder / "images").mkdir(parents=True)
+    for i in range(10):
+        Image.fromarray(plane[:, 8 * i :][:, :160]).save(folder / f"images/im{i:02d}.png")
+    camera = "PINHOLE 160 120 200 200 80 60"
+    write_model(folder / "sparse/0", 10, [], camera, center_step=0.2)
+    return folder
+
+
+@pytest.mark.parametrize(("loader", "points"), [("colmap", ""), ("mip360", None)])
+def test_known_poses_without_points(
+    tmp_path: Path, loader: str, points: str | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = textured(tmp_path)
+    file = folder / "sparse/0/points3D.txt"
+    file.unlink() if points is None else file.write_text(points)
+    training = load(loader, folder).training
+    assert (training.near, training.far) == pytest.approx((5.0, 5.0), rel=0.05)
+    assert "triangulated from matches of the training photos" in caplog.text
+    assert len(training.points.xyz) > FEWEST
+    assert training.points.xyz[:, 2].numpy() == pytest.approx(5.0, rel=0.1)
+    again = load(loader, folder)
+    for i in (0, 8):  # test photos have no say
+        Image.new("RGB", (160, 120)).save(folder / f"images/im{i:02d}.png")
+    assert np.array_equal(load(loader, folder).training.points.xyz, again.training.points.xyz)
+    given = load(loader, folder, near=1.0, far=9.0).training
+    assert (given.near, given.far, len(given.points.xyz)) == (1.0, 9.0, 0)
+
+
+def test_transforms_without_points(tmp_path: Path) -> None:
+    folder = textured(tmp_path)
+    listed = frames()
+    for i, frame in enumerate(listed):
+        frame["transform_matrix"][0][3] = 0.2 * i
+    data = {"fl_x": 200.0, "frames": listed}
+    (folder / "transforms.json").write_text(json.dumps(data))
+    training = load("transforms", folder).training
+    assert training.near == pytest.approx(5.0, rel=0.05) and len(training.points.xyz) > FEWEST
+    assert len(load("transforms", folder, points="none").training.points.xyz) == 0
+
+
+def without_tracks(folder: Path) -> None:
+    """Remove all tracks from the text model in `folder`."""
+    images, points = folder / "images.txt", folder / "points3D.txt"
+    lines = images.read_text().splitlines()
+    lines[2::2] = [""] * len(lines[2::2])
+    images.write_text("\n".join(lines) + "\n")
+    rows = [
+        row if row.startswith("#") else " ".join(row.split()[:8])
+        for row in points.read_text().splitlines()
+    ]
+    points.write_text("\n".join(rows) + "\n")
+
+
+@pytest.mark.parametrize("loader", ["colmap", "transforms", "llff"])
+def test_points_without_tracks(
+    tmp_path: Path, loader: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    hidden: Point = ((0.4, 0.0, 40.0), (1,))
+    write(tmp_path, [*spread((1, 5, 9), 400), hidden, ((0.5, 0.0, -4.0), (1,))])
+    without_tracks(tmp_path / "sparse/0")
+    flat_photos(tmp_path)
+    training = load(loader, tmp_path).training
+    depths = training.points.xyz[:, 2]
+    assert 350 < len(depths) <= 400 and 4.0 <= float(depths.min()) <= float(depths.max()) < 6.0
+    assert "402 sparse points have no track of" in caplog.text and "test photos" in caplog.text
+
+
+def flat_photos(folder: Path) -> None:
+    """Photos of one colour, which says nothing about the colours of points."""
+    for file in (folder / "images").iterdir():
+        Image.new("RGB", (WIDTH, HEIGHT), (9, 9, 9)).save(file)
+
+
+def test_points_of_another_world_are_left_out(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    without_tracks(write(tmp_path, spread((1, 5, 9), 200)) / "sparse/0")
+    training = load("colmap", tmp_path, near=1.0, far=9.0).training
+    assert len(training.points.xyz) == 0 and "their colours do not match" in caplog.text
+
+
+def test_points_of_one_photo_stay_with_it(tmp_path: Path) -> None:
+    """Networks write one track per point: points of a test photo's depth stay out."""
+    flat_photos(write(tmp_path, [*spread((1,), 30), *spread((8,), 30)]))
+    training = load("colmap", tmp_path).training
+    assert 25 < len(training.points.xyz) <= 30
+
+
+def test_points_as_a_ply_in_the_model(tmp_path: Path) -> None:
+    write(tmp_path)
+    (tmp_path / "sparse/0/points3D.txt").unlink()
+    write_ply(tmp_path / "sparse/0/points3D.ply", [xyz for xyz, _ in spread((1,))])
+    training = load("colmap", tmp_path).training
+    assert len(training.points.xyz) > FEWEST and 3.9 < training.near < training.far < 6.1
+
+
+def test_a_model_of_other_poses_in_nerfstudios_folder(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write(tmp_path)
+    shutil.rmtree(tmp_path / "sparse")
+    write_model(tmp_path / "colmap/sparse/0", 10, [((0, 0, 4.0), (1, 5))], center_step=0.2)
+    training = load("transforms", tmp_path, near=1.0, far=9.0).training
+    assert len(training.points.xyz) == 0 and "its points are not used" in caplog.text
+    with pytest.raises(UserError, match=r"applied_transform to be a 3x4 matrix, got \[1, 2\]"):
+        data = json.loads((tmp_path / "transforms.json").read_text())
+        (tmp_path / "transforms.json").write_text(json.dumps({**data, "applied_transform": [1, 2]}))
+        load("transforms", tmp_path)
+
+
+WORLD = [[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 3]]
+
+
+@pytest.mark.parametrize("source", ["model", "ply"])
+def test_a_folder_of_nerfstudio(tmp_path: Path, source: str) -> None:
+    """ns-process-data turns the world of its COLMAP model, which it keeps in colmap/sparse/0."""
+    model = load("colmap", write(tmp_path, spread(tuple(range(10))))).training
+    (tmp_path / "colmap").mkdir()
+    shutil.move(tmp_path / "sparse", tmp_path / "colmap/sparse")
+    world = np.vstack([WORLD, [0, 0, 0, 1]])
+    listed = frames()
+    for frame in listed:
+        frame["transform_matrix"] = (world @ np.array(frame["transform_matrix"])).tolist()
+    points = model.points.xyz.numpy() @ world[:3, :3].T + world[:3, 3]
+    write_ply(tmp_path / "sparse_pc.ply", [tuple(xyz) for xyz in points.tolist()])
+    data = {"applied_transform": WORLD, "ply_file_path": "sparse_pc.ply"}
+    data |= {"fl_x": FOCAL, "frames": listed}
+    (tmp_path / "transforms.json").write_text(json.dumps(data))
+    assert load("colmap", tmp_path).training.near == model.near
+    if source == "ply":
+        shutil.rmtree(tmp_path / "colmap")
+    training = load("transforms", tmp_path).training
+    assert (training.near, training.far) == pytest.approx((model.near, model.far), rel=1e-3)
+    assert len(training.points.xyz) == len(points)
+    assert np.allclose(np.sort(training.points.xyz, axis=0), np.sort(points, axis=0), atol=1e-5)
