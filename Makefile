@@ -1,4 +1,4 @@
-# make demo · make test · make lint · make docs; needs Python >= 3.11 and make, nothing else.
+# make demo · make test · make system · make lint · make docs; needs Python >= 3.11 and make, nothing else.
 
 VENV ?= .venv
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
@@ -6,7 +6,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 STAMP := $(VENV)/.installed
 RUN := PATH="$(abspath $(VENV))/bin:$$PATH"
 
-.PHONY: demo test lint docs setup lock audit
+.PHONY: demo test system lint docs setup lock audit
 .DEFAULT_GOAL := demo
 
 demo: $(STAMP)
@@ -14,6 +14,10 @@ demo: $(STAMP)
 
 test: $(STAMP)
 	$(RUN) python -m pytest --numprocesses=logical --maxprocesses=4 --dist=worksteal
+
+# half an hour or more on two cores; kills processes, so nothing runs beside it
+system: $(STAMP)
+	$(RUN) python -m pytest -m slow
 
 lint: $(STAMP)
 	$(RUN) ruff check .

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -15,6 +16,13 @@ from framework.command.config.schema import ROOT
 FRAMEWORK = sorted((ROOT / "framework").rglob("*.py"))
 PLUGINS = sorted((ROOT / "plugins").rglob("*.py"))
 REPORT = sorted((ROOT / "framework" / "report").rglob("*.py"))
+
+
+@functools.cache
+def parsed(path: Path) -> ast.Module:
+    """The syntax tree of a source file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
 
 # Top to bottom: whoever stands in a line may import from the lines below it, never from above.
 # A folder is a room, its `__init__.py` the door: `__all__` there says what other rooms may take.
@@ -78,7 +86,7 @@ def imported(tree: ast.AST) -> Iterator[str]:
 
 def at_import_time(path: Path) -> Iterator[str]:
     """The modules that importing `path` imports: not under TYPE_CHECKING, not in functions."""
-    for statement in ast.parse(path.read_text(encoding="utf-8")).body:
+    for statement in parsed(path).body:
         if isinstance(statement, ast.Import | ast.ImportFrom):
             yield from imported(statement)
 
@@ -106,7 +114,7 @@ MODULES = {module_of(path): path for path in [*FRAMEWORK, *PLUGINS]}
 def taken(path: Path) -> Iterator[tuple[str, str | None]]:
     """(module of ours, name taken from it or None for all of it) of every import statement of a
     file: also in functions and under TYPE_CHECKING."""
-    for statement in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for statement in ast.walk(parsed(path)):
         if isinstance(statement, ast.Import):
             yield from ((a.name, None) for a in statement.names if a.name in MODULES)
         elif isinstance(statement, ast.ImportFrom) and statement.module in MODULES:
@@ -153,7 +161,7 @@ def past_the_door(path: Path) -> list[str]:
 
 def handed_out(door: Path) -> list[str]:
     """The names in `__all__` of a room's `__init__.py`."""
-    for statement in ast.parse(door.read_text(encoding="utf-8")).body:
+    for statement in parsed(door).body:
         if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "__all__":
             return [str(name) for name in ast.literal_eval(statement.value)]
     return []
@@ -164,48 +172,45 @@ def covers(rule: str, module: str) -> bool:
 
 
 def everything(path: Path) -> list[str]:
-    return list(imported(ast.parse(path.read_text(encoding="utf-8"))))
+    return list(imported(parsed(path)))
 
 
 def name_of(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-@pytest.mark.parametrize("path", FRAMEWORK, ids=name_of)
-def test_the_framework_imports_no_plugin(path: Path) -> None:
-    assert not [module for module in everything(path) if covers("plugins", module)]
-
-
-@pytest.mark.parametrize("path", FRAMEWORK, ids=name_of)
-def test_the_framework_names_no_plugin_module(path: Path) -> None:
+def test_the_framework_imports_and_names_no_plugin() -> None:
     packages = {*registry.GROUPS.values(), *registry.PARTS.values()}
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    texts = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)}
-    named = {text for text in texts if isinstance(text, str) and text.startswith("plugins.")}
-    assert named <= packages
+    for path in FRAMEWORK:
+        texts = {node.value for node in ast.walk(parsed(path)) if isinstance(node, ast.Constant)}
+        named = {text for text in texts if isinstance(text, str) and text.startswith("plugins.")}
+        modules = {module for module in everything(path) if covers("plugins", module)}
+        assert not (named | modules) - packages, name_of(path)
 
 
-@pytest.mark.parametrize("path", PLUGINS, ids=name_of)
-def test_a_plugin_imports_only_its_contracts(path: Path) -> None:
-    ours = [module for module in everything(path) if covers("framework", module)]
-    assert not [m for m in ours if not any(covers(rule, m) for rule in PLUGIN_MAY_IMPORT)]
-    assert not [module for module in everything(path) if covers("plugins", module)]
+def test_a_plugin_imports_only_its_contracts() -> None:
+    for path in PLUGINS:
+        ours = [module for module in everything(path) if covers("framework", module)]
+        found = [m for m in ours if not any(covers(rule, m) for rule in PLUGIN_MAY_IMPORT)]
+        found += [module for module in everything(path) if covers("plugins", module)]
+        assert not found, name_of(path)
 
 
-@pytest.mark.parametrize("path", PLUGINS, ids=name_of)
-def test_a_plugin_is_light_to_import(path: Path) -> None:
-    assert not {module.partition(".")[0] for module in loaded(path, set())} & HEAVY
+def test_a_plugin_is_light_to_import() -> None:
+    for path in PLUGINS:
+        heavy = {module.partition(".")[0] for module in loaded(path, set())} & HEAVY
+        assert not heavy, name_of(path)
 
 
-@pytest.mark.parametrize("path", REPORT, ids=name_of)
-def test_the_report_reads_records_only(path: Path) -> None:
-    found = everything(path)
-    assert not [m for m in found if any(covers(rule, m) for rule in REPORT_MUST_NOT_IMPORT)]
+def test_the_report_reads_records_only() -> None:
+    for path in REPORT:
+        modules = everything(path)
+        found = [m for m in modules if any(covers(rule, m) for rule in REPORT_MUST_NOT_IMPORT)]
+        assert not found, name_of(path)
 
 
-@pytest.mark.parametrize("path", FRAMEWORK, ids=name_of)
-def test_imports_go_down_only(path: Path) -> None:
-    assert not climbs(path)
+def test_imports_go_down_only() -> None:
+    assert not [line for path in FRAMEWORK for line in climbs(path)]
 
 
 @pytest.mark.parametrize(
@@ -222,9 +227,8 @@ def test_an_import_that_climbs_is_found_wherever_it_stands(text: str, tmp_path: 
     assert found.startswith("files imports framework.") and found.endswith("which is above it")
 
 
-@pytest.mark.parametrize("path", [*FRAMEWORK, *PLUGINS], ids=name_of)
-def test_rooms_are_entered_by_their_doors(path: Path) -> None:
-    assert not past_the_door(path)
+def test_rooms_are_entered_by_their_doors() -> None:
+    assert not [line for path in [*FRAMEWORK, *PLUGINS] for line in past_the_door(path)]
 
 
 def test_no_import_goes_in_a_circle() -> None:
@@ -239,7 +243,6 @@ def test_the_house_is_not_a_heap() -> None:
     assert {p.stem for p in inside} - {"__init__"} == set(ROOMS)
 
 
-@pytest.mark.parametrize("room_name", [r for r in ROOMS if (ROOT / "framework" / r).is_dir()])
-def test_a_room_says_what_it_is_for(room_name: str) -> None:
-    for door in (ROOT / "framework" / room_name).rglob("__init__.py"):
-        assert ast.get_docstring(ast.parse(door.read_text(encoding="utf-8"))), name_of(door)
+def test_a_room_says_what_it_is_for() -> None:
+    for door in (ROOT / "framework").rglob("__init__.py"):
+        assert door.parent == ROOT / "framework" or ast.get_docstring(parsed(door)), name_of(door)

@@ -18,23 +18,15 @@ ALL = [(group, name) for group in registry.GROUPS for name in sorted(registry.ta
 
 @pytest.mark.parametrize(("group", "name"), ALL)
 def test_it_builds_from_its_defaults(group: str, name: str) -> None:
+    """And is frozen, documented, and has a type and a default for every option."""
     plugged = registry.build(group, {"name": name})
     assert isinstance(plugged.plugin, BASES[group])
     assert (plugged.plugin.group, plugged.plugin.name) == (group, name)
     assert plugged.weight >= 0
-
-
-@pytest.mark.parametrize(("group", "name"), ALL)
-def test_it_is_frozen_and_documented(group: str, name: str) -> None:
     cls = registry.lookup(group, name)
     assert dataclasses.is_dataclass(cls)
     assert cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
     assert cls.__doc__ and not cls.__doc__.startswith(f"{cls.__name__}(")
-
-
-@pytest.mark.parametrize(("group", "name"), ALL)
-def test_every_option_has_a_type_and_a_default(group: str, name: str) -> None:
-    cls = registry.lookup(group, name)
     for option, kind, field in registry.option_fields(cls):
         assert kind is not None
         assert field.default is not dataclasses.MISSING, option
@@ -42,10 +34,9 @@ def test_every_option_has_a_type_and_a_default(group: str, name: str) -> None:
     assert not own & {"name", *registry.FRAMEWORK_KEYS}
 
 
-@pytest.mark.parametrize(("group", "name"), ALL)
-def test_an_unknown_option_is_refused(group: str, name: str) -> None:
+def test_an_unknown_option_is_refused() -> None:
     with pytest.raises(UserError, match="unknown option 'wieght'; did you mean 'weight'"):
-        registry.build(group, {"name": name, "wieght": 1.0})
+        registry.build("reg", {"name": "uar", "wieght": 1.0})
 
 
 @pytest.mark.parametrize("group", list(registry.GROUPS))

@@ -1,5 +1,5 @@
 """Mutated inputs of every reader: each ends in the documented error or in a correct read; no crash,
-no hang, no memory beyond the limit. `benchmarks/safety/fuzz.py` does the same for longer."""
+no hang, no memory beyond the limit. `tests/system/test_fuzz.py` does the same for longer."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.fuzz.readers import READERS
 
 CASES, DEAR_CASES = 36, 8  # of each reader
 DEAR = {"study", "archive of runs", "compared runs"}  # up to half a second each
-RARE = {"leaderboard"}  # refuses one in twenty; `benchmarks/safety/fuzz.py` does it
+RARE = {"leaderboard"}  # refuses one in twenty; `tests/system/test_fuzz.py` does it
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the worker's limits are those of Linux")

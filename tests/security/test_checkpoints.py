@@ -53,7 +53,7 @@ def test_tensors_that_do_not_fit(
 @pytest.mark.parametrize("first", range(len(ODD)), ids=[f"{odd!r:.8}" for odd in ODD])
 def test_values_that_do_not_fit(forgery: Forgery, first: int) -> None:
     """A third of the kinds of numbers, texts and names of the state in turn, by an odd one;
-    `benchmarks/safety/forged.py` does all."""
+    `tests/system/test_forged.py` does all."""
     odd = ODD[first]
     tree = copy.deepcopy(forgery.tree)
     kinds = {
@@ -72,7 +72,7 @@ def test_values_that_do_not_fit(forgery: Forgery, first: int) -> None:
 def test_a_share_of_the_forgeries_of_every_plugin(
     group: str, name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """`benchmarks/safety/forged.py` does all."""
+    """`tests/system/test_forged.py` does all."""
     forgery = Forgery(tmp_path, {group: name})
     for _, tree, tensors in islice(forgeries(forgery, "plugins"), 5, None, 41):
         caplog.clear()

@@ -1,0 +1,27 @@
+"""Two hundred mutated files for every reader; `tests/fuzz` tries a few of them in each test run."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz.drive import fuzz
+from tests.fuzz.readers import READERS
+
+CASES = int(os.environ.get("FUZZ_CASES", "200"))
+SEED = int(os.environ.get("FUZZ_SEED", "1"))
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="the worker uses Linux resource limits"),
+]
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_mutated_files_are_read_or_refused_in_one_line(reader: str, tmp_path: Path) -> None:
+    tally = fuzz(tmp_path / "results", [reader], CASES, SEED)
+    assert tally.bugs == []
+    assert tally.cases == CASES
