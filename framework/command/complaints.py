@@ -48,28 +48,17 @@ KINDS = {
 
 @contextmanager
 def composing() -> Iterator[None]:
-    """Tell what the libraries refuse without an error of their own as UserError: an integer that is
-    too large for a number, whose error has the option's name in its text; a choice of a group that
-    is no text."""
+    """Raise what Hydra refuses without an error of its own as UserError: a number of too many
+    digits, a choice that is no name."""
     try:
         yield
     except USER_ERRORS:
         raise
-    except (ValueError, RecursionError) as error:
-        if str(error).startswith("Config group override must be a string"):
-            raise UserError(
-                "command line: expected a name behind a group's =, as preset=paper, got null or a"
-                " number; to choose nothing leave the group out, in a command of its own"
-            ) from error
+    except (ValueError, OverflowError, RecursionError) as error:
         raise UserError(
             f"command line: expected options of the configuration, got what Hydra refuses"
-            f" ({printable_line(str(error))[:160]}); --help tells what there is"
+            f" ({printable_line(str(error))[:160]}); --help lists what there is"
         ) from error
-    except OverflowError as error:
-        key = re.search(r"full_key: (\S+)", str(error))
-        if key is None:
-            raise
-        raise UserError(f"{key[1]}: expected a number within 1e308, got a larger one") from error
 
 
 def one_line(error: BaseException) -> str:
