@@ -50,7 +50,7 @@ from framework.compute.orphans import end_with_parent
 from framework.errors import UserError, machine_line, printable_line
 from framework.records.progress import unread
 
-TOLD = ("augment=", "reg=", "seed=")  # progress lines have these of every run
+IN_ALL_LINES = ("augment=", "reg=", "seed=")  # progress lines have these of every run
 SHOWN = 32  # characters of another word
 
 register_resolvers()
@@ -160,7 +160,7 @@ def _job(hydra: Any, config: dict[str, Any]) -> Job:
     method = "+".join(str(hydra.runtime.choices.get(group)) for group in ("augment", "reg"))
     pair = "_".join(part for part in method.split("+") if part != "none") or "baseline"
     words = [word.lstrip("+") for word in varied(overrides)]
-    besides = [_shown(w) for w in words if not w.startswith(TOLD) and w != f"method={pair}"]
+    besides = [_shown(w) for w in words if not w.startswith(IN_ALL_LINES) and w != f"method={pair}"]
     label = " ".join([method, *besides, f"seed {config['seed']}"])
     values = [word.partition("=")[2] for word in besides]
     short = " ".join([method, *values, f"s{config['seed']}"])

@@ -68,9 +68,9 @@ def one_line(error: BaseException) -> str:
         if isinstance(cause, UserError):
             return printable_line(str(cause))
     for cause in chain:
-        told = _told(cause)
-        if told is not None:
-            return printable_line(told)
+        text = _reworded(cause)
+        if text is not None:
+            return printable_line(text)
     texts = [printable_line(str(cause)) for cause in (*chain[::-1], *chain)]
     return next(filter(None, texts), f"refused without a reason ({type(chain[0]).__name__})")
 
@@ -103,8 +103,8 @@ def _of_several(group: str, key: str, words: Sequence[str]) -> str:
     names = [name for value in chosen for name in re.findall(r"[\w.-]+", value)]
     there = places_of(group, key, names)
     several = f"several plugins are chosen, each with options of its own, as {group}.NAME.OPTION"
-    told = f"did you mean {there}?" if there else f"{several}; --help with these words tells them"
-    return f"{group}.{key}: unknown option of {group}; {told}"
+    advice = f"did you mean {there}?" if there else f"{several}; --help with these words tells them"
+    return f"{group}.{key}: unknown option of {group}; {advice}"
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
@@ -115,7 +115,7 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
         yield error
 
 
-def _told(error: BaseException) -> str | None:
+def _reworded(error: BaseException) -> str | None:
     """Our words for one exception of Hydra, OmegaConf or the system; None if we have none."""
     if isinstance(error, OSError) and mendable(error):
         return os_line(error)
@@ -167,16 +167,16 @@ def _missing_choice(error: MissingConfigException) -> str | None:
             f" install 'fishersplat[{extra}]'"
         )
     options = {*error.options, *(LAUNCHERS if group == "hydra/launcher" else ())}
-    own = os.environ.get(OWN_VARIABLE)
-    searched = f"; --plugins {own} was searched, too" if own else ""
+    folder = os.environ.get(OWN_VARIABLE)
+    searched = f"; --plugins {folder} was searched, too" if folder else ""
     return f"{group}={name}: unknown {group}; {nearest_hint(name, options)}{searched}"
 
 
 def _unknown_key(error: OmegaConfBaseException) -> str | None:
-    known = [f.name for f in _fields(error.object_type) if f.name != "name"]
-    if not error.full_key or not known or error.object_type is None:
+    options = [f.name for f in _fields(error.object_type) if f.name != "name"]
+    if not error.full_key or not options or error.object_type is None:
         return None
     parent, _, key = str(error.full_key).rpartition(".")
     place = f" of {error.object_type.__name__}" if parent else ""
     photos = "; for a folder of photos add scene=photos" if error.full_key == "scene.path" else ""
-    return f"{error.full_key}: unknown option{place}; {hint(parent, key, known)}{photos}"
+    return f"{error.full_key}: unknown option{place}; {hint(parent, key, options)}{photos}"

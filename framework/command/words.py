@@ -106,8 +106,8 @@ def _check_empty_choices(arguments: Sequence[str]) -> None:
         group, equals, name = argument.partition("=")
         if equals and group in OBJECT_GROUPS and name in ("", "null"):
             variants = {file.stem for file in (CONF_DIR / group).glob("*.yaml")}
-            known = ", ".join(sorted({*choices(group), *variants}))
-            raise UserError(f"{group}: expected a choice, got {name!r}; available: {known}")
+            names = ", ".join(sorted({*choices(group), *variants}))
+            raise UserError(f"{group}: expected a choice, got {name!r}; available: {names}")
 
 
 def check_given_twice(arguments: Sequence[str]) -> None:

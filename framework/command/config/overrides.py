@@ -82,8 +82,8 @@ def check_method(overrides: Sequence[Override], swept: Iterable[Any]) -> None:
     for group in ("augment", "reg"):
         if "method" in given and group in given:
             method, choice = given["method"], given[group]
-            told = f"note: {choice} takes the place of what {method} has as {group}"
-            print(told, file=sys.stderr)  # what --cfg prints is data
+            note = f"note: {choice} takes the place of what {method} has as {group}"
+            print(note, file=sys.stderr)  # what --cfg prints is data
 
 
 def check_deleted(overrides: Iterable[Override]) -> None:
