@@ -45,12 +45,12 @@ from framework.command.studies.study import (
     varied,
 )
 from framework.command.subcommands import asked_for, obey
-from framework.command.words import check_utf8, normalise, only_informs, parse
+from framework.command.words import normalise, only_informs, parse
 from framework.compute.orphans import end_with_parent
-from framework.errors import UserError, machine_line, nearest_hint, printable_line
+from framework.errors import UserError, machine_line, printable_line
 from framework.records.progress import unread
 
-TOLD = ("augment=", "reg=", "seed=")  # progress lines have these of every run
+IN_ALL_LINES = ("augment=", "reg=", "seed=")  # progress lines have these of every run
 SHOWN = 32  # characters of another word
 
 register_resolvers()
@@ -59,15 +59,14 @@ register_resolvers()
 def main(argv: Sequence[str]) -> int:
     """Run the command line `argv` (without the program's name); returns the exit code."""
     try:
-        _check_here()
-        words = own_plugins.take_flag(argv) if own_plugins.asked(argv) else list(argv)
+        words = own_plugins.take_flag(argv)
         subcommand = asked_for(words)
         if subcommand is not None:
             return obey(subcommand, words[1:])
         if "--version" in argv:
             print(f"fishersplat {framework.__version__}")
             return 0
-        arguments = normalise(own_plugins.take_flag(argv))
+        arguments = normalise(words)
         with _hydra_process(arguments):
             register_config()
             register_launchers()
@@ -79,7 +78,6 @@ def main(argv: Sequence[str]) -> int:
                 version_base="1.3", config_path=str(CONF_DIR), config_name="config"
             )(task)
             if only_informs(flags):
-                _check_package(flags)
                 with composing():
                     application()
                 return 0
@@ -87,11 +85,8 @@ def main(argv: Sequence[str]) -> int:
                 application()
                 return conclude()
     except KeyboardInterrupt:
-        line = f"{program()} {shlex.join(argv)}"
-        kept = "what is done is kept, go on with"
-        if any(word.lower() == "force=true" for word in argv):
-            kept = "force=true begins anew with all runs"
-        print(f"error: interrupted; {kept}: {line}", file=sys.stderr)
+        again = f"{program()} {shlex.join(argv)}"
+        print(f"error: interrupted; what is done is kept, go on with: {again}", file=sys.stderr)
         return 130
     except (Refused, *USER_ERRORS) as error:
         if "traceback=true" in argv:
@@ -104,10 +99,10 @@ def main(argv: Sequence[str]) -> int:
     except (OSError, MemoryError, RuntimeError, ImportError) as error:
         if "traceback=true" in argv:
             traceback.print_exc()
-        told = machine_line(error)
-        if told is None:
+        line = machine_line(error)
+        if line is None:
             raise
-        print(f"error: {told}", file=sys.stderr)
+        print(f"error: {line}", file=sys.stderr)
         return 2
     except SystemExit as end:  # Hydra ends --help and its like this way
         return end.code if isinstance(end.code, int) else int(end.code is not None)
@@ -134,45 +129,18 @@ def task(cfg: DictConfig) -> Outcome:
     return outcome
 
 
-def _check_package(flags: Any) -> None:
-    """Raise UserError for `--package` of a part that the configuration lacks."""
-    if flags.package is None or flags.shell_completion:
-        return
-    with hydra.initialize_config_dir(version_base="1.3", config_dir=str(CONF_DIR)):
-        config = hydra.compose("config", flags.overrides, return_hydra_config=True)
-    package = flags.package.removeprefix("_global_")
-    part = OmegaConf.select(config, package, throw_on_missing=False) if package else config
-    if part is None:
-        known = [str(key) for key in config]
-        raise UserError(f"--package: no part {package!r} there; {nearest_hint(package, known)}")
-
-
-def _check_here() -> None:
-    """Runs are recorded with the folder that they were started in."""
-    try:
-        here = os.getcwd()
-    except OSError as error:
-        raise UserError(
-            f"the current folder: expected one that exists, got '{error.strerror}'; change to"
-            " another"
-        ) from error
-    check_utf8("the current folder", here)
-
-
 @contextmanager
 def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
     """What `hydra.main` reads from the process: its arguments, and to leave errors to us."""
-    argv, full_error = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
+    argv, environment = sys.argv, dict(os.environ)
     sys.argv = [argv[0], *arguments]
     os.environ["HYDRA_FULL_ERROR"] = "1"
     try:
         yield
     finally:
         sys.argv = argv
-        if full_error is None:
-            del os.environ["HYDRA_FULL_ERROR"]
-        else:
-            os.environ["HYDRA_FULL_ERROR"] = full_error
+        os.environ.pop("HYDRA_FULL_ERROR")
+        os.environ.update({k: v for k, v in environment.items() if k == "HYDRA_FULL_ERROR"})
 
 
 def _shown(word: str) -> str:
@@ -182,8 +150,8 @@ def _shown(word: str) -> str:
     name = "/".join(PurePath(value.strip("'\"")).parts[-2:]) if "/" in value else value
     if len(key) + len(name) >= SHOWN:
         key = key.rpartition(".")[2]
-    told = printable_line(name)
-    return f"{key}={told if len(told) <= SHOWN else told[: SHOWN - 1] + '…'}"
+    name = printable_line(name)
+    return f"{key}={name if len(name) <= SHOWN else name[: SHOWN - 1] + '…'}"
 
 
 def _job(hydra: Any, config: dict[str, Any]) -> Job:
@@ -192,7 +160,7 @@ def _job(hydra: Any, config: dict[str, Any]) -> Job:
     method = "+".join(str(hydra.runtime.choices.get(group)) for group in ("augment", "reg"))
     pair = "_".join(part for part in method.split("+") if part != "none") or "baseline"
     words = [word.lstrip("+") for word in varied(overrides)]
-    besides = [_shown(w) for w in words if not w.startswith(TOLD) and w != f"method={pair}"]
+    besides = [_shown(w) for w in words if not w.startswith(IN_ALL_LINES) and w != f"method={pair}"]
     label = " ".join([method, *besides, f"seed {config['seed']}"])
     values = [word.partition("=")[2] for word in besides]
     short = " ".join([method, *values, f"s{config['seed']}"])

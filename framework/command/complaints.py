@@ -48,28 +48,17 @@ KINDS = {
 
 @contextmanager
 def composing() -> Iterator[None]:
-    """Tell what the libraries refuse without an error of their own as UserError: an integer that is
-    too large for a number, whose error has the option's name in its text; a choice of a group that
-    is no text."""
+    """Raise what Hydra refuses without an error of its own as UserError: a number of too many
+    digits, a choice that is no name."""
     try:
         yield
     except USER_ERRORS:
         raise
-    except (ValueError, RecursionError) as error:
-        if str(error).startswith("Config group override must be a string"):
-            raise UserError(
-                "command line: expected a name behind a group's =, as preset=paper, got null or a"
-                " number; to choose nothing leave the group out, in a command of its own"
-            ) from error
+    except (ValueError, OverflowError, RecursionError) as error:
         raise UserError(
             f"command line: expected options of the configuration, got what Hydra refuses"
-            f" ({printable_line(str(error))[:160]}); --help tells what there is"
+            f" ({printable_line(str(error))[:160]}); --help lists what there is"
         ) from error
-    except OverflowError as error:
-        key = re.search(r"full_key: (\S+)", str(error))
-        if key is None:
-            raise
-        raise UserError(f"{key[1]}: expected a number within 1e308, got a larger one") from error
 
 
 def one_line(error: BaseException) -> str:
@@ -79,9 +68,9 @@ def one_line(error: BaseException) -> str:
         if isinstance(cause, UserError):
             return printable_line(str(cause))
     for cause in chain:
-        told = _told(cause)
-        if told is not None:
-            return printable_line(told)
+        text = _reworded(cause)
+        if text is not None:
+            return printable_line(text)
     texts = [printable_line(str(cause)) for cause in (*chain[::-1], *chain)]
     return next(filter(None, texts), f"refused without a reason ({type(chain[0]).__name__})")
 
@@ -114,8 +103,8 @@ def _of_several(group: str, key: str, words: Sequence[str]) -> str:
     names = [name for value in chosen for name in re.findall(r"[\w.-]+", value)]
     there = places_of(group, key, names)
     several = f"several plugins are chosen, each with options of its own, as {group}.NAME.OPTION"
-    told = f"did you mean {there}?" if there else f"{several}; --help with these words tells them"
-    return f"{group}.{key}: unknown option of {group}; {told}"
+    advice = f"did you mean {there}?" if there else f"{several}; --help with these words tells them"
+    return f"{group}.{key}: unknown option of {group}; {advice}"
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
@@ -126,7 +115,7 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
         yield error
 
 
-def _told(error: BaseException) -> str | None:
+def _reworded(error: BaseException) -> str | None:
     """Our words for one exception of Hydra, OmegaConf or the system; None if we have none."""
     if isinstance(error, OSError) and mendable(error):
         return os_line(error)
@@ -178,16 +167,16 @@ def _missing_choice(error: MissingConfigException) -> str | None:
             f" install 'fishersplat[{extra}]'"
         )
     options = {*error.options, *(LAUNCHERS if group == "hydra/launcher" else ())}
-    own = os.environ.get(OWN_VARIABLE)
-    searched = f"; --plugins {own} was searched, too" if own else ""
+    folder = os.environ.get(OWN_VARIABLE)
+    searched = f"; --plugins {folder} was searched, too" if folder else ""
     return f"{group}={name}: unknown {group}; {nearest_hint(name, options)}{searched}"
 
 
 def _unknown_key(error: OmegaConfBaseException) -> str | None:
-    known = [f.name for f in _fields(error.object_type) if f.name != "name"]
-    if not error.full_key or not known or error.object_type is None:
+    options = [f.name for f in _fields(error.object_type) if f.name != "name"]
+    if not error.full_key or not options or error.object_type is None:
         return None
     parent, _, key = str(error.full_key).rpartition(".")
     place = f" of {error.object_type.__name__}" if parent else ""
     photos = "; for a folder of photos add scene=photos" if error.full_key == "scene.path" else ""
-    return f"{error.full_key}: unknown option{place}; {hint(parent, key, known)}{photos}"
+    return f"{error.full_key}: unknown option{place}; {hint(parent, key, options)}{photos}"

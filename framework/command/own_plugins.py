@@ -10,7 +10,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from framework.errors import UserError, require
+from framework.errors import require
 from framework.files.paths import OWN_VARIABLE
 
 FLAG = "--plugins"
@@ -23,35 +23,24 @@ def take_flag(argv: Sequence[str]) -> list[str]:
     """
     rest, folders, words = [], [], iter(argv)
     for word in words:
-        if word == FLAG:
-            folders.append(next(words, ""))
-        elif word.startswith(f"{FLAG}="):
-            folders.append(word.partition("=")[2])
+        flag, equals, folder = word.partition("=")
+        if flag == FLAG:
+            folders.append(folder if equals else next(words, ""))
         else:
             rest.append(word)
     os.environ.pop(OWN_VARIABLE, None)
     if folders:
         require(len(folders) == 1, f"{FLAG}: expected it once, got it {len(folders)} times")
-        os.environ[OWN_VARIABLE] = str(_folder(folders[0]))
+        require(
+            folders[0] != "" and "=" not in folders[0] and Path(folders[0]).is_dir(),
+            f"{FLAG}: expected a folder with plugins (.py files), got {folders[0] or 'nothing'!r};"
+            f" write {FLAG} DIR, for instance {FLAG} plugins",
+        )
+        os.environ[OWN_VARIABLE] = str(Path(folders[0]).resolve())
     return rest
-
-
-def asked(argv: Sequence[str]) -> bool:
-    """Whether the flag is on the line."""
-    return any(word.partition("=")[0] == FLAG for word in argv)
 
 
 def flags() -> list[str]:
     """The words that ask for the same folder again."""
     folder = os.environ.get(OWN_VARIABLE)
     return [] if folder is None else [FLAG, folder]
-
-
-def _folder(given: str) -> Path:
-    folder = Path(given).resolve()
-    if not given or "=" in given or not folder.is_dir():
-        raise UserError(
-            f"{FLAG}: expected a folder with plugins (.py files), got {given or 'nothing'!r}; write"
-            f" {FLAG} DIR, for instance {FLAG} plugins"
-        )
-    return folder

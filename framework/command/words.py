@@ -29,7 +29,6 @@ def normalise(argv: Sequence[str]) -> list[str]:
 
     A leading `+` goes from known groups: they are in the defaults list, where Hydra wants none.
     """
-    check_utf8("command line", *argv)
     arguments = [re.sub(rf"^\+(?=({'|'.join(GROUPS)})=)", "", argument) for argument in argv]
     arguments = [quoted(_joined_choices(argument)) for argument in arguments]
     arguments = _multirun_flag_first(arguments)
@@ -95,18 +94,6 @@ def only_informs(flags: Any) -> bool:
     return bool(flags.help or flags.hydra_help or flags.cfg or flags.info or flags.shell_completion)
 
 
-def check_utf8(where: str, *texts: str) -> None:
-    """What the system handed over, where a byte that is no text stands for itself."""
-    for text in texts:
-        try:
-            text.encode("utf-8")
-        except UnicodeEncodeError:
-            raise UserError(
-                f"{where}: expected UTF-8, in which records are written, got {text[:200]!r}; rename"
-                " the file or folder"
-            ) from None
-
-
 def _multirun_flag_first(arguments: Sequence[str]) -> list[str]:
     """-m may stand anywhere: Hydra's parser takes it only before or after all overrides."""
     flags = [argument for argument in arguments if argument in MULTIRUN_FLAGS]
@@ -119,8 +106,8 @@ def _check_empty_choices(arguments: Sequence[str]) -> None:
         group, equals, name = argument.partition("=")
         if equals and group in OBJECT_GROUPS and name in ("", "null"):
             variants = {file.stem for file in (CONF_DIR / group).glob("*.yaml")}
-            known = ", ".join(sorted({*choices(group), *variants}))
-            raise UserError(f"{group}: expected a choice, got {name!r}; available: {known}")
+            names = ", ".join(sorted({*choices(group), *variants}))
+            raise UserError(f"{group}: expected a choice, got {name!r}; available: {names}")
 
 
 def check_given_twice(arguments: Sequence[str]) -> None:

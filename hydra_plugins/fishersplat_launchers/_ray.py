@@ -54,10 +54,10 @@ class Ray(RayLauncher):
         asked: Any = OmegaConf.to_container(self.ray_cfg.remote, resolve=True)
         task = ray.remote(**({"num_cpus": 1, "max_retries": 3} | asked))(_do)
         state = Singleton.get_state()
-        content = (self.hydra_context, self.config, self.task_function, state, origin(False))
-        study = ray.put(Study(*content))
+        study = Study(self.hydra_context, self.config, self.task_function, state, origin(False))
+        stored = ray.put(study)
         seen = Arrivals(len(job_overrides))
-        running = {task.remote(study, list(o), first + i): o for i, o in enumerate(job_overrides)}
+        running = {task.remote(stored, list(o), first + i): o for i, o in enumerate(job_overrides)}
         while running:
             for ended in ray.wait(list(running), num_returns=1)[0]:
                 overrides = running.pop(ended)

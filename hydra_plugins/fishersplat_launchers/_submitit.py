@@ -71,9 +71,9 @@ class _Workers(BaseSubmititLauncher):
         """Start the workers."""
         executor = self._executor(submission.log)
         count = min(self.at_once(), len(submission.runs))
-        common = (self, submission.folder, start, Singleton.get_state())
+        worker = Worker(self, submission.folder, start, Singleton.get_state())
         with executor.batch():
-            jobs = [executor.submit(Worker(*common, index)) for index in range(count)]
+            jobs = [executor.submit(replace(worker, index=index)) for index in range(count)]
         replace(submission, jobs=[str(job.job_id) for job in jobs]).save()
         return jobs
 
@@ -116,7 +116,7 @@ class Worker:
     folder: Path
     origin: Origin
     state: Any
-    index: int
+    index: int = 0
 
     def __call__(self) -> None:
         self.origin.take()

@@ -26,7 +26,6 @@ from framework.metrics.values import measures
 from framework.options import TrainerOptions
 from framework.run import trackers
 
-MOST_THREADS = 1024
 TRAINER = [option.name for option in fields(TrainerOptions)]
 FEW = 4  # choices that have an option, told by name
 
@@ -40,7 +39,6 @@ def check(config: Mapping[str, Any]) -> None:
     _known_keys("", config, [*SCALARS, "trainer", "metrics", *OBJECT_GROUPS])
     _known_keys("trainer.", config["trainer"], TRAINER)
     _known_keys("metrics.", config["metrics"], METRICS)
-    _check_integers("", config)
     for group in OBJECT_GROUPS:
         _check_choice(group, config[group])
     for group in registry.GROUPS:
@@ -53,24 +51,12 @@ def check(config: Mapping[str, Any]) -> None:
     trackers.ready(config.get("tracker"))
 
 
-def _check_integers(prefix: str, options: Mapping[str, Any]) -> None:
-    """Raise UserError for an integer that libraries cannot take."""
-    for key, value in options.items():
-        if isinstance(value, Mapping):
-            _check_integers(f"{prefix}{key}.", value)
-        require(
-            type(value) is not int or abs(value) < 2**63,
-            f"{prefix}{key}: expected an integer below 2^63, got {value}; choose another",
-        )
-
-
 def _check_scalars(seed: int, threads: int, study: str | None) -> None:
-    require(seed >= 0, f"seed: expected an integer >= 0, got {seed}; choose another")
-    require(threads >= 0, f"threads: expected an integer >= 0, got {threads}; 0 uses all cores")
     require(
-        threads <= MOST_THREADS,
-        f"threads: expected an integer of at most {MOST_THREADS}, got {threads}; 0 uses all cores",
+        0 <= seed < 2**63,
+        f"seed: expected an integer >= 0 and below 2^63, got {seed}; choose another",
     )
+    require(threads >= 0, f"threads: expected an integer >= 0, got {threads}; 0 uses all cores")
     require(
         study is None or re.fullmatch(r"\w[\w.-]*(/\w[\w.-]*)*", study) is not None,
         f"study: expected a folder name of letters, digits, _ . and -, or several joined by /, got"
@@ -96,8 +82,8 @@ def _check_choice(group: str, options: Any) -> None:
             _check_choice(f"{group}.{part}", options.get(part))
         return
     kind = group.partition(".")[0]
-    known = [row[0] for row in rows(kind, options["name"])]
-    _known_keys(f"{group}.", {k: v for k, v in options.items() if k != "name"}, known, title)
+    allowed = [row[0] for row in rows(kind, options["name"])]
+    _known_keys(f"{group}.", {k: v for k, v in options.items() if k != "name"}, allowed, title)
     for key, value in options.items():
         require(
             value != MISSING,
@@ -122,19 +108,19 @@ def _options(group: str, name: str) -> set[str]:
     return {row[0] for row in rows(group, name)} if group in OBJECT_GROUPS else set()
 
 
-def _known_keys(prefix: str, given: Iterable[str], known: Iterable[str], owner: str = "") -> None:
-    options = list(known)
+def _known_keys(prefix: str, given: Iterable[str], allowed: Iterable[str], owner: str = "") -> None:
+    options = list(allowed)
     place = f" of {owner}" if owner else ""
     for key in given:
         if key not in options:
-            told = hint(prefix.rstrip("."), str(key), options)
-            raise UserError(f"{prefix}{key}: unknown option{place}; {told}")
+            advice = hint(prefix.rstrip("."), str(key), options)
+            raise UserError(f"{prefix}{key}: unknown option{place}; {advice}")
 
 
-def hint(section: str, key: str, known: Iterable[str]) -> str:
+def hint(section: str, key: str, allowed: Iterable[str]) -> str:
     """What to write in place of the unknown option `section.key`: the same name elsewhere, or a
     similar one of those that are known there. section: "" for the top level."""
-    offered = {*known} if section else {*known, *GROUPS}
+    offered = {*allowed} if section else {*allowed, *GROUPS}
     there = _places(section.partition(".")[0], key)
     return f"did you mean {there}? {_available(offered)}" if there else nearest_hint(key, offered)
 
@@ -142,7 +128,7 @@ def hint(section: str, key: str, known: Iterable[str]) -> str:
 def _places(section: str, key: str) -> str:
     """Where there is an option of this name: `trainer.steps`, `augment.eta of augment=safi`."""
     sections = {"trainer": TRAINER, "metrics": [*METRICS]}
-    found = [f"'{name}.{key}'" for name, options in sections.items() if key in options]
+    places = [f"'{name}.{key}'" for name, options in sections.items() if key in options]
     groups = [section] if section in OBJECT_GROUPS else OBJECT_GROUPS
     for group in groups:
         names = choices(group)
@@ -150,8 +136,8 @@ def _places(section: str, key: str) -> str:
         if having:
             few = having[:FEW] + ["..."] * (len(having) > FEW)
             of = "" if len(having) == len(names) else f" of {group}={', '.join(few)}"
-            found.append(f"'{group}.{key}'{of}")
-    return " or ".join(found)
+            places.append(f"'{group}.{key}'{of}")
+    return " or ".join(places)
 
 
 def _available(names: Iterable[str]) -> str:

@@ -66,24 +66,24 @@ def help_text(overrides: Sequence[str]) -> str:
 
 def _asked(overrides: Sequence[str]) -> dict[str, list[str]]:
     """group -> the names typed, of a line that has choices of parts and nothing else; or empty."""
-    found: dict[str, list[str]] = {}
+    typed: dict[str, list[str]] = {}
     for word in overrides:
         group, _, value = word.lstrip("+").partition("=")
         names = re.findall(r"\w+", value)
         if group not in OBJECT_GROUPS or not names or not set(names) <= set(_names(group)):
             return {}
-        found[group] = names
-    return found
+        typed[group] = names
+    return typed
 
 
 def _of_parts(asked: Mapping[str, Sequence[str]], config: Mapping[str, Any]) -> str:
     """The help of these choices alone."""
-    told = [
+    descriptions = [
         f"{group}={n}: {_description(group, n)}" for group, names in asked.items() for n in names
     ]
     options = "\n".join(_explained({group: config[group] for group in asked}))
     rest = f"All choices, and the other options: {program()} --help"
-    return "\n\n".join([*told, "Options, KEY=VALUE:", options, rest]) + "\n"
+    return "\n\n".join([*descriptions, "Options, KEY=VALUE:", options, rest]) + "\n"
 
 
 def _explained(plain: Mapping[str, Any]) -> Iterator[str]:
@@ -149,5 +149,5 @@ def _first_sentence(text: str) -> str:
 def _first_comment(group: str, name: str) -> str:
     path = (SWEEPS_DIR if group == "sweep" else CONF_DIR / group) / f"{name}.yaml"
     text = path.read_text(encoding="utf-8") if path.is_file() else ""
-    found = re.search(r"(^# (?!@).*\n?)+", text, re.MULTILINE)
-    return found[0].replace("# ", "").strip() if found else ""
+    match = re.search(r"(^# (?!@).*\n?)+", text, re.MULTILINE)
+    return match[0].replace("# ", "").strip() if match else ""

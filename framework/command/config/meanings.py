@@ -17,12 +17,12 @@ WIDTH = 100  # characters of a meaning
 
 def meanings(cls: type) -> dict[str, str]:
     """option -> meaning, of the options of a dataclass; without those that have none."""
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     options = {option.name for option in dataclasses.fields(cls)}
     for base in reversed([b for b in cls.__mro__ if dataclasses.is_dataclass(b)]):
-        found |= _from_docstring(vars(base).get("__doc__") or "", options)
-        found |= _from_comments(_source(base), options)
-    return found
+        texts |= _from_docstring(vars(base).get("__doc__") or "", options)
+        texts |= _from_comments(_source(base), options)
+    return texts
 
 
 def from_yaml(text: str) -> dict[str, str]:
@@ -39,8 +39,8 @@ def _source(cls: type) -> str:
         text = Path(file).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return ""
-    found = re.search(rf"^class {cls.__name__}\b.*?(?=^\S|\Z)", text, re.MULTILINE | re.DOTALL)
-    return found.group() if found else ""
+    match = re.search(rf"^class {cls.__name__}\b.*?(?=^\S|\Z)", text, re.MULTILINE | re.DOTALL)
+    return match.group() if match else ""
 
 
 def _from_comments(source: str, options: set[str]) -> dict[str, str]:
@@ -49,13 +49,13 @@ def _from_comments(source: str, options: set[str]) -> dict[str, str]:
 
 
 def _from_docstring(text: str, options: set[str]) -> dict[str, str]:
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     name = f"(?:{'|'.join(map(re.escape, sorted(options)))})" if options else "(?!)"
     parts = re.split(rf"(?:^|(?<=\s))({name}(?:, {name})*): ", " ".join(text.split()))
     for names, said in zip(parts[1::2], parts[2::2], strict=True):
         sentence = re.split(r"\.(?=\s+[A-Z])", said)[0]
-        found |= dict.fromkeys(names.split(", "), _line(sentence))
-    return found
+        texts |= dict.fromkeys(names.split(", "), _line(sentence))
+    return texts
 
 
 def _line(text: str) -> str:

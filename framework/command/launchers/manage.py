@@ -13,6 +13,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from framework.command import own_plugins
 from framework.command.launchers.submission import Submission, read_submission, submissions
 from framework.command.launchers.supported import missing_extra
 from framework.command.studies.closing import short_path
@@ -71,7 +72,7 @@ def _submit(words: Sequence[str], prog: str) -> int:
     )
     flags = [word for word in words if word not in ("-m", "--multirun")]
     flags += [] if chosen else [f"{LAUNCHER}{launcher}"]
-    code = command_line([*flags, "hydra.launcher.detach=true", "-m"])
+    code = command_line([*own_plugins.flags(), *flags, "hydra.launcher.detach=true", "-m"])
     if code == 0:
         sweep_dirs = [word.removeprefix(SWEEP_DIR) for word in words if word.startswith(SWEEP_DIR)]
         _status(read_submission(_folder(Path((sweep_dirs or ["reports"])[-1]))))

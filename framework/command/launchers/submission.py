@@ -113,12 +113,14 @@ class Submission:
         return "killed"
 
 
-def new_submission(sweep_dir: Path, *content: Any, **more: Any) -> Submission:
+def new_submission(
+    sweep_dir: Path, command: str, cluster: str, runs: Sequence[Run], detached: bool
+) -> Submission:
     """Make a folder for a submission, named after the time."""
     (sweep_dir / SUBMITTED).mkdir(parents=True, exist_ok=True)
     stamp = time.strftime("%Y%m%d-%H%M%S-")
     folder = Path(tempfile.mkdtemp(prefix=stamp, dir=sweep_dir / SUBMITTED)).absolute()
-    submission = Submission(folder, *content, **more)
+    submission = Submission(folder, command, cluster, runs, detached)
     submission.ledger.mkdir()
     submission.save()
     return submission

@@ -89,8 +89,13 @@ def _search(options: Any) -> Search:
         fixed = [*(word for word in fixed if not word.startswith("study=")), f"study={name}"]
     folder = study_dir(Path(job_of([*fixed, *first]).run_dir))
     return Search(
-        *(folder, tuple(fixed), tuple(space), options.metric, options.trials, options.jobs),
-        options.sampler_seed,
+        folder=folder,
+        fixed=tuple(fixed),
+        space=tuple(space),
+        metric=options.metric,
+        trials=options.trials,
+        at_once=options.jobs,
+        seed=options.sampler_seed,
     )
 
 

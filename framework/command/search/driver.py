@@ -43,7 +43,7 @@ class Search:
     at_once: int
     seed: int
 
-    def told(self) -> dict[str, Any]:
+    def settings(self) -> dict[str, Any]:
         """What must be the same when a search goes on."""
         space = [dimension.plain() for dimension in self.space]
         return {"fixed": list(self.fixed), "space": space, "metric": self.metric}
@@ -67,11 +67,11 @@ class Trials:
         )
         before = self.study.user_attrs.get("search")
         require(
-            before in (None, search.told()),
+            before in (None, search.settings()),
             f"{search.folder}: expected the search that was begun there, got another; give it a"
             " name of its own by --name",
         )
-        self.study.set_user_attr("search", search.told())
+        self.study.set_user_attr("search", search.settings())
         # a sampler that began anew with its seed would repeat its first draws
         begun = len(self.study.trials)
         with warnings.catch_warnings():
@@ -116,8 +116,8 @@ class Trials:
         write_whole(self.search.folder / SEARCH, json.dumps(self.table(), indent=1))
 
     def _trial(self, number: int) -> Any:
-        (found,) = [trial for trial in self.study.trials if trial.number == number]
-        return self._optuna.trial.Trial(self.study, found._trial_id)
+        (match,) = [trial for trial in self.study.trials if trial.number == number]
+        return self._optuna.trial.Trial(self.study, match._trial_id)
 
     def table(self) -> dict[str, Any]:
         """What the report shows."""
@@ -130,7 +130,7 @@ class Trials:
             for trial in self.study.trials
             if trial.state.is_finished() and WORDS in trial.user_attrs
         ]
-        return {**self.search.told(), "trials": rows}
+        return {**self.search.settings(), "trials": rows}
 
     @property
     def best(self) -> list[str] | None:
@@ -158,10 +158,8 @@ def _run(search: Search, trials: Trials, slots: list[Slot]) -> None:
 
     def begin(number: int, words: list[str], slot: Slot, kills: int = 0) -> None:
         label = f"[trial {number}] {' '.join(words)}"
-        running[slot.submit([*search.fixed, *words], label, search.metric)] = (
-            *(number, words),
-            *(slot, kills),
-        )
+        future = slot.submit([*search.fixed, *words], label, search.metric)
+        running[future] = (number, words, slot, kills)
 
     free = list(slots)
     while trials.left > 0:

@@ -29,12 +29,12 @@ def _verdict(lines: list[str]) -> list[str]:
     bold = next((n for n, line in enumerate(lines) if line.startswith("**")), None)
     if bold is None or not lines[bold].endswith("**"):
         return []
-    found = [lines[bold].removeprefix("**").removesuffix("**")]
+    verdict = [lines[bold].removeprefix("**").removesuffix("**")]
     for line in lines[bold + 1 :]:
         if line and not line.startswith("- "):
             break
-        found += [line] if line else []
-    return [re.sub(r"\\([<(])", r"\1", line) for line in found]
+        verdict += [line] if line else []
+    return [re.sub(r"\\([<(])", r"\1", line) for line in verdict]
 
 
 def short_path(path: Path) -> Path:

@@ -74,8 +74,8 @@ def tell(job: Job, raised: Exception) -> Outcome:
 def again(job: Any) -> str:
     """The command that does this run alone, in the same folder. job: Hydra's part of its
     configuration."""
-    own = [str(o) for o in job.overrides.hydra if not str(o).lstrip("+").startswith(LAUNCHING)]
-    words = [*own, *(str(override) for override in job.overrides.task)]
+    flags = [str(o) for o in job.overrides.hydra if not str(o).lstrip("+").startswith(LAUNCHING)]
+    words = [*flags, *(str(override) for override in job.overrides.task)]
     multirun = ["-m"] if job.mode.name == "MULTIRUN" else []
     return f"{program()} {shlex.join([*words, *own_plugins.flags(), *multirun])}"
 
@@ -88,7 +88,7 @@ def conclude() -> int:
     total = job_count() or len(ended)
     lost = total - sum(outcome.kind != REPORT for outcome in ended)
     if failed:
-        print("\n".join(_told(failed, total)), file=sys.stderr)
+        print("\n".join(_failure_lines(failed, total)), file=sys.stderr)
     if lost > 0:
         print(f"error: {lost} runs ended without telling how", file=sys.stderr)
     if busy:
@@ -100,7 +100,7 @@ def conclude() -> int:
     return 3 if busy else 0
 
 
-def _told(failed: Sequence[Outcome], total: int) -> list[str]:
+def _failure_lines(failed: Sequence[Outcome], total: int) -> list[str]:
     """The lines about failed runs."""
     runs = [outcome for outcome in failed if outcome.kind != REPORT]
     if total == 1 or not runs:
@@ -132,9 +132,9 @@ def _as_bad_input(error: Exception) -> Exception:
     here."""
     if not isinstance(error, OSError) or not mendable(error):
         return error
-    told = UserError(os_line(error))
-    told.__cause__ = error  # for traceback=true
-    return told
+    refused = UserError(os_line(error))
+    refused.__cause__ = error  # for traceback=true
+    return refused
 
 
 def _shown(error: Exception, show: bool) -> str:

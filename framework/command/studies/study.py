@@ -169,8 +169,8 @@ class StudyCallback(Callback):
         if config.hydra.launcher.get("detach"):  # no run has ended yet
             del os.environ[JOBS_VARIABLE]
             return
-        told = "" if self._expected_s is None else f" (estimated {duration(self._expected_s)})"
-        say(f"{len(outcomes())} runs took {duration(self._watch.wall_s)}{told}")
+        estimated = "" if self._expected_s is None else f" (estimated {duration(self._expected_s)})"
+        say(f"{len(outcomes())} runs took {duration(self._watch.wall_s)}{estimated}")
         build_reports()
 
 
