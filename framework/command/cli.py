@@ -33,7 +33,6 @@ from framework.command.config.schema import (
     register_config,
 )
 from framework.command.job import Job
-from framework.command.launchers.detached import detached
 from framework.command.launchers.supported import register_launchers
 from framework.command.program import program
 from framework.command.studies.failures import again, conclude, tell
@@ -86,7 +85,7 @@ def main(argv: Sequence[str]) -> int:
                 return 0
             with ledger(), composing():
                 application()
-                return 0 if detached() else conclude()
+                return conclude()
     except KeyboardInterrupt:
         line = f"{program()} {shlex.join(argv)}"
         kept = "what is done is kept, go on with"

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from framework.errors import UserError, require
+from framework.errors import UserError, printable_line, require
 from framework.files.documents import json_value
 from framework.files.limits import RUNS, TEXT_BYTES
 from framework.files.opened import is_file, read_text
@@ -76,7 +76,7 @@ def read_archive(folder: Path) -> list[Entry]:
 def _line(entry: Entry) -> str:
     content = {
         "schema": SCHEMA,
-        "run": entry.run.run_dir.name,
+        "run": printable_line(entry.run.run_dir.name),
         "record": {k: v for k, v in record_content(entry.run.record).items() if k not in LEFT_OUT},
         "metrics": _columns(entry.run.metrics),
         "history": _columns(entry.run.history),

@@ -53,9 +53,9 @@ class Ray(RayLauncher):
     ) -> Sequence[JobReturn]:
         asked: Any = OmegaConf.to_container(self.ray_cfg.remote, resolve=True)
         task = ray.remote(**({"num_cpus": 1, "max_retries": 3} | asked))(_do)
-        study = ray.put(
-            Study(self.hydra_context, self.config, self.task_function, _state(), origin(False))
-        )
+        state = Singleton.get_state()
+        content = (self.hydra_context, self.config, self.task_function, state, origin(False))
+        study = ray.put(Study(*content))
         seen = Arrivals(len(job_overrides))
         running = {task.remote(study, list(o), first + i): o for i, o in enumerate(job_overrides)}
         while running:
@@ -64,8 +64,8 @@ class Ray(RayLauncher):
                 try:
                     seen.arrived(ray.get(ended))
                 except ray.exceptions.RayError as error:
-                    seen.vanished(overrides, str(error).strip().splitlines()[-1])
-        return seen.returns
+                    seen.lost(overrides, str(error).strip().splitlines()[-1])
+        return list(seen.returns.values())
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,3 @@ def _start(asked: Any) -> dict[str, Any]:
     if asked.get("address"):
         return quiet | asked
     return quiet | {"object_store_memory": OBJECTS_BYTES, "include_dashboard": False} | asked
-
-
-def _state() -> Any:
-    return Singleton.get_state()

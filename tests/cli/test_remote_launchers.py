@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,16 +20,17 @@ from benchmarks.studies import digests, leftovers
 from framework.command import cli
 from framework.command.complaints import one_line
 from framework.command.config.schema import ROOT
-from framework.command.launchers import known, page, plan
-from framework.command.launchers.plan import Plan, new_plan, read_plan, work
+from framework.command.launchers import manage, submission, supported
 from framework.command.launchers.sent import lead_to_this_code
-from framework.command.studies.study import (
-    JOBS_VARIABLE,
-    LEDGER_VARIABLE,
-    VARIED_VARIABLE,
-    Outcome,
-    add_outcome,
+from framework.command.launchers.submission import (
+    Run,
+    Submission,
+    new_submission,
+    read_submission,
+    submissions,
+    work,
 )
+from framework.command.studies.study import LEDGER_VARIABLE, Outcome
 from framework.errors import UserError
 from tests.cli.conftest import FakeRuns
 
@@ -114,12 +116,13 @@ def test_failures_elsewhere_reach_the_table(tmp_path: Path, module: str, words: 
     assert [json.loads(path.read_text())["status"] for path in records] == ["failed", "failed"]
 
 
-def test_a_killed_process_costs_one_run_and_no_byte(
-    tmp_path: Path, expected: dict[str, str]
+@pytest.mark.parametrize(("workers", "code"), [(1, 1), (2, 0)])
+def test_a_killed_worker_costs_no_byte(
+    tmp_path: Path, expected: dict[str, str], workers: int, code: int
 ) -> None:
-    """The other ends, the report is built, the same command does the lost one again."""
+    """Another worker does its run; where there is none, the same command again."""
     pytest.importorskip(SUBMITIT, reason="submitit is an extra")
-    line = f"{SMALL} {LOCAL} seed=0,1 -m"
+    line = f"{SMALL} hydra/launcher=submitit_local hydra.launcher.n_jobs={workers} seed=0,1 -m"
     with subprocess.Popen(
         [sys.executable, str(ROOT / "run.py"), *line.split()],
         cwd=tmp_path,
@@ -130,14 +133,14 @@ def test_a_killed_process_costs_one_run_and_no_byte(
         wait_for(lambda: holders(tmp_path))
         os.kill(holders(tmp_path)[0], signal.SIGKILL)
         out, err = running.communicate(timeout=300)
-    assert running.returncode == 1
-    assert "1 runs ended without telling how" in err and "lost: " in out and "report: " in out
+    assert running.returncode == code, err
+    assert ("runs ended without telling how" in err and "lost: " in out) == bool(code)
+    logs = list((tmp_path / "reports" / ".submitted").glob("*/log"))
+    assert len(logs) == code, "kept where a run was lost"
     again = command(tmp_path, line)
-    assert again.returncode == 0, again.stderr
-    assert "2 of 2 ended" in again.stdout
+    assert again.returncode == 0 and "2 of 2 ended" in again.stdout, again.stderr
     study = tmp_path / "reports" / "far"
     assert digests(study) == expected and not leftovers(study)
-    assert len(list((tmp_path / "reports").glob(".submitit-*"))) == 1, "the log of what was lost"
 
 
 def holders(folder: Path) -> list[int]:
@@ -146,44 +149,11 @@ def holders(folder: Path) -> list[int]:
     return [int(json.loads(text)["pid"]) for text in texts if text]
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ("hydra/launcher=submitit_slurm +hydra.launcher.setup=[ls]", "hydra.launcher.setup"),
-        ("hydra/launcher=submitit_local hydra.launcher.submitit_folder=x", "submitit_folder"),
-        ("hydra/launcher=submitit_slurm 'hydra.launcher.partition=\"a b\"'", "partition"),
-        ("hydra/launcher=submitit_local hydra.launcher.n_jobs=0", "hydra.launcher.n_jobs"),
-    ],
-)
-def test_what_a_launcher_may_not_be_told(
-    runs: FakeRuns, capsys: pytest.CaptureFixture[str], words: str, expected: str
-) -> None:
-    pytest.importorskip(SUBMITIT, reason="submitit is an extra")
-    import shlex
-
-    assert cli.main([*shlex.split(words), "-m"]) == 2
-    assert expected in capsys.readouterr().err and not runs.seen
-
-
-@pytest.mark.parametrize("name", ["submitit_slurm", "submitit_local", "ray"])
-def test_no_file_chooses_a_launcher_that_goes_elsewhere(
-    runs: FakeRuns, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
-    pytest.importorskip(known.LAUNCHERS[name].needs, reason=f"{name} is an extra")
-    Path("own/experiment").mkdir(parents=True)
-    Path("own/experiment/far.yaml").write_text(
-        f"# @package _global_\ndefaults:\n  - override /hydra/launcher: {name}\n"
-    )
-    search = f"hydra.searchpath=[file://{Path('own').resolve()}]"
-    assert cli.main([search, "experiment=far", "-m"]) == 2
-    assert "on the command line only" in capsys.readouterr().err and not runs.seen
-
-
 def test_a_missing_extra_is_named(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(known, "_installed", lambda module: False)
-    assert known.missing_extra("ray") == "ray" and known.missing_extra("joblib") is None
+    monkeypatch.setattr(supported, "_installed", lambda module: False)
+    assert supported.missing_extra("ray") == "ray" and supported.missing_extra("joblib") is None
     assert cli.main(["study", "submit", "seed=0,1"]) == 2
     assert "pip install 'fishersplat[submitit]'" in capsys.readouterr().err
 
@@ -205,115 +175,96 @@ def test_a_missing_extra_is_named(
 def test_the_package_of_a_missing_launcher_is_named(
     monkeypatch: pytest.MonkeyPatch, name: str, told: str
 ) -> None:
-    monkeypatch.setattr(known, "_installed", lambda module: False)
+    monkeypatch.setattr(supported, "_installed", lambda module: False)
     error = MissingConfigException("", f"hydra/launcher/{name}", ["basic", "joblib"])
     assert told in one_line(error)
 
 
-# plans, without processes
+# submissions, without processes
 
 
-def outcome(number: int, folder: Path, error: str | None = None) -> Outcome:
-    return Outcome(number, str(folder / "far" / "runs" / f"r{number}"), error)
+def outcome(number: int, folder: Path, error: str | None = None, busy: bool = False) -> Outcome:
+    return Outcome(number, str(folder / "far" / "runs" / f"r{number}"), error, busy=busy)
 
 
-def a_plan(tmp_path: Path, n_runs: int = 4) -> Plan:
-    return new_plan(
-        tmp_path, "study submit seed=...", "local", [(i, [f"seed={i}"]) for i in range(n_runs)]
-    )
+def a_submission(folder: Path, n_runs: int = 4) -> Submission:
+    runs = [(i, [f"seed={i}"]) for i in range(n_runs)]
+    return new_submission(folder, "study submit seed=...", "local", runs, True)
 
 
 def test_the_newest_submission_is_the_last_one_made(tmp_path: Path) -> None:
-    first, second = a_plan(tmp_path), a_plan(tmp_path)
-    (first.folder / "page.html").write_text("whoever looks at it writes this")
-    assert plan.plans(tmp_path) == [first.folder, second.folder]
+    first, second = a_submission(tmp_path), a_submission(tmp_path)
+    (first.folder / "notes").write_text("later")
+    assert submissions(tmp_path) == [first.folder, second.folder]
+    assert read_submission(second.folder) == replace(second, jobs=[])
 
 
 @pytest.fixture
-def no_ledger(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plan, "build_reports", lambda: None)
-    for name in (LEDGER_VARIABLE, JOBS_VARIABLE, VARIED_VARIABLE):
-        monkeypatch.setenv(name, "")
+def reported(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """An entry for each time that the reports were built."""
+    times = list[int]()
+    monkeypatch.setattr(submission, "build_reports", lambda: times.append(1))
+    monkeypatch.setenv(LEDGER_VARIABLE, "")
+    return times
 
 
-def test_workers_share_the_runs(tmp_path: Path, no_ledger: None) -> None:
-    submitted, done = a_plan(tmp_path), list[int]()
+def test_workers_share_the_runs(
+    tmp_path: Path, reported: list[int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    submitted, done = a_submission(tmp_path), list[int]()
 
-    def do(run: plan.Run) -> Outcome:
+    def do(run: Run) -> Outcome:
         done.append(run[0])
         if run[0] == 1:
-            work(read_plan(submitted.folder), do, lambda: None)  # a second worker, meanwhile
-        result = outcome(run[0], tmp_path, "broken" if run[0] == 2 else None)
-        add_outcome(result)
-        return result
+            work(read_submission(submitted.folder), other, 2)  # a second worker, meanwhile
+        return outcome(run[0], tmp_path, "broken" if run[0] == 2 else None)
 
-    work(submitted, do, lambda: None)
-    assert sorted(done) == [0, 1, 2, 3], "nothing lost or doubled"
-    assert (submitted.folder / plan.REPORTED).exists()
-    now = page.status(submitted)
-    assert (now.counts["done"], now.counts["failed"], now.counts["waiting"]) == (3, 1, 0)
-    assert "broken" in page.page(submitted, now) and "http-equiv=refresh" not in page.page(
-        submitted, now
-    )
-    assert not list((submitted.folder / "claims").iterdir())
+    def other(run: Run) -> Outcome:
+        return outcome(1, tmp_path, "busy", True) if run[0] == 1 else do(run)
+
+    work(submitted, do)
+    assert sorted(done) == [0, 1, 2, 3] and reported == [1], "nothing lost or doubled"
+    assert manage.main(["status", "--dir", str(tmp_path)], "study") == 0
+    assert "all ended, 3 of 4 runs done, 1 failed, 0 left" in capsys.readouterr().out
 
 
-def test_a_run_of_a_lost_worker_is_taken_up(tmp_path: Path, no_ledger: None) -> None:
-    submitted, tries = a_plan(tmp_path, 2), list[int]()
+def test_the_run_of_a_lost_worker_is_taken_up(tmp_path: Path, reported: list[int]) -> None:
+    """It is busy until its worker is killed."""
+    tries = list[int]()
 
-    def do(run: plan.Run) -> Outcome:
+    def do(run: Run) -> Outcome:
         tries.append(run[0])
-        result = outcome(run[0], tmp_path)
-        if len(tries) > 1:
-            add_outcome(result)
-        return result
+        return outcome(run[0], tmp_path, busy=len(tries) == 1)
 
-    (submitted.claim(0)).mkdir(parents=True)
-    (submitted.claim(0) / ".lock").touch()  # as a killed worker leaves it
-    work(submitted, do, lambda: None)
-    assert tries == [0, 1, 0]
+    work(a_submission(tmp_path, 2), do)
+    assert tries == [0, 1, 0] and reported == [1]
 
 
-def test_cancel_interrupts_and_forgets_nothing(tmp_path: Path, no_ledger: None) -> None:
-    submitted = a_plan(tmp_path)
+def test_cancel_interrupts_and_forgets_nothing(
+    tmp_path: Path, reported: list[int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    submitted = a_submission(tmp_path)
 
-    def do(run: plan.Run) -> Outcome:
+    def do(run: Run) -> Outcome:
         if run[0] == 1:
-            (submitted.folder / plan.CANCELLED).touch()
+            assert manage.main(["cancel", "--dir", str(tmp_path)], "study") == 0
             time.sleep(30)
-        add_outcome(outcome(run[0], tmp_path))
         return outcome(run[0], tmp_path)
 
-    work(submitted, do, lambda: None)
+    with pytest.raises(KeyboardInterrupt):
+        work(submitted, do)
     assert list(submitted.ended()) == [0]
-    work(submitted, do, lambda: None)  # a worker that waited in the queue
-    assert (
-        list(submitted.ended()) == [0]
-        and "cancelled" in page.told(submitted, page.status(submitted))[0]
-    )
+    work(submitted, do)  # a worker that waited in the queue
+    assert list(submitted.ended()) == [0] and not reported
+    manage.main(["status", "--dir", str(tmp_path)], "study")
+    assert "cancelled, 1 of 4 runs done" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        "[]",
-        '{"command": "x", "engine": "slurm", "jobs": ["1; rm"], "runs": []}',
-        '{"command": "x", "engine": "ssh", "jobs": [], "runs": []}',
-        '{"command": "x", "engine": "slurm", "jobs": [], "runs": [[0, [1]]]}',
-    ],
-)
-def test_a_forged_plan_is_refused(tmp_path: Path, content: str) -> None:
-    (tmp_path / plan.PLAN).write_text(content)
-    with pytest.raises(UserError, match="expected a plan"):
-        read_plan(tmp_path)
-
-
-def test_a_forged_outcome_is_refused(tmp_path: Path) -> None:
-    submitted = a_plan(tmp_path)
-    text = json.dumps(vars(outcome(0, tmp_path.parent / "elsewhere")))
-    (submitted.ledger / "000000.json").write_text(text)
-    with pytest.raises(UserError, match="expected the outcome of a run of this study"):
-        submitted.ended()
+@pytest.mark.parametrize("content", ["[]", '{"command": "x"}', '{"folder": "/", "odd": 1}'])
+def test_a_file_of_another_program_is_refused(tmp_path: Path, content: str) -> None:
+    (tmp_path / submission.FILE).write_text(content)
+    with pytest.raises(UserError, match="expected a file of `study submit`"):
+        read_submission(tmp_path)
 
 
 def test_submitted_polled_collected(tmp_path: Path) -> None:
@@ -321,11 +272,11 @@ def test_submitted_polled_collected(tmp_path: Path) -> None:
     done = command(tmp_path, f"study submit {SMALL} hydra.launcher.n_jobs=1 seed=0")
     assert done.returncode == 0, done.stderr
     assert "of 1 runs done" in done.stdout and "report: " not in done.stdout
-    (folder,) = plan.plans(tmp_path / "reports")
-    wait_for((folder / plan.REPORTED).exists)
+    again = "study submit hydra.launcher.n_jobs=1 hydra/launcher=submitit_local threads=1"
+    assert f"\npython run.py {again}" in done.stdout
+    wait_for((tmp_path / "reports" / "far" / "report.md").exists)
     told = command(tmp_path, "study status")
     assert "all ended, 1 of 1 runs done, 0 failed" in told.stdout
-    assert (tmp_path / "reports" / "far" / "report.md").exists()
     collected = command(tmp_path, "study collect")
     assert collected.returncode == 0 and "report: reports/far/report.md" in collected.stdout
 

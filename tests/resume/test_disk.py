@@ -6,7 +6,6 @@ from __future__ import annotations
 import resource
 import shutil
 import signal
-from collections import namedtuple
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,20 +14,15 @@ import numpy as np
 import pytest
 
 from framework.command.cli import main
-from framework.command.studies import disk
-from framework.command.studies.disk import check_room, run_bytes
 from framework.errors import UserError
 from framework.files.whole import write_whole
 from framework.records.progress import Silent
 from framework.records.record import read_record
 from tests.built import load_scene
 from tests.cli.conftest import FakeRuns, runs
-from tests.record.fakes import make_config
 from tests.record.test_reuse import SCENE, group, run_experiment, small_config
 
 __all__ = ["runs"]
-
-Usage = namedtuple("Usage", "total used free")
 
 
 @contextmanager
@@ -89,37 +83,6 @@ def test_an_output_folder_that_cannot_be_written(
         told = capsys.readouterr().err
         assert told.startswith("error: ") and told.count("\n") == 1 and "file" in told
     assert not runs.seen
-
-
-def test_a_study_without_room_is_refused_before_its_first_run(
-    runs: FakeRuns, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: Usage(0, 0, 50_000_000))
-    assert main(["seed=range(20)", "-m"]) == 2
-    told = capsys.readouterr().err
-    assert not runs.seen and told.count("\n") == 1
-    assert "expected about" in told and "free for 20 runs, got 50 MB" in told
-    assert main(["seed=0", "init.budget=2000", "-m"]) == 0
-
-
-def test_what_is_there_already_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    configs = [make_config(init={"name": "stereo", "budget": 1000})] * 10
-    free = 5 * run_bytes(configs[0])
-    monkeypatch.setattr(disk.shutil, "disk_usage", lambda path: Usage(0, 0, free))
-    with pytest.raises(UserError, match="free for 10 runs"):
-        check_room(tmp_path / "study", configs)
-    (tmp_path / "study").mkdir()
-    (tmp_path / "study" / "done").write_bytes(bytes(6 * run_bytes(configs[0])))
-    check_room(tmp_path / "study", configs)
-
-
-@pytest.mark.parametrize("members", [1, 2])
-def test_the_estimate_is_an_upper_bound(tmp_path: Path, members: int) -> None:
-    config = small_config(group("depth", "ground_truth"))
-    config["trainer"]["members"] = members
-    run_experiment(config, tmp_path, Silent())
-    used = sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file())
-    assert used <= run_bytes(config) < 20 * used
 
 
 def test_input_that_vanished_is_one_line_and_keeps_what_was_done(tmp_path: Path) -> None:

@@ -1,9 +1,8 @@
 """What a run takes along to another process, perhaps on another machine, and what comes back.
 
-The folder of the command and its variables `FISHERSPLAT_*` go with the run: relative paths mean the
-same there, a cache that was named is used, and plugins of the user's own are found. The folder must
-be one that all machines share. Back comes the run's outcome, by the engine's own way, so that
-nothing hangs on when a shared file system shows new files.
+The command's folder and its variables `FISHERSPLAT_*` go with the run: relative paths mean the same
+there, a cache that was named is used, and the user's own plugins are found. The folder must be one
+that all machines share.
 """
 
 from __future__ import annotations
@@ -11,14 +10,15 @@ from __future__ import annotations
 import os
 import platform
 import site
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from hydra.core.utils import JobReturn, JobStatus
 
 from framework.command.runner import VARIABLES
-from framework.command.studies.study import LEDGER_VARIABLE, Outcome, add_outcome, short_path
+from framework.command.studies.closing import short_path
+from framework.command.studies.study import LEDGER_VARIABLE, Outcome, add_outcome
 from framework.compute.orphans import end_with
 from framework.errors import printable_line
 from framework.records.progress import say
@@ -46,12 +46,12 @@ class Origin:
 
 def origin(outlives: bool) -> Origin:
     """That of runs which this process sends out. outlives: they go on when it is gone."""
-    known = {
+    variables = {
         name: text
         for name, text in os.environ.items()
         if name.startswith(VARIABLES) and name != LEDGER_VARIABLE
     }
-    return Origin(os.getcwd(), known, None if outlives else (platform.node(), os.getpid()))
+    return Origin(os.getcwd(), variables, None if outlives else (platform.node(), os.getpid()))
 
 
 def lead_to_this_code(root: Path | None = None) -> None:
@@ -59,36 +59,31 @@ def lead_to_this_code(root: Path | None = None) -> None:
     of one folder may have another's installed beside, or none. root: where `framework` lies."""
     place = str(root or Path(__file__).resolve().parents[3])
     if place in map(os.path.realpath, site.getsitepackages()):
-        return  # found as it is; in front it would hide modules of Python's own
+        return  # already importable; in front it would hide modules of Python's own
     others = [part for part in os.environ.get(PATH, "").split(os.pathsep) if part != place]
     os.environ[PATH] = os.pathsep.join(filter(None, [place, *others]))
 
 
 class Arrivals:
-    """The runs of one launch as they end: told on the screen, their outcomes in the ledger."""
+    """The runs of one launch as they end: a line for each, their outcomes in the ledger."""
 
     def __init__(self, n_runs: int) -> None:
-        self._n_runs, self._ended, self.lost = n_runs, 0, 0
-        self.returns: list[JobReturn] = []
+        self._n_runs, self._ended = n_runs, 0
+        self.returns: dict[int, JobReturn] = {}
 
     def arrived(self, outcome: Outcome) -> None:
-        """A run ended and says how."""
+        """A run has an outcome; the second time nothing happens."""
+        if outcome.number in self.returns:
+            return
         add_outcome(outcome)
-        self.returns.append(JobReturn(_return_value=outcome, status=JobStatus.COMPLETED))
-        how = "" if outcome.error is None else f" · {outcome.error}"
-        self._tell(f"{short_path(Path(outcome.run_dir))}{how}")
+        self.returns[outcome.number] = JobReturn(_return_value=outcome, status=JobStatus.COMPLETED)
+        reason = "" if outcome.error is None else f" · {outcome.error}"
+        self._say(f"{short_path(Path(outcome.run_dir))}{reason}")
 
-    def vanished(self, overrides: Sequence[str], why: str) -> None:
-        """The process of a run ended without telling how."""
-        self.lost += 1
-        self._tell(f"lost: {' '.join(overrides)} · {why}")
+    def lost(self, overrides: Sequence[str], why: str) -> None:
+        """The process of a run ended without an outcome."""
+        self._say(f"lost: {' '.join(overrides)} · {why}")
 
-    def _tell(self, text: str) -> None:
+    def _say(self, text: str) -> None:
         self._ended += 1
         say(printable_line(f"[{self._ended} of {self._n_runs} ended] {text}"))
-
-
-def chunks(items: Sequence[tuple[int, list[str]]], most: int) -> Iterator[list]:
-    """`items` in their order, at most so many at a time."""
-    for start in range(0, len(items), most):
-        yield list(items[start : start + most])

@@ -1,9 +1,8 @@
 """Hydra's launchers that this project supports.
 
-`basic` and `joblib` are Hydra's own. Those of submitit and of Ray wait for their results in a way
-that one lost run ends the whole study, and tell their processes nothing of the command's folder and
-environment; so each is replaced by a class of ours that derives from it, under the same name
-(`hydra_plugins/fishersplat_launchers`, the only place where Hydra takes launchers from).
+`basic` and `joblib` are Hydra's own. With those of submitit and Ray one lost run ends the study,
+and their processes do not know the command's folder and environment. So a subclass replaces each,
+under the same name (`hydra_plugins/fishersplat_launchers`, where Hydra looks for launchers).
 """
 
 from __future__ import annotations
@@ -38,11 +37,6 @@ class Launcher:
     ours: tuple[str, str] = ("", "")
     defaults: Mapping[str, Any] = field(default_factory=dict)
 
-    @property
-    def remote(self) -> bool:
-        """Whether its runs may be on another machine."""
-        return self.extra != ""
-
 
 LAUNCHERS = {
     "basic": Launcher(),
@@ -51,13 +45,14 @@ LAUNCHERS = {
         "submitit",
         "hydra_plugins.hydra_submitit_launcher",
         ("_submitit", "Local"),
-        {"n_jobs": -1, "timeout_min": WEEK_MIN},
+        {"n_jobs": -1, "timeout_min": WEEK_MIN, "detach": False},
     ),
     "submitit_slurm": Launcher(
         "slurm",
         "hydra_plugins.hydra_submitit_launcher",
         ("_submitit", "Slurm"),
-        {"max_num_timeout": 10},  # a run that had no time left goes on from its checkpoint
+        # a worker that had no time left goes on from its run's checkpoint
+        {"max_num_timeout": 10, "detach": False},
     ),
     "ray": Launcher(
         "ray",
@@ -71,26 +66,20 @@ def register_launchers() -> None:
     """Put ours in the place of Hydra's, of those that are installed. Safe to call again."""
     plugins, store = Plugins.instance(), ConfigStore.instance()  # finds Hydra's first
     for name, launcher in LAUNCHERS.items():
-        if not launcher.remote or not _installed(launcher.needs):
+        if not launcher.extra or not _installed(launcher.needs):
             continue
         file, class_name = launcher.ours
         module = importlib.import_module(f"{OURS}.{file}")
         plugins.register(getattr(module, class_name))
         target = f"{module.__name__}.{class_name}"
-        node = OmegaConf.create({**stored(name), **launcher.defaults, "_target_": target})
+        declared = store.load(f"hydra/launcher/{name}.yaml").node
+        node = OmegaConf.create(OmegaConf.to_container(declared, resolve=False))
+        node.update({**launcher.defaults, "_target_": target})
         store.store(group="hydra/launcher", name=name, node=node, provider="fishersplat")
 
 
-def stored(name: str) -> dict[str, Any]:
-    """The options of a launcher, as its plugin declares them."""
-    content: Any = OmegaConf.to_container(
-        ConfigStore.instance().load(f"hydra/launcher/{name}.yaml").node, resolve=False
-    )
-    return dict(content)
-
-
 def missing_extra(name: str) -> str | None:
-    """Which of the project's extras a known launcher lacks here; None if none."""
+    """Which of the project's extras a launcher lacks here; None if none."""
     launcher = LAUNCHERS.get(name)
     return (
         launcher.extra if launcher and launcher.extra and not _installed(launcher.needs) else None

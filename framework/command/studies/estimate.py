@@ -1,9 +1,9 @@
-"""How long a study will take on this machine, told before its first run.
+"""About how long a study will take on this machine, for `estimate=true`.
 
-A few short trials measure what a run of each method and of each scene costs: seconds per step,
-what is done once per run (start, evaluation, files), and what is done once per scene (loading,
-depth). A run's time is taken as the product of its method's and its scene's share, so that not
-every pair is tried. Trials leave nothing behind but compiled kernels and cached scenes.
+A few short trials measure what a run costs: seconds per step, what is done once per run (start,
+evaluation, files) and what is done once per scene (loading, depth). Configurations that were not
+tried are taken to cost the mean. Trials leave nothing behind but compiled kernels and cached
+scenes.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from framework.compute.stopwatch import Stopwatch, duration
@@ -21,8 +22,6 @@ from framework.records.provenance import NEUTRAL_KEYS
 
 TRIAL_STEPS = 24
 MOST_TRIALS = 8
-KEPT_SCENES = 2  # so many does `framework.run.experiment` keep from run to run
-NOT_TIMED = ("seed", "scene", "depth", *NEUTRAL_KEYS)
 
 Config = Mapping[str, Any]
 
@@ -51,35 +50,19 @@ def announce(configs: Sequence[Config], at_once: int = 1) -> float:
     return seconds / at_once
 
 
-def estimate(configs: Sequence[Config], try_out: Callable[[Config], Cost]) -> tuple[float, int]:
+def estimate(configs: Sequence[Config], measure: Callable[[Config], Cost]) -> tuple[float, int]:
     """Seconds of all runs, one after another, and the number of trials."""
-    first = configs[0]
-    base = try_out(first)
-    by_method, by_scene = {_method(first): base}, {_scene(first): base}
-    here = {key: first[key] for key in ("scene", "depth")}
-    for config in configs:
-        key = _method(config)
-        if key not in by_method and len(by_method) < MOST_TRIALS // 2:
-            by_method[key] = try_out({**config, **here})
-    for config in configs:
-        key = _scene(config)
-        if key not in by_scene and len(by_method) + len(by_scene) <= MOST_TRIALS:
-            there = {name: config[name] for name in here}
-            by_scene[key] = try_out({**first, **there})
-    usual, usually = _mean(by_method.values()), _mean(by_scene.values())
-    total, kept = 0.0, [_scene(first)]  # the trials leave the first scene ready
-    for config in configs:
-        key = _scene(config)
-        total += 0.0 if key in kept else by_scene.get(key, usually).scene_s
-        kept = [*(other for other in kept if other != key), key][-KEPT_SCENES:]
-        method, scene = by_method.get(_method(config), usual), by_scene.get(_scene(config), usually)
-        step_s = method.step_s * scene.step_s / base.step_s
-        trainer = config["trainer"]
-        views = config["scene"].get("n_views")
-        visits = int(trainer.get("visits") or 0) * (views if isinstance(views, int) else 0)
-        total += trainer.get("seconds") or step_s * max(int(trainer["steps"]), visits)
-        total += scene.run_s
-    return total, len(by_method) + len(by_scene) - 1
+    distinct = {_method(config): config for config in configs}
+    every = max(1, -(-len(distinct) // MOST_TRIALS))
+    costs = {key: measure(distinct[key]) for key in list(distinct)[::every]}
+    step_s, run_s, scene_s = (
+        fmean(getattr(cost, name) for cost in costs.values())
+        for name in ("step_s", "run_s", "scene_s")
+    )
+    mean = Cost(step_s, run_s, scene_s)
+    total = sum(_seconds(config, costs.get(_method(config), mean)) for config in configs)
+    scenes = {json.dumps([config["scene"], config["depth"]]) for config in configs}
+    return total + (len(scenes) - 1) * scene_s, len(costs)  # the trials load one
 
 
 def measure(config: Config) -> Cost:
@@ -99,18 +82,16 @@ def measure(config: Config) -> Cost:
     return Cost(train_s / TRIAL_STEPS, max(0.0, wall_s - train_s), scene_s)
 
 
+def _seconds(config: Config, cost: Cost) -> float:
+    """Of a run whose scene is loaded."""
+    trainer, views = config["trainer"], config["scene"].get("n_views")
+    visits = int(trainer.get("visits") or 0) * (views if isinstance(views, int) else 0)
+    steps = max(int(trainer["steps"]), visits)
+    return float(trainer.get("seconds") or cost.step_s * steps) + cost.run_s
+
+
 def _method(config: Config) -> str:
-    """All that a step's time may depend on, beside the scene and the number of steps."""
-    kept = {key: value for key, value in config.items() if key not in NOT_TIMED}
+    """All that the cost of a step may depend on, but the number of steps."""
+    options = {key: value for key, value in config.items() if key not in ("seed", *NEUTRAL_KEYS)}
     trainer = {key: value for key, value in config["trainer"].items() if key != "steps"}
-    return json.dumps({**kept, "trainer": trainer}, sort_keys=True)
-
-
-def _scene(config: Config) -> str:
-    return json.dumps([config["scene"], config["depth"]], sort_keys=True)
-
-
-def _mean(costs: Any) -> Cost:
-    known = list(costs)
-    sums = [sum(getattr(cost, name) for cost in known) for name in ("step_s", "run_s", "scene_s")]
-    return Cost(*(total / len(known) for total in sums))
+    return json.dumps({**options, "trainer": trainer}, sort_keys=True)

@@ -3,6 +3,7 @@ run of a study, not after hours of the ones before."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 from framework import registry
 from framework.errors import require
 from framework.rasterizers import build_rasterizer
+from framework.records import RUN_FOLDERS
 
 WITH_PATH = ("scene", "depth")  # groups whose option `path` names files of this machine
 
@@ -26,3 +28,19 @@ def check_ready(config: Mapping[str, Any]) -> None:
         )
     registry.part("depth", config["depth"]).ready()
     build_rasterizer(config).ready()
+
+
+def check_links(folder: Path) -> None:
+    """Raise UserError for a link below the folder of a study or a run, where a run writes: through
+    it, something elsewhere would be overwritten. What lies beside a study's `runs`, and where
+    `runs` itself leads, is the user's."""
+    runs = folder / RUN_FOLDERS
+    top = runs if runs.is_dir() else folder
+    for parent, folders, names in os.walk(top):
+        for name in (*folders, *names):
+            path = os.path.join(parent, name)
+            require(
+                not os.path.islink(path),
+                f"{path}: expected no link where a run writes, got one; remove it and run the same"
+                " again",
+            )

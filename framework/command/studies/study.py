@@ -28,13 +28,11 @@ from framework.command.config.check import check
 from framework.command.config.naming import plain, study_dir
 from framework.command.config.overrides import check_method, check_run_count, parsed
 from framework.command.hydra_inside import jobs_of
-from framework.command.launchers.detached import detached
 from framework.command.launchers.workers import watch_workers
 from framework.command.program import program
 from framework.command.studies.closing import closing, short_path
-from framework.command.studies.disk import check_links, check_room
 from framework.command.studies.estimate import announce
-from framework.command.studies.ready import check_ready
+from framework.command.studies.ready import check_links, check_ready
 from framework.compute.stopwatch import Stopwatch, duration
 from framework.errors import UserError, mendable, os_line, printable_line, require
 from framework.files.locks import locked
@@ -91,8 +89,12 @@ def add_outcome(outcome: Outcome) -> None:
 
 def outcomes() -> list[Outcome]:
     """The outcomes so far, in the order of the runs."""
-    paths = sorted(Path(os.environ[LEDGER_VARIABLE]).glob("*.json"))
-    return [Outcome(**json.loads(path.read_text(encoding="utf-8"))) for path in paths]
+    return read_outcomes(Path(os.environ[LEDGER_VARIABLE]))
+
+
+def read_outcomes(folder: Path) -> list[Outcome]:
+    """Those in a folder, in the order of its files."""
+    return [Outcome(**json.loads(path.read_bytes())) for path in sorted(folder.glob("*.json"))]
 
 
 def job_count() -> int | None:
@@ -143,8 +145,7 @@ class StudyCallback(Callback):
         try:
             jobs = sweep_jobs(config)
             studies = check_jobs(config, jobs)
-            for folder, configs in studies.items():
-                check_room(folder, configs)
+            for folder in studies:
                 check_links(folder)
             if config.estimate:
                 every = [run for configs in studies.values() for run in configs]
@@ -165,7 +166,8 @@ class StudyCallback(Callback):
         job_return.cfg = job_return.hydra_cfg = None
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        if detached():
+        if config.hydra.launcher.get("detach"):  # no run has ended yet
+            del os.environ[JOBS_VARIABLE]
             return
         told = "" if self._expected_s is None else f" (estimated {duration(self._expected_s)})"
         say(f"{len(outcomes())} runs took {duration(self._watch.wall_s)}{told}")
