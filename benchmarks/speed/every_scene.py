@@ -22,6 +22,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks.quality.time_to_quality import short
+
 from benchmarks.speed.end_to_end import END, REPORT, REST, STAGES, START, profile
 from framework.records.provenance import cpu_model
 

@@ -9,6 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from framework.command.config.schema import ROOT
 from tests.contract.test_imports import ROOMS
 
@@ -86,6 +88,7 @@ def test_it_is_a_page() -> None:
     assert len(PAGE.splitlines()) <= MOST_LINES
 
 
+@pytest.mark.slow
 def test_the_picture_has_every_room_and_the_same_bytes_twice(tmp_path: Path) -> None:
     drawn = []
     for name in ("a", "b"):

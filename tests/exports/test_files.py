@@ -65,6 +65,7 @@ def test_upright_means_y_down_and_the_middle_at_the_origin(cameras: list) -> Non
     assert np.allclose(moved[:3] @ [0, 0, 0, 1], 0, atol=0.2)  # where all of them look
 
 
+@pytest.mark.slow  # gsply compiles its own kernels each time
 def test_files_hold_the_values_and_gsply_reads_them(tmp_path: Path) -> None:
     gsply = pytest.importorskip("gsply")
     gaussians = some_gaussians()

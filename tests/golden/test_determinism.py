@@ -51,7 +51,7 @@ def golden(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
     return _run(tmp_path_factory.mktemp("golden"), seed=0, threads=1)
 
 
-@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("threads", [1, 3])
 def test_same_bits_on_any_thread_count(golden: RunRecord, tmp_path: Path, threads: int) -> None:
     again = _run(tmp_path, seed=0, threads=threads)
     assert again.parameters_sha256 == golden.parameters_sha256

@@ -26,7 +26,7 @@ from framework.train.epoch import Item, ordered
 from framework.train.trainer import Trainer
 from framework.types import View
 
-STEPS = 16
+STEPS = 6
 METHODS = [
     *[(name, "none") for name in choices("augment")],
     *[("none", name) for name in [*choices("reg"), "uar_hard", "dropgaussian"] if name != "none"],

@@ -8,7 +8,6 @@ import json
 import logging
 import pickle
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,8 +15,8 @@ import torch
 from safetensors.torch import save
 
 from framework.train.resume.checkpoint import KEY
-from tests.contract.test_training import ACTING, ALL
-from tests.security.forged import CHANGES, ODD, Forgery, forgeries, leaves
+from tests.contract.test_training import ACTING
+from tests.security.forged import CHANGES, ODD, Forgery, leaves
 
 
 @pytest.fixture(scope="module")
@@ -66,22 +65,6 @@ def test_values_that_do_not_fit(forgery: Forgery, first: int) -> None:
         if state is not None:
             forgery.goes_on(state)
         node[key] = before
-
-
-@pytest.mark.parametrize(("group", "name"), [one for one in ALL if one not in ACTING.items()])
-def test_a_share_of_the_forgeries_of_every_plugin(
-    group: str, name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """`tests/system/test_forged.py` does all."""
-    forgery = Forgery(tmp_path, {group: name})
-    for _, tree, tensors in islice(forgeries(forgery, "plugins"), 5, None, 41):
-        caplog.clear()
-        with caplog.at_level(logging.WARNING, "framework"):
-            state = forgery.read(tree, tensors)
-        if state is not None:
-            forgery.goes_on(state)
-        else:
-            assert caplog.text.count("\n") == 1 and "is damaged and not used: " in caplog.text
 
 
 def test_files_that_hold_something_else(forgery: Forgery, caplog: pytest.LogCaptureFixture) -> None:
