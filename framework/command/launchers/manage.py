@@ -52,10 +52,11 @@ def _submit(words: Sequence[str], prog: str) -> int:
     if "-h" in words or "--help" in words:
         print(__doc__)
         return 0
+    flags = [word for word in words if word not in ("-m", "--multirun")]
     chosen = [word.removeprefix(LAUNCHER) for word in words if word.startswith(LAUNCHER)]
     launcher = chosen[-1] if chosen else LAUNCHERS[0]
     require(
-        len(words) > len(chosen),
+        len(flags) > len(chosen),
         f"{prog}: expected the words of a study, got none; write for instance {prog}"
         " reg=none,uar seed=0,1,2, or sweep=NAME",
     )
@@ -70,7 +71,6 @@ def _submit(words: Sequence[str], prog: str) -> int:
         f"{prog}: expected submitit to be installed, found it missing; pip install"
         f" 'fishersplat[{extra}]'",
     )
-    flags = [word for word in words if word not in ("-m", "--multirun")]
     flags += [] if chosen else [f"{LAUNCHER}{launcher}"]
     code = command_line([*own_plugins.flags(), *flags, "hydra.launcher.detach=true", "-m"])
     if code == 0:
