@@ -45,7 +45,7 @@ from framework.command.studies.study import (
     varied,
 )
 from framework.command.subcommands import asked_for, obey
-from framework.command.words import normalise, only_informs, parse
+from framework.command.words import check_utf8, normalise, only_informs, parse
 from framework.compute.orphans import end_with_parent
 from framework.errors import UserError, machine_line, nearest_hint, printable_line, require
 from framework.records.progress import unread
@@ -59,6 +59,7 @@ register_resolvers()
 def main(argv: Sequence[str]) -> int:
     """Run the command line `argv` (without the program's name); returns the exit code."""
     try:
+        check_utf8("the current folder", os.getcwd())
         words = own_plugins.take_flag(argv)
         subcommand = asked_for(words)
         if subcommand is not None:

@@ -29,6 +29,7 @@ def normalise(argv: Sequence[str]) -> list[str]:
 
     A leading `+` goes from known groups: they are in the defaults list, where Hydra wants none.
     """
+    check_utf8("command line", *argv)
     arguments = [re.sub(rf"^\+(?=({'|'.join(GROUPS)})=)", "", argument) for argument in argv]
     arguments = [quoted(_joined_choices(argument)) for argument in arguments]
     arguments = _multirun_flag_first(arguments)
@@ -92,6 +93,18 @@ def _options_of_swept_groups(arguments: Sequence[str], overrides: Sequence[str])
 def only_informs(flags: Any) -> bool:
     """True for `--help`, `--cfg` and the like, which start no run."""
     return bool(flags.help or flags.hydra_help or flags.cfg or flags.info or flags.shell_completion)
+
+
+def check_utf8(where: str, *texts: str) -> None:
+    """Raise UserError for a text with bytes that are not UTF-8: no record could hold it."""
+    for text in texts:
+        try:
+            text.encode("utf-8")
+        except UnicodeEncodeError:
+            raise UserError(
+                f"{where}: expected UTF-8, in which records are written, got {text[:200]!r}; rename"
+                " the file or folder"
+            ) from None
 
 
 def _multirun_flag_first(arguments: Sequence[str]) -> list[str]:

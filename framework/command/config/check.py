@@ -39,6 +39,7 @@ def check(config: Mapping[str, Any]) -> None:
     _known_keys("", config, [*SCALARS, "trainer", "metrics", *OBJECT_GROUPS])
     _known_keys("trainer.", config["trainer"], TRAINER)
     _known_keys("metrics.", config["metrics"], METRICS)
+    _check_integers("", config)
     for group in OBJECT_GROUPS:
         _check_choice(group, config[group])
     for group in registry.GROUPS:
@@ -51,10 +52,21 @@ def check(config: Mapping[str, Any]) -> None:
     trackers.ready(config.get("tracker"))
 
 
+def _check_integers(prefix: str, options: Mapping[str, Any]) -> None:
+    """Raise UserError for an integer that libraries cannot take."""
+    for key, value in options.items():
+        if isinstance(value, Mapping):
+            _check_integers(f"{prefix}{key}.", value)
+        require(
+            type(value) is not int or abs(value) < 2**63,
+            f"{prefix}{key}: expected an integer below 2^63, got {value}; choose another",
+        )
+
+
 def _check_scalars(seed: int, threads: int, study: str | None) -> None:
     require(
-        0 <= seed < 2**63,
-        f"seed: expected an integer >= 0 and below 2^63, got {seed}; choose another",
+        seed >= 0,
+        f"seed: expected an integer >= 0, got {seed}; choose another",
     )
     require(threads >= 0, f"threads: expected an integer >= 0, got {threads}; 0 uses all cores")
     require(

@@ -115,6 +115,10 @@ def _length(override: Override) -> int:
         return len(value.list)
     if isinstance(value, RangeSweep):
         assert value.start is not None and value.stop is not None
+        require(
+            all(map(math.isfinite, (value.start, value.stop, value.step))),
+            f"{override.input_line}: expected finite bounds and step, got others; change them",
+        )
         require(value.step != 0, f"{override.input_line}: expected a step other than 0; change it")
         return max(0, math.ceil((value.stop - value.start) / value.step))
     return 1
