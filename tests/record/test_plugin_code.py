@@ -53,6 +53,8 @@ def test_an_edit_is_another_run_only_for_those_that_use_the_file(
     (tmp_path / "mine_b.py").write_text(PLUGIN.format(imports="", name="mine_b"))
     (tmp_path / "_helper.py").write_text("import _deeper")
     (tmp_path / "_deeper.py").write_text("A = 1")
+    registry.discover()
+    monkeypatch.setattr(registry, "_classes", {g: {**t} for g, t in registry._classes.items()})
     monkeypatch.setenv(OWN_VARIABLE, str(tmp_path))
     with as_before():
         registry.discover()
