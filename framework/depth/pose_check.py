@@ -2,8 +2,8 @@
 
 With right poses, depth maps of neighbouring photos confirm each other far more often than by
 chance. Chance is measured with the same cameras and the photos exchanged among them, because
-smooth areas confirm each other there too. The check works on small copies of the photos: it costs
-about a tenth of the depth of a run and does not depend on the depth provider.
+smooth areas confirm each other there too. The check works on small copies of the photos, so it is
+cheap and does not depend on the depth provider.
 """
 
 from __future__ import annotations

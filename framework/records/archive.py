@@ -57,7 +57,7 @@ def read_archive(folder: Path) -> list[Entry]:
         UserError: the file is damaged, or of a newer schema.
     """
     path = folder / ARCHIVE
-    lines = read_text(path, TEXT_BYTES).splitlines()
+    lines = read_text(path, TEXT_BYTES).removesuffix("\n").split("\n")  # texts may hold U+2028
     require(len(lines) <= RUNS, f"{path}: expected at most {RUNS:,} runs, got {len(lines):,}")
     entries = []
     for number, line in enumerate(lines, 1):
