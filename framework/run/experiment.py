@@ -35,7 +35,15 @@ from framework.metrics.evaluate import evaluate
 from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
 from framework.metrics.rank import with_rank
-from framework.metrics.values import COADAPTATION, Missing, ViewMetrics, measures
+from framework.metrics.values import (
+    COADAPTATION,
+    LPIPS_BOTH,
+    VIEWS,
+    Missing,
+    ViewMetrics,
+    evenly,
+    measures,
+)
 from framework.options import TrainerOptions
 from framework.rasterizers import build_rasterizer
 from framework.records.cameras import write_cameras
@@ -117,6 +125,10 @@ def _experiment(
     timings: dict[str, StageTime] = {}
     progress.stage(f"scene {config['scene']['name']}")
     scene, timings["scene"], scene_warnings = _scene(_key(config["scene"]))
+    n_test = len(scene.test)
+    scene = dataclasses.replace(scene, test=evenly(scene.test, config["metrics"].get(VIEWS, 0)))
+    if len(scene.test) < n_test:
+        progress.note(f"evaluates {len(scene.test)} of {n_test} test views (metrics.views)")
     plugins = plugin_hashes(config)
     files = {**_files(config, scene), **plugins}
     identity = identity_of(config, scene.fingerprint, code_hash(), files)
@@ -159,6 +171,7 @@ def _experiment(
                     "plugins": plugins,
                     **build_rasterizer(config).facts(),
                     "threads": parallel.threads(),
+                    "test_views": {"evaluated": len(scene.test), "of": n_test},
                     LPIPS: None if network is None else network.name,
                     POSE_CHECK: None if check is None else check.figures(),
                 },
@@ -228,7 +241,7 @@ def _trained(
     progress.stage("evaluation")
     near = options.near_plane * scene.training.near
     with _timed(timings, "evaluate"):
-        measured = _measured(config, trained, near, scene.test, network, run)
+        measured = _measured(config, trained, near, scene.test, network, run, progress)
     shared.check()
     record = dataclasses.replace(
         record,
@@ -305,13 +318,15 @@ def _measured(
     test: Sequence[View],
     network: Lpips | None,
     run: Run,
+    progress: Progress,
 ) -> tuple[list[ViewMetrics], list[tuple[View, Tensor]]]:
     """What the test views say of a trained model, and its renders of them."""
     seen = trained.gaussians, trained.background, trained.sh_degree
     render = renderer(*seen, near, run.rasterizer, run.exposures)
     names = measures(config["metrics"].get("also"))
     also = {name: registry.part("metric", {"name": name}) for name in names}
-    metrics, renders = evaluate(render, test, network, also)
+    both = bool(config["metrics"].get(LPIPS_BOTH))
+    metrics, renders = evaluate(render, test, network, also, both, progress.stage)
     metrics = with_average(metrics)
     if config["metrics"].get(COADAPTATION):
         half = thinned(*seen, near, run.rasterizer)
