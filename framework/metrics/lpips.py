@@ -196,7 +196,7 @@ def _tensors(file: Path) -> dict[str, Tensor]:
         f"metrics.lpips_weights: expected a dict of tensors in '{file}', got"
         f" {type(loaded).__name__}; save it with torch.save(model.state_dict(), file)",
     )
-    n_bytes = 4 * sum(value.numel() for value in loaded.values())  # expanded tensors are stored small
+    n_bytes = 4 * sum(value.numel() for value in loaded.values())  # stored may be less
     require(
         n_bytes <= WEIGHTS_BYTES and all(isinstance(key, str) for key in loaded),
         f"metrics.lpips_weights: expected tensors of at most {WEIGHTS_BYTES:,} bytes in '{file}',"
