@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -92,7 +92,9 @@ def colmap_tracks(
     path, read = chosen
     best = fit(read)
     if best.photos:
-        return _over_photos(read.tracks, best)
+        tracks = read.tracks.of_images(best.columns.tolist())
+        unmoved = bool((best.world == np.eye(4)).all())
+        return tracks if unmoved else replace(tracks, xyz=moved(tracks.xyz, best.world))
     error = _mismatch(path, source, names, read, best)
     if folder / "colmap" not in path.parents:
         raise error
@@ -150,16 +152,3 @@ def _mismatch(path: Path, source: str, names: Sequence[str], model: Model, fit: 
         f"{path}: expected the {len(names)} images of {source}, got {len(model.names)} with other"
         " names; remove the folder (then there are no sparse points) or rebuild the model"
     )
-
-
-def _over_photos(tracks: Tracks, fit: _Fit) -> Tracks:
-    """Tracks over the photos, without points of two or more images that are not among them."""
-    if (
-        np.array_equal(fit.columns, np.arange(tracks.seen.shape[1]))
-        and (fit.world == np.eye(4)).all()
-    ):
-        return tracks
-    seen = tracks.seen[:, fit.columns] & (fit.columns >= 0)
-    left = seen.sum(axis=1)
-    keep = (left >= 2) | (left == tracks.seen.sum(axis=1))
-    return Tracks(moved(tracks.xyz[keep], fit.world), tracks.rgb[keep], seen[keep])
