@@ -53,7 +53,7 @@ def _from_transforms(path: Path) -> list[Given]:
             " them to the file",
         )
         lens = frame.lens(0, 0)
-        found.append(Given(frame.name, _camera(frame.viewmat, lens), not lens.distortion.none))
+        found.append(Given(frame.name, _camera(frame.viewmat, lens), any(lens.distortion.terms)))
     return found
 
 

@@ -38,10 +38,13 @@ def moved(xyz: NDArray[np.float64], world: NDArray[np.float64]) -> NDArray[np.fl
 
 @dataclass(frozen=True)
 class _Fit:
-    """A model compared with the poses of the photos.
+    """A comparison of a model with the poses of the photos.
 
-    columns: [n] index of each photo's image in the model, -1 without one. away: largest distance of
-    two paired camera centres. size: radius of the rig. world: [4, 4] from the model's world.
+    Attributes:
+        columns: [n] index of each photo's image in the model, -1 without one.
+        away: largest distance of two paired camera centres.
+        size: radius of the rig.
+        world: [4, 4] from the model's world.
     """
 
     columns: NDArray[np.intp]
@@ -51,7 +54,7 @@ class _Fit:
 
     @property
     def photos(self) -> int:
-        """Photos with the same place in the model; 0 if any differs."""
+        """Number of photos with the same position in the model; 0 if any differs."""
         pairs = int((self.columns >= 0).sum())
         return pairs if pairs > 1 and self.away <= SAME_POSE * self.size else 0
 
@@ -64,15 +67,15 @@ def colmap_tracks(
     model: str = AUTO,
     worlds: Sequence[NDArray[np.float64]] = (np.eye(4),),
 ) -> Tracks:
-    """Read the points of the scene's COLMAP model whose poses are those of the photos.
+    """Read the points of the scene's COLMAP model that has the poses of the photos.
 
     Args:
         folder: the scene.
-        source: what the poses come from, for messages.
-        names: the photos in sorted order; the model's names may differ if it has as many images.
+        source: of the poses, for messages.
+        names: the photos in sorted order. Names in the model may differ if it has as many images.
         viewmats: [4, 4] world-to-camera of each photo.
         model: `scene.model`.
-        worlds: [4, 4] transforms from the model's world to that of the poses, to be tried.
+        worlds: [4, 4] transforms to try, from the model's world to that of the poses.
 
     Returns:
         The points with tracks over the photos; no points without a model.

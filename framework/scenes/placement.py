@@ -32,9 +32,9 @@ def placement(centers: NDArray[np.float64], training: NDArray[np.float64]) -> li
 def _near_hull(points: NDArray[np.float64]) -> bool:
     """Whether the convex hull of [K, 3] points comes within `REACH` of the origin.
 
-    Gilbert (1966): move from the closest point so far towards the corner farthest in the direction
-    of the origin, until the point is close enough or a plane separates hull and origin. Importing
-    scipy.optimize instead would take half a second.
+    Gilbert (1966): move from the closest point so far towards the corner farthest in the origin's
+    direction, until it is close enough or a plane separates hull and origin. scipy.optimize is not
+    used, as its import takes half a second.
     """
     closest = points[np.linalg.norm(points, axis=1).argmin()]
     for _ in range(ROUNDS):
