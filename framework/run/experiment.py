@@ -223,7 +223,7 @@ def _trained(
     rasterizer = build_rasterizer(config)
     photos, told_of_scene = scene.training.views, {}
     if exposures is not None:
-        progress.note(exposures.told())
+        progress.note(exposures.message())
         told_of_scene = {EXPOSURE: exposures.size}
         evened = dataclasses.replace(scene.training, views=exposures.evened(photos))
         scene = dataclasses.replace(scene, training=evened)
