@@ -41,7 +41,7 @@ def holder(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
 def test_a_second_process_is_told_who_is_at_it(
     holder: subprocess.Popen[str], tmp_path: Path
 ) -> None:
-    expected = rf"run: expected nobody else.*process {holder.pid} on "
+    expected = rf"run: expected no other process.*process {holder.pid} on "
     with pytest.raises(Busy, match=expected), locked(tmp_path / "run"):
         raise AssertionError("both hold the lock")
     assert (tmp_path / "run" / LOCK).exists()
