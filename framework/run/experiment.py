@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from framework import registry
+from framework.backends import build_rasterizer
 from framework.compute import parallel, rng
 from framework.compute.stopwatch import Stopwatch
 from framework.depth import unspoiled
@@ -37,7 +38,6 @@ from framework.metrics.lpips_weights import chosen, fingerprint
 from framework.metrics.rank import with_rank
 from framework.metrics.values import COADAPTATION, Missing, ViewMetrics, measures
 from framework.options import TrainerOptions
-from framework.rasterizers import build_rasterizer
 from framework.records.cameras import write_cameras
 from framework.records.first_view import write_settings
 from framework.records.notices import noted, warnings_of
