@@ -1,8 +1,8 @@
-"""The common part of augmenters that warp training views into perturbed cameras.
+"""Common part of augmenters that warp training views into a new camera by their depth.
 
-Such a method is a subclass with a `select`: which training views support a new camera. Sampling the
-camera, warping, the coverage rule and the pseudo view are here, so that methods differ in nothing
-but their choice of supports. Light to import: torch and numba come in when a camera is sampled.
+A subclass chooses the support views (`select`) and may choose the camera (`sample_camera`). Warping,
+the coverage rule and the pseudo view are shared, so that methods differ in these choices only.
+Light to import: torch and numba are loaded when the first camera is sampled.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from framework.errors import UserError
 from framework.plugin import Augmenter, StepContext
 
 if TYPE_CHECKING:
@@ -24,8 +25,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WarpingState:
-    """selection: what `select` keeps between epochs. view: the current pseudo view, None if the
-    last one covered too little. made: the epoch in which it was made, -1 before the first."""
+    """State of a warping augmenter between epochs.
+
+    Attributes:
+        selection: state of `select`.
+        view: the current pseudo view, None if the last one covered too little.
+        made: the epoch in which it was made, -1 before the first.
+    """
 
     selection: Any = None
     view: View | None = None
@@ -34,16 +40,16 @@ class WarpingState:
 
 @dataclass(frozen=True)
 class WarpingAugmenter(Augmenter):
-    """One pseudo view at a perturbed training camera, warped from the views `select` chooses.
+    """One pseudo view at a new camera, warped from the training views that `select` returns.
 
     every: epochs that a pseudo view lives (a new one costs about as much as two training steps).
     sigma_center: the paper's sigma_C, jitter of the centre per axis, in mean distances to the next
-    camera. Those are of the training cameras (extents for a single one). sigma_rotation: the
+    camera. With a single training camera the unit is the extent. sigma_rotation: the
     paper's sigma_theta, jitter of the orientation in degrees, about a random axis. roll: whether
     that may turn the image in its plane. Without it the axis is one across the viewing direction.
     temperature: softness of the z-buffer as a share of depth. min_coverage: least area of a pseudo
-    view, as a share of what confident depth covers. That is the mean area over the training views;
-    a view that covers less is not used. The warm-up is the framework key `start`.
+    view, as a share of what confident depth covers. The reference is the mean over the training
+    views; a view that covers less is not used. The framework key `start` sets the warm-up.
     """
 
     every: int = 2
@@ -53,7 +59,7 @@ class WarpingAugmenter(Augmenter):
     temperature: float = 0.02
     min_coverage: float = 0.3
 
-    # chosen like those of reg=uar: a warped image is softer than a photo and must not outvote it
+    # chosen as for reg=uar: a warped image is softer than a photo and must not dominate it
     defaults: ClassVar[dict[str, float]] = {"start": 0.1, "stop": 0.8, "weight": 0.3}
 
     def __post_init__(self) -> None:
@@ -63,8 +69,35 @@ class WarpingAugmenter(Augmenter):
         self.check("temperature", 0 < self.temperature <= 1, "a number in (0, 1]")
         self.check("min_coverage", 0 <= self.min_coverage <= 1, "a share in [0, 1]")
 
+    def sample_camera(self, ctx: StepContext) -> Camera:
+        """Choose the camera of the next pseudo view; override it for another choice.
+
+        By default a random training camera, perturbed by `sigma_center` and `sigma_rotation`. The
+        draws come from `ctx.rng("camera")`, so all methods are compared on the same cameras.
+
+        Args:
+            ctx: the training at the start of an epoch; `ctx.views` have the training cameras.
+
+        Returns:
+            Any camera of the scene. Its size is the size of the pseudo view.
+        """
+        rng = ctx.rng("camera")
+        cameras = [view.camera for view in ctx.views]
+        start = cameras[int(rng.integers(len(cameras)))]
+        sigma_center = self.sigma_center * ctx.spacing
+        return perturbed(start, rng, sigma_center, self.sigma_rotation, roll=self.roll)
+
     def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
-        """Indices of the training views to warp into `camera`, and the next `selection`."""
+        """Choose the support views of `camera`.
+
+        Args:
+            ctx: the training at the start of an epoch.
+            selection: what the last call returned as its state, None at first.
+            camera: the camera of the pseudo view.
+
+        Returns:
+            Indices into `ctx.views` of the views to warp, and the state for the next call.
+        """
         raise NotImplementedError
 
     def check_state(
@@ -83,7 +116,7 @@ class WarpingAugmenter(Augmenter):
     def check_selection(
         self, selection: Any, gaussians: Gaussians, views: tuple[View, ...]
     ) -> None:
-        """Raise ValueError unless `select` can go on with `selection`, see `check_state`."""
+        """Raise ValueError unless `select` can continue with `selection`, see `check_state`."""
 
     def pseudo_views(
         self, ctx: StepContext, state: WarpingState | None
@@ -95,14 +128,19 @@ class WarpingAugmenter(Augmenter):
 
     def _renewed(self, ctx: StepContext, state: WarpingState) -> WarpingState:
         """The state with this epoch's pseudo view."""
-        from framework.types import View
+        from framework.types import Camera, View
         from framework.warp.zbuffer import warp
 
-        camera = self._sample_camera(ctx)
+        camera = self.sample_camera(ctx)
+        if not isinstance(camera, Camera):
+            raise UserError(
+                f"augment={self.name}: expected sample_camera to return a Camera, got"
+                f" {type(camera).__name__}; fix the plugin"
+            )
         chosen, selection = self.select(ctx, state.selection, camera)
         supports = ctx.supports()
         warped = warp([supports[i] for i in chosen], camera, temperature=self.temperature)
-        # against the frame, a scene whose depth covers half of it would have no pseudo view at all
+        # relative to the frame, a scene whose depth covers half of it would have no pseudo view
         possible = known_share(supports)
         covered = warped.coverage / possible if possible > 0 else 0.0
         self._log_supports(ctx, chosen, camera)
@@ -116,8 +154,8 @@ class WarpingAugmenter(Augmenter):
         return replace(state, selection=selection, view=view, made=ctx.epoch)
 
     def _log_supports(self, ctx: StepContext, chosen: Sequence[int], camera: Camera) -> None:
-        """How many there are, how far from the camera, in camera spacings, whether the nearest
-        photo is among them, and which they are on average by nearness (1: the nearest)."""
+        """Log their number, mean distance in camera spacings, whether the nearest photo is among
+        them, and their mean rank by distance (1 = nearest)."""
         distances = center_distances(ctx.views, camera)
         ctx.log(f"{self.name}_supports", len(chosen))
         if chosen:
@@ -127,17 +165,10 @@ class WarpingAugmenter(Augmenter):
             ctx.log(f"{self.name}_nearest", float(1 in ranks))
             ctx.log(f"{self.name}_support_rank", sum(ranks) / len(ranks))
 
-    def _sample_camera(self, ctx: StepContext) -> Camera:
-        rng = ctx.rng("camera")  # not by method: all compare on the same cameras
-        cameras = [view.camera for view in ctx.views]
-        start = cameras[int(rng.integers(len(cameras)))]
-        sigma_center = self.sigma_center * ctx.spacing
-        return perturbed(start, rng, sigma_center, self.sigma_rotation, roll=self.roll)
-
 
 @dataclass(frozen=True)
 class ThresholdAugmenter(WarpingAugmenter):
-    """A warping method that scores the training views and warps all that come near the best.
+    """A warping method that scores the training views and warps all whose score is near the best.
 
     eta: a view supports if its score is at most eta (the paper's symbol) x the smallest.
     """
@@ -149,7 +180,11 @@ class ThresholdAugmenter(WarpingAugmenter):
         self.check("eta", 1 <= self.eta <= 1e6, "a number in [1, 1e6]")
 
     def scores(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[float], Any]:
-        """One score >= 0 per training view, smaller = closer to `camera`; the next `selection`."""
+        """Score every training view, smaller = closer to `camera`.
+
+        Returns:
+            One number >= 0 per training view, and the state for the next call.
+        """
         raise NotImplementedError
 
     def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
@@ -158,20 +193,19 @@ class ThresholdAugmenter(WarpingAugmenter):
 
 
 def within(scores: Sequence[float], eta: float) -> list[int]:
-    """Indices of the scores of at most eta x the smallest, in order; scores are >= 0."""
+    """Return the indices of the scores (>= 0) of at most eta x the smallest, in order."""
     return [i for i, score in enumerate(scores) if score <= eta * min(scores)]
 
 
 def center_distances(views: Sequence[View], camera: Camera) -> list[float]:
-    """Distance of each view's camera centre (not of its translation column, which also depends on
-    the orientation) to that of `camera`, in scene units."""
+    """Return the distance of each view's camera centre to that of `camera`, in scene units."""
     from framework.geometry import distance
 
     return [distance(view.camera, camera) for view in views]
 
 
 def known_share(supports: Sequence[Support]) -> float:
-    """The share of the frame that confident depth covers, mean over `supports`."""
+    """Return the share of the frame that confident depth covers, mean over `supports`."""
     return sum(support.known for support in supports) / len(supports)
 
 
@@ -182,11 +216,17 @@ def perturbed(
     sigma_degrees: float,
     roll: bool = True,
 ) -> Camera:
-    """`camera` with its centre moved by N(0, sigma_center^2) per axis (scene units) and turned by
-    N(0, sigma_degrees^2) about an axis uniform on the sphere, or without `roll` on the circle
-    across the viewing direction; same K and size.
+    """Move and turn a camera at random; intrinsics and size stay.
 
-    Always draws the same count of numbers, so that a standard deviation of 0 moves no other draw.
+    Always draws the same count of numbers, so a standard deviation of 0 shifts no other draw.
+
+    Args:
+        camera: the camera to start from.
+        rng: source of the draws.
+        sigma_center: standard deviation of the move per axis, in scene units.
+        sigma_degrees: standard deviation of the turn about a random axis, in degrees.
+        roll: True for an axis uniform on the sphere, False for one uniform on the circle
+            perpendicular to the viewing direction.
     """
     import torch
 
@@ -194,7 +234,7 @@ def perturbed(
 
     step, axis, angle = rng.standard_normal(3), rng.standard_normal(3), rng.standard_normal()
     if not roll:
-        axis[2] = 0.0  # of the camera's own axes the viewing direction
+        axis[2] = 0.0  # the camera's viewing direction
     length = math.sqrt(sum(float(value) ** 2 for value in axis))
     turn = math.radians(sigma_degrees) * float(angle) / length * torch.from_numpy(axis)
     return geometry.perturbed(camera, turn, sigma_center * torch.from_numpy(step))
