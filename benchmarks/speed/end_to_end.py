@@ -33,10 +33,10 @@ sys.path.insert(0, str(ROOT))
 CHILD = "--child"
 # stage -> functions, as module and name, whose time it is
 STAGES = {
-    "scene": ["framework.run.experiment:_scene"],
+    "scene": ["framework.run.experiment:load_scene"],
     "depth, and loading kernels beside it": [
-        "framework.run.experiment:_depth",
-        "framework.run.experiment:_pose_check",
+        "framework.run.preparation:estimate_depth",
+        "framework.run.preparation:check_poses",
         "framework.run.warmup:Warmup.begin",
         "framework.run.warmup:Warmup.finish",
     ],
@@ -52,7 +52,7 @@ STAGES = {
     "evaluation: PSNR, SSIM, FLIP": ["framework.metrics.evaluate:_measured"],
     "files": ["framework.run.experiment:write_run"],
     "identity of code, packages and files": [
-        "framework.run.experiment:_files",
+        "framework.run.experiment:file_fingerprints",
         "framework.run.experiment:identity_of",
         "framework.run.experiment:code_hash",
     ],

@@ -1,7 +1,7 @@
 """Common part of augmenters that warp training views into a new camera by their depth.
 
-A subclass chooses the support views (`select`) and may choose the camera (`sample_camera`). Warping,
-the coverage rule and the pseudo view are shared, so that methods differ in these choices only.
+A subclass chooses the support views (`select`) and may choose the camera (`sample_camera`).
+Warping, the coverage rule and the pseudo view are shared, so methods differ in these choices only.
 Light to import: torch and numba are loaded when the first camera is sampled.
 """
 
