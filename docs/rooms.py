@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 ROOT = Path(__file__).resolve().parent.parent
 ORDER = ROOT / "tests" / "contract" / "test_imports.py"
-PLUGINS, BESIDE = "plugins", "methods"  # no room, but drawn above the one it stands beside
+PLUGINS, BESIDE = "plugins", "toolbox"  # no room, but drawn above the one it stands beside
 
 WIDTH, ROW, HEAD = 1200, 42, 44  # pixels
 BOX, FIRST_WIRE, WIRE_STEP = 630, 652, 21  # where boxes end, the lowest room's wire, to the next

@@ -93,10 +93,10 @@ def register(group: str, name: str) -> Callable[[C], C]:
 
 def _table(group: str) -> dict[str, type]:
     """The table of a group, of a part of a run in the room that uses it: name -> class."""
+    from framework.backends import RASTERIZERS
     from framework.depth import PROVIDERS
     from framework.initialize import INITIALIZERS
     from framework.metrics.values import MEASURES
-    from framework.rasterizers import RASTERIZERS
     from framework.scenes import LOADERS
 
     parts = {"scene": LOADERS, "depth": PROVIDERS, "init": INITIALIZERS, "metric": MEASURES}

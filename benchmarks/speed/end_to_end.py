@@ -33,17 +33,17 @@ sys.path.insert(0, str(ROOT))
 CHILD = "--child"
 # stage -> functions, as module and name, whose time it is
 STAGES = {
-    "scene": ["framework.run.experiment:_scene"],
+    "scene": ["framework.run.experiment:load_scene"],
     "depth, and loading kernels beside it": [
-        "framework.run.experiment:_depth",
-        "framework.run.experiment:_pose_check",
+        "framework.run.preparation:estimate_depth",
+        "framework.run.preparation:check_poses",
         "framework.run.warmup:Warmup.begin",
         "framework.run.warmup:Warmup.finish",
     ],
     "initial Gaussians": ["framework.run.experiment:initial"],
     "training: the steps themselves": ["framework.train.trainer:Trainer.run"],
-    "training: pseudo views": ["framework.train.plugged:PluginsAtWork.pseudo_views"],
-    "training: the regularizer": ["framework.train.plugged:PluginsAtWork.regularization"],
+    "training: pseudo views": ["framework.train.plugin_calls:PluginsAtWork.pseudo_views"],
+    "training: the regularizer": ["framework.train.plugin_calls:PluginsAtWork.regularization"],
     "training: the capacity plugin": ["framework.train.trainer:Trainer._edit"],
     "training: Fisher information": ["framework.fisher.information:fisher_information"],
     "training: checkpoints": ["framework.train.resume.checkpoint:Checkpoints.keep"],
@@ -52,7 +52,7 @@ STAGES = {
     "evaluation: PSNR, SSIM, FLIP": ["framework.metrics.evaluate:_measured"],
     "files": ["framework.run.experiment:write_run"],
     "identity of code, packages and files": [
-        "framework.run.experiment:_files",
+        "framework.run.experiment:file_fingerprints",
         "framework.run.experiment:identity_of",
         "framework.run.experiment:code_hash",
     ],

@@ -31,8 +31,8 @@ def equality(name: str) -> list[str]:
     """Largest differences of the rasterizer from the kernels on a random scene."""
     import torch
 
-    from framework.rasterizers import NUMBA, Rasterizer, build_rasterizer
-    from tests.rasterizers.test_contract import how, scene, sure
+    from framework.backends import NUMBA, Rasterizer, build_rasterizer
+    from tests.backends.test_contract import how, scene, sure
 
     other, case = build_rasterizer({"rasterizer": {"name": name}}), scene(3)
     at = sure(case)
@@ -88,8 +88,8 @@ def main() -> int:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--output", type=Path)
     given = parser.parse_args()
+    from framework.backends import build_rasterizer
     from framework.errors import UserError
-    from framework.rasterizers import build_rasterizer
 
     try:
         build_rasterizer({"rasterizer": {"name": given.against}}).ready()

@@ -28,14 +28,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from benchmarks.scene import layered_scene
 from benchmarks.speed.step import WARM_UP, Stopwatch, training_step
 from framework.compute.parallel import set_threads
-from framework.rasterize import borrow, give_back, rasterize
-from framework.rasterize.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+from framework.kernels import borrow, give_back, rasterize
+from framework.kernels.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from framework.records.provenance import cpu_model
 
 
 @numba.njit
 def _count(width: int, height: int, rows: Any, offsets: Any, lists: Any, limits: Any) -> int:
-    """Blended pairs, by the rules of `framework.rasterize.tile.tiles.meet`, a pixel at a time."""
+    """Blended pairs, by the rules of `framework.kernels.tile.tiles.meet`, a pixel at a time."""
     least, most, stop = limits
     columns, total = (width + 15) // 16, 0
     for tile in range(len(offsets) - 1):

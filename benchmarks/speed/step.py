@@ -80,7 +80,7 @@ def work(options: argparse.Namespace) -> None:
     import torch
 
     from framework.compute.parallel import set_threads
-    from framework.rasterize import Workspace
+    from framework.kernels import Workspace
 
     torch.set_num_threads(1)  # as a run does: its idle threads would spin on the other core
     watch = Stopwatch(CLOCKS[options.clock])
@@ -118,10 +118,10 @@ def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable
     import torch
 
     from benchmarks.scene import layered_scene
+    from framework.backends import NUMBA
     from framework.compute.rng import stream
-    from framework.rasterize import render_gradient
-    from framework.rasterize.losses import Target, photometric_gradient
-    from framework.rasterizers import NUMBA
+    from framework.kernels import render_gradient
+    from framework.kernels.losses import Target, photometric_gradient
     from framework.train.optim import Adam
     from framework.train.smoothness import DepthSmoothness
     from framework.types import View

@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Any
 
 from framework import registry
+from framework.backends import Rasterizer, build_rasterizer
 from framework.compute.compiling import noticed
 from framework.compute.jit import KERNEL_CACHE
 from framework.compute.parallel import alone, threads
 from framework.options import TrainerOptions
-from framework.rasterizers import Rasterizer, build_rasterizer
 from framework.records.notices import QUIET
 from framework.records.progress import Progress, Silent, unwarned
 from framework.records.provenance import cpu_model

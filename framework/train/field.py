@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from framework.backends import Rasterizer
 from framework.plugin import Edits
-from framework.rasterizers import Rasterizer
 from framework.train.edits import apply_edits, rows_after
 from framework.train.optimizer import Optimizer
-from framework.train.plugged import PluginsAtWork
+from framework.train.plugin_calls import PluginsAtWork
 from framework.train.resume.training_state import FieldState
 from framework.train.torch_adam import optimizer_of
 from framework.types import Gaussians

@@ -22,12 +22,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from framework.backends import NUMBA, Rasterizer
 from framework.compute.stopwatch import Stopwatch
 from framework.errors import require
 from framework.initialize import background_color, random_background
 from framework.options import TrainerOptions
 from framework.plugin import Edits, StepStats
-from framework.rasterizers import NUMBA, Rasterizer
 from framework.records.progress import Progress
 from framework.records.run_files import HistoryRow
 from framework.train import schedule
@@ -37,7 +37,7 @@ from framework.train.descent import Fading, descend, substep
 from framework.train.dose import Dose
 from framework.train.epoch import Item, Items, ordered
 from framework.train.field import Field
-from framework.train.plugged import PluginsAtWork
+from framework.train.plugin_calls import PluginsAtWork
 from framework.train.resume.training_state import Keeper, Plugins, Trained, TrainerState
 from framework.train.smoothness import DepthSmoothness
 from framework.types import DepthMap, Gaussians, TrainingSet, View

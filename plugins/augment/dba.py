@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from framework.methods.warping import WarpingAugmenter, center_distances
 from framework.plugin import StepContext, register
+from framework.toolbox.warping import WarpingAugmenter, center_distances
 
 if TYPE_CHECKING:
     from framework.types import Camera

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from framework.methods.warping import ThresholdAugmenter
 from framework.plugin import StepContext, register
+from framework.toolbox.warping import ThresholdAugmenter
 
 if TYPE_CHECKING:
     from torch import Tensor

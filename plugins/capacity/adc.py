@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
-from framework.methods.pull import Pull, PullCapacity
 from framework.plugin import Edits, StepContext, StepStats, register
+from framework.toolbox.pull import Pull, PullCapacity
 
 if TYPE_CHECKING:
     from torch import Tensor

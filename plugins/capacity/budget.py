@@ -16,8 +16,8 @@ import math
 from dataclasses import dataclass, replace
 
 from framework.errors import require
-from framework.methods.rounds import RoundsCapacity, Selection, TrainingInformation
 from framework.plugin import StepContext, register
+from framework.toolbox.rounds import RoundsCapacity, Selection, TrainingInformation
 
 GROWTH = 1.25  # largest ratio of the numbers after and before a round
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from framework.methods.neighbours import nearest_distance
 from framework.plugin import Capacity, Edits, StepContext, StepStats, register
+from framework.toolbox.neighbours import nearest_distance
 
 
 @register("capacity", "co_prune")

@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.rounds import halves
 from framework.plugin import Capacity, Edits, StepContext, StepStats, register
+from framework.toolbox.rounds import halves
 
 if TYPE_CHECKING:
     from torch import Tensor

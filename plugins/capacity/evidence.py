@@ -1,5 +1,5 @@
 """`capacity=evidence`: a Gaussian stays only while it pays for its description, and so do its SH
-bands above 0, judged alike by `framework.methods.bands`.
+bands above 0, judged alike by `framework.toolbox.bands`.
 
 Derivation. Pixels are image + noise of variance s2. With parameters a priori from N(m, diag(v)),
 the Laplace approximation of the evidence (MacKay 1992) with Gaussian i over that without is
@@ -43,8 +43,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.rounds import SH0, RoundsCapacity, Selection, TrainingInformation
 from framework.plugin import StepContext, register
+from framework.toolbox.rounds import SH0, RoundsCapacity, Selection, TrainingInformation
 
 if TYPE_CHECKING:
     import numpy as np
@@ -153,7 +153,7 @@ class Evidence(RoundsCapacity):
         import numpy as np
         import torch
 
-        from framework.methods.bands import bands_evidence
+        from framework.toolbox.bands import bands_evidence
 
         gaussians = ctx.gaussians
         if not 0 < gaussians.sh_degree == ctx.sh_degree:
@@ -211,7 +211,7 @@ def description_cost(gaussians: Gaussians, information: FisherInformation, noise
     import numpy as np
 
     from framework.compute.portable import log1p, log_det
-    from framework.methods.bands import prior_variance
+    from framework.toolbox.bands import prior_variance
 
     g = gaussians
     columns = (g.means, g.log_scales, g.quats, g.opacity_logits[:, None], g.sh0[:, 0])

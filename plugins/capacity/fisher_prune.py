@@ -64,7 +64,7 @@ class FisherPrune(Capacity):
         import torch
 
         from framework.fisher.scores import uncertainty
-        from framework.methods.rounds import training_information
+        from framework.toolbox.rounds import training_information
 
         known = training_information(ctx).total
         scores = uncertainty(known.block, known.visible, ctx.extent, self.regulariser)

@@ -15,8 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.elsewhere import unseen_camera
 from framework.plugin import Capacity, Edits, StepContext, StepStats, register
+from framework.toolbox.elsewhere import unseen_camera
 
 if TYPE_CHECKING:
     from torch import Tensor

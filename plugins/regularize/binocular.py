@@ -15,8 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.elsewhere import seen_through
 from framework.plugin import Regularizer, StepContext, register
+from framework.toolbox.elsewhere import seen_through
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.elsewhere import unseen_camera
 from framework.plugin import Regularizer, StepContext, register
+from framework.toolbox.elsewhere import unseen_camera
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -39,7 +39,7 @@ class CoRegister(Regularizer):
         self.check("ssim_weight", 0 <= self.ssim_weight <= 1, "a number in [0, 1]")
 
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
-        from framework.rasterize.losses import Target, photometric_loss
+        from framework.kernels.losses import Target, photometric_loss
 
         if ctx.other is None or view.pseudo:
             return None

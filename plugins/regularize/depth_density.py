@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.neighbours import nearest_others
 from framework.plugin import Regularizer, StepContext, register
+from framework.toolbox.neighbours import nearest_others
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -16,8 +16,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.elsewhere import SEEN, known_depth
 from framework.plugin import Regularizer, StepContext, SubStep, register
+from framework.toolbox.elsewhere import SEEN, known_depth
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.elsewhere import SEEN, known_depth
 from framework.plugin import Regularizer, StepContext, register
+from framework.toolbox.elsewhere import SEEN, known_depth
 
 if TYPE_CHECKING:
     from torch import Tensor

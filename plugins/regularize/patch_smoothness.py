@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.elsewhere import unseen_camera
 from framework.plugin import Regularizer, StepContext, register
+from framework.toolbox.elsewhere import unseen_camera
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -53,7 +53,7 @@ def roughness(depth: Tensor, alpha: Tensor, patch: int) -> Tensor:
     """Mean over whole patches of the image [H, W] of the mean over a patch's pixels, but the last
     row and column, of (d_ij - d_i,j+1)^2 + (d_ij - d_i+1,j)^2, times its alpha. A pixel that shows
     nothing has no depth, so a pair with one does not count."""
-    from framework.methods.elsewhere import SEEN
+    from framework.toolbox.elsewhere import SEEN
 
     rows, columns = (n // patch * patch for n in depth.shape)
     if rows == 0 or columns == 0:

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.dropout import dimmed
 from framework.plugin import Regularizer, StepContext, register
+from framework.toolbox.dropout import dimmed
 
 if TYPE_CHECKING:
     from torch import Tensor

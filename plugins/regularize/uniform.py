@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from framework.methods.dropout import DropoutRegularizer
 from framework.plugin import StepContext, register
+from framework.toolbox.dropout import DropoutRegularizer
 
 if TYPE_CHECKING:
     import numpy as np

@@ -17,7 +17,7 @@ from framework.run import warmup
 from framework.run.warmup import Warmup
 from framework.train.descent import Regularization
 from framework.train.optim import Adam
-from framework.train.plugged import PluginsAtWork
+from framework.train.plugin_calls import PluginsAtWork
 from tests.cli.conftest import composed
 
 

@@ -31,7 +31,7 @@ from framework.run.plane import textured_plane
 from framework.train.descent import Fading, fade
 from framework.train.edits import apply_edits, rows_after
 from framework.train.optim import Adam
-from framework.train.plugged import _followed
+from framework.train.plugin_calls import _followed
 from framework.train.resume.checkpoint import pack, state_classes, unpack
 from framework.train.resume.training_state import Plugins, TrainerState
 from framework.train.trainer import Trainer

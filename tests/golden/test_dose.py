@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from framework import registry
+from framework.kernels.losses import photometric_gradient
 from framework.options import TrainerOptions
 from framework.plugin import Augmenter, Regularizer, StepContext, SubStep
-from framework.rasterize.losses import photometric_gradient
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
 from framework.registry import Plugged

@@ -13,12 +13,12 @@ import torch
 
 from framework import registry
 from framework.errors import UserError
-from framework.methods.elsewhere import known_depth
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
 from framework.registry import build
 from framework.run.members import IDLE
 from framework.run.plane import textured_plane
+from framework.toolbox.elsewhere import known_depth
 from framework.train import schedule
 from framework.train.adam_kernels import LOWEST_LOGIT
 from framework.train.descent import Fading, fade

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from framework import registry
 from framework.errors import UserError
+from framework.kernels import ScreenGradient
 from framework.options import TrainerOptions
 from framework.plugin import Augmenter, Capacity, Edits, Regularizer, StepContext, StepStats
-from framework.rasterize import ScreenGradient
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
 from framework.registry import Plugged

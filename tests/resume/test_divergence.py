@@ -14,10 +14,10 @@ from torch import Tensor
 from framework import registry
 from framework.errors import UserError
 from framework.initialize import INITIALIZERS
+from framework.kernels import losses
+from framework.kernels.losses import photometric_gradient
 from framework.options import TrainerOptions
 from framework.plugin import Capacity, Edits, Regularizer, StepContext, StepStats
-from framework.rasterize import losses
-from framework.rasterize.losses import photometric_gradient
 from framework.records.progress import Silent
 from framework.registry import Plugged
 from framework.run import training

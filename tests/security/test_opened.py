@@ -27,7 +27,7 @@ OWN = {  # our own sources and settings, caches and what was written a moment ag
     *("framework/scenes/photos/cached.py", "framework/scenes/photos/prepare.py"),
     "framework/scenes/photos/attempt.py",
     "framework/metrics/lpips_weights.py",  # an archive whose hash is checked
-    "framework/train/plugged.py",  # opens a count, no file
+    "framework/train/plugin_calls.py",  # opens a count, no file
 }
 
 
