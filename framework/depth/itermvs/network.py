@@ -243,7 +243,9 @@ def _warped(source: Posed, reference: Posed, level: int, depth: Tensor) -> Tenso
     depths, height, width = depth.shape
     transfer = source.projection(level) @ torch.inverse(reference.projection(level))
     y, x = torch.meshgrid(
-        torch.arange(height) * (rows / height), torch.arange(width) * (columns / width), indexing="ij"
+        torch.arange(height) * (rows / height),
+        torch.arange(width) * (columns / width),
+        indexing="ij",
     )
     rays = transfer[:3, :3] @ torch.stack([x, y, torch.ones_like(x)]).view(3, -1)
     points = rays[:, None] * depth.view(1, depths, -1) + transfer[:3, 3].view(3, 1, 1)
