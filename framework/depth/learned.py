@@ -20,8 +20,8 @@ class IterMvsOptions(DepthProvider):
 
     weights: str = "blendedmvs"  # blendedmvs, or dtu (whose training scenes include scan 65)
     neighbours: int = 4  # views each view is matched with, at most
-    least_confidence: float = 0.3  # of the network; depth below is not used
-    tolerance: float = 0.01  # relative depth difference at which two views still agree
+    least_confidence: float = 0.1  # of the network; depth below is not used
+    tolerance: float = 0.03  # relative depth difference at which two views still agree
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -60,8 +60,8 @@ class IterMvsDepth(IterMvsOptions):
 
 @dataclass(frozen=True)
 class FusedDepth(IterMvsOptions):
-    """Depth by IterMVS where it is confident and another view agrees, by the plane sweep (with its
-    default options) elsewhere."""
+    """Depth by IterMVS where it is confident and another view agrees closely, else by the plane
+    sweep where another view agrees, else by IterMVS."""
 
     def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
         """Return depth in scene units; confidence is that of the source of each pixel.

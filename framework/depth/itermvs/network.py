@@ -173,10 +173,14 @@ class IterMvs:
         fine = F.relu(self._conv(f"{name}.conv0", correlation))
         middle = F.relu(self._conv(f"{name}.conv1", fine, 2))
         x = F.relu(self._conv(f"{name}.conv2", middle, 2))
-        options = {"stride": 2, "padding": 1, "output_padding": 1}
-        x = middle + F.conv_transpose2d(x, self._weights[f"{name}.conv3.weight"], **options)
-        x = fine + F.conv_transpose2d(x, self._weights[f"{name}.conv4.weight"], **options)
+        x = middle + self._enlarged(f"{name}.conv3", x)
+        x = fine + self._enlarged(f"{name}.conv4", x)
         return self._conv(f"{name}.conv5", x)[:, 0]
+
+    def _enlarged(self, name: str, x: Tensor) -> Tensor:
+        """Transposed convolution to twice the size."""
+        weight = self._weights[f"{name}.weight"]
+        return F.conv_transpose2d(x, weight, stride=2, padding=1, output_padding=1)
 
     def _gru(self, hidden: Tensor, x: Tensor) -> Tensor:
         both = torch.cat([hidden, x], dim=1)
@@ -254,5 +258,5 @@ def _warped(source: Posed, reference: Posed, level: int, depth: Tensor) -> Tenso
     u = torch.where(visible, points[0] / z, float(columns)) / ((columns - 1) / 2) - 1
     v = torch.where(visible, points[1] / z, float(rows)) / ((rows - 1) / 2) - 1
     grid = torch.stack([u, v], dim=-1).view(1, depths * height, width, 2)
-    options = {"mode": "bilinear", "padding_mode": "zeros", "align_corners": True}
-    return F.grid_sample(features, grid, **options).view(-1, depths, height, width)
+    warped = F.grid_sample(features, grid, "bilinear", "zeros", align_corners=True)
+    return warped.view(-1, depths, height, width)

@@ -22,42 +22,59 @@ from framework.depth.read import resample
 from framework.errors import require
 from framework.types import DepthMap, TrainingSet, View
 
+# network depth of this confidence, confirmed to this tolerance, is right (within 1 %) more often
+# than consistent depth of the plane sweep, on fern, scan 24, fox and the built-in scene
+SURE_CONFIDENCE, SURE_TOLERANCE = 0.2, 0.01
 LEAST_SIDE = 448  # pixels; of the longer side of what the network sees
 Estimate = tuple[NDArray[np.float32], NDArray[np.float32]]  # depth and confidence, both [H, W]
 
 
 def measure_views(training: TrainingSet, options: IterMvsOptions) -> tuple[DepthMap, ...]:
-    """See `framework.depth.itermvs.IterMvsDepth.measure`."""
+    """See `framework.depth.learned.IterMvsDepth.measure`."""
     estimates = estimate_views(training, options)
+    return _checked(training, estimates, options.least_confidence, options.tolerance)
+
+
+def fused_views(training: TrainingSet, options: IterMvsOptions) -> tuple[DepthMap, ...]:
+    """See `framework.depth.learned.FusedDepth.measure`."""
+    estimates = estimate_views(training, options)
+    sources = (
+        _checked(training, estimates, SURE_CONFIDENCE, SURE_TOLERANCE),
+        PlaneSweep().measure(training),
+        _checked(training, estimates, options.least_confidence, options.tolerance),
+    )
+    return tuple(fused(*maps) for maps in zip(*sources, strict=True))
+
+
+def fused(sure: DepthMap, swept: DepthMap, learned: DepthMap) -> DepthMap:
+    """Take each pixel from the first map that is confident; depth without any is the sweep's."""
+    depth, confidence = swept.depth, swept.confidence
+    missing, certain = confidence == 0, sure.confidence > 0
+    filled = missing & (learned.confidence > 0)
+    for chosen, source in ((filled, learned), (certain, sure)):
+        depth = torch.where(chosen, source.depth, depth)
+        confidence = torch.where(chosen, source.confidence, confidence)
+    return DepthMap(depth, confidence)
+
+
+def _checked(
+    training: TrainingSet, estimates: Sequence[Estimate], least: float, tolerance: float
+) -> tuple[DepthMap, ...]:
+    """Keep the confidence of depth that is at least that confident and that another view confirms,
+    to the relative `tolerance`; 0 elsewhere."""
     depths = [depth for depth, _ in estimates]
     cameras = [view.camera for view in training.views]
     maps = []
     for i, (depth, confidence) in enumerate(estimates):
         others = [j for j in range(len(depths)) if j != i]
-        agreeing = agreeing_views(depths, cameras, i, others, options.tolerance)
-        valid = (confidence >= options.least_confidence) & (agreeing > 0)
+        agreeing = agreeing_views(depths, cameras, i, others, tolerance)
+        valid = (confidence >= least) & (agreeing > 0)
         score = torch.from_numpy(np.where(valid, confidence, 0).astype(np.float32))
         mask = training.views[i].mask
         maps.append(
             DepthMap(torch.from_numpy(depth), score if mask is None else score * (mask > 0))
         )
     return tuple(maps)
-
-
-def fused_views(training: TrainingSet, options: IterMvsOptions) -> tuple[DepthMap, ...]:
-    """See `framework.depth.learned.FusedDepth.measure`."""
-    learned = measure_views(training, options)
-    swept = PlaneSweep().measure(training)
-    return tuple(_fused(*pair) for pair in zip(learned, swept, strict=True))
-
-
-def _fused(learned: DepthMap, swept: DepthMap) -> DepthMap:
-    """`learned` where it is confident, `swept` elsewhere."""
-    sure = learned.confidence > 0
-    return DepthMap(
-        torch.where(sure, learned.depth, swept.depth),
-        torch.where(sure, learned.confidence, swept.confidence),
-    )
 
 
 def estimate_views(training: TrainingSet, options: IterMvsOptions) -> list[Estimate]:
