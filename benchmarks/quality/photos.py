@@ -39,8 +39,8 @@ from framework.errors import UserError
 from framework.records.provenance import cpu_model
 from framework.scenes.colmap_model import read_model
 from framework.scenes.photos.advice import advice
-from framework.scenes.photos.cached import poses_folder
-from framework.scenes.photos.found import Found, read_found
+from framework.scenes.photos.process import poses_folder
+from framework.scenes.photos.result import Result, read_result
 from framework.scenes.photos.source import find_source
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -188,7 +188,7 @@ def measured(entry: str, overrides: list[str], work: Path) -> Measured:
     except UserError as error:
         told = f"{title}: {error}".replace(str(folder), "DIR")
         return Measured(f"| {title} | 0 of {len(names)} | | | | | | |\n", remarks=(told,))
-    found = read_found(poses)
+    found = read_result(poses)
     remarks = (f"{title}: left out {', '.join(found.left_out)}",) if found.left_out else ()
     if found.groups:
         remarks += tuple(f"{title}: {line}" for line in advice(found))
@@ -208,7 +208,7 @@ def measured(entry: str, overrides: list[str], work: Path) -> Measured:
     return Measured(row, seconds_row(title, found, ours), remarks)
 
 
-def seconds_row(title: str, found: Found, run: Trained | None) -> str:
+def seconds_row(title: str, found: Result, run: Trained | None) -> str:
     """CPU seconds by stage; without a training only those of the search."""
     spent = [sum(getattr(t, f"{name}_cpu_s") for t in found.tries) for name in SEARCH]
     told = [f"{s:.1f} s" for s in spent]

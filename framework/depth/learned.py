@@ -6,29 +6,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from framework.depth.provider import DepthProvider
+from framework.depth.options import IterMvsOptions
 
 if TYPE_CHECKING:
     from framework.types import DepthMap, TrainingSet
 
-WEIGHTS = ("blendedmvs", "dtu")
-
 
 @dataclass(frozen=True)
-class IterMvsOptions(DepthProvider):
-    """Options of `depth=itermvs` and `depth=fused`."""
-
-    weights: str = "blendedmvs"  # blendedmvs, or dtu (whose training scenes include scan 65)
-    neighbours: int = 4  # views each view is matched with, at most
-    least_confidence: float = 0.1  # of the network; depth below is not used
-    tolerance: float = 0.03  # relative depth difference at which two views still agree
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.check("weights", self.weights in WEIGHTS, f"one of {', '.join(WEIGHTS)}")
-        self.check("neighbours", self.neighbours >= 1, "an integer >= 1")
-        self.check("least_confidence", 0 <= self.least_confidence <= 1, "a number in [0, 1]")
-        self.check("tolerance", 0 < self.tolerance < 1, "a share in (0, 1)")
+class _Learned(IterMvsOptions):
+    """A provider that needs the weights of IterMVS."""
 
     def ready(self) -> None:
         """Raise UserError if the weights have not been fetched."""
@@ -44,7 +30,7 @@ class IterMvsOptions(DepthProvider):
 
 
 @dataclass(frozen=True)
-class IterMvsDepth(IterMvsOptions):
+class IterMvsDepth(_Learned):
     """Depth by IterMVS (Wang et al. 2022) where it is confident and another view agrees."""
 
     def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
@@ -59,7 +45,7 @@ class IterMvsDepth(IterMvsOptions):
 
 
 @dataclass(frozen=True)
-class FusedDepth(IterMvsOptions):
+class FusedDepth(_Learned):
     """Depth by IterMVS where it is confident and another view agrees closely, else by the plane
     sweep where another view agrees, else by IterMVS."""
 

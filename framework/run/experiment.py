@@ -28,7 +28,15 @@ from framework.metrics.evaluate import evaluate
 from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
 from framework.metrics.rank import with_rank
-from framework.metrics.values import COADAPTATION, Missing, ViewMetrics, measures
+from framework.metrics.values import (
+    COADAPTATION,
+    LPIPS_BOTH,
+    VIEWS,
+    Missing,
+    ViewMetrics,
+    evenly,
+    measures,
+)
 from framework.options import TrainerOptions
 from framework.records.cameras import write_cameras
 from framework.records.first_view import write_settings
@@ -126,7 +134,8 @@ class Experiment:
                     self.config, files["depth"], shared, self.warmup, self.progress
                 )
                 warnings += preparation.warnings
-                record = self._new_record(identity, plugins, preparation)
+                preparation = self._with_fewer_test_views(preparation)
+                record = self._new_record(identity, plugins, preparation, len(scene.test))
                 record = self._train(record, preparation, shared, warnings)
         self.progress.done(_result(record))
         return record
@@ -135,8 +144,18 @@ class Experiment:
         """The complete record of the same run, unless it is to be repeated."""
         return None if self.config["force"] else find_complete(self.folder, identity)
 
+    def _with_fewer_test_views(self, preparation: Preparation) -> Preparation:
+        """Keep `metrics.views` of the test views, evenly spread."""
+        scene = preparation.scene
+        test = evenly(scene.test, self.config["metrics"].get(VIEWS, 0))
+        if len(test) < len(scene.test):
+            self.progress.note(
+                f"evaluates {len(test)} of {len(scene.test)} test views (metrics.views)"
+            )
+        return dataclasses.replace(preparation, scene=dataclasses.replace(scene, test=test))
+
     def _new_record(
-        self, identity: str, plugins: Mapping[str, str], preparation: Preparation
+        self, identity: str, plugins: Mapping[str, str], preparation: Preparation, n_test: int
     ) -> RunRecord:
         scene, check = preparation.scene, preparation.pose_check
         return RunRecord(
@@ -156,6 +175,7 @@ class Experiment:
                 "plugins": plugins,
                 **self.rasterizer.facts(),
                 "threads": parallel.threads(),
+                "test_views": {"evaluated": len(scene.test), "of": n_test},
                 LPIPS: None if self.network is None else self.network.name,
                 POSE_CHECK: None if check is None else check.figures(),
             },
@@ -240,6 +260,8 @@ class Experiment:
             test,
             self.network,
             {name: registry.part("metric", {"name": name}) for name in names},
+            bool(options.get(LPIPS_BOTH)),
+            self.progress.stage,
         )
         metrics = with_average(metrics)
         if options.get(COADAPTATION):

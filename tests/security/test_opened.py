@@ -24,7 +24,7 @@ OWN = {  # our own sources and settings, caches and what was written a moment ag
     *("framework/report/parts/palette.py", "framework/report/study/roles.py"),
     "framework/report/text/published.py",
     # what a search for poses has just made of photos that were opened safely; a database
-    *("framework/scenes/photos/cached.py", "framework/scenes/photos/prepare.py"),
+    *("framework/scenes/photos/process.py", "framework/scenes/photos/prepare.py"),
     "framework/scenes/photos/attempt.py",
     "framework/metrics/lpips_weights.py",  # an archive whose hash is checked
     "framework/train/plugin_calls.py",  # opens a count, no file

@@ -14,9 +14,9 @@ from framework.compute.parallel import run_tasks
 from framework.depth.consistency import agreeing_views
 from framework.depth.itermvs.network import MULTIPLE, IterMvs, Posed
 from framework.depth.itermvs.weights import load
-from framework.depth.learned import IterMvsOptions
 from framework.depth.matching.bounds import depth_bounds
 from framework.depth.matching.neighbours import choose_neighbours
+from framework.depth.options import IterMvsOptions
 from framework.depth.plane_sweep import PlaneSweep
 from framework.depth.read import resample
 from framework.errors import require

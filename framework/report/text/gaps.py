@@ -6,7 +6,7 @@ from __future__ import annotations
 import shlex
 from collections import defaultdict
 
-from framework.metrics.values import METRICS, Missing
+from framework.metrics.values import METRICS, NOT_REQUESTED, Missing
 from framework.report.parts.document import Block, Bullets, Heading, Text, table
 from framework.report.study.labels import code, joined, listed, outside
 from framework.report.study.names import NAMES, own_metrics
@@ -97,7 +97,7 @@ def missing_metrics(study: Study) -> list[Block]:
     for run in study.runs:
         for metric in (*METRICS, *own_metrics(study)):
             value = run.record.summary.get(metric)
-            if isinstance(value, Missing):
+            if isinstance(value, Missing) and value != NOT_REQUESTED:
                 counts[NAMES.get(metric, outside(metric)), outside(value.reason)] += 1
     lines = [
         f"{metric}: missing in {n} of {len(study.runs)} runs: {reason}"
