@@ -219,8 +219,8 @@ def _open(run: Run, part: _Part) -> _Opened:
     """The part with what an earlier process kept of it."""
     plugins = Plugins.of(part.choices)
     with plugin_call("capacity: shared"):
-        plugins = replace(plugins, capacity=plugins.capacity.shared(part.options.members))
-    chosen: dict[str, Plugin] = {key: one.plugin for key, one in plugins.each().items()}
+        plugins = plugins.shared(part.options.members)
+    chosen: dict[str, Plugin] = {key: one.plugin for key, one in plugins.each.items()}
     checkpoints = Checkpoints(run.folder, run.identity, chosen.values(), part.name)
     check = partial(check_state, training=run.scene.training, options=part.options, plugins=chosen)
     return _Opened(part, plugins, checkpoints, checkpoints.newest(check))

@@ -191,7 +191,7 @@ def _train(
         binocular_from=0.0,
     )
     # also what the user lets act for a short while only
-    plugins = Plugins(*(registry.build(g, config[g]).always() for g in registry.GROUPS))
+    plugins = Plugins.of(config).always()
     rasterizer = build_rasterizer(config)
     given = training, depth, gaussians, options, plugins, 0, Silent()
     Trainer(*given, tells=False, rasterizer=rasterizer).run()

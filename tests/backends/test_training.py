@@ -60,7 +60,7 @@ def trainer(rasterizer: Rasterizer, steps: int, **given: Any) -> Trainer:
     )
     options = TrainerOptions(steps=steps, evaluations=1, sh_every=3, coarse_until=0.0)
     names = {group: given.pop(group, name) for group, name in IDLE.items()}
-    plugins = Plugins(**{group: plugin(group, name) for group, name in names.items()})
+    plugins = Plugins({group: plugin(group, name) for group, name in names.items()})
     known = (training, depth, gaussians, options, plugins, 0, Silent())
     return Trainer(*known, tells=False, rasterizer=rasterizer, **given)
 

@@ -43,7 +43,7 @@ def check(config: Mapping[str, Any]) -> None:
     for group in OBJECT_GROUPS:
         _check_choice(group, config[group])
     for group in registry.GROUPS:
-        registry.build(group, config[group])
+        registry.build_all(group, config[group])
     for group in [group for group in OBJECT_GROUPS if group not in registry.GROUPS]:
         registry.part(group, config[group])
     measures(config["metrics"].get("also"))
