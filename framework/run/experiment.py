@@ -334,6 +334,7 @@ def run_experiment(
     registry.discover()
     rasterizer = build_rasterizer(config)
     rasterizer.ready()
+    registry.part("depth", config["depth"]).ready()
     weights = chosen(config["metrics"]["lpips_weights"])
     network = None if weights is None else load(weights)  # a bad path must not cost a training
     with noted(progress), warnings_of() as warnings, Warmup(config, progress) as warmup:
