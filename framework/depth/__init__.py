@@ -20,6 +20,7 @@ __all__ = [
     "PROVIDERS",
     "DepthProvider",
     "consistency",
+    "itermvs",
     "exposure",
     "matching",
     "options",

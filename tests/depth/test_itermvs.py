@@ -34,7 +34,7 @@ def test_the_network_reproduces_its_reference(scene: str) -> None:
     )
     error = np.abs(depth.numpy() / given["depth"] - 1)
     assert np.mean(error < 1e-3) > 0.99
-    assert np.mean(np.abs(confidence.numpy() - given["confidence"]) < 1e-3) > 0.99
+    assert np.mean(np.abs(confidence.numpy() - given["confidence"]) < 1e-2) > 0.99
 
 
 @needs_weights

