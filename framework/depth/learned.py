@@ -22,6 +22,10 @@ class _Learned(IterMvsOptions):
 
         require_weights(self.weights)
 
+    def learned_weights(self) -> str:
+        """Return the network and its training data."""
+        return f"IterMVS, {self.weights}"
+
     def fingerprint(self, training: TrainingSet) -> str:
         """Return the SHA-256 of the published checkpoint."""
         from framework.depth.itermvs.weights import SHA256

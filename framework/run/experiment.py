@@ -52,6 +52,7 @@ from framework.records.provenance import (
 )
 from framework.records.record import (
     EXPOSURE,
+    LEARNED,
     LPIPS,
     POSE_CHECK,
     TRAIN_STAGE,
@@ -176,6 +177,7 @@ class Experiment:
                 **self.rasterizer.facts(),
                 "threads": parallel.threads(),
                 "test_views": {"evaluated": len(scene.test), "of": n_test},
+                LEARNED: registry.part("depth", self.config["depth"]).learned_weights(),
                 LPIPS: None if self.network is None else self.network.name,
                 POSE_CHECK: None if check is None else check.figures(),
             },
