@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from framework.errors import Arguments, UserError, require
+from framework.errors import Arguments, UserError
 
 
 def main(argv: Sequence[str] | None = None, prog: str = "fishersplat fetch") -> int:
@@ -42,9 +42,9 @@ def _lpips(archive: Path | None) -> list[Path]:
 def _itermvs(file: Path | None) -> list[Path]:
     from framework.depth.itermvs.weights import fetch
 
-    require(
-        file is not None,
-        "fetch itermvs: expected --from FILE; download checkpoints/blendedmvs/model_000015.ckpt of"
-        " github.com/FangjinhuaWang/IterMVS first",
-    )
+    if file is None:
+        raise UserError(
+            "fetch itermvs: expected --from FILE; download"
+            " checkpoints/blendedmvs/model_000015.ckpt of github.com/FangjinhuaWang/IterMVS first"
+        )
     return [fetch(file)]
