@@ -1,4 +1,4 @@
-"""`augment=full_set`: a pseudo view warped from all training views, however far they are."""
+"""`augment=full_set`: a pseudo view warped from all training views, at any distance."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 @register("augment", "full_set")
 @dataclass(frozen=True)
 class FullSet(WarpingAugmenter):
-    """Every training view supports."""
+    """Every training view is a support."""
 
     def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
         return list(range(len(ctx.views))), selection

@@ -1,9 +1,9 @@
-"""`reg=patch_smoothness`: depth should be smooth in small patches of cameras without photos.
+"""`reg=patch_smoothness`: smooth depth in small patches of unseen views.
 
-RegNeRF (Niemeyer et al. 2022, section 3.2 and its code): sum over 8 x 8 patches of the squared
-differences of neighbouring depths, times what the patch covers (without a gradient), with a weight
-that falls from a large value over the first 512 of 70,000 steps. Depth is in scene extents here;
-the cameras lie between training cameras, as no pose of the evaluation may be known.
+RegNeRF (Niemeyer et al. 2022, section 3.2 and its code): sum over 8x8 patches of the squared
+differences of neighbouring depths, times the patch's coverage (without a gradient), with a weight
+that decays from a large value over the first 512 of 70,000 steps. Here depth is in scene extents
+and cameras lie between training cameras, because evaluation poses must stay unknown.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 @register("reg", "patch_smoothness")
 @dataclass(frozen=True)
 class PatchSmoothness(Regularizer):
-    """patch: edge of a patch in pixels. initial: weight in the first step, in units of the last.
-    RegNeRF's is 4000 (400 to 0.1); the default 1 lets nothing fall. falling: share of the training
-    over which it falls to that, exponentially."""
+    """patch: patch size in pixels. initial: weight in the first step relative to the last (RegNeRF:
+    4000); the default 1 is constant. falling: share of the training over which it decays,
+    exponentially."""
 
     defaults: ClassVar[dict[str, float]] = {"weight": 0.1}
 
@@ -63,8 +63,8 @@ def roughness(depth: Tensor, alpha: Tensor, patch: int) -> Tensor:
         return values[:rows, :columns].reshape(rows // patch, patch, columns // patch, patch)
 
     tiles, weights, shown = cut(depth), cut(alpha.detach()), cut(alpha > SEEN)
-    here = weights[:, :-1, :, :-1] * shown[:, :-1, :, :-1]
+    coverage = weights[:, :-1, :, :-1] * shown[:, :-1, :, :-1]
     down = (tiles[:, 1:, :, :-1] - tiles[:, :-1, :, :-1]).square() * shown[:, 1:, :, :-1]
     right = (tiles[:, :-1, :, 1:] - tiles[:, :-1, :, :-1]).square() * shown[:, :-1, :, 1:]
-    mean: Tensor = ((down + right) * here).mean()
+    mean: Tensor = ((down + right) * coverage).mean()
     return mean
