@@ -149,7 +149,7 @@ class Evidence(RoundsCapacity):
     def _bands(
         self, ctx: StepContext, information: TrainingInformation, noise: float, values: float
     ) -> tuple[Tensor | None, Tensor | None]:
-        """Decide which Gaussians keep their SH bands, once growth has ended and all bands are active.
+        """Decide which Gaussians keep their SH bands, after growth and with all bands active.
 
         Returns:
             [N] bool, and sh0 with the mean colour of those that lose their bands; or None, None.
