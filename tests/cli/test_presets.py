@@ -210,7 +210,7 @@ def test_the_help_names_presets_and_methods(capsys: pytest.CaptureFixture[str]) 
     assert (
         "\n  preset\n    balanced  " in told
         and "\n    paper  " in told
-        and "literature's conditions" in told
+        and "conditions of the literature" in told
     )
     assert all(f"\n    {name} " in told for name in PAIRS)
 
