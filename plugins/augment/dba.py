@@ -7,7 +7,7 @@ same cameras, the same warp, but one support, the view whose camera centre is ne
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from framework.methods.warping import WarpingAugmenter, center_distances
 from framework.plugin import StepContext, register
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Dba(WarpingAugmenter):
     """One support. Of equally close views the first one is taken."""
+
+    title: ClassVar[str] = "DBA"
+    paper: ClassVar[str] = "safi_uar"
 
     def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
         distances = center_distances(ctx.views, camera)

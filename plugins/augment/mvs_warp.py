@@ -8,7 +8,7 @@ step; here it joins steps as every pseudo view does (`trainer.pseudo_steps`).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from framework.methods.warping import WarpingAugmenter
 from framework.plugin import StepContext, register
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class MvsWarp(WarpingAugmenter):
     """Options: those of every warping method."""
+
+    title: ClassVar[str] = "MVPGS warp"
+    paper: ClassVar[str] = "mvpgs"
 
     def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
         """One index, drawn evenly."""

@@ -8,7 +8,7 @@ means that k already knows what x' would show: all views with I_k <= eta min I a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from framework.methods.warping import ThresholdAugmenter
 from framework.plugin import StepContext, register
@@ -48,6 +48,9 @@ class Safi(ThresholdAugmenter):
     downscale: the Fisher passes run on images smaller by this integer factor. refresh_epochs:
     epochs after which theta_0 is taken anew; 0 = never.
     """
+
+    title: ClassVar[str] = "SAFI"
+    paper: ClassVar[str] = "safi_uar"
 
     form: str = "trace"
     approximation: str = "diagonal"

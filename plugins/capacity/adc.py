@@ -43,6 +43,9 @@ class AdaptiveDensityControl(PullCapacity):
     (`trainer.members`) have it together.
     """
 
+    title: ClassVar[str] = "ADC"
+    paper: ClassVar[str] = "baseline"
+
     defaults: ClassVar[dict[str, float]] = {"stop": 0.9}
 
     of_steps: int = 0

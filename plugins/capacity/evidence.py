@@ -75,6 +75,9 @@ class Evidence(RoundsCapacity):
     fewer, for less PSNR (`benchmarks/results/capacity.md`).
     """
 
+    title: ClassVar[str] = "Evidence"
+    paper: ClassVar[str] = "mackay"
+
     defaults: ClassVar[dict[str, float]] = {"start": 0.25, "stop": 0.75}
 
     criterion: str = "laplace"

@@ -12,7 +12,7 @@ taken at full resolution.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from framework.plugin import Capacity, Edits, StepContext, StepStats, register
 
@@ -28,6 +28,9 @@ class FisherPrune(Capacity):
     round. What is left of it is fine-tuning, divided evenly among the rounds. regulariser: prior
     precision as a share of the median diagonal of the blocks.
     """
+
+    title: ClassVar[str] = "PUP 3D-GS"
+    paper: ClassVar[str] = "pup"
 
     first: float = 0.8
     again: float = 0.5

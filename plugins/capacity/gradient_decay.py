@@ -29,6 +29,9 @@ class GradientDecay(Capacity):
     """decay: what an opacity without a gradient is multiplied by after a step. relief: how much
     less one fades that has a gradient; 0 = all alike."""
 
+    title: ClassVar[str] = "Gradient-aware decay"
+    paper: ClassVar[str] = "stereogs"
+
     gradients: ClassVar[tuple[str, ...]] = ("opacity_logits",)
 
     decay: float = 0.99

@@ -31,6 +31,9 @@ class ProximityUnpool(Capacity):
     room. large: standard deviation that such a Gaussian has at least, in scene extents. every:
     share of the training between two rounds. at_most: share of the Gaussians that a round adds."""
 
+    title: ClassVar[str] = "Proximity unpooling"
+    paper: ClassVar[str] = "fsgs"
+
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.2}
 
     far: float = 0.1

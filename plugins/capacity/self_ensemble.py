@@ -44,6 +44,9 @@ class SelfEnsemble(Capacity):
     It is the standard deviation of the looks, mean of 5 x 5 pixels and the channels. first, last:
     ratio of the noise, at the beginning and at the end."""
 
+    title: ClassVar[str] = "Self-ensembling"
+    paper: ClassVar[str] = "segs"
+
     second_field: ClassVar[bool] = True
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.9}
 

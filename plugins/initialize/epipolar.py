@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from framework.errors import require
 from framework.plugin import Initializer, register
@@ -38,6 +38,9 @@ class Epipolar(Initializer):
     scale_factor: standard deviation in units of the mean spacing of the Gaussians. opacity: of
     every Gaussian.
     """
+
+    title: ClassVar[str] = "Epipolar"
+    paper: ClassVar[str] = "nexusgs"
 
     partners: int = 2
     off_line: float = 1.0

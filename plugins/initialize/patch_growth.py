@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from framework.errors import require
 from framework.plugin import Initializer, register
@@ -42,6 +42,9 @@ class PatchGrowth(Initializer):
     of the patches of two views. Of all pairs that have the place in their image. patch: edge of a
     patch in pixels. opacity: of every Gaussian.
     """
+
+    title: ClassVar[str] = "Patch growth"
+    paper: ClassVar[str] = "binocular"
 
     seeds: str = "depth"
     per_pixel: float = 0.07

@@ -25,6 +25,9 @@ class AnchorDropout(Regularizer):
     training between two searches for neighbours. A changed set of Gaussians is searched at once.
     compensate: kept ones divided by their share; what ReDI-GS does was not found."""
 
+    title: ClassVar[str] = "Anchor dropout"
+    paper: ClassVar[str] = "dropansh"
+
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 
     p: float = 0.02

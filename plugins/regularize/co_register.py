@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from framework.methods.elsewhere import unseen_camera
-from framework.plugin import Regularizer, StepContext, register
+from framework.plugin import Regularizer, StepContext, Variant, register
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -28,6 +28,14 @@ class CoRegister(Regularizer):
     differ; with a capacity that draws nothing (`evidence`) it would stay the same field, and what
     they disagree about would be rounding.
     """
+
+    title: ClassVar[str] = "Co-regularization"
+    paper: ClassVar[str] = "corgs"
+    variants: ClassVar[dict[str, Variant]] = {
+        "co_register_drawn": Variant(
+            "second_drawn", True, "Co-regularization (2 draws)", "corgs"
+        ),
+    }
 
     second_field: ClassVar[bool] = True
     defaults: ClassVar[dict[str, float]] = {"start": 0.05}

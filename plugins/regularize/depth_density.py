@@ -32,6 +32,9 @@ class DepthDensity(Regularizer):
     are scaled up, times 1 / (1 - their odds). A render absorbs as much in expectation then, as in
     DropGaussian, which D2GS builds on; it does not say whether it does so, too."""
 
+    title: ClassVar[str] = "DD-Drop"
+    paper: ClassVar[str] = "d2gs"
+
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 
     first: float = 0.05

@@ -36,6 +36,9 @@ class DepthLocalGlobal(Regularizer):
     it do not count. whole: weight of the loss divided by the image's deviation. soft_from: share of
     the training before which only centres move."""
 
+    title: ClassVar[str] = "DNGaussian depth"
+    paper: ClassVar[str] = "dngaussian"
+
     defaults: ClassVar[dict[str, float]] = {"weight": 1.0}
 
     smallest: int = 5

@@ -27,6 +27,9 @@ FEWEST = 16  # pixels
 class DepthPearson(Regularizer):
     """inverse: compare inverse depths, whose noise is even over the image for a matcher."""
 
+    title: ClassVar[str] = "Pearson depth"
+    paper: ClassVar[str] = "fsgs"
+
     defaults: ClassVar[dict[str, float]] = {"weight": 0.05}
 
     inverse: bool = False

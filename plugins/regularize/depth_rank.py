@@ -27,6 +27,9 @@ class DepthRank(Regularizer):
     in near bounds. continuity: weight of the term of neighbours, in units of that of pairs.
     alike: relative difference of known depth up to which neighbours are to stay together."""
 
+    title: ClassVar[str] = "Depth ranking"
+    paper: ClassVar[str] = "sparsenerf"
+
     defaults: ClassVar[dict[str, float]] = {"weight": 0.5}
 
     pairs: int = 2048

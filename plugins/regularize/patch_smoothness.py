@@ -27,6 +27,9 @@ class PatchSmoothness(Regularizer):
     RegNeRF's is 4000 (400 to 0.1); the default 1 lets nothing fall. falling: share of the training
     over which it falls to that, exponentially."""
 
+    title: ClassVar[str] = "Patch smoothness"
+    paper: ClassVar[str] = "regnerf"
+
     defaults: ClassVar[dict[str, float]] = {"weight": 0.1}
 
     patch: int = 8

@@ -9,10 +9,10 @@ the Gaussians that few views determine, which are never dropped themselves.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from framework.methods.dropout import DropoutRegularizer
-from framework.plugin import StepContext, register
+from framework.plugin import StepContext, Variant, register
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -48,6 +48,12 @@ class Uar(DropoutRegularizer):
     dropped. scale_tested: evaluate the candidates' opacities times 1 - (1 - s)/C instead, which is
     their expectation.
     """
+
+    title: ClassVar[str] = "UAR"
+    paper: ClassVar[str] = "safi_uar"
+    variants: ClassVar[dict[str, Variant]] = {
+        "uar_hard": Variant("mode", "hard", "UAR (hard)", "safi_uar"),
+    }
 
     mode: str = "soft"
     candidate_factor: float = 2.0

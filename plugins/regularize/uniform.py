@@ -9,10 +9,10 @@ which no opacity changes in expectation: DropGaussian (Park et al., CVPR 2025), 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from framework.methods.dropout import DropoutRegularizer
-from framework.plugin import StepContext, register
+from framework.plugin import StepContext, Variant, register
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,6 +30,12 @@ class Uniform(DropoutRegularizer):
     expectation). As DropGaussian does; a factor may take an opacity above 1, where the renderer's
     clamp of alpha holds. scale_tested: evaluate opacities times 1 - p(t) instead.
     """
+
+    title: ClassVar[str] = "Uniform dropout"
+    paper: ClassVar[str] = "safi_uar"
+    variants: ClassVar[dict[str, Variant]] = {
+        "dropgaussian": Variant("compensate", True, "DropGaussian", "dropgaussian"),
+    }
 
     count: str = "bernoulli"
 
