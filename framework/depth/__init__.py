@@ -12,6 +12,7 @@ from __future__ import annotations
 from framework.depth.depth_anything_3 import DepthAnything3
 from framework.depth.from_file import DepthFile
 from framework.depth.ground_truth import GroundTruth
+from framework.depth.learned import FusedDepth, IterMvsDepth
 from framework.depth.plane_sweep import PlaneSweep
 from framework.depth.provider import DepthProvider, unspoiled
 
@@ -20,6 +21,7 @@ __all__ = [
     "DepthProvider",
     "consistency",
     "exposure",
+    "itermvs",
     "matching",
     "options",
     "pose_check",
@@ -31,5 +33,7 @@ PROVIDERS: dict[str, type] = {
     "ground_truth": GroundTruth,
     "plane_sweep": PlaneSweep,
     "file": DepthFile,
+    "itermvs": IterMvsDepth,
+    "fused": FusedDepth,
     "depth_anything_3": DepthAnything3,
 }

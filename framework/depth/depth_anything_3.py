@@ -39,6 +39,10 @@ class DepthAnything3(DepthAnything3Options):
             f" it with: pip install {DEPTH_ANYTHING_3}",
         )
 
+    def learned_weights(self) -> str:
+        """Return the name of the weights."""
+        return self.weights
+
     def fingerprint(self, training: TrainingSet) -> str:
         """SHA-256 hex of the weights and the package's version. Raises UserError without them."""
         from framework.depth.network import weights_sha256

@@ -14,11 +14,12 @@ from framework.metrics.values import RANK, Measurement, Missing, ViewMetrics
 
 
 def effective_rank(log_scales: ArrayLike) -> float:
-    """Mean over the Gaussians of exp(-sum_i q_i log q_i), q_i = s_i^2 / sum_j s_j^2: 1 for a
-    needle, 2 for a disc, 3 for a ball. NaN without a Gaussian.
+    """Mean over the Gaussians of exp(-sum_i q_i log q_i), q_i = s_i^2 / sum_j s_j^2.
 
-    log_scales: [N, 3]. Roy & Vetterli 2007, "The effective rank"; of Gaussians' covariances, whose
-    eigenvalues are s_i^2, Hyung et al. 2024, arXiv 2406.11672.
+    1 is a needle, 2 a disc, 3 a ball; NaN without a Gaussian. log_scales: [N, 3].
+
+    Source: Roy & Vetterli 2007, "The effective rank"; of Gaussians' covariances, whose eigenvalues
+    are s_i^2, Hyung et al. 2024, arXiv 2406.11672.
     """
     logs = 2 * np.asarray(log_scales, np.float64)
     if len(logs) == 0:
@@ -30,7 +31,7 @@ def effective_rank(log_scales: ArrayLike) -> float:
 
 
 def with_rank(metrics: Sequence[ViewMetrics], log_scales: ArrayLike) -> list[ViewMetrics]:
-    """With the effective rank of all Gaussians, [N, 3], beside every view's metrics."""
-    value = effective_rank(log_scales)
-    found: Measurement = Missing("no Gaussian is left") if math.isnan(value) else value
-    return [replace(one, also={**one.also, RANK: found}) for one in metrics]
+    """Add the effective rank of all Gaussians, log_scales [N, 3], to every view's metrics."""
+    mean = effective_rank(log_scales)
+    rank: Measurement = Missing("no Gaussian is left") if math.isnan(mean) else mean
+    return [replace(view, also={**view.also, RANK: rank}) for view in metrics]

@@ -15,7 +15,16 @@ from urllib.parse import quote
 import numpy as np
 
 from framework.files.opened import is_file
-from framework.metrics.values import AVERAGE, COADAPTATION, LOWER, METRICS, RANK, Missing, digits
+from framework.metrics.values import (
+    AVERAGE,
+    COADAPTATION,
+    LOWER,
+    METRICS,
+    NOT_REQUESTED,
+    RANK,
+    Missing,
+    digits,
+)
 from framework.records.run_files import VIDEOS, VIEW
 from framework.records.search import Searched
 from framework.report.costs import entries, paying, train_s
@@ -496,7 +505,7 @@ def missing_metrics(study: Study) -> list[tuple[str, int, str]]:
     for run in study.runs:
         for metric in (*METRICS, *study.other_metrics):
             value = run.record.summary.get(metric)
-            if isinstance(value, Missing):
+            if isinstance(value, Missing) and value != NOT_REQUESTED:
                 key = (NAMES.get(metric, outside(metric)), outside(value.reason))
                 counts[key] = counts.get(key, 0) + 1
     return [(metric, n, reason) for (metric, reason), n in sorted(counts.items())]

@@ -17,6 +17,7 @@ from typing import Any
 from torch import Tensor
 
 from framework import registry
+from framework.backends import NUMBA, Rasterizer
 from framework.compute.parallel import run_tasks, run_together, threads
 from framework.depth.exposure import Exposures
 from framework.errors import plugin_call
@@ -25,7 +26,6 @@ from framework.metrics.evaluate import psnr
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
 from framework.plugin import Plugin
-from framework.rasterizers import NUMBA, Rasterizer
 from framework.records.progress import Part, Parts, Progress, Silent
 from framework.records.record import DIVERGED
 from framework.run import answers
@@ -219,8 +219,8 @@ def _open(run: Run, part: _Part) -> _Opened:
     """The part with what an earlier process kept of it."""
     plugins = Plugins.of(part.choices)
     with plugin_call("capacity: shared"):
-        plugins = replace(plugins, capacity=plugins.capacity.shared(part.options.members))
-    chosen: dict[str, Plugin] = {key: one.plugin for key, one in plugins.each().items()}
+        plugins = plugins.shared(part.options.members)
+    chosen: dict[str, Plugin] = {key: one.plugin for key, one in plugins.each.items()}
     checkpoints = Checkpoints(run.folder, run.identity, chosen.values(), part.name)
     check = partial(check_state, training=run.scene.training, options=part.options, plugins=chosen)
     return _Opened(part, plugins, checkpoints, checkpoints.newest(check))

@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Any
 
 from framework import registry
+from framework.backends import Rasterizer, build_rasterizer
 from framework.compute.compiling import noticed
 from framework.compute.jit import KERNEL_CACHE
 from framework.compute.parallel import alone, threads
 from framework.options import TrainerOptions
-from framework.rasterizers import Rasterizer, build_rasterizer
 from framework.records.notices import QUIET
 from framework.records.progress import Progress, Silent, unwarned
 from framework.records.provenance import cpu_model
@@ -191,7 +191,7 @@ def _train(
         binocular_from=0.0,
     )
     # also what the user lets act for a short while only
-    plugins = Plugins(*(registry.build(g, config[g]).always() for g in registry.GROUPS))
+    plugins = Plugins.of(config).always()
     rasterizer = build_rasterizer(config)
     given = training, depth, gaussians, options, plugins, 0, Silent()
     Trainer(*given, tells=False, rasterizer=rasterizer).run()

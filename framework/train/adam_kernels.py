@@ -14,7 +14,7 @@ import numpy as np
 from framework.compute.chunks import put1, span, take1
 from framework.compute.jit import inlined, kernel
 from framework.compute.simd import LANES, exp2, log2, maximum, splat
-from framework.rasterize.project.backward import project_backward
+from framework.kernels.project.backward import project_backward
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
 LOWEST_LOGIT = -30.0

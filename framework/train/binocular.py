@@ -2,7 +2,7 @@
 
 With few photos colours may be right at any depth. A camera beside the photo, whose own photo is not
 needed, tells: seen from there, Gaussians at a wrong depth are in the wrong place. The loss is
-Binocular-Guided 3DGS's (`framework.rasterize.binocular`), counted where both renders show the same
+Binocular-Guided 3DGS's (`framework.kernels.binocular`), counted where both renders show the same
 surface. `benchmarks/results/presets.md` has what chose the numbers.
 """
 

@@ -12,12 +12,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from framework.backends import NUMBA, Rasterizer
 from framework.compute.rng import stream
 from framework.fisher.information import FisherInformation
 from framework.geometry import mean_neighbour_distance
 from framework.options import TrainerOptions
 from framework.plugin import StepContext
-from framework.rasterizers import NUMBA, Rasterizer
 from framework.types import NAMES, Camera, DepthMap, Gaussians, Render, TrainingSet
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from framework.rasterizers import Rasterizer
+from framework.backends import Rasterizer
 from framework.train.binocular import Beside
 from framework.train.epoch import Item
 from framework.types import Gaussians

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from framework.backends import Rasterizer
 from framework.compute import portable
 from framework.plugin import GradientAt, StepStats
-from framework.rasterizers import Rasterizer
 from framework.train.adam_kernels import LOWEST_LOGIT
 from framework.train.epoch import Item
 from framework.train.gradient import Penalty, screen_gradient, step_stats, view_gradient

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from framework.backends import NUMBA, Rasterizer
 from framework.compute.rng import stream
-from framework.rasterizers import NUMBA, Rasterizer
 from framework.train.binocular import Beside
 from framework.train.smoothness import DepthSmoothness
 from framework.types import View

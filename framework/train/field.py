@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from framework.backends import Rasterizer
 from framework.plugin import Edits
-from framework.rasterizers import Rasterizer
 from framework.train.edits import apply_edits, rows_after
 from framework.train.optimizer import Optimizer
-from framework.train.plugged import PluginsAtWork
+from framework.train.plugin_calls import PluginCalls
 from framework.train.resume.training_state import FieldState
 from framework.train.torch_adam import optimizer_of
 from framework.types import Gaussians
@@ -28,12 +28,12 @@ class Field:
 
     params: Gaussians
     optimizer: Optimizer
-    plugins: PluginsAtWork
+    plugins: PluginCalls
     rasterizer: Rasterizer
     version: int = 0
 
     @staticmethod
-    def of(gaussians: Gaussians, plugins: PluginsAtWork, rasterizer: Rasterizer) -> Field:
+    def of(gaussians: Gaussians, plugins: PluginCalls, rasterizer: Rasterizer) -> Field:
         """A field that starts from a copy of `gaussians`."""
         params = gaussians.clone().to(rasterizer.device).leaves()
         return Field(params, optimizer_of(rasterizer, params), plugins, rasterizer)
@@ -49,7 +49,7 @@ class Field:
 
     def state(self) -> FieldState:
         """What a checkpoint holds; its tensors are the field's own."""
-        kept = self.plugins.kept()
+        kept = self.plugins.states()
         gaussians = self.params.detach().to("cpu")
         return FieldState(self.version, gaussians, self.optimizer.state(), kept)
 
@@ -58,4 +58,4 @@ class Field:
         self.version = state.version
         self.params = state.gaussians.to(self.rasterizer.device).leaves()
         self.optimizer.load(state.adam)
-        self.plugins.take_up(state.plugins, logged)
+        self.plugins.load(state.plugins, logged)

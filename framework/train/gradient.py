@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from framework.backends import NUMBA, Rasterizer, RenderGradient
 from framework.plugin import StepStats
-from framework.rasterizers import NUMBA, Rasterizer, RenderGradient
 from framework.train.depth_terms import DepthTerms
 from framework.train.epoch import Item
 from framework.train.guard import check_loss

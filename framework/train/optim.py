@@ -13,10 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from framework.backends import RenderGradient
 from framework.compute.parallel import BLOCKS, run_blocks, threads
-from framework.rasterize import ScreenGradient, give_back
-from framework.rasterize.lending import aligned
-from framework.rasterizers import RenderGradient
+from framework.kernels import ScreenGradient, give_back
+from framework.kernels.lending import aligned
 from framework.train.adam_kernels import BETA1, BETA2, CHUNK, adam_kernel, pull_back_and_step
 from framework.train.optimizer import AdamState, Optimizer
 from framework.types import Gaussians

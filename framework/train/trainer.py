@@ -22,12 +22,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from framework.backends import NUMBA, Rasterizer
 from framework.compute.stopwatch import Stopwatch
 from framework.errors import require
 from framework.initialize import background_color, random_background
 from framework.options import TrainerOptions
 from framework.plugin import Edits, StepStats
-from framework.rasterizers import NUMBA, Rasterizer
 from framework.records.progress import Progress
 from framework.records.run_files import HistoryRow
 from framework.train import schedule
@@ -37,7 +37,7 @@ from framework.train.descent import Fading, descend, substep
 from framework.train.dose import Dose
 from framework.train.epoch import Item, Items, ordered
 from framework.train.field import Field
-from framework.train.plugged import PluginsAtWork
+from framework.train.plugin_calls import PluginCalls
 from framework.train.resume.training_state import Keeper, Plugins, Trained, TrainerState
 from framework.train.smoothness import DepthSmoothness
 from framework.types import DepthMap, Gaussians, TrainingSet, View
@@ -94,7 +94,7 @@ class Trainer:
             training, depth, options, self.background, self.near, seed, rasterizer
         )
         self.dose = Dose()
-        self.field = Field.of(gaussians, PluginsAtWork(plugins, conditions, self.dose), rasterizer)
+        self.field = Field.of(gaussians, PluginCalls(plugins, conditions, self.dose), rasterizer)
         require(
             rasterizer.single_pixels or not self.field.plugins.absolute,
             f"rasterizer={rasterizer.name}: expected one that tells the pull of single pixels, for"
@@ -111,7 +111,7 @@ class Trainer:
                 )
             self.second = Field.of(
                 gaussians if second is None else second,
-                PluginsAtWork(plugins, conditions, Dose()),
+                PluginCalls(plugins, conditions, Dose()),
                 rasterizer,
             )
         self.items = Items(options.pseudo_mean == "covered", rasterizer, self._smoothness())
@@ -355,4 +355,4 @@ class Trainer:
                 " the other bands are stored and 0; raise trainer.steps or set trainer.sh_every=0,"
                 " which is over half of them"
             )
-        self.field.plugins.tell_what_did_nothing()
+        self.field.plugins.warn_of_no_effect()

@@ -14,10 +14,10 @@ from framework import registry
 from framework.command.cli import main
 from framework.command.config.check import check
 from framework.command.config.schema import CONF_DIR, ROOT
-from framework.methods.dropout import DropoutRegularizer
-from framework.methods.warping import WarpingAugmenter
 from framework.options import TrainerOptions
 from framework.scenes import LOADERS
+from framework.toolbox.dropout import DropoutRegularizer
+from framework.toolbox.warping import WarpingAugmenter
 from framework.train import schedule
 from tests.cli.conftest import FakeRuns
 from tests.cli.test_config import composed

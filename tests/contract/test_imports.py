@@ -33,10 +33,10 @@ ROOMS = (
     "exports",  # a finished run -> pictures, videos, files of other programs
     "run",  # scene -> depth -> start -> training -> measures -> record
     "train",  # the step loop
-    "methods",  # common parts of method families; the plugins stand beside it
+    "toolbox",  # common parts of method families; the plugins stand beside it
     "plugin",  # the contracts
     "registry",  # name -> plugin
-    "rasterizers",  # who draws: one contract for several rasterizers
+    "backends",  # who draws: one contract for several rasterizers
     "fisher",  # information of the Gaussians, and scores from it
     "warp",  # the soft z-buffer
     "initialize",  # the first Gaussians
@@ -44,7 +44,7 @@ ROOMS = (
     "scenes",  # photos, cameras, points
     "records",  # a run on disk
     "metrics",  # PSNR, SSIM, FLIP, LPIPS
-    "rasterize",  # Gaussians -> pixels and back
+    "kernels",  # Gaussians -> pixels and back
     "geometry",  # points to pixels and back
     "shapes",  # checks of values
     "types",  # the values everybody speaks of
@@ -59,13 +59,13 @@ PLUGIN_MAY_IMPORT = {
     f"framework.{name}"
     for name in (
         *("plugin", "types", "shapes", "geometry", "errors", "registry"),
-        *("methods", "fisher", "warp", "rasterize.losses", "scenes", "depth", "initialize"),
+        *("toolbox", "fisher", "warp", "kernels.losses", "scenes", "depth", "initialize"),
         *("compute.portable", "compute.rng", "compute.tensors"),
     )
 }
 REPORT_MUST_NOT_IMPORT = {
     *("torch", "numba", "plugins"),
-    *(f"framework.{name}" for name in ("train", "run", "rasterize", "types", "records.ply")),
+    *(f"framework.{name}" for name in ("train", "run", "kernels", "types", "records.ply")),
 }
 HEAVY = {"torch", "numba", "scipy", "skimage", "cv2", "kornia", "pycolmap", "pandas", "matplotlib"}
 

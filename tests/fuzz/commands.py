@@ -26,8 +26,8 @@ from framework.report.build import build_report
 from framework.report.leaderboard import leaderboard
 from framework.report.pair import compare_runs
 from framework.scenes.photos.advice import advice
-from framework.scenes.photos.found import Found, Link, Overruled, Try, read_found, write_found
 from framework.scenes.photos.prepare import prepare
+from framework.scenes.photos.result import Link, Overruled, Result, Try, read_result, write_result
 from framework.scenes.photos.source import find_source
 from framework.scenes.photos.video import sharpest_frames
 from framework.view.server import PageServer, _Handler
@@ -134,7 +134,7 @@ def frames(folder: Path) -> None:
 
 def kept_poses(folder: Path) -> None:
     names = [f"im{k:02d}.jpg" for k in range(5)]
-    found = Found(
+    found = Result(
         photos=names,
         placed={name: 100 + k for k, name in enumerate(names[:3])},
         groups=[names[3:]],
@@ -145,11 +145,11 @@ def kept_poses(folder: Path) -> None:
         copies={"copy.jpg": names[0]},
         overruled=Overruled(377.0, 609.0, None, 0.2),
     )
-    write_found(folder, found)
+    write_result(folder, found)
 
 
 def poses_told(folder: Path) -> None:
-    found = read_found(folder)
+    found = read_result(folder)
     for line in advice(found):
         assert "\n" not in line
     for name in found.placed:

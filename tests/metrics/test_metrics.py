@@ -15,7 +15,7 @@ from framework.compute.rng import stream
 from framework.metrics import evaluate as metrics
 from framework.metrics.evaluate import quantise
 from framework.metrics.flip import error_map
-from framework.metrics.values import Missing
+from framework.metrics.values import Missing, evenly
 from framework.types import Camera, View
 
 GREEN, BLUE = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -190,3 +190,9 @@ def test_wrong_shapes_are_refused() -> None:
         metrics.psnr(image("a"), image("b"), torch.ones(3, 3))
     with pytest.raises(ValueError, match=r"\[3, H, W\]"):
         metrics.quantise(torch.zeros(4, 4))
+
+
+def test_fewer_views_are_evenly_spaced() -> None:
+    assert evenly(range(31), 0) == tuple(range(31))
+    assert evenly(range(5), 8) == tuple(range(5))
+    assert evenly(range(30), 3) == (5, 15, 25)

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 import torch
 
+from framework.backends.torch_cpu import Reference
 from framework.errors import UserError
-from framework.rasterize import rasterize, render_gradient
-from framework.rasterizers.readable import Reference
+from framework.kernels import rasterize, render_gradient
 from framework.run.plane import textured_plane
 from framework.types import Camera
 from tests.plugins.fakes import stage, wall_of_gaussians

@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from framework.backends import build_rasterizer
 from framework.compute.parallel import set_threads
 from framework.geometry import moved_aside
-from framework.rasterize.binocular import binocular_gradient
-from framework.rasterizers import build_rasterizer
+from framework.kernels.binocular import binocular_gradient
 from framework.train.binocular import AGREE, SHIFT, Beside, Binocular
 from framework.train.epoch import Item
 from framework.train.gradient import view_gradient

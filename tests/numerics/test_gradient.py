@@ -12,7 +12,7 @@ import torch
 
 from framework.compute.parallel import set_threads
 from framework.errors import UserError
-from framework.rasterize import ScreenGradient, render_gradient
+from framework.kernels import ScreenGradient, render_gradient
 from framework.train.epoch import Items
 from framework.train.gradient import ViewGradient, view_gradient
 from framework.train.guard import Diverged

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,7 +15,7 @@ from PIL import Image
 from framework.compute.rng import stream
 from framework.errors import UserError
 from framework.scenes.assemble import intrinsics
-from framework.scenes.colmap_files import PARAMETERS
+from framework.scenes.colmap_files import MODELS
 from framework.scenes.lens import Distortion, Lens, undistort
 from framework.scenes.photo import resize_scale
 from framework.scenes.points import FEWEST
@@ -68,17 +65,6 @@ def test_text_and_binary_agree(tmp_path: Path) -> None:
     sparse = to_binary(folder)
     assert (sparse / "images.bin").is_file()
     assert load(folder).fingerprint == text.fingerprint
-
-
-def test_a_run_that_is_told_to_end_ends_without_a_stack_trace(tmp_path: Path) -> None:
-    """pycolmap's import installs a handler that prints one."""
-    code = (
-        "import os, signal, sys; from tests.built import load_scene;"
-        f"load_scene('colmap', {{'path': {str(write_scene(tmp_path))!r}, 'n_views': 3}});"
-        "assert 'pycolmap' in sys.modules; os.kill(os.getpid(), signal.SIGTERM)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (-signal.SIGTERM, "")
 
 
 def test_sparse_without_a_number(tmp_path: Path) -> None:
@@ -140,12 +126,12 @@ def test_names_with_blanks_and_a_camera_that_no_photo_has(tmp_path: Path) -> Non
     assert [v.name for v in scene.training.views] == [f"my  photo {i:02d}.png" for i in (1, 5, 9)]
 
 
-def test_the_cameras_that_colmap_knows_are_whole_here() -> None:
+def test_camera_models_are_those_of_colmap() -> None:
     pycolmap = pytest.importorskip("pycolmap")
-    for number, parameters in enumerate(PARAMETERS):
+    for number, (name, parameters) in enumerate(MODELS.items()):
         model = pycolmap.CameraModelId(number)
         camera = pycolmap.Camera.create_from_model_id(1, model, 100.0, 40, 30)
-        assert len(camera.params) == parameters, model.name
+        assert (model.name, len(camera.params)) == (name, parameters)
 
 
 def test_rescaled_photos_scale_the_intrinsics(tmp_path: Path) -> None:

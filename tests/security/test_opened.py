@@ -23,10 +23,10 @@ OWN = {  # our own sources and settings, caches and what was written a moment ag
     # tables of the package itself
     *("framework/report/figures/palette.py", "framework/report/study/scenes.py"),
     # what a search for poses has just made of photos that were opened safely; a database
-    *("framework/scenes/photos/cached.py", "framework/scenes/photos/prepare.py"),
+    *("framework/scenes/photos/process.py", "framework/scenes/photos/prepare.py"),
     "framework/scenes/photos/attempt.py",
     "framework/metrics/lpips_weights.py",  # an archive whose hash is checked
-    "framework/train/plugged.py",  # opens a count, no file
+    "framework/train/plugin_calls.py",  # opens a count, no file
 }
 
 

@@ -43,10 +43,12 @@ def check(config: Mapping[str, Any]) -> None:
     for group in OBJECT_GROUPS:
         _check_choice(group, config[group])
     for group in registry.GROUPS:
-        registry.build(group, config[group])
+        registry.build_all(group, config[group])
     for group in [group for group in OBJECT_GROUPS if group not in registry.GROUPS]:
         registry.part(group, config[group])
     measures(config["metrics"].get("also"))
+    views = config["metrics"].get("views", 0)
+    require(views >= 0, f"metrics.views: expected an integer >= 0, got {views}; 0 evaluates all")
     TrainerOptions(**config["trainer"])
     _check_scalars(config["seed"], config["threads"], config["study"])
     trackers.ready(config.get("tracker"))

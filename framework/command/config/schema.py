@@ -45,7 +45,10 @@ SCALARS = {
     **{"force": bool, "traceback": bool, "estimate": bool},
     "tracker": str | None,
 }
-METRICS = {"lpips_weights": str | None, "also": str | None, "coadaptation": bool}
+METRICS = {
+    **{"lpips_weights": str | None, "lpips_both": bool, "views": int},
+    **{"also": str | None, "coadaptation": bool},
+}
 
 
 def choices(group: str) -> list[str]:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from framework import registry
+from framework.backends import build_rasterizer
 from framework.errors import require
-from framework.rasterizers import build_rasterizer
 from framework.records import RUN_FOLDERS
 
 WITH_PATH = ("scene", "depth")  # groups whose option `path` names files of this machine
