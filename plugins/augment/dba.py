@@ -7,7 +7,7 @@ same warp, but one support, the view whose camera centre is nearest.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from framework.plugin import StepContext, register
 from framework.toolbox.warping import WarpingAugmenter, center_distances
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Dba(WarpingAugmenter):
     """One support view; the first of equally close ones."""
+
+    title: ClassVar[str] = "DBA"
+    paper: ClassVar[str] = "safi_uar"
 
     def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
         distances = center_distances(ctx.views, camera)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from framework.plugin import StepContext, register
 from framework.toolbox.warping import WarpingAugmenter
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class FullSet(WarpingAugmenter):
     """Every training view is a support."""
+
+    title: ClassVar[str] = "Full set"
+    paper: ClassVar[str] = "safi_uar"
 
     def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
         return list(range(len(ctx.views))), selection

@@ -8,7 +8,7 @@ the pseudo view replaces the photo in every third step; here it joins steps like
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from framework.plugin import StepContext, register
 from framework.toolbox.warping import WarpingAugmenter
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class MvsWarp(WarpingAugmenter):
     """No options except those that every warping method has."""
+
+    title: ClassVar[str] = "MVPGS warp"
+    paper: ClassVar[str] = "mvpgs"
 
     def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
         """One index, drawn evenly."""

@@ -9,7 +9,7 @@ warped into x'.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from framework.plugin import StepContext, register
 from framework.toolbox.warping import ThresholdAugmenter
@@ -54,6 +54,9 @@ class Safi(ThresholdAugmenter):
     less than 1, the trace counts only what a view does not show. downscale: factor by which images
     are reduced for Fisher passes. refresh_epochs: epochs after which theta_0 is taken again; 0 =
     never."""
+
+    title: ClassVar[str] = "SAFI"
+    paper: ClassVar[str] = "safi_uar"
 
     form: str = "trace"
     approximation: str = "diagonal"

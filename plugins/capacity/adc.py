@@ -42,6 +42,9 @@ class AdaptiveDensityControl(PullCapacity):
     members (`trainer.members`) share it.
     """
 
+    title: ClassVar[str] = "ADC"
+    paper: ClassVar[str] = "baseline"
+
     defaults: ClassVar[dict[str, float]] = {"stop": 0.9}
 
     of_steps: int = 0

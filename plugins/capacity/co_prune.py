@@ -21,6 +21,9 @@ class CoPrune(Capacity):
     """distance: largest distance to the nearest Gaussian of the other field, in scene extents.
     every: share of the training between two rounds."""
 
+    title: ClassVar[str] = "Co-pruning"
+    paper: ClassVar[str] = "corgs"
+
     second_field: ClassVar[bool] = True
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.96}
 

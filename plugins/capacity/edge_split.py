@@ -29,6 +29,9 @@ class EdgeSplit(Capacity):
     a Gaussian, in scene extents. every: share of the training between two rounds. at_most: share of
     the Gaussians that a round splits."""
 
+    title: ClassVar[str] = "Edge-guided splitting"
+    paper: ClassVar[str] = "dropoutgs"
+
     defaults: ClassVar[dict[str, float]] = {"start": 0.1, "stop": 0.7}
 
     score: float = 0.1

@@ -77,6 +77,9 @@ class Evidence(RoundsCapacity):
     (Schwarz 1978). pace: largest share of the Gaussians that a round prunes, for a round ten epochs
     after the previous one; sooner, less. A larger pace keeps fewer Gaussians and costs PSNR."""
 
+    title: ClassVar[str] = "Evidence"
+    paper: ClassVar[str] = "mackay"
+
     defaults: ClassVar[dict[str, float]] = {"start": 0.25, "stop": 0.75}
 
     criterion: str = "laplace"

@@ -11,7 +11,7 @@ tie at minus infinity. Views are used at full resolution.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from framework.plugin import Capacity, Edits, StepContext, StepStats, register
 
@@ -26,6 +26,9 @@ class FisherPrune(Capacity):
     every later round prunes. rounds: number of rounds. begin: share of the training before the
     first round; the rest is fine-tuning, divided evenly among the rounds. regulariser: prior
     precision as a share of the median diagonal of the blocks."""
+
+    title: ClassVar[str] = "PUP 3D-GS"
+    paper: ClassVar[str] = "pup"
 
     first: float = 0.8
     again: float = 0.5

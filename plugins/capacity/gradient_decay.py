@@ -28,6 +28,9 @@ class GradientDecay(Capacity):
     """decay: factor of an opacity without a gradient after a step. relief: how much less opacities
     with a gradient decay; 0 = all alike."""
 
+    title: ClassVar[str] = "Gradient-aware decay"
+    paper: ClassVar[str] = "stereogs"
+
     gradients: ClassVar[tuple[str, ...]] = ("opacity_logits",)
 
     decay: float = 0.99

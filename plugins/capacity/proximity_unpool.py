@@ -30,6 +30,9 @@ class ProximityUnpool(Capacity):
     large: least standard deviation of such a Gaussian, in scene extents. every: share of the
     training between two rounds. at_most: share of the Gaussians that a round adds."""
 
+    title: ClassVar[str] = "Proximity unpooling"
+    paper: ClassVar[str] = "fsgs"
+
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.2}
 
     far: float = 0.1

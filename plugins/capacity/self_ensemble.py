@@ -48,6 +48,9 @@ class SelfEnsemble(Capacity):
     change is the standard deviation of the renders, mean of 5x5 pixels and the channels. first,
     last: noise ratio at the beginning and the end."""
 
+    title: ClassVar[str] = "Self-ensembling"
+    paper: ClassVar[str] = "segs"
+
     second_field: ClassVar[bool] = True
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.9}
 

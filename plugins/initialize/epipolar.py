@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from framework.errors import require
 from framework.plugin import Initializer, register
@@ -35,6 +35,9 @@ class Epipolar(Initializer):
     tolerance: largest relative depth difference between the two views of a pair. share: random
     share of the matched pixels that become Gaussians; 1 = all. radius: of the compared window.
     scale_factor: standard deviation in units of the mean spacing. opacity: of every Gaussian."""
+
+    title: ClassVar[str] = "Epipolar"
+    paper: ClassVar[str] = "nexusgs"
 
     partners: int = 2
     off_line: float = 1.0

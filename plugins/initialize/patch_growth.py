@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from framework.errors import require
 from framework.plugin import Initializer, register
@@ -40,6 +40,9 @@ class PatchGrowth(Initializer):
     points that a round grows from. samples: places around each of them. spread: their standard
     deviation, in mean depths of the point. similar: least SSIM of the patches, for all pairs of
     views that contain the place. patch: patch size in pixels. opacity: of every Gaussian."""
+
+    title: ClassVar[str] = "Patch growth"
+    paper: ClassVar[str] = "binocular"
 
     seeds: str = "depth"
     per_pixel: float = 0.07

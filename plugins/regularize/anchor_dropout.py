@@ -25,6 +25,9 @@ class AnchorDropout(Regularizer):
     training between two searches for neighbours; a changed set of Gaussians is searched at once.
     compensate: divide the kept opacities by the kept share (unknown for ReDI-GS)."""
 
+    title: ClassVar[str] = "Anchor dropout"
+    paper: ClassVar[str] = "dropansh"
+
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 
     p: float = 0.02

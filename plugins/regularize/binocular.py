@@ -32,6 +32,9 @@ class Binocular(Regularizer):
     """shift: largest move of the camera, in mean distances to the next camera. smooth: weight of
     the disparity's smoothness, in pixels."""
 
+    title: ClassVar[str] = "Binocular"
+    paper: ClassVar[str] = "binocular"
+
     # the last third of 30,000 steps
     defaults: ClassVar[dict[str, float]] = {"start": 0.667}
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.plugin import Regularizer, StepContext, register
+from framework.plugin import Regularizer, StepContext, Variant, register
 from framework.toolbox.elsewhere import unseen_camera
 
 if TYPE_CHECKING:
@@ -26,6 +26,14 @@ class CoRegister(Regularizer):
     """ssim_weight: w. second_drawn: initialize the second field with a different draw of Gaussians.
     As in CoR-GS, it otherwise starts with the same ones and random splits make them differ; with a
     capacity that draws nothing (`evidence`), both would stay identical."""
+
+    title: ClassVar[str] = "Co-regularization"
+    paper: ClassVar[str] = "corgs"
+    variants: ClassVar[dict[str, Variant]] = {
+        "co_register_drawn": Variant(
+            "second_drawn", True, "Co-regularization (2 draws)", "corgs"
+        ),
+    }
 
     second_field: ClassVar[bool] = True
     defaults: ClassVar[dict[str, float]] = {"start": 0.05}

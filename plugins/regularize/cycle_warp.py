@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 class CycleWarp(Regularizer):
     """tolerance: largest depth difference on return, as a share of the photo's largest depth."""
 
+    title: ClassVar[str] = "Cycle warp"
+    paper: ClassVar[str] = "icogs"
+
     defaults: ClassVar[dict[str, float]] = {"start": 0.833}
 
     tolerance: float = 0.01

@@ -32,6 +32,9 @@ class DepthDensity(Regularizer):
     opacities by their probability to be kept, as in DropGaussian, on which D2GS builds; the paper
     does not state it."""
 
+    title: ClassVar[str] = "DD-Drop"
+    paper: ClassVar[str] = "d2gs"
+
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 
     first: float = 0.05

@@ -36,6 +36,9 @@ class DepthLocalGlobal(Regularizer):
     count. whole: weight of the global loss. soft_from: share of the training before which only
     means move."""
 
+    title: ClassVar[str] = "DNGaussian depth"
+    paper: ClassVar[str] = "dngaussian"
+
     defaults: ClassVar[dict[str, float]] = {"weight": 1.0}
 
     smallest: int = 5

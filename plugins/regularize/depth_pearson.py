@@ -26,6 +26,9 @@ FEWEST = 16  # pixels
 class DepthPearson(Regularizer):
     """inverse: compare inverse depths, whose error is even over the image for stereo."""
 
+    title: ClassVar[str] = "Pearson depth"
+    paper: ClassVar[str] = "fsgs"
+
     defaults: ClassVar[dict[str, float]] = {"weight": 0.05}
 
     inverse: bool = False

@@ -27,6 +27,9 @@ class DepthRank(Regularizer):
     nearer, in near bounds. continuity: weight of the neighbour term relative to the pair term.
     alike: relative difference of known depth below which neighbours should stay together."""
 
+    title: ClassVar[str] = "Depth ranking"
+    paper: ClassVar[str] = "sparsenerf"
+
     defaults: ClassVar[dict[str, float]] = {"weight": 0.5}
 
     pairs: int = 2048

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 class FarFidelity(Regularizer):
     """share: of the pixels with known depth, the farthest, that count again."""
 
+    title: ClassVar[str] = "DAFE"
+    paper: ClassVar[str] = "d2gs"
+
     defaults: ClassVar[dict[str, float]] = {"weight": 1.0}
 
     share: float = 0.05

@@ -31,6 +31,9 @@ class Frequency(Regularizer):
     """octaves: number of octaves that are closed at first. opened: share of the training after
     which all are open (FreeNeRF: 0.9 for 3 photos, 0.7 for 6, 0.5 for 9)."""
 
+    title: ClassVar[str] = "Frequency"
+    paper: ClassVar[str] = "freenerf"
+
     defaults: ClassVar[dict[str, float]] = {"weight": 0.1}
 
     octaves: float = 3.0

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 class Occlusion(Regularizer):
     """depth: distance below which a Gaussian is too near, in near bounds."""
 
+    title: ClassVar[str] = "Occlusion"
+    paper: ClassVar[str] = "freenerf"
+
     defaults: ClassVar[dict[str, float]] = {"weight": 0.01}
 
     depth: float = 0.7

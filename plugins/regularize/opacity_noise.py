@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 class OpacityNoise(Regularizer):
     """sigma: standard deviation of the noise, and its largest size."""
 
+    title: ClassVar[str] = "Opacity noise"
+    paper: ClassVar[str] = "coadapt"
+
     drops: ClassVar[bool] = False
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 

@@ -27,6 +27,9 @@ class PatchSmoothness(Regularizer):
     4000); the default 1 is constant. falling: share of the training over which it decays,
     exponentially."""
 
+    title: ClassVar[str] = "Patch smoothness"
+    paper: ClassVar[str] = "regnerf"
+
     defaults: ClassVar[dict[str, float]] = {"weight": 0.1}
 
     patch: int = 8

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 class Removal(Regularizer):
     """p: share of the Gaussians that a render leaves out."""
 
+    title: ClassVar[str] = "Removal"
+    paper: ClassVar[str] = "coadapt"
+
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 
     p: float = 0.2

@@ -26,6 +26,9 @@ class RenderConsistency(Regularizer):
     """p: share of the Gaussians that the second render drops. compensate: multiply what it keeps by
     1 / (1 - p). ssim_weight: w."""
 
+    title: ClassVar[str] = "Render consistency"
+    paper: ClassVar[str] = "dropoutgs"
+
     defaults: ClassVar[dict[str, float]] = {"weight": 0.2}
 
     p: float = 0.4

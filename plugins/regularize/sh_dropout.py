@@ -27,6 +27,9 @@ class ShDropout(Regularizer):
     """p: share of the Gaussians without bands, drawn in every step. each: share of the training
     after which one more degree is spared; reg.stop ends it earlier."""
 
+    title: ClassVar[str] = "SH dropout"
+    paper: ClassVar[str] = "dropansh"
+
     defaults: ClassVar[dict[str, float]] = {"stop": 0.6}
 
     p: float = 0.2

@@ -26,6 +26,9 @@ class Sharpness(Regularizer):
     """rho: how far means are moved, in standard deviations of the Gaussian. share: of the gradient
     there in what the optimizer gets."""
 
+    title: ClassVar[str] = "Sharpness"
+    paper: ClassVar[str] = "fasr"
+
     defaults: ClassVar[dict[str, float]] = {"start": 0.875}
 
     rho: float = 0.1

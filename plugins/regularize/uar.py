@@ -9,9 +9,9 @@ moves supervision to uncertain Gaussians, which are never dropped.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
-from framework.plugin import StepContext, register
+from framework.plugin import StepContext, Variant, register
 from framework.toolbox.dropout import DropoutRegularizer
 
 if TYPE_CHECKING:
@@ -52,6 +52,12 @@ class Uar(DropoutRegularizer):
     factor (1-s/C)/(1-1/C), with s the factor of dropped ones. scale_tested: instead evaluate
     candidates at their mean opacity in training, 1 - (1 - s)/C times.
     """
+
+    title: ClassVar[str] = "UAR"
+    paper: ClassVar[str] = "safi_uar"
+    variants: ClassVar[dict[str, Variant]] = {
+        "uar_hard": Variant("mode", "hard", "UAR (hard)", "safi_uar"),
+    }
 
     mode: str = "soft"
     candidate_factor: float = 2.0

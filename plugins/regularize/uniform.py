@@ -8,9 +8,9 @@ expectation: DropGaussian (Park et al., CVPR 2025); `reg=dropgaussian` has its p
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.plugin import StepContext, register
+from framework.plugin import StepContext, Variant, register
 from framework.toolbox.dropout import DropoutRegularizer
 
 if TYPE_CHECKING:
@@ -28,6 +28,12 @@ class Uniform(DropoutRegularizer):
     them, rounded. compensate: multiply the kept opacities by 1 / (1 - expected share dropped), as
     in DropGaussian; the renderer clamps alpha if that exceeds 1. scale_tested: instead evaluate
     opacities times 1 - p(t)."""
+
+    title: ClassVar[str] = "Uniform dropout"
+    paper: ClassVar[str] = "safi_uar"
+    variants: ClassVar[dict[str, Variant]] = {
+        "dropgaussian": Variant("compensate", True, "DropGaussian", "dropgaussian"),
+    }
 
     count: str = "bernoulli"
 

@@ -15,14 +15,13 @@ OWN = {  # our own sources and settings, caches and what was written a moment ag
         "framework/records/progress.py",
         "framework/scenes/embedded/generate.py",
     ),
-    *("framework/report/page/html.py", "framework/command/studies/study.py"),
+    *("framework/report/render.py", "framework/command/studies/study.py"),
     # the report just written; the page's own scripts; exports just made, a film's writer; a browser
     *("framework/command/studies/closing.py", "framework/view/page.py"),
     *("framework/exports/formats.py", "framework/exports/movie.py", "framework/view/server.py"),
     *("framework/command/config/help.py", "framework/command/config/meanings.py"),
     # tables of the package itself
-    *("framework/report/parts/palette.py", "framework/report/study/roles.py"),
-    "framework/report/text/published.py",
+    *("framework/report/figures/palette.py", "framework/report/study/scenes.py"),
     # what a search for poses has just made of photos that were opened safely; a database
     *("framework/scenes/photos/process.py", "framework/scenes/photos/prepare.py"),
     "framework/scenes/photos/attempt.py",

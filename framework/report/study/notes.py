@@ -1,11 +1,11 @@
-"""What a reader must be told about the runs of a study before their figures are believed."""
+"""What a reader must know about the runs of a study before trusting the numbers."""
 
 from __future__ import annotations
 
 import math
 import os
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,26 +13,62 @@ from framework.errors import UserError, printable_line
 from framework.records.archive import ARCHIVE
 from framework.records.failure import FAILED, read_failure
 from framework.records.record import EXPOSURE, Run
-from framework.report.study.folders import begun_dirs
-from framework.report.study.labels import code, listed, outside
-from framework.report.study.runs import BUSY, ReportRun
+from framework.report.study.study import BUSY, ReportRun, Study
+from framework.report.study.words import code, joined, listed, outside
+from framework.scenes import HELD_OUT
 
 MOST_NAMED = 5
 MOST_WARNINGS = 10
 
 
 def notes(unique: Sequence[ReportRun], runs: Sequence[Run]) -> list[str]:
-    """What `unique`, the runs that are reported, and `runs`, all complete ones, ask to be told."""
+    """Notes on `unique`, the runs that are reported, and `runs`, all complete ones."""
     return [
         *_warning_notes(unique),
         *_repeat_notes(unique),
         *_equal_notes(unique),
-        *_still_notes(unique),
+        *_constant_notes(unique),
         *_code_notes(runs),
         *_machine_notes(unique),
         *_busy_notes(unique),
         *_exposure_notes(unique),
     ]
+
+
+def archive_notes(folders: Sequence[Path]) -> list[str]:
+    """Why a report of an archive has no pictures."""
+    text = f"Made from {code(ARCHIVE)}, as the folders of the runs were not kept: no pictures."
+    return [text] if folders else []
+
+
+def begun_notes(names: Sequence[str]) -> list[str]:
+    """Runs, by the names of their folders, that left neither a result nor an error."""
+    if not names:
+        return []
+    start = "1 run was begun and has" if len(names) == 1 else f"{len(names)} runs were begun, with"
+    return [
+        f"{start} no result: still running, or killed ({_first([*map(code, names)])}). The study's"
+        " command continues what was killed."
+    ]
+
+
+def within(path: Path, error: UserError) -> str:
+    """The error, with the folder `path` and its files named without the path to it."""
+    below = str(error).replace(printable_line(f"{path}/"), "")
+    return below.replace(printable_line(f"{path}:"), printable_line(f"{path.name}:"))
+
+
+def _first(names: Sequence[object]) -> str:
+    """The names, the first `MOST_NAMED` of many."""
+    more = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
+    return listed([*names[:MOST_NAMED], *more])
+
+
+def _grouped(runs: Sequence[ReportRun], key: Callable[[ReportRun], Any]) -> dict[Any, list[Any]]:
+    groups: dict[Any, list[Any]] = defaultdict(list)
+    for run in runs:
+        groups[key(run)].append(run)
+    return groups
 
 
 def _warning_notes(runs: Sequence[ReportRun]) -> list[str]:
@@ -43,7 +79,7 @@ def _warning_notes(runs: Sequence[ReportRun]) -> list[str]:
             gave[text].append(run)
     warned = []
     for text, those in gave.items():
-        scenes = listed(sorted({run.scene for run in those}), "and")
+        scenes = listed(sorted({run.scene for run in those}))
         share = "" if len(those) == len(runs) else f", {len(those)} of {len(runs)} runs"
         warned.append(f"Warning ({scenes}{share}): {outside(text)}")
     if len(warned) <= MOST_WARNINGS:
@@ -52,30 +88,8 @@ def _warning_notes(runs: Sequence[ReportRun]) -> list[str]:
     return [*warned[:MOST_WARNINGS], f"{more} more warnings are in the runs' record.json."]
 
 
-def begun_notes(folders: Sequence[Path]) -> list[str]:
-    """Runs of these studies that left neither a result nor why there is none."""
-    begun = [path.name for folder in folders for path in begun_dirs(folder)]
-    if not begun:
-        return []
-    said = (
-        "1 run was begun and has" if len(begun) == 1 else f"{len(begun)} runs were begun and have"
-    )
-    more = [f"{len(begun) - MOST_NAMED} more"] if len(begun) > MOST_NAMED else []
-    named = listed([*(code(name) for name in begun[:MOST_NAMED]), *more], "and")
-    return [
-        f"{said} no result: still going, or killed ({named}). The study's command goes on with what"
-        " was killed."
-    ]
-
-
-def within(path: Path, error: UserError) -> str:
-    """The error, which tells the folder `path` and its files without the way to it."""
-    below = str(error).replace(printable_line(f"{path}/"), "")
-    return below.replace(printable_line(f"{path}:"), printable_line(f"{path.name}:"))
-
-
 def _repeat_notes(runs: Sequence[ReportRun]) -> list[str]:
-    """A complete run outlives a repetition that failed, which is told."""
+    """Complete runs whose repetition failed."""
     again = [run.run.run_dir for run in runs if os.path.lexists(run.run.run_dir / FAILED)]
     return [
         f"The run in {code(folder.name)} was repeated and failed"
@@ -92,55 +106,43 @@ def _error_of(folder: Path) -> str:
 
 
 def _equal_notes(runs: Sequence[ReportRun]) -> list[str]:
-    """Methods that trained to the same bits: a test of their difference would be of nothing."""
-    cells: dict[tuple[str, int, str], list[str]] = defaultdict(list)
-    for run in runs:
-        cells[run.scene, run.seed, run.record.parameters_sha256].append(run.method)
-    found: dict[tuple[str, ...], dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
-    for (scene, seed, bits), methods in cells.items():
-        if bits and len(methods) > 1:
-            found[tuple(methods)][scene].append(seed)
-    told = []
-    for alike, scenes in found.items():
-        where = "; ".join(f"{scene}, {_seeds(seeds)}" for scene, seeds in scenes.items())
-        told.append(
-            f"{listed(alike, 'and')} trained to the same bits ({where}): what tells them apart"
-            " never took effect there, so nothing was learned about it."
+    """Methods that produced identical parameters, so that a test compares nothing."""
+    cells = _grouped(runs, lambda r: (r.scene, r.seed, r.record.parameters_sha256))
+    alike: dict[tuple[Any, ...], dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for (scene, seed, digest), group in cells.items():
+        if digest and len(group) > 1:
+            alike[tuple(run.method for run in group)][scene].append(seed)
+    texts = []
+    for methods, scenes in alike.items():
+        where = "; ".join(
+            f"{scene}, seed{'s' if len(seeds) > 1 else ''} {listed(seeds)}"
+            for scene, seeds in scenes.items()
         )
-    return told
+        texts.append(
+            f"{listed(methods)} produced identical parameters ({where}), so the option that"
+            " distinguishes them had no effect there."
+        )
+    return texts
 
 
-def _still_notes(runs: Sequence[ReportRun]) -> list[str]:
-    """Methods that seeds do not move: an interval over them is of no width, and of no chance."""
-    cells: dict[tuple[str, str], list[float | None]] = defaultdict(list)
-    for run in runs:
-        cells[run.scene, run.method].append(run.mean("psnr"))
-    found: dict[str, list[str]] = defaultdict(list)
-    for (scene, method), values in cells.items():
-        if len(values) > 1 and None not in values and len(set(values)) == 1:
+def _constant_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """Methods whose PSNR is identical for every seed, so that its interval has zero width."""
+    found: dict[str, list[object]] = defaultdict(list)
+    for (scene, method), group in _grouped(runs, lambda r: (r.scene, r.method)).items():
+        values = {run.mean("psnr") for run in group}
+        if len(group) > 1 and len(values) == 1 and None not in values:
             found[scene].append(method)
     if not found:
         return []
-    told = "; ".join(f"{_some_names(methods)} on {scene}" for scene, methods in found.items())
+    where = "; ".join(f"{_few(methods)} on {scene}" for scene, methods in found.items())
     return [
-        f"The same PSNR with every seed: {told}. Repeats say nothing about chance there, and what"
-        " is made of them alone has an interval of no width."
+        f"The same PSNR with every seed: {where}. Intervals over these seeds have zero width and"
+        " mean nothing."
     ]
 
 
-def _some_names(methods: Sequence[str]) -> str:
-    return listed(methods, "and") if len(methods) <= MOST_NAMED else f"{len(methods)} methods"
-
-
-def _seeds(seeds: Sequence[int]) -> str:
-    return f"seed{'s' if len(seeds) > 1 else ''} {listed(seeds, 'and')}"
-
-
-def archive_notes(folders: Sequence[Path]) -> list[str]:
-    """What a report lacks whose runs have no folders any more."""
-    if not folders:
-        return []
-    return [f"Made from {code(ARCHIVE)}, as the folders of the runs were not kept: no pictures."]
+def _few(methods: Sequence[object]) -> str:
+    return listed(methods) if len(methods) <= MOST_NAMED else f"{len(methods)} methods"
 
 
 def _code_notes(runs: Sequence[Run]) -> list[str]:
@@ -169,59 +171,26 @@ def _commit(source: Mapping[str, Any]) -> str:
 
 
 def _with_plugins(source: Mapping[str, Any]) -> bool:
-    """Return whether `code` is of the user's plugins too."""
+    """Whether `code` includes the user's plugins."""
     return "own_plugins" in source and "plugins" not in source and bool(_commit(source))
 
 
 def _machine_notes(runs: Sequence[ReportRun]) -> list[str]:
-    """Seconds of different machines are no comparison of methods."""
-    scenes = [
-        scene
-        for scene in dict.fromkeys(run.scene for run in runs)
-        if len({run.machine for run in runs if run.scene == scene}) > 1
-    ]
+    """Seconds of different machines do not compare methods."""
+    by_scene = _grouped(runs, lambda run: run.scene)
+    scenes = [s for s, group in by_scene.items() if len({run.machine for run in group}) > 1]
     if not scenes:
         return []
-    found: dict[str, list[str]] = defaultdict(list)
-    for run in runs:
-        if run.scene in scenes:
-            found[run.machine].append(run.method)
-    told = [f"{name}: {_some_of(methods)}" for name, methods in found.items()]
+    groups = _grouped([run for run in runs if run.scene in scenes], lambda run: run.machine)
+    machines = "; ".join(
+        f"{name}: {len(group)} run{'s' if len(group) > 1 else ''} of"
+        f" {_few(list(dict.fromkeys(run.method for run in group)))}"
+        for name, group in groups.items()
+    )
     return [
-        f"Runs of {listed(scenes, 'and')} were made on different machines ({'; '.join(told)}):"
-        " their seconds do not compare, so nothing is advised by time there."
+        f"Runs of {listed(scenes)} were made on different machines ({machines}): their seconds do"
+        " not compare, so there is no advice by time."
     ]
-
-
-def _some_of(methods: Sequence[str]) -> str:
-    """`5 runs of dba + none and none + none`, of many methods how many."""
-    names = list(dict.fromkeys(methods))
-    return f"{len(methods)} run{'s' if len(methods) > 1 else ''} of {_some_names(names)}"
-
-
-def _exposure_notes(runs: Sequence[ReportRun]) -> list[str]:
-    """Test views of such scenes are rendered as the photos around them were exposed."""
-    sizes: dict[str, list[float]] = defaultdict(list)
-    for run in runs:
-        size = run.record.provenance.get(EXPOSURE)
-        if isinstance(size, int | float) and math.isfinite(size):
-            sizes[run.scene].append(100 * size)
-    if not sizes:
-        return []
-    of = {scene: sum(run.scene == scene for run in runs) for scene in sizes}
-    told = listed([_exposed(s, found, of[s]) for s, found in sorted(sizes.items())], "and")
-    return [
-        f"Photos were exposed differently ({told}, root mean square). They were made equal before"
-        " the training, and test views are rendered as the photos around them were exposed"
-        " (trainer.exposure)."
-    ]
-
-
-def _exposed(scene: str, percent: Sequence[float], n_runs: int) -> str:
-    """By how much, and in how many of the scene's runs if not in all."""
-    low, high = f"{min(percent):.0f}", f"{max(percent):.0f}"
-    by = f"{scene} by {low if low == high else f'{low} to {high}'} %"
-    return by if len(percent) == n_runs else f"{by} in {len(percent)} of {n_runs} runs"
 
 
 def _busy_notes(runs: Sequence[ReportRun]) -> list[str]:
@@ -230,7 +199,72 @@ def _busy_notes(runs: Sequence[ReportRun]) -> list[str]:
     if slowed == 0:
         return []
     return [
-        f"While {slowed} of {len(runs)} trainings ran, other programs used the processor too (the"
-        f" clock showed over {BUSY:g} times the CPU time). Charts of cost and the advice by time"
-        " therefore count CPU seconds; tables give both; curves over time go by the clock."
+        f"Other programs used the processor during {slowed} of {len(runs)} trainings (wall time"
+        f" over {BUSY:g} times the CPU time). Charts of cost and advice by time therefore use CPU"
+        " seconds; tables give both; curves over time use wall time."
     ]
+
+
+def _exposure_notes(runs: Sequence[ReportRun]) -> list[str]:
+    """Scenes whose photos were exposed differently, and by how much."""
+    texts = []
+    for scene, group in sorted(_grouped(runs, lambda run: run.scene).items()):
+        sizes = [run.record.provenance.get(EXPOSURE) for run in group]
+        percent = [100 * s for s in sizes if isinstance(s, int | float) and math.isfinite(s)]
+        if percent:
+            ends = dict.fromkeys(f"{end:.0f}" for end in (min(percent), max(percent)))
+            share = "" if len(percent) == len(group) else f" in {len(percent)} of {len(group)} runs"
+            texts.append(f"{scene} by {' to '.join(ends)} %{share}")
+    if not texts:
+        return []
+    return [
+        f"Photos were exposed differently ({listed(texts)}, root mean square). They were equalized"
+        " before training, and test views are rendered as the photos around them were exposed"
+        " (trainer.exposure)."
+    ]
+
+
+def gap_notes(study: Study, pooled: bool) -> list[str]:
+    """Which runs failed or are missing, and which methods a comparison leaves out. pooled: whether
+    the report compares means over all scenes."""
+    counts = []
+    if study.failed:
+        counts.append(f"{len(study.failed)} of {len(study.runs) + len(study.failed)} runs failed")
+    if study.missing:
+        n = len(study.missing)
+        counts.append(f"{n} run{' is' if n == 1 else 's are'} missing")
+    texts = [f"{' and '.join(counts)}: listed below."] if counts else []
+    unfinished = [method for method in study.tried if method not in study.methods]
+    if unfinished:
+        texts.append(f"No run finished of {joined(unfinished)}.")
+    untested = [scene for scene in study.scenes if scene not in study.tested]
+    if untested and study.tested:
+        texts.append(f"Not tested (scene.split=none), so not compared: {joined(untested)}.")
+    on = {m: {run.scene for run in study.of(method=m) if run.tested} for m in study.methods}
+    everywhere = len(study.tested) if pooled and study.searched is None else 0
+    partial = [method for method, scenes in on.items() if len(scenes) < everywhere]
+    if partial:
+        texts.append(f"Not on every scene, so not in the mean over scenes: {joined(partial)}.")
+    if any(run.protocol.endswith(HELD_OUT) for run in study.runs):
+        texts.append(
+            "Evaluated on training views that were held out (a split whose name ends in _held_out):"
+            " no test view was used. These numbers choose options; they are not results."
+        )
+    return texts if study.searched is not None else [*texts, *_baseline_notes(study)]
+
+
+def _baseline_notes(study: Study) -> list[str]:
+    """What methods are compared with, if that is not plain training."""
+    texts = []
+    if study.rival:
+        bases = study.baselines
+        text = f"As `--baseline` asks, methods are compared with {bases[0]}"
+        if len(bases) > 1:
+            text += f"; with other budgets or options, with {listed(bases[1:])}"
+        texts.append(f"{text}.")
+    elif len(study.methods) > 1 and not study.has_plain:
+        texts.append(f"No run of plain training: the others are compared with {study.baseline}.")
+    if study.without_baseline:
+        alone = joined(study.without_baseline)
+        texts.append(f"No baseline has their budget, so compared with nothing: {alone}.")
+    return texts
