@@ -1,9 +1,8 @@
-"""What the views see of places in space, for every pixel of one view at a time.
+"""Compares points in space with the depth of all views, for every pixel of one view at a time.
 
-View v *shows* a place if its depth there, read at the pixel that contains the projection, is that
-of the place within a tolerance; it *looks through* the place if the nearest depth of 3 x 3 pixels
-is clearly behind. All in float64 and in the order of operations of `framework.geometry`, so the
-bits are those of its `project` and `unproject`.
+View v *shows* a point if its depth, read at the pixel that contains the projection, is equal within
+a tolerance. It *looks through* the point if the nearest depth of 3 x 3 pixels is clearly behind.
+All is float64 with the operations of `framework.geometry` in the same order, for equal bits.
 """
 
 from __future__ import annotations
@@ -49,8 +48,11 @@ class Sights(NamedTuple):
 
 
 def sights(views: Sequence[View], maps: Sequence[DepthMap]) -> Sights:
-    """Of views with one depth map each; what is masked or has no confidence has no depth. Raises
-    ValueError for a map of another size than its view."""
+    """Stack views and their depth maps. Masked and unconfident pixels have no depth.
+
+    Raises:
+        ValueError: a map has another size than its view.
+    """
     sizes = [(view.camera.height, view.camera.width) for view in views]
     for size, estimate in zip(sizes, maps, strict=True):
         if tuple(estimate.depth.shape) != size:
@@ -87,13 +89,18 @@ def pushed_back(
     tolerance: float,
     guesses: tuple[np.ndarray, float],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Guessed depth of view v from `start` [H, W] (0: no guess): places [H, W, 3] and their depth
-    [H, W], 0 where a pixel stays out.
+    """Push guessed depth of view v back until no view contradicts it.
 
-    The depth is `start` times the smallest of `steps` with which the place is outside the `ball`
-    (centre [3], radius) and no other view looks through it. A pixel stays out if there is none, if
-    another view shows the place, or if one before v guessed it. guesses: the depths [P] that were
-    guessed so far, and how near is the same.
+    The depth is `start` times the smallest of `steps` with which the point is outside the `ball`
+    (centre [3], radius) and no other view looks through it. There is no depth if no step fits, if
+    another view shows the point, or if an earlier view guessed it.
+
+    Args:
+        start: [H, W] depth, 0 without a guess.
+        guesses: the depths [P] of earlier views, and the distance that counts as equal.
+
+    Returns:
+        Points [H, W, 3] and their depth [H, W], 0 = none.
     """
     places, depth = np.empty((*start.shape, 3)), np.zeros(start.shape)
     run_blocks(_pushed_back, *seen, v, start, *ball, steps, tolerance, *guesses, places, depth)

@@ -194,7 +194,7 @@ class Experiment:
         scene, exposures = preparation.training_scene(), preparation.exposures
         timings, facts = preparation.timings, dict(record.provenance)
         if exposures is not None:
-            self.progress.note(exposures.told())
+            self.progress.note(exposures.message())
             facts[EXPOSURE] = exposures.size
 
         def start(seed: int) -> Gaussians:

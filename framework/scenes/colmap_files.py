@@ -1,14 +1,21 @@
 """Strict reader of a COLMAP sparse model, whose files may come from strangers.
 
-Layouts (COLMAP's documentation, "Output format"). Binary, little-endian: each file starts with a
-uint64 count. cameras: id int32, model int32, width and height uint64, the model's float64
-parameters. images: id int32, quaternion and translation 7 float64, camera id int32, name ended by
-0, uint64 n, n x (x, y float64, point id int64). points3D: id uint64, xyz 3 float64, rgb 3 uint8,
-error float64, uint64 n, n x (image id int32, index int32 of that image's n).
+The layouts are in COLMAP's documentation, "Output format".
 
-Text, `#` starts a comment: a camera is a line of id, model, width, height and parameters; an image
-is two, of id, quaternion, translation, camera id and name, and of x y point-id triples (may be
-empty); a point is one, of id, xyz, rgb, error and its track.
+Binary, little-endian; each file starts with a uint64 count:
+
+    cameras   id int32, model int32, width and height uint64, the model's float64 parameters
+    images    id int32, quaternion and translation 7 float64, camera id int32, name ended by 0,
+              uint64 n, n x (x, y float64, point id int64)
+    points3D  id uint64, xyz 3 float64, rgb 3 uint8, error float64, uint64 n,
+              n x (image id int32, index int32 of that image's n)
+
+Text, where `#` starts a comment; an image is two lines, of which the second may be empty:
+
+    cameras   id, model, width, height, parameters
+    images    id, quaternion, translation, camera id, name
+              x, y, point id, ...
+    points3D  id, xyz, rgb, error, track
 
 Rigs and frames of newer models repeat the poses and are not read.
 """

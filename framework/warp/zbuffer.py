@@ -6,12 +6,13 @@ planar [3, H, W]. A source pixel (col, row) with depth z lands in the target at
     (x, y, w) = K_t R K_s^-1 (col, row, 1) + K_t t / z,   target depth z' = w z,
 
 with (R, t) the pose of the source relative to the target. Written with 1/z, everything but the
-depth itself is dimensionless: scaling a scene changes nothing. Two passes (soft z-buffer, the
-z_min-relative form, compare Niklaus & Liu, "Softmax splatting", CVPR 2020): the nearest depth
-z_min of every target pixel, then weights bilinear x exp(-(z' - z_min) / (temperature z_min)).
+depth is dimensionless: scaling a scene changes nothing. The first pass finds the nearest depth
+z_min of every target pixel. The second one blends with weights
+bilinear x exp(-(z' - z_min) / (temperature z_min)), the z_min-relative form of a soft z-buffer
+(compare Niklaus & Liu, "Softmax splatting", CVPR 2020).
 
-Pixels at a depth discontinuity mix two surfaces: they still hide what lies behind them, but paint
-nothing. Results are bit-identical on any number of threads.
+Pixels at a depth discontinuity mix two surfaces: they hide what is behind them, but paint nothing.
+Results are bit-identical on any number of threads.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ REFINE_ABOVE = 1.4  # magnification from which bilinear footprints of single pix
 
 @dataclass(frozen=True)
 class Support:
-    """A training view made ready to be warped, any number of times.
+    """A training view prepared for warping.
 
     inverse_depth: [H, W] float32, 0 = unknown. paints: [H, W] bool, False where unknown or at a
     depth edge. color: [H, W, 3] float32, contiguous.
@@ -76,9 +77,14 @@ class Support:
 
 @dataclass(frozen=True)
 class Warped:
-    """What the supports tell about a camera: image [3, H, W], in [0, 1] where theirs are, depth
-    [H, W] in scene units and mask [H, W] in {0, 1}, all float32; image and depth are 0 outside the
-    mask. weight: [H, W], accumulated, about 1 per support that sees the pixel's surface."""
+    """The supports seen from a camera.
+
+    Attributes:
+        image: [3, H, W] float32, 0 outside the mask.
+        mask: [H, W] float32, 0 or 1.
+        depth: [H, W] float32 in scene units, 0 outside the mask.
+        weight: [H, W], accumulated; about 1 per support that sees the pixel's surface.
+    """
 
     image: Tensor
     mask: Tensor

@@ -58,7 +58,7 @@ def test_the_gains_are_found_and_taken_out() -> None:
     common = torch.from_numpy(np.exp(GAINS.mean(0))).float()[:, None, None]
     for view, evened in zip(photos, found.evened(exposed(photos, GAINS)), strict=True):
         assert torch.allclose(evened.image, view.image * common, rtol=0.02)
-    assert "root mean square 9 %" in found.told()
+    assert "root mean square 9 %" in found.message()
 
 
 def test_wrong_depth_in_places_and_highlights_hardly_matter() -> None:

@@ -17,8 +17,7 @@ from PIL import Image, ImageSequence
 from framework.command.cli import main as command
 from framework.errors import UserError
 from framework.exports import render, video
-from framework.exports.given import read_given
-from framework.exports.opened import open_run
+from framework.exports.opened import open_run, read_named_cameras
 from framework.metrics.evaluate import quantise
 from tests.exports.folders import HEIGHT, WIDTH, all_around, run_folder, side_by_side
 
@@ -68,13 +67,13 @@ def test_a_study_has_a_small_video_of_each_method(
             seed=seed,
             config={"reg": method, "seed": seed},
         )
-    monkeypatch.setattr("framework.exports.study.read_record", records.__getitem__)
+    monkeypatch.setattr("framework.exports.video.read_record", records.__getitem__)
     monkeypatch.setattr("framework.exports.movie.has_h264", lambda: False)
     (tmp_path / "runs" / "b0" / "video.gif").write_bytes(b"")
     line = [str(tmp_path), "--seconds", "0.2", "--size", "32"]
     assert video.main(line, "video") == 0
     made = sorted(file.relative_to(tmp_path).as_posix() for file in tmp_path.rglob("video.webm"))
-    assert made == ["runs/a0/video.webm"] and "b0/video.gif is there" in capsys.readouterr().out
+    assert made == ["runs/a0/video.webm"] and "b0/video.gif exists" in capsys.readouterr().out
     with pytest.raises(UserError, match="--out: expected none with a study"):
         video.main([*line, "--out", "a.webm"], "video")
 
@@ -116,7 +115,7 @@ def test_pictures_are_the_renders_of_the_run(run: Path) -> None:
         out = run / name.replace(".json", "")
         assert render.main([str(run), "--cameras", str(run / name), "--out", str(out)], "r") == 0
         opened = open_run(run)
-        for given in read_given(run / name):
+        for given in read_named_cameras(run / name):
             picture = np.asarray(Image.open(out / f"{Path(given.name).stem}.png"))
             assert np.array_equal(picture, quantise(opened.render(given.camera).rgb))
 
@@ -149,8 +148,8 @@ def test_pictures_can_be_of_another_size_and_of_depth(run: Path) -> None:
 
 
 def test_both_files_tell_the_same_cameras(run: Path) -> None:
-    one = {g.name: g.camera for g in read_given(run / "cameras.json")}
-    other = {g.name: g.camera for g in read_given(run / "transforms.json")}
+    one = {g.name: g.camera for g in read_named_cameras(run / "cameras.json")}
+    other = {g.name: g.camera for g in read_named_cameras(run / "transforms.json")}
     assert one.keys() == other.keys()
     for name, camera in one.items():
         assert np.allclose(camera.viewmat, other[name].viewmat, atol=1e-9)
@@ -187,7 +186,7 @@ def test_cameras_that_are_none_end_in_one_line(tmp_path: Path, content: object, 
     file = tmp_path / "cameras.json"
     file.write_text(json.dumps(content))
     with pytest.raises(UserError, match=told):
-        read_given(file)
+        read_named_cameras(file)
 
 
 @pytest.mark.parametrize("name", ["video", "render", "export"])

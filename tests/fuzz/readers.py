@@ -14,14 +14,13 @@ import torch
 import yaml
 from PIL import Image
 
-from framework.depth.from_file import DepthFile
+from framework.depth.providers import DepthFile
 from framework.depth.read import load_map
 from framework.errors import UserError
 from framework.exports import export, render, video
 from framework.exports.flight import flight, lens_of
 from framework.exports.formats import packed
-from framework.exports.given import read_given
-from framework.exports.opened import open_run
+from framework.exports.opened import open_run, read_named_cameras
 from framework.files.opened import read_bytes
 from framework.metrics.lpips import load as load_lpips
 from framework.records.ply import read_ply, write_ply
@@ -294,7 +293,7 @@ READERS: dict[str, Reader] = {
     "given cameras": Reader(
         lambda f: seen_run(f, run_name="run"),
         ("runs/run/cameras.json",),
-        lambda f: read_given(f / "runs" / "run" / "cameras.json"),
+        lambda f: read_named_cameras(f / "runs" / "run" / "cameras.json"),
     ),
     "compared runs": Reader(
         commands.two_runs, tuple(f"runs/b/{name}" for name in RUN), commands.compared

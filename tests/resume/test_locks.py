@@ -93,7 +93,7 @@ def test_a_lock_is_released_after_an_error(tmp_path: Path) -> None:
 def test_runs_done_elsewhere_are_no_failures(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    runs.failures[1] = Busy("reports/x: expected nobody else at this run, got process 7")
+    runs.failures[1] = Busy("reports/x: expected no other process at this run, got process 7")
     assert main(["seed=0,1,2", "-m"]) == 3
     told = capsys.readouterr()
     assert told.err.startswith(
