@@ -33,7 +33,7 @@ from framework.records.progress import Progress, Silent, unwarned
 from framework.records.provenance import cpu_model
 from framework.run.plane import textured_plane
 from framework.train.epoch import Items
-from framework.train.gradient import screen_gradient, view_gradient
+from framework.train.gradient import Rendering, screen_gradient, view_gradient
 from framework.train.torch_adam import optimizer_of
 from framework.train.trainer import Plugins, Trainer
 from framework.types import DepthMap, Gaussians, TrainingSet, View
@@ -194,7 +194,7 @@ def _train(
     plugins = Plugins.of(config).always()
     rasterizer = build_rasterizer(config)
     given = training, depth, gaussians, options, plugins, 0, Silent()
-    Trainer(*given, tells=False, rasterizer=rasterizer).run()
+    Trainer(*given, warns=False, rasterizer=rasterizer).run()
     _update(training.views[0], gaussians.clone().to(rasterizer.device), rasterizer)
 
 
@@ -203,9 +203,9 @@ def _update(view: View, gaussians: Gaussians, rasterizer: Rasterizer) -> None:
     in a run perhaps another than in these few steps."""
     item, adam = Items(rasterizer=rasterizer).get(view, 1), optimizer_of(rasterizer, gaussians)
     rates = dict.fromkeys(dict(gaussians.items()), 0.0)
-    how = (gaussians, item, "warm-up", 0.2)
-    adam.step_from(screen_gradient(*how, rasterizer=rasterizer)[1], rates)
-    adam.step(gaussians, view_gradient(*how, rasterizer=rasterizer)[1], rates)
+    rendering = Rendering(rasterizer=rasterizer)
+    adam.step_from(screen_gradient(gaussians, item, "warm-up", rendering)[1], rates)
+    adam.step(gaussians, view_gradient(gaussians, item, "warm-up", rendering)[1], rates)
 
 
 if __name__ == "__main__":

@@ -42,7 +42,7 @@ class Dose:
         """What a checkpoint holds."""
         return dict(self._tallies)
 
-    def take_up(self, kept: Tallies) -> None:
+    def load(self, kept: Tallies) -> None:
         """Go on from what a checkpoint held."""
         self._tallies = dict(kept)
 

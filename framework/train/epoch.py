@@ -12,8 +12,7 @@ from torch import Tensor
 
 from framework.backends import NUMBA, Rasterizer
 from framework.compute.rng import stream
-from framework.train.binocular import Beside
-from framework.train.smoothness import DepthSmoothness
+from framework.train.depth_priors import Beside, DepthSmoothness
 from framework.types import View
 
 
