@@ -47,13 +47,9 @@ class Run:
     """What all trainings of a run share.
 
     Attributes:
-        scene: its training photos have evened exposures if `exposures` is given.
-        depth: one map per training view.
+        scene: with evened exposures if `exposures` is given.
         start: makes the initial Gaussians for a seed.
-        folder: of the run.
-        identity: of the run.
         force: ignore checkpoints in `folder`.
-        exposures: of the training photos, None where they are alike.
     """
 
     scene: Scene
@@ -124,7 +120,7 @@ class Part:
 
         Args:
             gaussians: the initial ones.
-            progress: is told every step.
+            progress: shows the steps.
             resumed: how often the run was resumed.
             sh_from: SH degree that is active in the first step.
         """

@@ -35,8 +35,8 @@ class DepthSmoothness:
 
     Attributes:
         weight: of the mean over pixels of the disparity's steps.
-        spacing: mean distance of neighbouring training cameras, in scene units. Disparity is what a
-            point moves in pixels between them, so it does not depend on the scene's scale.
+        spacing: mean distance of neighbouring training cameras. Disparity is the motion of a point
+            between them, in pixels.
     """
 
     weight: float

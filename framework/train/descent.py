@@ -28,8 +28,8 @@ class Regularization:
 
     Attributes:
         factors: [N], multiply the opacities.
-        penalty: for some Gaussians, the term that is added to the loss on a render of them.
-        gradient: replaces the loss's gradient; is also given a function for it at other values.
+        penalty: makes the added loss term for some Gaussians.
+        gradient: replaces the loss's gradient.
     """
 
     factors: Tensor | None = None
@@ -56,11 +56,10 @@ class Update:
     """What an update does.
 
     Attributes:
-        step: the training step, for messages.
         rates: learning rate of every tensor.
-        rendering: without the factors of `regularization`.
+        rendering: without opacity factors.
         requested: parameters whose gradient a capacity sees.
-        absolute: whether a capacity sees absolute gradients on the screen.
+        absolute: whether a capacity sees absolute gradients.
     """
 
     step: int

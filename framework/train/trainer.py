@@ -6,9 +6,9 @@ lets the capacity plugins edit the set of Gaussians. At the start of an epoch th
 pseudo views. Each joins the step of one real view and adds its weighted loss, or has its own update
 before that step (`trainer.pseudo_steps`).
 
-A step is always one of a real view. So all methods take the same steps on the same real views, and
-everything counted in steps (rates, SH bands, capacity, evaluations, checkpoints) means the same for
-all. The paper counts pseudo views too: its T updates with one pseudo view per epoch of K photos are
+A step is always one of a real view. So all methods take the same steps on the same real views.
+Everything counted in steps (rates, SH bands, capacity, evaluations) means the same for all. The
+paper counts pseudo views too: its T updates with one pseudo view per epoch of K photos are
 T K / (K + 1) steps here.
 
 The trainer has a `TrainingSet`, so test views cannot be reached from here; `evaluate` is a callback
@@ -55,21 +55,15 @@ class Trainer:
     """One training; `run` may be called once.
 
     Args:
-        training: photos and cameras.
-        depth: one map per training view.
-        gaussians: the initial ones, copied.
-        options: of `trainer.*`.
-        plugins: the chosen ones.
-        seed: of all draws.
-        progress: is told every step.
-        evaluate: (gaussians, background [3], sh_degree) -> mean test PSNR in dB, or None. It is
-            called at the evaluation steps with copies; its time does not count.
+        evaluate: (gaussians, background [3], sh_degree) -> mean test PSNR in dB, or None. It gets
+            copies at the evaluation steps, and its time does not count.
         keeper: is offered the state after every step.
+
         start: a kept state of the same training, to continue from.
         sh_from: SH degree that is active in the first step.
         warns: warn about methods without effect.
-        rasterizer: renders; parameters, moments and targets are on its device, arguments and
-            results on the CPU.
+
+        rasterizer: renders; parameters and targets are on its device.
         second: initial Gaussians of a second field; by default those of the first.
     """
 
@@ -191,7 +185,7 @@ class Trainer:
     def _update(self, items: list[Item], turn: int = 0) -> tuple[float, StepStats]:
         """Update both fields; returns the loss on the first view and its stats.
 
-        Each field is shown the other as it was before the update.
+        Each field is shown the state of the other before the update.
         """
         second = self.second
         if second is None:
@@ -261,8 +255,8 @@ class Trainer:
         )
 
     def _edit(self, stats: StepStats) -> None:
-        """Let the capacity plugins change both fields. Each is shown the other as it was; edits
-        make new tensors."""
+        """Let the capacity plugins change both fields. Each is shown the previous other one;
+        edits make new tensors."""
         if self.second is None:
             self._edit_field(self.field, stats, None)
             return
