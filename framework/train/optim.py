@@ -82,7 +82,9 @@ class Adam(Optimizer):
         run_blocks(
             pull_back_and_step,
             p,
-            work.backward_inputs(),
+            work.arrays.shN,
+            work.arrays.factors,
+            work.projected(),
             means2d.reshape(-1),
             m,
             v,
