@@ -1,8 +1,9 @@
 """`augment=safi`: the support views of a pseudo view chosen by Fisher information.
 
 For a perturbed camera x' every training view k is scored by the information that x' would add to
-it, I_k = 1/2 tr(F(x') F(x_k)^-1) with diagonal F of the warmed-up Gaussians theta_0. A small I_k
-means that k already knows what x' would show: all views with I_k <= eta min I are warped into x'.
+it, I_k = 1/2 tr(F(x') F(x_k)^-1). F is diagonal and taken at the warmed-up Gaussians theta_0. A
+small I_k means that view k already determines what x' would show. All views with
+I_k <= eta min I are warped into x'.
 """
 
 from __future__ import annotations
@@ -24,10 +25,15 @@ APPROXIMATIONS = ("diagonal", "block")
 
 @dataclass(frozen=True)
 class Snapshot:
-    """theta_0 with what the training views know about it. gaussians: detached copies. sh_degree:
-    the active degree. unknown: for each of the K views the variances [N, P] of the parameters that
-    are taken by their diagonal. blocks, prior: with approximation "block" the K views' information
-    [N, 6, 6] of the others and its [6]; else () and None. epoch: when it was taken."""
+    """theta_0 and the information of the training views about it.
+
+    Attributes:
+        gaussians: detached copies.
+        unknown: for each of the K views the variances [N, P] of the diagonal parameters.
+        blocks, prior: with approximation "block" the views' blocks [N, 6, 6] and their prior [6].
+
+        epoch: when it was taken.
+    """
 
     gaussians: Gaussians
     sh_degree: int
@@ -41,12 +47,12 @@ class Snapshot:
 @dataclass(frozen=True)
 class Safi(ThresholdAugmenter):
     """eta: a view supports if I_k is at most eta x the smallest. form: "trace", the paper's bound,
-    or "log", the gain itself, which wants an eta of 1.05 or so. Its ratios are near 1.
+    or "log", the gain itself, for which eta should be about 1.05. Its ratios are near 1.
     approximation: "diagonal" information, or the "block" of every Gaussian's mean and log-scale.
     regulariser: prior precision as a share of the median diagonal of the training views. With much
     less than 1 the trace only counts what a view does not see, and the scores' ratios explode.
     downscale: the Fisher passes run on images smaller by this integer factor. refresh_epochs:
-    epochs after which theta_0 is taken anew; 0 = never.
+    epochs after which theta_0 is taken again; 0 = never.
     """
 
     form: str = "trace"
@@ -129,9 +135,11 @@ class Safi(ThresholdAugmenter):
         camera: Camera,
         mask: Tensor | None = None,
     ) -> tuple[Tensor | None, Tensor]:
-        """Fisher information of theta_0 in `camera`, of a photo's `mask` [H, W] alone, float64,
-        lengths in scene extents: None and the [N, 14] diagonal; or the blocks [N, 6, 6] and the
-        diagonal [N, 8] of the others."""
+        """Fisher information of theta_0 in `camera`, float64, with lengths in scene extents.
+
+        Returns:
+            None and the diagonal [N, 14], or blocks [N, 6, 6] and the rest's diagonal [N, 8].
+        """
         import torch
 
         factor = min(self.downscale, camera.width, camera.height)

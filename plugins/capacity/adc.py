@@ -26,37 +26,29 @@ SHRINK = 1.6  # ... smaller by this factor (the 3DGS code's 0.8 * CHILDREN)
 @register("capacity", "adc")
 @dataclass(frozen=True)
 class AdaptiveDensityControl(PullCapacity):
-    """Options, with the defaults of the sparse-view literature (10k-step trainings).
+    """Options, with the defaults of the sparse-view literature (trainings of 10,000 steps).
 
-    of_steps: length of the training that the steps of the others are of. In another they are in
-    proportion, but at least an epoch lies between densifications. 0 = they are absolute: a training
-    of 500 steps or fewer is not densified unless `from_step` is lowered. every: steps between
-    densifications. The last is before the framework key `stop`, whose default leaves the last tenth
-    to settle what was split. from_step: no densification up to this step. grad_threshold: least
-    mean pull (loss per NDC unit). percent_dense: largest standard deviation of a "small" Gaussian,
-    in scene extents. min_opacity: below it a Gaussian is removed. reset_every: steps between
-    lowering all opacities to `reset_opacity`; 0 = never. reset_from: step of the first time; 0 =
-    `reset_every`. reset_opacity: the highest opacity after that. absolute: pull by the sums of
-    absolute gradients, as AbsGS (Ye et al. 2024). A step then takes longer. count_dropped: what a
-    step drops counts as seen and not pulled, as in DropGaussian's code, and not as unseen.
-    max_gaussians: 0 = no limit; otherwise the strongest pulled are served first. Joined members
-    (`trainer.members`) have it together.
+    With `of_steps` at 0 step numbers are absolute: a training of 500 steps or fewer is densified
+    only if `from_step` is lowered. Otherwise they scale with the training's length, with at least an
+    epoch between densifications. The last densification is before the framework key `stop`, whose
+    default leaves the last tenth for splits to settle. Joined members (`trainer.members`) share
+    `max_gaussians`.
     """
 
     defaults: ClassVar[dict[str, float]] = {"stop": 0.9}
 
-    of_steps: int = 0
-    every: int = 100
-    from_step: int = 500
-    grad_threshold: float = 5e-4
-    percent_dense: float = 0.01
-    min_opacity: float = 0.005
-    reset_every: int = 3000
-    reset_from: int = 0
-    reset_opacity: float = 0.01
-    max_gaussians: int = 0
-    absolute: bool = False
-    count_dropped: bool = False
+    of_steps: int = 0  # training length that other step numbers refer to; 0 = absolute numbers
+    every: int = 100  # steps between densifications
+    from_step: int = 500  # no densification up to this step
+    grad_threshold: float = 5e-4  # least mean gradient (loss per NDC unit)
+    percent_dense: float = 0.01  # largest deviation of a "small" Gaussian, in scene extents
+    min_opacity: float = 0.005  # Gaussians with a lower opacity are removed
+    reset_every: int = 3000  # steps between lowering all opacities to reset_opacity; 0 = never
+    reset_from: int = 0  # step of the first reset; 0 = reset_every
+    reset_opacity: float = 0.01  # the highest opacity after a reset
+    max_gaussians: int = 0  # 0 = no limit; otherwise those with the largest gradient come first
+    absolute: bool = False  # use sums of absolute gradients (AbsGS, Ye et al. 2024); slower
+    count_dropped: bool = False  # count dropped ones as seen, with gradient 0 (DropGaussian's code)
 
     def __post_init__(self) -> None:
         self.check("of_steps", self.of_steps >= 0, "an integer >= 0")

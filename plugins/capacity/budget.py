@@ -1,13 +1,14 @@
-"""`capacity=budget`: a hard number of Gaussians, put to its best use.
+"""`capacity=budget`: a fixed number of Gaussians, placed where they help most.
 
-The initialisation proposes, usually more than the budget; from `start` to `until` rounds bring the
-number to it in equal ratios. Every round drops the Gaussians without which the training images
-would change least (`fisher.scores.removal_energy`) and splits the share `grow` of the kept that the
-loss pulls at most, by default all, so that Gaussians move from where they are of little use to
-where they are missing. With many views few epochs lie between rounds, and what was split is judged
-before it is trained: below ten, `grow` falls with the square of their number (chosen by trial, see
-`benchmarks/results/capacity.md`). After `until` the number is exact and stays, unless it started so
-low that growth by at most a quarter per round does not reach it.
+The initialisation usually makes more Gaussians than the budget. From `start` to `until` rounds
+bring the number to it in equal ratios. Every round drops the Gaussians whose removal changes the
+training images least (`fisher.scores.removal_energy`). It splits the share `grow` of the others
+with the largest gradient, by default all, so Gaussians move to where they are missing.
+
+With many views few epochs lie between rounds, and splits are judged before they are trained. Below
+ten epochs `grow` falls with the square of their number (chosen by experiment, see
+`benchmarks/results/capacity.md`). After `until` the number is exact and stays, unless growth by at
+most a quarter per round did not reach it.
 """
 
 from __future__ import annotations
@@ -62,8 +63,8 @@ class Budget(RoundsCapacity):
         return Selection(keep, splits)
 
     def _interval(self, ctx: StepContext) -> int:
-        """At least about an epoch, as a round costs two, with the last at `until`: many views would
-        else make the rounds dearer than the training."""
+        """Rounds are at least about an epoch apart, since a round costs two epochs; the last is at
+        `until`."""
         every, views = super()._interval(ctx), len(ctx.views)
         until = max(1, math.floor(self.until * ctx.n_steps))
         return every if every >= views else max(every, until // max(1, until // views))

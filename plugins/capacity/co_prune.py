@@ -1,9 +1,9 @@
-"""`capacity=co_prune`: a Gaussian that a second training of the scene has nothing near to goes.
+"""`capacity=co_prune`: prune Gaussians without a close neighbour in a second training.
 
 CoR-GS (Zhang et al. 2024, section 3.2): every 500 of 10,000 steps, where the nearest Gaussian of
-the other field is farther away than tau. Its tau is in scene units (5 for LLFF); here it is in
-scene extents, so that it means the same for a scene of any size. It stands beside another
-capacity, as `capacity=[adc,co_prune]`.
+the other field is farther away than tau. Its tau is in scene units (5 for LLFF). Here it is in
+scene extents, so that it means the same for a scene of any size. Combine it with another capacity,
+as `capacity=[adc,co_prune]`.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """`capacity=edge_split`: a large Gaussian that covers edges of a photo is split in two.
 
-DropoutGS (Xu et al. 2025, edge-guided splitting): beside what adaptive density control does, those
-whose largest standard deviation is above a share of the scene's extent and whose edge score is
-above a threshold: the mean of the photo's edges (Sobel's) under the Gaussian, with its blend
-weights. These weights are the derivative of the image by its colour, so one render gives them all.
-The score is of the step's view alone, as the sum over pixels that the paper divides by is not
-clear. It stands beside another capacity, as `capacity=[adc,edge_split]`.
+DropoutGS (Xu et al. 2025, edge-guided splitting), in addition to adaptive density control. A
+Gaussian is split if its largest standard deviation is above a share of the scene's extent and its
+edge score is above a threshold. The score is the mean of the photo's edges (Sobel) under the
+Gaussian, weighted by its blend weights. These are the derivative of the image by its colour, so one
+render gives them all. The score uses the step's view alone, as the paper does not define its sum
+over pixels. Combine it with another capacity, as `capacity=[adc,edge_split]`.
 """
 
 from __future__ import annotations
@@ -25,16 +25,14 @@ if TYPE_CHECKING:
 @register("capacity", "edge_split")
 @dataclass(frozen=True)
 class EdgeSplit(Capacity):
-    """score: least edge under a Gaussian that is split. large: least standard deviation of such a
-    one, in scene extents. every: share of the training between two rounds. at_most: share of the
-    Gaussians that a round splits."""
+    """Splits large Gaussians on edges."""
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.1, "stop": 0.7}
 
-    score: float = 0.1
-    large: float = 0.01
-    every: float = 0.05
-    at_most: float = 0.05
+    score: float = 0.1  # least edge score of a Gaussian that is split
+    large: float = 0.01  # its least standard deviation, in scene extents
+    every: float = 0.05  # share of the training between two rounds
+    at_most: float = 0.05  # share of the Gaussians that a round splits
 
     def __post_init__(self) -> None:
         self.check("score", 0 <= self.score <= 1, "a number in [0, 1]")

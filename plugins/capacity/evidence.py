@@ -1,5 +1,7 @@
-"""`capacity=evidence`: a Gaussian stays only while it pays for its description, and so do its SH
-bands above 0, judged alike by `framework.toolbox.bands`.
+"""`capacity=evidence`: add and prune Gaussians and SH bands by their Bayesian evidence.
+
+A Gaussian, or its SH bands above 0 (`framework.toolbox.bands`), is removed unless it raises the
+evidence of the training photos.
 
 Derivation. Pixels are image + noise of variance s2. With parameters a priori from N(m, diag(v)),
 the Laplace approximation of the evidence (MacKay 1992) with Gaussian i over that without is
@@ -7,33 +9,35 @@ the Laplace approximation of the evidence (MacKay 1992) with Gaussian i over tha
     log Z_i / Z_0 = G_i - C_i,    G_i = log-likelihood with it - without it,
     C_i = 1/2 log det(I + V^(1/2) F_i V^(1/2) / s2) + log 2,
 
-F_i its Fisher information of all training views for unit noise: half the log-determinant, in units
-of what the population leaves open (v), and one bit to say that there is one more. Pixels are linear
-in one Gaussian's opacity, so at an optimum, where residuals are orthogonal to their change by it,
-G_i = E_i / (2 s2), E_i the squared change of the images without it (`scores.removal_energy`).
+with F_i its Fisher information of all training views for unit noise. The cost is half the
+log-determinant, relative to the prior spread v, plus one bit for its existence. Pixels are linear
+in one Gaussian's opacity. So at an optimum, where residuals are orthogonal to their change by it,
+G_i = E_i / (2 s2), with E_i the squared change of the images without it (`scores.removal_energy`).
 The noise s2 is the mean squared residual of the training pixels, at least that of 8-bit images; v
-is the spread of the current Gaussians (empirical Bayes). So nothing is set by hand.
+is the spread of the current Gaussians (empirical Bayes). So there are no parameters to set.
 
-Approximated: blocks of different Gaussians are independent (no refit of the others when one goes:
-G_i is too large, so too many stay; removing in rounds and training between them makes up for it);
-F_i is the 6x6 block of mean and log-scale and a diagonal; the residuals' opinion on prior means and
-their correlation are left out (`correlated` counts channels as what they are worth; neighbouring
-pixels are far from independent too, but scaling G by that as well removes the scene, see
-`benchmarks/results/capacity.md`).
+Approximations:
+- Gaussians are independent: the others are not refitted when one is removed. `G_i` is too large
+  then, and too many stay. Rounds with training between them compensate for it.
+- `F_i` is the 6x6 block of mean and log-scale and a diagonal.
+- The residuals' effect on prior means and their correlation are left out. `correlated` counts
+  the channels' correlation. Scaling `G` by that of neighbouring pixels too removes the scene, see
+  `benchmarks/results/capacity.md`.
 
-Growth proposes (the strongest pulled are split), evidence decides. What training has not yet
-mended counts as noise, and the gain is of a Gaussian that is not yet what it will be: both ask for
-too much to go. So
-- no round comes before `start`, until which the trainer takes small images (`trainer.coarse_until`)
-  and detail is still to come: 19 of 20 Gaussians would not pay;
-- a round removes at most `pace` of the Gaussians, those with the least gain first, as gains hold
-  one at a time; it removes more where k Gaussians would not even pay if all of them changed the
-  same pixels in the same direction: then they change the images by at most k times the sum of their
-  energies (Cauchy-Schwarz);
-- with many views few epochs lie between rounds: below ten the pace falls with their number, and
-  with its square root when nothing grows any more and rates fall, so that the noise is nearly that
-  of the end; there are at least `APART` (a round costs about as much as two epochs).
-`start`, `pace` and `until` were chosen by trial, see `benchmarks/results/capacity.md`.
+Growth proposes Gaussians (those with the largest gradient are split), evidence decides. Errors that
+training has not fixed yet count as noise, and new Gaussians are not yet at their optimum. Both
+remove too much. Therefore:
+- The first round is at `start`, until which the trainer uses small images
+  (`trainer.coarse_until`). Without detail 19 of 20 Gaussians would be removed.
+- A round removes at most `pace` of the Gaussians, those with the least gain first, as gains hold
+  one at a time. It removes more where k Gaussians together lower the evidence even if all of them
+  change the same pixels in the same direction. Their change is then at most k times the sum of
+  their energies (Cauchy-Schwarz).
+- With many views few epochs lie between rounds. Below ten the pace falls with their number, and
+  with its square root once nothing grows and rates fall, when the noise is nearly final. Rounds are
+  at least `APART` epochs apart (a round costs about two epochs).
+
+`start`, `pace` and `until` were chosen by experiment, see `benchmarks/results/capacity.md`.
 """
 
 from __future__ import annotations
@@ -60,7 +64,7 @@ log = logging.getLogger(__name__)
 
 CRITERIA = ("laplace", "correlated", "bic")
 APART = 2  # epochs from one round to the next at least, if a round comes at all
-FEWEST, HANDFUL = 8, 16  # are kept even if none pays; is when that is told
+FEWEST, HANDFUL = 8, 16  # always kept; a warning is given at this number
 ROUNDING_VARIANCE = (1 / 255) ** 2 / 12  # of 8-bit images
 NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
 
@@ -97,10 +101,10 @@ class Evidence(RoundsCapacity):
         n, gone = len(gain), removable(gain, cost, self._pace(ctx))
         gone = gone[: max(0, n - FEWEST)]
         ctx.log("unpaid", float(unpaid.sum()))
-        if n - len(gone) <= HANDFUL < n:  # told once, on the way down
+        if n - len(gone) <= HANDFUL < n:  # warn once, when the number falls below
             log.warning(
-                "capacity=evidence: hardly a Gaussian pays for its description, the training views"
-                " show little but the background colour; a handful is kept",
+                "capacity=evidence: almost no Gaussian raises the evidence, because the training"
+                " views show little but the background colour; a few are kept",
             )
         keep = torch.ones(n, dtype=torch.bool)
         keep[torch.from_numpy(gone)] = False
@@ -174,8 +178,12 @@ class Evidence(RoundsCapacity):
 
 
 def residual_noise(ctx: StepContext) -> tuple[float, float, float]:
-    """(variance of the residuals of all valid training pixels, number of their values, factor by
-    which correlation makes the channels of a pixel worth less than independent ones, 1 to 3)."""
+    """Measure the residuals of all valid training pixels.
+
+    Returns:
+        Their variance, the number of their values, and the factor (1 to 3) by which correlated
+        channels count less than independent ones.
+    """
     import numpy as np
 
     products, pixels = np.zeros((3, 3)), 0.0
@@ -229,8 +237,10 @@ def description_cost(gaussians: Gaussians, information: FisherInformation, noise
 
 
 def _spread(column: Tensor) -> Array:
-    """[P] the variance of a normal distribution with the quartiles of these [N, P] values, the mean
-    over all P, so that it does not depend on the axes of the world."""
+    """Return [P] variances of normal distributions with the quartiles of these [N, P] values.
+
+    Their mean over all P is used, so the result does not depend on the world's axes.
+    """
     import numpy as np
 
     low, high = np.quantile(column.double().numpy(), (0.25, 0.75), axis=0)
@@ -238,8 +248,10 @@ def _spread(column: Tensor) -> Array:
 
 
 def removable(gain: Array, cost: Array, pace: float) -> NDArray[np.int64]:
-    """Which of N Gaussians to remove now, the least gain first: of those that do not pay, a share
-    `pace` of all, or as many as do not pay together in the worst case."""
+    """Choose which of N Gaussians to remove now, least gain first.
+
+    At most a share `pace` of all, or as many as lower the evidence together in the worst case.
+    """
     import numpy as np
 
     order = np.argsort(gain, kind="stable")

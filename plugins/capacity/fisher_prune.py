@@ -1,12 +1,13 @@
-"""`capacity=fisher_prune`: PUP-3DGS (Hanson et al. 2025, "PUP 3D-GS: principled uncertainty pruning
-for 3D Gaussian splatting"): drop the Gaussians the images are least sensitive to, then fine-tune.
+"""`capacity=fisher_prune`: drop the Gaussians to which images are least sensitive (PUP-3DGS).
 
-Its sensitivity is log det of the 6x6 Fisher block about mean and log-scale, summed over the
-training views. The paper prunes 80 % after 30,000 steps, trains 5,000, prunes half of the rest and
-trains 5,000 more; the defaults are the same shares of a training of any length. Two things differ
-from its code: a block that few views leave singular gets a relative prior (`uncertainty` in
-`framework.fisher.scores`; without one all such Gaussians tie at minus infinity), and the views are
-taken at full resolution.
+Hanson et al. 2025, "PUP 3D-GS: principled uncertainty pruning for 3D Gaussian splatting". The
+sensitivity is log det of the 6x6 Fisher block of mean and log-scale, summed over the training
+views. The paper prunes 80 % after 30,000 steps, trains 5,000, prunes half of the rest and trains
+5,000 more. The defaults are the same shares of a training of any length.
+
+Two things differ from its code. A block that few views leave singular gets a relative prior
+(`uncertainty` in `framework.fisher.scores`), as all such Gaussians would tie at minus infinity. And
+the views are taken at full resolution.
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
-"""`capacity=gradient_decay`: opacities fade, those that the loss pulls at less.
+"""`capacity=gradient_decay`: opacities fade, more so where the loss's gradient is small.
 
-StereoGS (2026), the gradient-based decay of its project page: after each step an opacity o is
-multiplied by 1 - (1 - decay) exp(-relief g / mean(g)) with g = |dL/do| of the step, so that what
-nobody needs is gone and what the photos hold on to stays. The mean is over those with a gradient:
-how much of the scene a photo does not show must not matter. Gradients come as of the logits, from
-before the step, and are taken to opacities by their values after it, which differ by one step of
-the optimizer (or by what a capacity named before this one set). The trainer lets opacities fade by
-default too: `trainer.opacity_decay=1` turns that off. It stands alone or beside another capacity,
-as `capacity=[adc_paper,gradient_decay]`.
+StereoGS (2026), the gradient-based decay of its project page. After each step an opacity o is
+multiplied by 1 - (1 - decay) exp(-relief g / mean(g)) with g = |dL/do| of the step. So Gaussians
+without effect disappear, and those that the photos need stay. The mean is over Gaussians with a
+gradient, so it does not depend on how much of the scene a photo shows.
+
+Gradients are those of the logits before the step. They are converted to opacities by the values
+after it, which differ by one step of the optimizer. The trainer lets opacities fade by default too:
+`trainer.opacity_decay=1` turns that off. It works alone or with another capacity, as
+`capacity=[adc_paper,gradient_decay]`.
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
-"""`capacity=self_ensemble`: the second of two fields is shaken where renders of it are uncertain.
+"""`capacity=self_ensemble`: the second of two fields is perturbed where its renders are uncertain.
 
-SE-GS (Zhao et al. 2025): beside the model a second one is trained and perturbed now and then; the
-model is kept like it at unseen cameras (`reg=co_register`). Uncertain is what changed most over
-the last three looks at the model (not at the second one, whose noise would call for more of it)
-from cameras between training cameras, at a quarter of the size. In the largest 5 % of those pixels,
-where the change is above 0.01 too, Gaussians of the second one get noise of a ratio, which falls
-exponentially: on logits of opacities and logarithms of scales times their mean size, on means times
-the scene's extent (its code: the mean coordinate, at least 1). What the optimizer knows stays. It
-stands beside another capacity, as `capacity=[adc,self_ensemble] reg=co_register`.
+SE-GS (Zhao et al. 2025): a second field is trained with the model and perturbed now and then, and
+the model is kept similar to it at unseen cameras (`reg=co_register`). Uncertain pixels are those
+that changed most over the last three renders of the model from cameras between training cameras, at
+a quarter of the size. The second field is not used for this, since its own noise would increase it.
+
+In the largest 5 % of those pixels, if the change is above 0.01, Gaussians of the second field get
+noise of a ratio that falls exponentially. It acts on opacity logits and on log-scales times their
+mean size, and on means times the scene's extent (its code: the mean coordinate, at least 1). The
+optimizer's moments stay. Combine it as `capacity=[adc,self_ensemble] reg=co_register`.
 """
 
 from __future__ import annotations

@@ -1,11 +1,13 @@
-"""`init=patch_growth`: points of consistent depth, and places around them that all photos confirm.
+"""`init=patch_growth`: points of consistent depth, and points around them that all photos confirm.
 
-The growth of points in the code of Binocular-Guided 3DGS (Han et al. 2024, `triangulate.py`; its
-text does not name it), which needs no network: in every round some points are drawn, places are
-drawn around them from a normal distribution, and a place stays if the patches of the photos around
-its projections are alike, SSIM of 5 x 5 pixels at least 0.95. Its first points are those that a
-network matched; here they are of the fused depth of `depth=`, or the scene's sparse points. Its
-normal distribution is 10 scene units wide; here its width is a share of the point's depth.
+The growth of points in the code of Binocular-Guided 3DGS (Han et al. 2024, `triangulate.py`, not in
+its text), which needs no network. In every round some points are drawn, and places around them from
+a normal distribution. A place stays if the patches of the photos around its projections have an
+SSIM of at least 0.95 over 5 x 5 pixels.
+
+Its first points are those that a network matched. Here they are of the fused depth of `depth=`, or
+the scene's sparse points. Its normal distribution is 10 scene units wide. Here the width is a share
+of the point's depth.
 """
 
 from __future__ import annotations
@@ -34,25 +36,20 @@ TOLERANCE = 0.03  # relative difference of depth up to which two views show one 
 @register("init", "patch_growth")
 @dataclass(frozen=True)
 class PatchGrowth(Initializer):
-    """seeds: where the first points are from, depth or points. That is: the fused pixels that
-    several views confirm, or the scene's sparse points. per_pixel: points of the depth at most, per
-    training pixel. growth: points that grow at most, in units of the first. Every round adds its
-    share of them. rounds: of growth. drawn: points that a round grows from. samples: places around
-    each of them. spread: their standard deviation, in the point's mean depths. similar: least SSIM
-    of the patches of two views. Of all pairs that have the place in their image. patch: edge of a
-    patch in pixels. opacity: of every Gaussian.
-    """
+    """Points that grow where all photos confirm them."""
 
-    seeds: str = "depth"
-    per_pixel: float = 0.07
-    growth: float = 1.0
-    rounds: int = 200
-    drawn: int = 100
-    samples: int = 50
-    spread: float = 0.05
-    similar: float = 0.95
-    patch: int = 5
-    opacity: float = 0.1
+    seeds: str = (
+        "depth"  # first points: "depth" (fused, confirmed pixels) or "points" (sparse ones)
+    )
+    per_pixel: float = 0.07  # largest number of points of the depth, per training pixel
+    growth: float = 1.0  # largest number of grown points, in units of the first; rounds share it
+    rounds: int = 200  # of growth
+    drawn: int = 100  # points from which a round grows
+    samples: int = 50  # places around each of them
+    spread: float = 0.05  # their standard deviation, in the points' mean depths
+    similar: float = 0.95  # least SSIM of the patches of all pairs of views that have the place
+    patch: int = 5  # edge of a patch in pixels
+    opacity: float = 0.1  # of every Gaussian
 
     def __post_init__(self) -> None:
         self.check("seeds", self.seeds in SEEDS, f"one of {', '.join(SEEDS)}")
@@ -133,8 +130,9 @@ class PatchGrowth(Initializer):
 
 @dataclass(frozen=True)
 class Photo:
-    """A view made ready: image [3, H, W] float64; of the patch around every pixel the mean and the
-    variance [3, H, W], and whether it lies in image and mask [H, W] bool."""
+    """A prepared view: image [3, H, W] float64, the mean and variance [3, H, W] of the patch around
+    every pixel, and whether that patch lies in image and mask [H, W] bool.
+    """
 
     camera: Camera
     image: np.ndarray
@@ -173,11 +171,13 @@ class At(NamedTuple):
 def confirmed(
     places: np.ndarray, photos: Sequence[Photo], similar: float, patch: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of places [M, 3]: which all photos confirm that have them in their image, two or more [M]
-    bool, and their mean colour there [M, 3].
+    """Check places [M, 3] against all photos that have them in their image, two or more.
 
-    A patch is the one around the pixel that contains the projection. SSIM is of two patches, mean
-    over the colours, population moments without weights.
+    A patch is the one around the pixel that contains the projection. SSIM of two patches
+    is the mean over the colours, with population moments and without weights.
+
+    Returns:
+        Whether all of these photos confirm it [M] bool, and their mean colour there [M, 3].
     """
     import numpy as np
 

@@ -1,7 +1,7 @@
 """`reg=anchor_dropout`: random Gaussians are left out together with their nearest neighbours.
 
-ReDI-GS (2026, its DropAnSH): a lone one that is left out is replaced by those around it; so anchors
-are drawn at a rate that grows from 0 to p, and each takes its k nearest others along.
+ReDI-GS (2026, its DropAnSH): the neighbours of a single dropped Gaussian replace it. So anchors are
+drawn at a rate that grows from 0 to p, and each is dropped with its k nearest others.
 """
 
 from __future__ import annotations

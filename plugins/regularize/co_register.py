@@ -1,9 +1,9 @@
 """`reg=co_register`: two trainings of one scene should agree on cameras without photos.
 
-CoR-GS (Zhang et al. 2024, arXiv 2405.12110, section 3.3): a second field is trained beside the
-first; at a camera between training cameras each is compared with the other's render, (1 - w) L1 +
-w (1 - SSIM) with no gradient into the other. Only the first is evaluated. Twice a training, so
-twice its time and more.
+CoR-GS (Zhang et al. 2024, arXiv 2405.12110, section 3.3): a second field is trained with the first.
+At a camera between training cameras each is compared with the other's render, by (1 - w) L1 +
+w (1 - SSIM) without a gradient into the other. Only the first is evaluated. It takes more than
+twice the time.
 """
 
 from __future__ import annotations
@@ -23,10 +23,9 @@ if TYPE_CHECKING:
 @register("reg", "co_register")
 @dataclass(frozen=True)
 class CoRegister(Regularizer):
-    """ssim_weight: w. second_drawn: the second field begins with a draw of its own of the first
-    Gaussians. Otherwise with those of the first, as in CoR-GS, where random splits make them
-    differ; with a capacity that draws nothing (`evidence`) it would stay the same field, and what
-    they disagree about would be rounding.
+    """ssim_weight: w. second_drawn: the second field starts from another draw of the initial
+    Gaussians. Otherwise from those of the first, as in CoR-GS, where random splits make them
+    differ. With a capacity without draws (`evidence`) both would stay equal up to rounding.
     """
 
     second_field: ClassVar[bool] = True

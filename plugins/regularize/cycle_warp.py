@@ -1,10 +1,10 @@
 """`reg=cycle_warp`: a render from an unseen camera, seen back from a photo, should be the photo.
 
-GeoAug (2022) renders at a random camera and warps that back onto the photo by its depth: a loss,
-not a pseudo view; `reg=binocular` is its case of a camera beside. ICO-GS (2026) counts only what
-comes back: a point of the photo, at the unseen camera's depth where it lands, has to return to
-within a share of the largest depth (0.01). Both are here: camera between training cameras, L1 on
-what passes, in the last sixth of the training as in ICO-GS.
+GeoAug (2022) renders at a random camera and warps that back onto the photo by its depth. It is a
+loss and not a pseudo view; `reg=binocular` is its case of a camera to the side. ICO-GS (2026)
+counts only what returns: a point of the photo, moved by the unseen camera's depth, has to return to
+within a share of the largest depth (0.01). Both are combined here: a camera between training
+cameras, L1 on what passes, in the last sixth of the training as in ICO-GS.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """`reg=depth_density`: dropout of Gaussians, of near and crowded ones more often.
 
-D2GS (2025, depth and density guided dropout): a Gaussian's score is half how near it is to the
-cameras and half how crowded it stands; those of the near third are dropped with the score as
-probability, those of the middle third with 0.7 and of the far third with 0.3 times that. How its
-rate, 0.05 to 0.3 over the training, and the scores combine is not stated, and the reported PSNR
-could not be repeated by others: here probabilities are scaled so that their mean is the rate.
+D2GS (2025, depth and density guided dropout): half of a Gaussian's score is its nearness to the
+cameras and half its density. The near third is dropped with the score as probability, the middle
+third with 0.7 times and the far third with 0.3 times the score. The paper does not state how its
+rate (0.05 to 0.3 over the training) and the scores combine, and others could not reproduce the
+reported PSNR. Here probabilities are scaled so that their mean is the rate.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ NEIGHBOURS = 3
 @dataclass(frozen=True)
 class DepthDensity(Regularizer):
     """first, last: mean drop rate at the beginning and the end of the training, linear between.
-    refresh: share of the training after which scores are measured anew. compensate: kept ones
-    are scaled up, times 1 / (1 - their odds). A render absorbs as much in expectation then, as in
-    DropGaussian, which D2GS builds on; it does not say whether it does so, too."""
+    refresh: share of the training after which scores are measured again. compensate: kept ones
+    are scaled up, times 1 / (1 - their odds). A render then absorbs as much in expectation, as in
+    DropGaussian, on which D2GS is based."""
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 

@@ -1,12 +1,13 @@
-"""`reg=depth_local_global`: depth should match patch by patch, by places first, then opacities.
+"""`reg=depth_local_global`: depth should match patch by patch, first by means, then by opacities.
 
-DNGaussian (Li et al. 2024, arXiv 2403.06912): before the update on the photo, one step of the
+DNGaussian (Li et al. 2024, arXiv 2403.06912). Before the update on the photo, one step of the
 optimizer moves the centres alone, with all opacities at 0.95 ("hard" depth), and one the opacities
-alone ("soft" depth). Rendered and known depth are compared in patches of a random size, after the
-patch's mean is taken off and they are divided by the patch's deviation (local) or the image's
-(global): 0.1 local + 1 global, mean over residuals above a margin of their squares (its code for a
-start from dense points: a margin of 0.01, in DropoutGS 0.1 global). Known depth is
-what `depth=` gives, so only its order of magnitude in a patch has to be right.
+alone ("soft" depth). Rendered and known depth are compared in patches of a random size. They are
+centred by the patch's mean and divided by the patch's deviation (local) or the image's (global).
+
+The loss is 0.1 local + 1 global, with the mean over residuals above a margin of their squares (its
+code for a dense start: a margin of 0.01; in DropoutGS 0.1 global). Known depth is that of `depth=`;
+only its relative values in a patch count.
 """
 
 from __future__ import annotations
@@ -32,17 +33,15 @@ SHARE = 0.01  # of the image's deviation that a patch's is kept above
 @register("reg", "depth_local_global")
 @dataclass(frozen=True)
 class DepthLocalGlobal(Regularizer):
-    """smallest, largest: edge of a patch in pixels, uniform between them. margin: residuals below
-    it do not count. whole: weight of the loss divided by the image's deviation. soft_from: share of
-    the training before which only centres move."""
+    """Compares normalised depth patch by patch."""
 
     defaults: ClassVar[dict[str, float]] = {"weight": 1.0}
 
-    smallest: int = 5
-    largest: int = 17
-    margin: float = 2.5e-4
-    whole: float = 1.0
-    soft_from: float = 0.167
+    smallest: int = 5  # smallest edge of a patch in pixels
+    largest: int = 17  # largest edge of a patch in pixels
+    margin: float = 2.5e-4  # residuals below it do not count
+    whole: float = 1.0  # weight of the loss divided by the image's deviation
+    soft_from: float = 0.167  # share of the training before which only centres move
 
     def __post_init__(self) -> None:
         self.check("smallest", self.smallest >= 2, "an integer >= 2")
@@ -67,7 +66,7 @@ class DepthLocalGlobal(Regularizer):
     def _loss(
         self, ctx: StepContext, view: View, moved: str, known: tuple[Tensor, Tensor], patch: int
     ) -> Tensor | None:
-        """Of one render in which only the parameter `moved` has a gradient."""
+        """The loss of one render in which only the parameter `moved` has a gradient."""
         import torch
 
         gaussians = ctx.gaussians.detach().replace(**{moved: getattr(ctx.gaussians, moved)})

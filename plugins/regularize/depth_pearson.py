@@ -1,9 +1,9 @@
 """`reg=depth_pearson`: rendered depth should be correlated with the known one.
 
 FSGS (Zhu et al. 2024, arXiv 2312.00451, eq. 8): 1 - Pearson's correlation over the pixels of a
-photo. That knows neither scale nor offset, so the depth may be a network's or, as here by default,
-the plane sweep's. FSGS also compares at unseen cameras, with what a network says of the render;
-without one that half is left out.
+photo. It is invariant to scale and offset, so the depth may be a network's or, by default, the
+plane sweep's. FSGS also compares unseen cameras with a network's depth of the render, which is left
+out here.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """`reg=depth_rank`: what is known to be nearer should be rendered nearer.
 
-SparseNeRF (Wang et al. 2023, its training code): for random pairs of pixels of which the known
-depth says that the first is nearer, mean max(d1 - d2 + margin, 0); for neighbours of like known
-depth, mean max(|d1 - d2| - margin, 0). Depths are in units of the scene's near bound, so margins
-mean the same everywhere. Only the order of the known depth counts.
+SparseNeRF (Wang et al. 2023, its training code). For random pairs of pixels whose first is nearer
+by the known depth: the mean of max(d1 - d2 + margin, 0). For neighbours of similar known depth: the
+mean of max(|d1 - d2| - margin, 0). Depths are in units of the scene's near bound, so margins mean
+the same everywhere. Only the order of the known depth counts.
 """
 
 from __future__ import annotations
@@ -23,16 +23,14 @@ if TYPE_CHECKING:
 @register("reg", "depth_rank")
 @dataclass(frozen=True)
 class DepthRank(Regularizer):
-    """pairs: random pairs of pixels per render. margin: by how much the nearer one is to be nearer,
-    in near bounds. continuity: weight of the term of neighbours, in units of that of pairs.
-    alike: relative difference of known depth up to which neighbours are to stay together."""
+    """A ranking loss on depth."""
 
     defaults: ClassVar[dict[str, float]] = {"weight": 0.5}
 
-    pairs: int = 2048
-    margin: float = 1e-4
-    continuity: float = 0.01
-    alike: float = 0.01
+    pairs: int = 2048  # random pairs of pixels per render
+    margin: float = 1e-4  # by how much the nearer one should be nearer, in near bounds
+    continuity: float = 0.01  # weight of the term of neighbours, relative to that of pairs
+    alike: float = 0.01  # largest relative difference of neighbours that stay together
 
     def __post_init__(self) -> None:
         self.check("pairs", self.pairs >= 1, "an integer >= 1")

@@ -1,8 +1,8 @@
-"""`reg=far_fidelity`: what is far in the photo counts twice, as few Gaussians are seen there.
+"""`reg=far_fidelity`: distant pixels of a photo count twice, as few Gaussians are seen there.
 
-D2GS (Song et al., ICLR 2026), its distance-aware fidelity: L1 once more, over the pixels with the
-largest depth, a twentieth of them. Its depth is a network's; here it is what `depth=` knows of the
-photo, and pixels without any do not take part.
+D2GS (Song et al., ICLR 2026), its distance-aware fidelity: L1 once more, over the twentieth of the
+pixels with the largest depth. Its depth is a network's. Here it is that of `depth=`, and pixels
+without depth do not take part.
 """
 
 from __future__ import annotations

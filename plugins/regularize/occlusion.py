@@ -1,8 +1,8 @@
-"""`reg=occlusion`: what stands right before the cameras should be transparent.
+"""`reg=occlusion`: the space right in front of the cameras should be transparent.
 
-FreeNeRF (Yang et al. 2023, section 3.4): the mean density of the first samples of every ray. Of
-Gaussians: the mean opacity of those within `depth` near bounds of a training camera, which sees
-them; where photos overlap too little to place what is near, it ends up as a wall before a lens.
+FreeNeRF (Yang et al. 2023, section 3.4): the mean density of the first samples of every ray. For
+Gaussians, it is the mean opacity of those within `depth` near bounds of a training camera that sees
+them. Where photos overlap too little to place near objects, these become a wall before a lens.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Occlusion(Regularizer):
         from framework.compute.tensors import sigmoid
         from framework.geometry import project
 
-        if view.pseudo:  # what is near to where no photo was taken is nobody's artefact
+        if view.pseudo:  # no photo was taken there, so nearness is no artefact
             return None
         _, z = project(ctx.gaussians.means.detach(), view.camera)
         near = (render.radii > 0) & (z < self.depth * ctx.near)

@@ -1,7 +1,7 @@
 """`reg=opacity_noise`: opacities of a training render are multiplied by noise around 1.
 
-Of what is rendered, no Gaussian can rely on the exact opacity of another: the second of two
-strategies against co-adaptation (Chen et al. 2025, arXiv 2508.12720), o <- clamp(o (1 + e), 0, 1)
+With noise no Gaussian can rely on the exact opacity of another. It is the second of two strategies
+against co-adaptation (Chen et al. 2025, arXiv 2508.12720). The opacity is clamp(o (1 + e), 0, 1)
 with e from N(0, sigma^2), cut off at sigma.
 """
 

@@ -1,8 +1,9 @@
-"""`reg=removal`: Gaussians are left out at random, at a constant rate, and thinner when tested.
+"""`reg=removal`: Gaussians are left out at random, and opacities are reduced for evaluation.
 
-The first of two strategies against co-adaptation (Chen et al. 2025, arXiv 2508.12720): a training
-render leaves out a share p; what is evaluated has all, with opacities times 1 - p, so that both
-absorb as much in expectation. `reg=uniform` with compensation scales in training instead.
+The first of two strategies against co-adaptation (Chen et al. 2025, arXiv 2508.12720). A training
+render leaves out a constant share p. The evaluated Gaussians are complete, with opacities times
+1 - p, so that both absorb as much in expectation. `reg=uniform` with compensation scales in
+training instead.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
 """`reg=sh_dropout`: random Gaussians are trained without their view-dependent colour.
 
-ReDI-GS (2026), the colour half of its DropAnSH: in a step a share p of the Gaussians is seen with
-its SH bands above degree d zeroed, c' = m c with m = 0 there and 1 elsewhere, and by the chain rule
-dL/dc = m dL/dc' = 0 for these. d is 0 in the first fifth of the training, 1 in the second, 2 in the
-third; nothing is dropped later, nor in an evaluation. Only bands that are active already can be
-dropped: `trainer.sh_every` has to open them early enough (the paper: every 1,000 of 10,000 steps).
-Steps in which any can take a second pass.
+ReDI-GS (2026), the colour half of its DropAnSH. In a step a share p of the Gaussians has its SH
+bands above degree d zeroed: c' = m c with m = 0 there and 1 elsewhere. By the chain rule
+dL/dc = m dL/dc' = 0 for these. The degree d is 0 in the first fifth of the training, 1 in the
+second, 2 in the third. Later nothing is dropped, and never in an evaluation.
+
+Only active bands can be dropped, so `trainer.sh_every` has to open them early enough (the paper:
+every 1,000 of 10,000 steps). Steps that drop bands take a second pass.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ ROUNDING = 1e-9  # 3 x 0.2 is above 0.6 in floating point
 @register("reg", "sh_dropout")
 @dataclass(frozen=True)
 class ShDropout(Regularizer):
-    """p: share of the Gaussians that lack bands, drawn anew in every step. each: share of the
+    """p: share of the Gaussians that lack bands, drawn again in every step. each: share of the
     training after which one more degree is spared; reg.stop ends it earlier."""
 
     defaults: ClassVar[dict[str, float]] = {"stop": 0.6}
@@ -44,7 +45,7 @@ class ShDropout(Regularizer):
         both active and due, which saves the second pass."""
         import torch
 
-        spared = int(ctx.progress / self.each + ROUNDING)  # the highest degree that nobody lacks
+        spared = int(ctx.progress / self.each + ROUNDING)  # the highest degree that all have
         if spared >= ctx.sh_degree:
             return None
         first = (spared + 1) ** 2 - 1  # shN has no column for degree 0

@@ -1,12 +1,13 @@
 """`reg=sharpness`: the gradient is taken where the loss is larger nearby, so that minima are flat.
 
-Sharpness-aware minimisation for Gaussians (FASR 2026 after Foret et al. 2021): every Gaussian's
-parameters are moved by rho along its own gradient, and the gradient there is mixed with the one
-here, g <- (1 - share) g + share g'. Here means alone are moved, in units of the Gaussian's own mean
-scale, which FASR reports as most of the gain (20.56 dB of 20.78, from 19.81), and by the same rho
-for all, while FASR lets rho and the share follow the frequency of the photo under the Gaussian. A
-step takes twice as long, so it acts late by default (FASR: the last eighth keeps three quarters of
-its gain).
+Sharpness-aware minimisation for Gaussians (FASR 2026 after Foret et al. 2021). Every Gaussian's
+parameters are moved by rho along its gradient, and the gradient there is mixed with the original
+one, g <- (1 - share) g + share g'.
+
+Here only means are moved, in units of the Gaussian's mean scale, which FASR reports as most of the
+gain (20.56 dB of 20.78, from 19.81). All use the same rho, while in FASR rho and the share follow
+the frequency of the photo under the Gaussian. A step takes twice as long, so it acts late by
+default (FASR: the last eighth keeps three quarters of its gain).
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ class Uar(DropoutRegularizer):
     paper's lambda. p: drop rate. schedule: "linear" gives p(t) = p x progress of the whole training
     (as DropGaussian's), "constant" keeps p. candidate_factor: candidates per dropped Gaussian, C.
     refresh: steps between rankings. form: "block", log det of the 6x6 block, or "diagonal", of its
-    diagonal. That is blind to what only a combination of parameters tells. regulariser: prior
+    diagonal. The latter misses information about combinations of parameters. regulariser: prior
     precision as a share of the median diagonal of F. compensate: scale the kept candidates up, so
     that every opacity keeps its expectation. It is by (1 - s/C) / (1 - 1/C), s the factor of the
     dropped. scale_tested: evaluate the candidates' opacities times 1 - (1 - s)/C instead, which is

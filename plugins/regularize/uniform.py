@@ -1,8 +1,8 @@
 """`reg=uniform`: dropout of Gaussians at random, every one with the same probability.
 
 A step's render leaves out a share p(t) of the Gaussians, so that none can rely on others to hide
-its errors. With `compensate` the opacities of the kept are multiplied by 1 / (1 - p(t)), of
-which no opacity changes in expectation: DropGaussian (Park et al., CVPR 2025), whose p and span
+its errors. With `compensate` the other opacities are multiplied by 1 / (1 - p(t)), which keeps
+every opacity's expectation. That is DropGaussian (Park et al., CVPR 2025), whose p and span
 `reg=dropgaussian` has.
 """
 
