@@ -1,7 +1,7 @@
 """How rough the disparity of a render is where its photo is smooth: the gradient.
 
 R = sum over pixels p and their right and lower neighbours q of w_pq |d_p - d_q|, of the inverse
-expected depth d = alpha / depth (Godard et al. 2017, eq. 3; `framework.train.smoothness` has the
+expected depth d = alpha / depth (Godard et al. 2017, eq. 3; `framework.train.depth_priors` has the
 weights w). A pixel that shows nothing is nobody's neighbour.
 """
 

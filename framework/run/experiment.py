@@ -88,7 +88,7 @@ LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Experiment:
-    """A run that is asked for.
+    """A requested run.
 
     Attributes:
         config: plain and resolved, see `conf/config.yaml`.
@@ -283,7 +283,7 @@ class Experiment:
         metrics: list[ViewMetrics],
         renders: list[tuple[View, Tensor]],
     ) -> RunRecord:
-        """Write the run's files; the record is last, as it says that all others are complete."""
+        """Write the run's files; the record is last, as it marks the others as complete."""
         photos, exposures = preparation.scene.training.views, preparation.exposures
         stale = remove_record(self.folder)  # of an earlier run, with other files than these
         with following(self.folder) as before:

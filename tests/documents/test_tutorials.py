@@ -11,7 +11,7 @@ import pytest
 
 from framework.command.cli import main
 from framework.command.config.schema import ROOT
-from framework.command.own_plugins import take_flag
+from framework.command.program import take_flag
 from tests.documents.pages import Block, blocks, quick, tutorials, words_of
 from tests.documents.registered import as_before
 

@@ -28,7 +28,7 @@ from framework.records.record import parameters_sha256
 from framework.registry import ActivePlugin
 from framework.run.plane import textured_plane
 from framework.train.descent import Fading, fade
-from framework.train.edits import apply_edits, rows_after
+from framework.train.field import apply_edits, rows_after
 from framework.train.optim import Adam
 from framework.train.plugin_calls import _moved
 from framework.train.resume.checkpoint import pack, state_classes, unpack
@@ -50,7 +50,7 @@ def trainer(
     training, depth, gaussians = textured_plane(0)
     options = TrainerOptions(**settings)
     of = (training, depth, gaussians, options, plugins(**chosen), 0, Silent())
-    return Trainer(*of, keeper=keeper, start=start, tells=False, second=second)
+    return Trainer(*of, keeper=keeper, start=start, warns=False, second=second)
 
 
 def bits(of: Trainer) -> str:

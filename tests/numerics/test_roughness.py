@@ -13,8 +13,8 @@ from framework.backends.torch_loss import roughness_gradient as in_torch
 from framework.compute.parallel import set_threads
 from framework.geometry import mean_neighbour_distance
 from framework.kernels.roughness import roughness_gradient
+from framework.train.depth_priors import DepthSmoothness
 from framework.train.epoch import Items
-from framework.train.smoothness import DepthSmoothness
 from framework.types import PSEUDO, Camera, View
 
 

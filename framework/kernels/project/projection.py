@@ -148,29 +148,23 @@ def _put_numbers(target: Any, base: int, count: int, values: Any, whole: Any) ->
 def project(
     block: int,
     blocks: int,
-    means: Any,
-    quats: Any,
-    log_scales: Any,
-    logits: Any,
-    sh0: Any,
-    shN: Any,
-    factors: Any,
-    offset: Any,
+    gaussians: Any,
     degree: int,
     camera: Any,
-    width: int,
-    height: int,
-    rows: Any,
-    clipped: Any,
-    bound: Any,
-    radii: Any,
+    size: Any,
+    out: Any,
 ) -> None:
-    """Fill `rows` (flat [N 16]); clipped [N] uint8: bit c set where colour c was clamped at 0;
-    bound [N] int32: the number of tiles the box covers (0 = culled), an upper bound on those
-    touched; radii [N]: the larger half-side of the box, 0 if culled. All but shN [M, K, 3] flat."""
+    """Project the Gaussians (`Arrays.flat`) to an image of size (width, height).
+
+    out: rows (flat [N 16]); clipped [N] uint8, where bit c is set if colour c was clamped at 0;
+    bound [N] int32, the number of tiles that the box covers (0 = culled); radii [N] float32, the
+    larger half-side of the box, 0 if culled.
+    """
+    means, quats, log_scales, logits, sh0, shN, factors, offset = gaussians
+    rows, clipped, bound, radii = out
     n = len(logits)
     scratch, sh = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)
-    w, h = f4(width), f4(height)
+    w, h = f4(size[0]), f4(size[1])
     whole, flags = np.empty(LANES, np.int32), np.empty(LANES, np.uint8)
     start, end = span(n, block, blocks)
     for base in range(start, end, LANES):

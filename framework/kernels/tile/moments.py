@@ -94,19 +94,11 @@ def _hide(x: int, y: int, width: int, height: int, mask: Any, transmittance: Any
 
 @kernel
 def blend_moments(
-    block: int,
-    blocks: int,
+    strip: int,
+    n_strips: int,
     slots: Any,
     mixed: Any,
-    width: int,
-    height: int,
-    rows: Any,
-    offsets: Any,
-    lists: Any,
     strips: Any,
-    bounds: Any,
-    parts: Any,
-    n_slots: Any,
     rgb: Any,
     mask: Any,
     sums: Any,
@@ -129,6 +121,7 @@ def blend_moments(
     """
     # One long body: with its first loop over rows, of six arrays, as an inlined function it takes
     # 1.3 to 1.8 times as long (`benchmarks/speed/fisher.py`).
+    width, height, rows, offsets, lists, strip_of, bounds, parts, n_slots = strips
     directional = len(cross) > 0
     columns = (width + 15) // 16
     state = aligned(6 * 256)
@@ -140,7 +133,7 @@ def blend_moments(
     flat = rows.reshape(-1)
     last = len(lists) - 1
     for tile in range(len(offsets) - 1):
-        if strips[tile] != block:
+        if strip_of[tile] != strip:
             continue
         x, y = (tile % columns) * 16, (tile // columns) * 16
         clear_outside(transmittance, x, y, width, height)
@@ -205,6 +198,6 @@ def blend_moments(
             if directional:  # another loop: all accumulators together would leave the registers
                 todo = listed_rows(item) & alive
                 store(mixed, slot, _cross_sums(first, second, todo, line, dx))
-    gather(block, bounds, parts, n_slots[block], slots, sums)
+    gather(strip, bounds, parts, n_slots[strip], slots, sums)
     if directional:
-        gather(block, bounds, parts, n_slots[block], mixed, cross)
+        gather(strip, bounds, parts, n_slots[strip], mixed, cross)
