@@ -32,46 +32,14 @@ from framework.report.gallery import gallery
 from framework.report.provenance import provenance
 from framework.report.render import Page, render, render_page, say
 from framework.report.statistics.variance import SigmaComparison
+from framework.report.study import notes
 from framework.report.study.collect import collect, run_dirs
-from framework.report.study.notes import gap_notes
 from framework.report.study.published import bibtex
-from framework.report.study.published import literature as methods
 from framework.report.study.study import Study
 from framework.report.study.words import outside
 
 REPORT, PAGE = "report.md", "report.html"
 MOST_NAMED = 8  # differences that are not significant, in the verdict
-FOREST_CAPTION = (
-    "Difference of test PSNR to the baseline; to the right: better. Thick bars: 95 % intervals that"
-    " hold for all comparisons of a kind at once; a filled mark is significant."
-)
-SCENES_CAPTION = (
-    " `these scenes`: over the seeds; `scenes like these`: over the scenes, for what to expect on"
-    " another one, filled if these scenes are too. Thin bars: a scene alone, 95 % each, not"
-    " corrected: they show where a difference comes from and prove nothing."
-)
-COST_CAPTION = (
-    "A line per method through its budgets that no other budget of the same method beats; faint:"
-    " the beaten ones. Ringed: the cheapest, and every one that is significantly better than all"
-    " cheaper ringed ones (paired t test, corrected). Bars: 95 % interval of the mean over seeds."
-    " The axis shows at least 1 dB."
-)
-CURVE_CAPTION = (
-    "Test PSNR at the evaluation steps against training seconds. Bold: mean over seeds of both at"
-    " equal steps, with the 95 % interval of the mean PSNR; thin: single seeds, the first 12 of"
-    " many."
-)
-MEMBERS_CAPTION = (
-    " The trainings of a run with several members follow each other: quality falls where the next"
-    " one begins, and the last point is that of the joined Gaussians."
-)
-STRESS_CAPTION = (
-    "Top: test PSNR against the strength, bars: 95 % interval of the mean over seeds. Below: its"
-    " difference to the baseline of the same seed, bars: 95 % intervals that hold for all strengths"
-    " and methods at once. Methods are shifted sideways a little. The turning point is where the"
-    " lower curve meets zero, interpolated linearly between tested strengths; its interval holds"
-    " every strength where a paired t test does not reject zero."
-)
 
 
 @dataclass(frozen=True)
@@ -209,43 +177,20 @@ def _context(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
     context: dict[str, Any] = {
         "findings": findings,
         "tables": tables,
-        "notes": [*gap_notes(study, not findings.panels), *study.notes],
+        "notes": notes,
         "largest_effect": largest_effect,
         "capacity_text": tables.capacity_text,
         "cost_of": cost_of,
         "heading_of": tables.heading_of,
         "error_rates": _error_rates,
         "MOST_NAMED": MOST_NAMED,
+        "literature": literature,
         "provenance": provenance(study),
         "bibtex": bibtex(findings.papers) if study.runs else "",
     }
     if study.searched is not None:
-        names = {"metric": tables.NAMES[study.searched.metric], "results": {}}
-        return context | names | dict.fromkeys(_LITERATURE, ())
-    return context | _literature(study) | _figures(findings, visible)
-
-
-_LITERATURE = (
-    "recipes",
-    "recipe_sources",
-    "published_means",
-    "published_scenes",
-    "published_sources",
-)
-
-
-def _literature(study: Study) -> dict[str, Any]:
-    if not study.tested:
-        return dict.fromkeys(_LITERATURE, ())
-    recipes = literature.recipes(study)
-    found = (
-        recipes,
-        literature.sources(methods()) if recipes else "",
-        literature.mean_rows(study),
-        literature.published_scene_rows(study),
-        literature.published_sources(study),
-    )
-    return dict(zip(_LITERATURE, found, strict=True))
+        return context | {"metric": tables.NAMES[study.searched.metric], "results": {}}
+    return context | _figures(findings, visible)
 
 
 def _figures(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
@@ -276,6 +221,7 @@ def _figures(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
         "costs": [] if findings.panels else [_cost(study, scene) for scene in study.tested],
         "machines": sorted({outside(str(r.record.provenance.get("cpu"))) for r in study.runs}),
         "maps": _drawn(lambda scene: draw_sigma_maps(study, scene), seen),
+        "has_members": lambda scene: has_members(study, scene),
         "curves": _drawn(lambda scene: _curves(study, scene), shown),
     }
 
@@ -291,18 +237,14 @@ def _forest(findings: Findings) -> Picture | None:
     study = findings.study
     if findings.panels or not findings.outcomes.comparisons:
         return None
-    plot, detailed = forest_of(study, findings.outcomes)
-    caption = FOREST_CAPTION + (SCENES_CAPTION if detailed else "")
+    plot = forest_of(study, findings.outcomes)
     alt = f"Differences of PSNR to {plot.against} with their intervals"
-    return forest_picture(study.out_dir, plot, alt, caption)
+    return forest_picture(study.out_dir, plot, alt)
 
 
 def _cost(study: Study, scene: str) -> SceneCost:
     alt = f"PSNR against cost of {scene}"
-    pictures = [
-        chart_picture(study.out_dir, charts, alt, COST_CAPTION)
-        for charts in cost_charts(study, scene)
-    ]
+    pictures = [chart_picture(study.out_dir, charts, alt) for charts in cost_charts(study, scene)]
     return SceneCost(scene, pictures, smallest(entries(study, scene)))
 
 
@@ -310,9 +252,8 @@ def _curves(study: Study, scene: str) -> Picture | None:
     chart = curves(study, scene)
     if chart is None:
         return None
-    caption = CURVE_CAPTION + (MEMBERS_CAPTION if has_members(study, scene) else "")
     alt = f"Quality over training time of {scene}"
-    return chart_picture(study.out_dir, (chart,), alt, caption)
+    return chart_picture(study.out_dir, (chart,), alt)
 
 
 def _against(study: Study) -> Callable[[Sequence[stress.Limit]], str]:
@@ -332,7 +273,7 @@ def _stress_pictures(
     for panel in panels:
         charts = stress_charts(study, panel, limits, _against(study)(limits))
         alt = f"PSNR of {panel.title} against {panel.axis.label}"
-        pictures[panel.file] = chart_picture(study.out_dir, charts, alt, STRESS_CAPTION)
+        pictures[panel.file] = chart_picture(study.out_dir, charts, alt)
     return pictures
 
 

@@ -50,11 +50,6 @@ REPORT, TABLE = "leaderboard.md", "leaderboard.csv"
 COMMITTED = ROOT / "reports" / "committed"  # the repository's own studies
 MOST_ROWS = 80
 RESULTS = {1: "better", 0: "", -1: "worse"}
-CAPTION = (
-    "Difference of test PSNR to the baseline of the same study and budget; to the right: better."
-    " Bars: 95 % intervals that hold for all comparisons of that study at once; a filled mark is"
-    " significant."
-)
 
 
 @dataclass(frozen=True)
@@ -272,10 +267,8 @@ def _shared(entries: Sequence[Entry]) -> str:
 def _forest(matches: Sequence[Match], families: Sequence[Method], out_dir: Path) -> Picture | None:
     """By method and study; of very many, the significant ones."""
     shown = sorted(matches, key=lambda m: (m.family.order, natural(m.entry.name)))
-    left = ""
     if len(shown) > MOST_ROWS:
         shown = [match for match in shown if match.sign][:MOST_ROWS]
-        left = " Only significant differences are drawn."
     if not shown:
         return None
     numbers = looks(match.family.label for match in shown)
@@ -299,7 +292,7 @@ def _forest(matches: Sequence[Match], families: Sequence[Method], out_dir: Path)
     x_label = "PSNR above the baseline of the study (dB)"
     plot = Forest("leaderboard", "the baseline of the study", x_label, tuple(rows))
     alt = "Differences to the baseline by method and study"
-    return forest_picture(out_dir, plot, alt, CAPTION + left)
+    return forest_picture(out_dir, plot, alt)
 
 
 def _row(match: Match) -> Cells:

@@ -70,9 +70,9 @@ def recipes(study: Study) -> list[Recipes]:
     return tables
 
 
-def sources(entries: Sequence[Published]) -> str:
+def recipe_sources() -> str:
     """Where the figures of recipes come from."""
-    return "; ".join(f"{entry.title}: {entry.note}" for entry in entries if entry.note)
+    return "; ".join(f"{entry.title}: {entry.note}" for entry in literature() if entry.note)
 
 
 def _row(

@@ -205,8 +205,7 @@ def _curves(study: Study) -> Picture | None:
     chart = pair_curves(study.runs)
     if chart is None:
         return None
-    caption = "Test PSNR at the evaluation steps against training seconds."
-    return chart_picture(study.out_dir, (chart,), "Quality over training time of both", caption)
+    return chart_picture(study.out_dir, (chart,), "Quality over training time of both")
 
 
 def _facts(study: Study) -> list[Row]:

@@ -19,7 +19,7 @@ from framework.report.statistics.outcomes import outcomes
 from framework.report.statistics.robustness import failure_rate
 from framework.report.study.collect import collect
 from tests.record.fakes import fake_run, make_config
-from tests.report.studies import called, labelled
+from tests.report.studies import called, first_screen, labelled
 
 
 def test_runs_of_different_code_are_told(tmp_path: Path) -> None:
@@ -27,7 +27,7 @@ def test_runs_of_different_code_are_told(tmp_path: Path) -> None:
     record = fake_run(tmp_path, seed=1) / "record.json"
     code = collect(tmp_path).runs[0].record.provenance["code"]
     record.write_text(record.read_text().replace(code, "0" * 64))
-    assert "2 versions of the code" in collect(tmp_path).notes[0]
+    assert "2 versions of the code" in first_screen(tmp_path)
 
 
 def test_own_plugins_are_no_other_version_of_the_code(tmp_path: Path) -> None:
@@ -41,8 +41,8 @@ def test_own_plugins_are_no_other_version_of_the_code(tmp_path: Path) -> None:
         else:
             record["provenance"] |= {"plugins": {"reg=none": str(seed)}}
         path.write_text(json.dumps(record))
-    (note,) = (note for note in collect(tmp_path).notes if "versions" in note)
-    assert "2 versions of `reg=none`" in note
+    text = first_screen(tmp_path)
+    assert "2 versions of `reg=none`" in text and "versions of the code" not in text
 
 
 def test_a_method_is_compared_under_its_own_options(tmp_path: Path) -> None:
@@ -65,20 +65,17 @@ def test_a_repetition_that_failed_is_told(tmp_path: Path) -> None:
     write_failed(run_dir, make_config(), [], "no memory")
     study = collect(tmp_path)
     assert len(study.runs) == 1 and not study.failed
-    assert "was repeated and failed (no memory)" in study.notes[0]
+    assert "was repeated and failed (no memory)" in first_screen(tmp_path)
 
 
 def test_evened_exposures_are_told(tmp_path: Path) -> None:
     runs = [fake_run(tmp_path, run_name=name, seed=i) for i, name in enumerate(("even", "not"))]
-    assert not any("exposed" in note for note in collect(tmp_path).notes)
+    assert "exposed" not in first_screen(tmp_path)
     record = json.loads((runs[0] / "record.json").read_text(encoding="utf-8"))
     record["provenance"]["exposure_rms"] = 0.094
     (runs[0] / "record.json").write_text(json.dumps(record), encoding="utf-8")
-    (told,) = (note for note in collect(tmp_path).notes if "exposed" in note)
-    assert (
-        told.startswith("Photos were exposed differently (")
-        and " by 9 % in 1 of 2 runs, root" in told
-    )
+    text = first_screen(tmp_path)
+    assert "Photos were exposed differently (" in text and " by 9 % in 1 of 2 runs, root" in text
 
 
 def test_merged_studies_lack_only_what_each_of_them_lacks(tmp_path: Path) -> None:
@@ -102,10 +99,8 @@ def test_methods_that_did_nothing_are_told(tmp_path: Path) -> None:
         fake_run(tmp_path, "none", "none", seed, bits=seed)
         fake_run(tmp_path, "safi", "none", seed, bits=seed if seed < 2 else 9.0)
         fake_run(tmp_path, "none", "uar", seed)
-    (note,) = collect(tmp_path).notes
-    assert note.startswith(
-        "Baseline and SAFI produced identical parameters (embedded, seeds 0 and 1)"
-    )
+    text = first_screen(tmp_path)
+    assert "Baseline and SAFI produced identical parameters (embedded, seeds 0 and 1)" in text
 
 
 def test_capacities_are_compared_all_else_equal(tmp_path: Path) -> None:
@@ -245,10 +240,8 @@ def test_a_run_that_was_begun_and_left_nothing_is_told(tmp_path: Path) -> None:
     fake_run(tmp_path, run_name="whole")
     (tmp_path / "runs" / "killed" / "checkpoints").mkdir(parents=True)
     (tmp_path / "runs" / ".trash").mkdir()
-    (told,) = (note for note in collect(tmp_path).notes if "begun" in note)
-    assert told.startswith(
-        "1 run was begun and has no result: still running, or killed (`killed`)."
-    )
+    text = first_screen(tmp_path)
+    assert "1 run was begun and has no result: still running, or killed (`killed`)" in text
 
 
 def test_missing_runs_of_a_cross(tmp_path: Path) -> None:
@@ -269,7 +262,7 @@ def test_trainings_beside_other_programs_are_told_and_compared_by_cpu(tmp_path: 
     train["cpu_s"] = 5.0
     busy.write_text(json.dumps(content), encoding="utf-8")
     study = collect(tmp_path)
-    assert study.notes[0].startswith("Other programs used the processor during 1 of 3 trainings")
+    assert "the processor during 1 of 3 trainings" in first_screen(tmp_path)
     ((chart,), *_) = cost_charts(study, "embedded")
     assert chart.x_label == "training time (s, CPU)"
     assert study.by_cpu and choices(study, "embedded")

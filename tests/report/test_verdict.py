@@ -125,9 +125,9 @@ def test_text_and_bars_agree_on_a_committed_study(tmp_path: Path) -> None:
     found = outcomes(study)
     c = labelled(found.comparisons)["none + uar"]
     assert (len(c.scenes), c.n) == (5, 5) and c.difference == pytest.approx(-0.10, abs=0.01)
-    plot, detailed = forest_of(study, found)
+    plot = forest_of(study, found)
     filled = {row.method for row in plot.rows if row.significant and row.label == "these 5 scenes"}
-    assert detailed and filled == {m.name for m, c in found.comparisons.items() if c.significant}
+    assert filled == {m.name for m, c in found.comparisons.items() if c.significant}
     text = first_screen(tmp_path / "study")
     assert "**Use the baseline" in text and "UAR" in filled
     assert all(re.search(rf"- {re.escape(m)}: -.*, significant", text) for m in filled)

@@ -42,7 +42,7 @@ Row = tuple[str, Any, Any]  # (option name, type, dataclasses.field)
 
 SCALARS = {
     **{"seed": int, "study": str | None, "threads": int},
-    **{"force": bool, "traceback": bool, "estimate": bool},
+    **{"force": bool, "traceback": bool, "estimate": bool | str},
     "tracker": str | None,
 }
 METRICS = {

@@ -122,25 +122,26 @@ class Picture:
 
     Attributes:
         files: names relative to the report, the one to show first.
+        caption: of a picture of photos; that of a chart is in the template.
         svg: of a chart, for the page; "" for a picture of photos, which the page copies.
     """
 
     files: tuple[str, ...]
     alt: str
-    caption: str
+    caption: str = ""
     svg: str = ""
 
 
-def chart_picture(out_dir: Path, charts: Sequence[Chart], alt: str, caption: str) -> Picture:
+def chart_picture(out_dir: Path, charts: Sequence[Chart], alt: str) -> Picture:
     """Draw the charts into one file of each kind, named after the first."""
     rows = [row for chart in charts for row in _rows(chart)]
-    return save_figure(out_dir, charts[0].name, draw(charts), rows, Picture((), alt, caption))
+    return save_figure(out_dir, charts[0].name, draw(charts), rows, alt)
 
 
 def save_figure(
-    out_dir: Path, name: str, figure: Figure, rows: Sequence[Mapping[str, object]], picture: Picture
+    out_dir: Path, name: str, figure: Figure, rows: Sequence[Mapping[str, object]], alt: str
 ) -> Picture:
-    """Write a figure and the table of its numbers; returns `picture` with its files."""
+    """Write a figure and the table of its numbers."""
     content = {kind: save(figure, out_dir, name, kind) for kind in FORMATS}
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, list(rows[0]), lineterminator="\n")
@@ -148,7 +149,7 @@ def save_figure(
     writer.writerows(rows)
     write_whole(out_dir / f"{name}.csv", buffer.getvalue())
     files = tuple(f"{name}.{kind}" for kind in ("png", "svg", "csv"))
-    return Picture(files, picture.alt, picture.caption, inline_svg(content["svg"].decode()))
+    return Picture(files, alt, svg=inline_svg(content["svg"].decode()))
 
 
 def save(figure: Figure, folder: Path, name: str, kind: str) -> bytes:

@@ -62,7 +62,7 @@ class Forest:
     rows: tuple[Row, ...]
 
 
-def forest_picture(out_dir: Path, forest: Forest, alt: str, caption: str) -> Picture:
+def forest_picture(out_dir: Path, forest: Forest, alt: str) -> Picture:
     """Draw a forest plot into one file of each kind."""
     rows = [
         {
@@ -76,12 +76,12 @@ def forest_picture(out_dir: Path, forest: Forest, alt: str, caption: str) -> Pic
         }
         for row in forest.rows
     ]
-    return save_figure(out_dir, forest.name, draw(forest), rows, Picture((), alt, caption))
+    return save_figure(out_dir, forest.name, draw(forest), rows, alt)
 
 
-def forest_of(study: Study, found: Outcomes) -> tuple[Forest, bool]:
-    """Every comparison of a study with its baseline, by scene and over all of them; and whether the
-    scenes are drawn."""
+def forest_of(study: Study, found: Outcomes) -> Forest:
+    """Every comparison of a study with its baseline, over all scenes and, if there are not too
+    many, by scene."""
     of_scenes = sum(len(compared) for compared in found.by_scene.values())
     detailed = 0 < of_scenes <= MOST_ROWS - 2 * len(found.comparisons)
     rows: list[Row] = []
@@ -100,7 +100,7 @@ def forest_of(study: Study, found: Outcomes) -> tuple[Forest, bool]:
             rows.append(replace(row, middle=c.like.mean, significant=c.general))
     bases = list(dict.fromkeys(c.baseline for c in found.comparisons.values()))
     against = bases[0].name if len(bases) == 1 else "the baseline of the same budget"
-    return Forest("differences", against, f"PSNR above {against} (dB)", tuple(rows)), detailed
+    return Forest("differences", against, f"PSNR above {against} (dB)", tuple(rows))
 
 
 def _row(study: Study, c: Comparison, label: str, interval: Interval | None, joint: bool) -> Row:

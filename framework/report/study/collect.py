@@ -10,7 +10,7 @@ from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 
-from framework.errors import UserError, os_line, require
+from framework.errors import UserError, os_line, printable_line, require
 from framework.files.limits import RUNS
 from framework.metrics.values import Missing
 from framework.records import RUN_FOLDERS
@@ -19,7 +19,6 @@ from framework.records.failure import FAILED, read_failure
 from framework.records.record import RECORD, Run, read_run
 from framework.records.search import read_search
 from framework.report.study.methods import Method, Naming, name_methods
-from framework.report.study.notes import archive_notes, begun_notes, notes, within
 from framework.report.study.scenes import scene_labels
 from framework.report.study.study import DAMAGED, FailedRun, ReportRun, Study
 from framework.report.study.words import code, natural
@@ -57,19 +56,15 @@ def collect(
         out_dir or folders[0],
         tuple(unique),
         tuple(named),
-        (
-            *archive_notes(archived),
-            *naming.notes,
-            *repeated,
-            *notes(unique, runs),
-            *begun_notes([path.name for folder in folders for path in begun_dirs(folder)]),
-        ),
+        (*naming.notes, *repeated),
         # the trials of a search are no full cross: each is a method of its own
         tuple(missing) if searched is None else (),
         linked=not archived,
         archived=tuple(archived),
         searched=searched,
         rival=_rival(rival, unique),
+        sources=tuple(run.record.provenance for run in runs),
+        begun=tuple(path.name for folder in folders for path in begun_dirs(folder)),
     )
 
 
@@ -144,12 +139,18 @@ def _read(folder: Path, broken: Mapping[Path, str]) -> tuple[list[Run], list[Fai
                 raise UserError(broken[path])
             run = _read_run(path)
         except UserError as error:
-            run = FailedRun(path, within(path, error), DAMAGED, (), {}, {})
+            run = FailedRun(path, _within(path, error), DAMAGED, (), {}, {})
         if isinstance(run, Run):
             complete.append(run)
         else:
             failed.append(run)
     return complete, failed
+
+
+def _within(path: Path, error: UserError) -> str:
+    """The error, with the folder `path` and its files named without the path to it."""
+    below = str(error).replace(printable_line(f"{path}/"), "")
+    return below.replace(printable_line(f"{path}:"), printable_line(f"{path.name}:"))
 
 
 def _read_run(path: Path) -> Run | FailedRun:

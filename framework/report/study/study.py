@@ -19,7 +19,7 @@ from framework.report.study.axes import Axis
 from framework.report.study.methods import PLAIN, Method
 from framework.report.study.scenes import SceneLabel
 from framework.report.study.words import listed, natural, outside
-from framework.scenes import published_split
+from framework.scenes import HELD_OUT, published_split
 
 MOST_LISTED = 8  # scenes that a sentence lists one by one
 DAMAGED = "damaged"  # the kind of failure of a folder that no run wrote
@@ -56,6 +56,11 @@ class ReportRun:
     def protocol(self) -> str:
         """The rule that divides training and test views; "" of a run without a scene."""
         return self.record.scene.protocol if self.record.scene else ""
+
+    @property
+    def held_out(self) -> bool:
+        """Whether it was evaluated on training views that were held out."""
+        return self.protocol.endswith(HELD_OUT)
 
     @property
     def tested(self) -> bool:
@@ -130,12 +135,13 @@ class Study:
     Attributes:
         out_dir: folder of the report.
         runs: complete runs, sorted by scene, method and seed.
-        notes: what a reader must know about the runs.
+        notes: on the names of methods, and on repeated runs that are left out.
         missing: (scene, method, seed) that the full cross of the study would have.
         linked: whether the report may link to the folders of the runs.
         archived: folders whose runs are in an archive alone.
         searched: the trials, if the runs are those of a search.
         rival: the method to compare the others with, with or without its budget, if one is given.
+        sources: the provenance of all complete runs; `begun`: folders of runs without a result.
     """
 
     out_dir: Path
@@ -147,6 +153,8 @@ class Study:
     archived: tuple[Path, ...] = ()
     searched: Searched | None = None
     rival: Method | None = None
+    sources: tuple[Mapping[str, Any], ...] = ()
+    begun: tuple[str, ...] = ()
 
     @cached_property
     def scenes(self) -> list[str]:
