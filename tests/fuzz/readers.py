@@ -295,14 +295,6 @@ READERS: dict[str, Reader] = {
         ("runs/run/cameras.json",),
         lambda f: read_named_cameras(f / "runs" / "run" / "cameras.json"),
     ),
-    "compared runs": Reader(
-        commands.two_runs, tuple(f"runs/b/{name}" for name in RUN), commands.compared
-    ),
-    "leaderboard": Reader(
-        commands.two_studies,
-        (*(f"one/runs/b0/{name}" for name in RUN), "two/runs.jsonl"),
-        commands.all_studies,
-    ),
     "video of a run": Reader(
         commands.small_run,
         SHOWN,
@@ -338,8 +330,6 @@ READERS: dict[str, Reader] = {
         else {}
     ),
     "frames of a video": Reader(commands.film, ("a.avi",), commands.frames),
-    "kept poses": Reader(commands.kept_poses, ("poses.json",), commands.poses_told),
-    "request to view": Reader(commands.request, ("asked.line",), commands.answered),
     "photo names": Reader(_named, ("photo.line",), _renamed),
     "lpips weights": Reader(
         _lpips,
