@@ -20,7 +20,8 @@ from framework.command.config.naming import plain  # noqa: E402
 from framework.command.config.schema import CONF_DIR, register_config  # noqa: E402
 from framework.options import TrainerOptions, members_of  # noqa: E402
 from framework.records.progress import Progress, Silent  # noqa: E402
-from framework.run import experiment  # noqa: E402
+from framework.run import preparation  # noqa: E402
+from framework.run.experiment import file_fingerprints  # noqa: E402
 from framework.run.training import Run, initial, train  # noqa: E402
 from framework.run.warmup import Warmup  # noqa: E402
 from framework.train.trainer import Evaluate, Plugins, Trained, Trainer  # noqa: E402
@@ -86,8 +87,10 @@ def prepared(overrides: Sequence[str]) -> Prepared:
     with Warmup(config, Silent()) as warmup:
         warmup.begin()
         warmup.finish()
-    key = experiment._key(config["scene"])
-    scene = experiment._scene(key)[0]
-    fingerprint = experiment._files(config, scene)["depth"]
-    depth = experiment._depth(key, experiment._key(config["depth"]), fingerprint)[0]
+    key = preparation.options_of(config, "scene")
+    scene = preparation.load_scene(key).result
+    fingerprint = file_fingerprints(config, scene)["depth"]
+    depth = preparation.estimate_depth(
+        key, preparation.options_of(config, "depth"), fingerprint
+    ).result
     return Prepared(config, scene, depth)

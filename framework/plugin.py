@@ -50,6 +50,7 @@ __all__ = [
     "StepContext",
     "StepStats",
     "SubStep",
+    "Variant",
     "register",
 ]
 
@@ -123,8 +124,20 @@ class StepContext:
         return (self.step + 1) % self.steps_of(share) == 0
 
 
+@dataclass(frozen=True)
+class Variant:
+    """A plugin that is another method with `option` at `value`, as a file in `conf/` names it."""
+
+    option: str
+    value: Any
+    title: str
+    paper: str
+
+
 class Plugin:
-    """Base of all plugins. `defaults` changes the framework keys' defaults for a method. `idle`:
+    """Base of all plugins. `title`: its display name in reports, else the registry name. `paper`:
+    what to cite, a file of `conf/published` or an entry of BibTeX. `variants`: by name the other
+    methods that it is with some option. `defaults` changes the framework keys' defaults. `idle`:
     it does nothing by design; of others a run without any effect is told. `second_field`: beside
     the Gaussians a second set is trained, from the same start on the same photos with draws, an
     optimizer, regularizers and capacities of its own, which `StepContext.other` shows.
@@ -133,6 +146,9 @@ class Plugin:
 
     name: ClassVar[str]
     group: ClassVar[str]
+    title: ClassVar[str] = ""
+    paper: ClassVar[str] = ""
+    variants: ClassVar[dict[str, Variant]] = {}
     defaults: ClassVar[dict[str, float]] = {}
     idle: ClassVar[bool] = False
     second_field: ClassVar[bool] = False
@@ -335,6 +351,8 @@ class Part:
 
     name: ClassVar[str]
     group: ClassVar[str]
+    title: ClassVar[str] = ""
+    paper: ClassVar[str] = ""
 
     def check(self, option: str, ok: bool, expected: str) -> None:
         """Raise UserError, with the option's value and what it should be, unless `ok`."""

@@ -21,7 +21,7 @@ import re
 import sys
 import typing
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType, UnionType
@@ -93,10 +93,10 @@ def register(group: str, name: str) -> Callable[[C], C]:
 
 def _table(group: str) -> dict[str, type]:
     """The table of a group, of a part of a run in the room that uses it: name -> class."""
+    from framework.backends import RASTERIZERS
     from framework.depth import PROVIDERS
     from framework.initialize import INITIALIZERS
     from framework.metrics.values import MEASURES
-    from framework.rasterizers import RASTERIZERS
     from framework.scenes import LOADERS
 
     parts = {"scene": LOADERS, "depth": PROVIDERS, "init": INITIALIZERS, "metric": MEASURES}
@@ -271,35 +271,13 @@ def plain_fields(cls: type) -> list[tuple[str, Any, Any]]:
 
 
 @dataclass(frozen=True)
-class Plugged:
-    """A plugin with its framework keys: active while start <= progress < stop.
-
-    parts: where a run has several of a group, each by its name; `plugin` is None then.
-    """
+class ActivePlugin:
+    """A plugin with its framework keys, active while start <= progress < stop."""
 
     plugin: Any
-    weight: float
-    start: float
-    stop: float
-    parts: tuple[tuple[str, Plugged], ...] = ()
-
-    def each(self, group: str) -> dict[str, Plugged]:
-        """Every single plugin in the order of asking, by the key of its state: its group's name,
-        or of several `group.name`."""
-        if not self.parts:
-            return {group: self}
-        return {f"{group}.{name}": part for name, part in self.parts}
-
-    def shared(self, members: int) -> Plugged:
-        """A capacity of one of so many trainings whose Gaussians are joined."""
-        if self.parts:
-            return replace(self, parts=tuple((n, part.shared(members)) for n, part in self.parts))
-        return replace(self, plugin=self.plugin.shared(members))
-
-    def always(self) -> Plugged:
-        """Active over the whole training, and each of several so."""
-        parts = tuple((name, part.always()) for name, part in self.parts)
-        return replace(self, start=0.0, stop=1.0, parts=parts)
+    weight: float = 1.0
+    start: float = 0.0
+    stop: float = 1.0
 
     def active(self, progress: float) -> bool:
         return self.start <= progress < self.stop
@@ -348,13 +326,22 @@ def _made(where: str, cls: Any, options: Mapping[str, Any]) -> Any:
         return cls(**options)
 
 
-def build(group: str, config: Mapping[str, Any]) -> Plugged:
-    """The plugin that `config` (key `name` + options) describes. Raises UserError on a bad one."""
+def build_all(group: str, config: Mapping[str, Any]) -> dict[str, ActivePlugin]:
+    """Build the plugins of a group: {group: plugin}, or {"group.name": plugin, ...} of several.
+
+    Raises:
+        UserError: for an unknown plugin, option or value.
+    """
+    names = parts_of(group, str(config.get("name", "")))
+    if len(names) == 1:
+        return {group: build(group, config)}
+    return {f"{group}.{name}": build(group, config[name]) for name in names}
+
+
+def build(group: str, config: Mapping[str, Any]) -> ActivePlugin:
+    """Build the plugin that `config` (key `name` + options) describes. Raises UserError."""
     options = dict(config)
     name = str(options.pop("name", ""))
-    if JOINED_BY in name:
-        parts = [(part, build(group, options[part])) for part in parts_of(group, name)]
-        return Plugged(None, 1.0, 0.0, 1.0, tuple(parts))
     cls: Any = lookup(group, name)
     known = {row[0]: row for row in option_fields(cls)}
     _check_known(f"{group}={name}", options, known)
@@ -378,4 +365,4 @@ def build(group: str, config: Mapping[str, Any]) -> Plugged:
     plugin = _made(f"{group}={name}", cls, options)
     with plugin_call(f"{group}={name}: check_span"):
         plugin.check_span(keys["start"], keys["stop"])
-    return Plugged(plugin, keys["weight"], keys["start"], keys["stop"])
+    return ActivePlugin(plugin, keys["weight"], keys["start"], keys["stop"])

@@ -2,10 +2,11 @@
 
     python benchmarks/speed/end_to_end.py [--runs 5] [--output FILE] [OVERRIDE ...]
 
-Each run is a fresh process doing what `python run.py OVERRIDE ...` does, into an empty folder, with
-kernels cached by one before. A stage's time is without the stages inside it, on the main thread: of
-members that are trained at the same time it is the first's, with the wait for the others. Medians
-over the runs. The machine should be idle. Writes a markdown table to FILE, or prints it.
+Each run is a fresh process doing what `python run.py OVERRIDE ...` does, in an empty folder, with
+kernels cached by an earlier run. The time of a stage excludes the stages inside it and is measured
+on the main thread. For members that train at the same time it is the time of the first one,
+including the wait for the others. Prints medians over the runs, or writes them to FILE. The machine
+should be idle.
 """
 
 from __future__ import annotations
@@ -33,17 +34,17 @@ sys.path.insert(0, str(ROOT))
 CHILD = "--child"
 # stage -> functions, as module and name, whose time it is
 STAGES = {
-    "scene": ["framework.run.experiment:_scene"],
-    "depth, and loading kernels beside it": [
-        "framework.run.experiment:_depth",
-        "framework.run.experiment:_pose_check",
+    "scene": ["framework.run.experiment:load_scene"],
+    "depth, while kernels load": [
+        "framework.run.preparation:estimate_depth",
+        "framework.run.preparation:check_poses",
         "framework.run.warmup:Warmup.begin",
         "framework.run.warmup:Warmup.finish",
     ],
     "initial Gaussians": ["framework.run.experiment:initial"],
     "training: the steps themselves": ["framework.train.trainer:Trainer.run"],
-    "training: pseudo views": ["framework.train.plugged:PluginsAtWork.pseudo_views"],
-    "training: the regularizer": ["framework.train.plugged:PluginsAtWork.regularization"],
+    "training: pseudo views": ["framework.train.plugin_calls:PluginCalls.pseudo_views"],
+    "training: the regularizer": ["framework.train.plugin_calls:PluginCalls.regularization"],
     "training: the capacity plugin": ["framework.train.trainer:Trainer._edit"],
     "training: Fisher information": ["framework.fisher.information:fisher_information"],
     "training: checkpoints": ["framework.train.resume.checkpoint:Checkpoints.keep"],
@@ -52,7 +53,7 @@ STAGES = {
     "evaluation: PSNR, SSIM, FLIP": ["framework.metrics.evaluate:_measured"],
     "files": ["framework.run.experiment:write_run"],
     "identity of code, packages and files": [
-        "framework.run.experiment:_files",
+        "framework.run.experiment:file_fingerprints",
         "framework.run.experiment:identity_of",
         "framework.run.experiment:code_hash",
     ],
@@ -72,7 +73,7 @@ class Clock:
         @functools.wraps(function)
         def watched(*args: Any, **kwargs: Any) -> Any:
             if threading.current_thread() is not threading.main_thread():
-                return function(*args, **kwargs)  # beside what is measured
+                return function(*args, **kwargs)  # not part of what is measured
             start = time.perf_counter()
             self._inside.append(0.0)
             try:
@@ -93,7 +94,7 @@ def child(began: float, output: Path, overrides: list[str]) -> None:
     """One run with a clock around its stages; `began` is the time when the process was started."""
     from framework.command import runner
     from framework.command.cli import main
-    from framework.command.collector import import_uncollected
+    from framework.command.runner import import_uncollected
 
     clock, run = Clock(), runner.run
     ended = began
@@ -139,17 +140,17 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--output", type=Path)
     parser.add_argument("overrides", nargs="*")
-    given = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        profile(folder, [*given.overrides, "trainer.steps=10"])
-        runs = [profile(folder, given.overrides) for _ in range(given.runs)]
+        profile(folder, [*options.overrides, "trainer.steps=10"])
+        runs = [profile(folder, options.overrides) for _ in range(options.runs)]
         record = json.loads((folder / "run" / "record.json").read_text())
     from framework.records.provenance import cpu_model
 
     median = {key: statistics.median(run.get(key, 0.0) for run in runs) for key in runs[0]}
     total = median.pop("total")
-    line = re.sub(r"path=\S+", "path=DIR", " ".join(given.overrides))
+    line = re.sub(r"path=\S+", "path=DIR", " ".join(options.overrides))
     psnr, gaussians = record["summary"]["psnr"]["mean"], record["gaussians"]
     rows = [
         f"| {stage} | {median[stage]:.2f} | {100 * median[stage] / total:.0f} % |"
@@ -161,7 +162,7 @@ def main() -> None:
             "# One run from end to end",
             "",
             f"`python benchmarks/speed/end_to_end.py {line}` on {cpu_model()},"
-            f" {record['provenance']['threads']} threads: medians of {given.runs} runs;"
+            f" {record['provenance']['threads']} threads: medians of {options.runs} runs;"
             f" test PSNR {psnr:.2f} dB, {gaussians} Gaussians.",
             "",
             "| stage | seconds | share |",
@@ -172,8 +173,8 @@ def main() -> None:
         ]
     )
     print(text)
-    if given.output:
-        given.output.write_text(text)
+    if options.output:
+        options.output.write_text(text)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What one view's Fisher information costs, beside a forward and backward of the same view.
+"""Cost of one view's Fisher information, compared with a forward and backward pass.
 
     python benchmarks/speed/fisher.py [--clock wall] [--output FILE]
 
@@ -33,7 +33,7 @@ def _works(count: int, degree: int) -> dict[str, Callable[[], None]]:
     from benchmarks.scene import HEIGHT, WIDTH, layered_scene
     from framework.compute.rng import stream
     from framework.fisher.information import fisher_information
-    from framework.rasterize import render_gradient
+    from framework.kernels import render_gradient
 
     gaussians, camera = layered_scene(count)
     noise = stream(0, "benchmark-gradient").random((3, HEIGHT, WIDTH), dtype="float32")
@@ -59,7 +59,7 @@ def _timed(function: Callable[..., Any], clock: Callable[[], float], into: list[
 
 def measure(options: argparse.Namespace, degree: int) -> dict[str, float]:
     """Median milliseconds of both works and of the stages of the Fisher pass."""
-    from framework.rasterize import Workspace
+    from framework.kernels import Workspace
 
     clock = CLOCKS[options.clock]
     times: dict[str, list[float]] = {name: [] for name in ("both", "fisher", *STAGES)}

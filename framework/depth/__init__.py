@@ -17,6 +17,7 @@ __all__ = [
     "DepthProvider",
     "consistency",
     "exposure",
+    "itermvs",
     "matching",
     "options",
     "pose_check",

@@ -11,6 +11,7 @@ FILE_ALIGNMENTS = ("scale", "scale_shift", "none")
 INVALID = ("error", "mask")
 NETWORK_ALIGNMENTS = ("points", "plane_sweep", "none")
 DEPTH_ANYTHING_3 = "git+https://github.com/ByteDance-Seed/Depth-Anything-3"  # for pip
+ITERMVS_WEIGHTS = ("blendedmvs", "dtu")
 PATCH = 14  # pixels per token; the network's input sizes are its multiples
 
 
@@ -84,3 +85,22 @@ class DepthAnything3Options(DepthProvider):
         self.check("process_res", self.process_res >= PATCH, f"at least {PATCH} pixels")
         self.check("device", self.device != "", "a torch device (cpu, cuda)")
         self.check("tolerance", 0 <= self.tolerance < 1, "a share in [0, 1)")
+
+
+@dataclass(frozen=True)
+class IterMvsOptions(DepthProvider):
+    """Options of `depth=itermvs` and `depth=fused`."""
+
+    weights: str = "blendedmvs"  # blendedmvs, or dtu (whose training scenes include scan 65)
+    neighbours: int = 4  # views each view is matched with, at most
+    least_confidence: float = 0.1  # of the network; depth below is not used
+    tolerance: float = 0.03  # relative depth difference at which two views still agree
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check(
+            "weights", self.weights in ITERMVS_WEIGHTS, f"one of {', '.join(ITERMVS_WEIGHTS)}"
+        )
+        self.check("neighbours", self.neighbours >= 1, "an integer >= 1")
+        self.check("least_confidence", 0 <= self.least_confidence <= 1, "a number in [0, 1]")
+        self.check("tolerance", 0 < self.tolerance < 1, "a share in (0, 1)")

@@ -1,4 +1,4 @@
-"""The depth providers: `depth=ground_truth`, `plane_sweep`, `file` and `depth_anything_3`.
+"""The depth providers, `depth=NAME`.
 
 Each is a frozen dataclass of options, whose `measure` imports the code that it needs.
 """
@@ -14,6 +14,7 @@ from framework.depth.options import (
     DEPTH_ANYTHING_3,
     DepthAnything3Options,
     DepthFileOptions,
+    IterMvsOptions,
     PlaneSweepOptions,
 )
 from framework.depth.provider import DepthProvider
@@ -113,6 +114,10 @@ class DepthAnything3(DepthAnything3Options):
             f" it with: pip install {DEPTH_ANYTHING_3}",
         )
 
+    def learned_weights(self) -> str:
+        """Return the name of the weights."""
+        return self.weights
+
     def fingerprint(self, training: TrainingSet) -> str:
         """SHA-256 hex of the weights and the package's version. Raises UserError without them."""
         from framework.depth.network import weights_sha256
@@ -120,9 +125,63 @@ class DepthAnything3(DepthAnything3Options):
         return weights_sha256(self)
 
 
+@dataclass(frozen=True)
+class _Learned(IterMvsOptions):
+    """A provider that needs the weights of IterMVS."""
+
+    def ready(self) -> None:
+        """Raise UserError if the weights have not been fetched."""
+        from framework.depth.itermvs.weights import require_weights
+
+        require_weights(self.weights)
+
+    def learned_weights(self) -> str:
+        """Return the network and its training data."""
+        return f"IterMVS, {self.weights}"
+
+    def fingerprint(self, training: TrainingSet) -> str:
+        """Return the SHA-256 of the published checkpoint."""
+        from framework.depth.itermvs.weights import SHA256
+
+        return SHA256[self.weights]
+
+
+@dataclass(frozen=True)
+class IterMvsDepth(_Learned):
+    """Depth by IterMVS (Wang et al. 2022) where it is confident and another view agrees."""
+
+    def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
+        """Return depth in scene units; confidence is the network's, 0 where it is not used.
+
+        Raises:
+            UserError: Fewer than two views, or no weights.
+        """
+        from framework.depth.itermvs.views import measure_views
+
+        return measure_views(training, self)
+
+
+@dataclass(frozen=True)
+class FusedDepth(_Learned):
+    """Depth by IterMVS where it is confident and another view agrees closely, else by the plane
+    sweep where another view agrees, else by IterMVS."""
+
+    def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
+        """Return depth in scene units; confidence is that of the source of each pixel.
+
+        Raises:
+            UserError: Fewer than two views, no overlap, or no weights.
+        """
+        from framework.depth.itermvs.views import fused_views
+
+        return fused_views(training, self)
+
+
 PROVIDERS: dict[str, type] = {
     "ground_truth": GroundTruth,
     "plane_sweep": PlaneSweep,
     "file": DepthFile,
+    "itermvs": IterMvsDepth,
+    "fused": FusedDepth,
     "depth_anything_3": DepthAnything3,
 }

@@ -52,7 +52,7 @@ class OpenedRun:
 
     def render(self, camera: Camera, depth: bool = False) -> Render:
         """Render the Gaussians from `camera`."""
-        from framework.rasterize import rasterize
+        from framework.kernels import rasterize
 
         return rasterize(
             self.gaussians, camera, background=self.background, near=self.near, depth=depth

@@ -78,7 +78,7 @@ def turned_bands(shN: Tensor, turn: Tensor) -> Tensor:
     """
     import torch
 
-    from framework.rasterize.reference import sh_basis
+    from framework.kernels.reference import sh_basis
     from framework.types import degree_of
 
     if shN.numel() == 0:

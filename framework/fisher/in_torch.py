@@ -1,6 +1,6 @@
 """The Fisher information of `information` in torch, on any device: for rasterizers without numba.
 
-The sums over pairs are those of `rasterize.tile.moments` and `rasterize.project.information`, whose
+The sums over pairs are those of `kernels.tile.moments` and `kernels.project.information`, whose
 equations stand there: with q = sum over channels of (alpha dC / d alpha)^2 and m = (1, dx, e, dx^2,
 dx e, e^2), e = dy + (B / C) dx, every Gaussian has Q = sum q m m^T, h_c = sum weight J_c m and
 W = sum weight^2, and with K = d(u, v, A, B, C) / d(parameters) and d(alpha) / d(u, ...) = alpha L m
@@ -20,8 +20,8 @@ import torch
 from torch import Tensor
 
 from framework.fisher.information import FisherInformation, counted
-from framework.rasterize.constants import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
-from framework.rasterize.reference import Footprints, project, sh_basis
+from framework.kernels.constants import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
+from framework.kernels.reference import Footprints, project, sh_basis
 from framework.types import Camera, Gaussians
 
 PAIRS = {"cpu": 2**20, "cuda": 2**24}  # of a Gaussian and a pixel at once; 60 numbers for each

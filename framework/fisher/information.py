@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from framework.errors import require
-from framework.rasterize import give_back, rendered
+from framework.kernels import give_back, rendered
 from framework.types import Camera, Gaussians
 
 
@@ -40,7 +40,7 @@ def fisher_information(
     mask: Tensor | None = None,
 ) -> FisherInformation:
     """Information of `camera`'s image on each Gaussian, exactly: one render, one second-moment
-    pass, one pull-back (see `rasterize.project.information` for the equation). mask [H, W]: pixels
+    pass, one pull-back (equation: `kernels.project.information`). mask [H, W]: pixels
     that it has not, at or below 0.5, tell nothing. The other arguments as `rasterize`. Raises
     UserError as `rasterize`, and for a mask of another shape or dtype."""
     n = len(gaussians)

@@ -17,10 +17,9 @@ import sys
 import tarfile
 import tempfile
 import zlib
-from collections.abc import Sequence
 from pathlib import Path
 
-from framework.errors import Arguments, UserError, require
+from framework.errors import UserError, require
 from framework.files.cache import cache_dir
 from framework.files.limits import MIB
 from framework.files.opened import file_size
@@ -106,24 +105,6 @@ def fetch(archive: Path | None = None) -> list[Path]:
             source = _downloaded(Path(folder))
             _check(source)
         return [_converted(source, backbone) for backbone in MEMBERS]
-
-
-def main(argv: Sequence[str] | None = None, prog: str = "fishersplat fetch") -> int:
-    """Run the command and return its exit code."""
-    parser = Arguments(prog=prog, description="Fetch the weights of LPIPS.")
-    parser.add_argument("what", choices=["lpips"], help="what to fetch")
-    offline = f"{ARCHIVE} on this machine, for use without network"
-    parser.add_argument("--from", dest="archive", type=Path, metavar="FILE", help=offline)
-    try:
-        written = fetch(parser.parse_args(argv).archive)
-    except UserError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    if not written:
-        print(f"LPIPS weights: already in {_path('vgg').parent}")
-    for path in written:
-        print(f"LPIPS weights: {path} ({path.stat().st_size / 1e6:.0f} MB)")
-    return 0
 
 
 def _path(backbone: str) -> Path:
@@ -214,7 +195,3 @@ def _member(source: Path, name: str) -> bytes:
         f"{source}: expected {name} of at most {MEMBER_BYTES:,} bytes in it, found none; fetch"
         f" {ARCHIVE} again"
     )
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -67,6 +67,7 @@ TRAIN_STAGE = "train"  # the stage whose wall time the report calls train second
 EXPOSURE = "exposure_rms"  # in the provenance: of the photos' log gains, where they were evened
 POSE_CHECK = "pose_check"  # in the provenance: shares and ratio, None where it was not made
 LPIPS = "lpips"  # in the provenance: the network that LPIPS was measured with, None for none
+LEARNED = "learned_weights"  # in the provenance: of the depth, "" if no network was used
 METHOD_GROUPS = ("augment", "reg", "capacity", "depth", "init")
 RECORD, PLY = "record.json", "point_cloud.ply"
 DIVERGED = "diverged.safetensors"

@@ -6,6 +6,7 @@ Several folders are reported as one study; `--out` says where that report goes.
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from framework.errors import (
@@ -17,9 +18,14 @@ from framework.errors import (
 )
 from framework.files.limits import check_address_space
 
+BASELINE_HELP = (
+    "method that the others are compared with, by its display or registry name, as uar (default:"
+    " plain training)"
+)
+
 
 def main(arguments: list[str], prog: str) -> int:
-    """Exit status: 0, or 2 with one line on stderr for bad input, or where no run has finished."""
+    """Exit status: 0, or 2 with one line on stderr for bad input, or if no run has finished."""
     parser = Arguments(prog=prog, description=__doc__)
     parser.add_argument(
         "study_dirs", type=Path, nargs="+", metavar="DIR", help="folder of a study, as reports/demo"
@@ -32,14 +38,9 @@ def main(arguments: list[str], prog: str) -> int:
         help="no pictures but of the embedded scene and no links to the runs: for a report that is"
         " passed on where photos may not be",
     )
-    parser.add_argument(
-        "--baseline",
-        default="",
-        metavar="METHOD",
-        help='what the others are compared with, by its name in the report, as "none +'
-        ' dropgaussian" (default: plain training)',
-    )
-    try:
+    parser.add_argument("--baseline", default="", metavar="METHOD", help=BASELINE_HELP)
+
+    def report() -> int:
         options = parser.parse_args(arguments)
         require(
             options.out is not None or len(options.study_dirs) == 1,
@@ -50,34 +51,45 @@ def main(arguments: list[str], prog: str) -> int:
         _check_place(options.out or options.study_dirs[0])
         from framework.report.build import built
 
-        path, study = built(
-            options.study_dirs,
-            options.title,
-            options.out,
-            not options.without_photos,
-            options.baseline,
+        photos = not options.without_photos
+        made = built(options.study_dirs, options.title, options.out, photos, options.baseline)
+        tell("report", made.path, made.verdict)
+        require(
+            len(made.study.runs) > 0,
+            f"{made.path.parent}: expected a finished run, got {len(made.study.failed)} failed or"
+            " damaged; the report says why",
         )
+        return 0
+
+    return exit_code(report)
+
+
+def tell(kind: str, path: Path, verdict: str) -> None:
+    """Print the verdict of a report, the path of its page and its own."""
+    if verdict:
+        print(printable_line(verdict))
+    print(f"page: {printable_line(str(path.with_suffix('.html')))}")
+    print(f"{kind}: {printable_line(str(path))}")
+
+
+def exit_code(command: Callable[[], int]) -> int:
+    """What `command` returns; 2 with one line on stderr for bad input or a machine's error."""
+    try:
+        return command()
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
-        return 2
     except Exception as error:
         line = machine_line(error)
         if line is None:
             raise
         print(f"error: {line}", file=sys.stderr)
-        return 2
-    print(f"report: {printable_line(str(path))}")
-    if not study.runs:
-        line = f"{path.parent}: expected a finished run, got {len(study.failed)} failed or damaged"
-        print(f"error: {printable_line(line)}; the report tells why", file=sys.stderr)
-        return 2
-    return 0
+    return 2
 
 
 def _check_place(out_dir: Path) -> None:
     """Raise UserError for a report inside a study, in the folder of a run or of all runs."""
     from framework.records import RUN_FOLDERS
-    from framework.report.study.folders import run_dirs
+    from framework.report.study.collect import run_dirs
 
     place = out_dir.resolve()
     if RUN_FOLDERS not in place.parts:  # nor is a large folder searched

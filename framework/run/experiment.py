@@ -1,33 +1,26 @@
-"""Resolved configuration -> scene, depth, Gaussians, training, evaluation -> one record on disk.
+"""One run: resolved configuration -> preparation, training, evaluation -> a record on disk.
 
-Stages are timed by wall clock and CPU. A complete run with the same identity (configuration, scene,
-other files, code, packages) is reused unless `force` is set. Scene and depth do not depend on the
-seed or the method and are kept for the next run of the same process, which then reports their time
-as it was.
+A complete run with the same identity (configuration, scene, other files, code, packages) is reused
+unless `force` is set.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import functools
-import json
 import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from framework import registry
+from framework.backends import Rasterizer, build_rasterizer
 from framework.compute import parallel, rng
 from framework.compute.stopwatch import Stopwatch
-from framework.depth import unspoiled
-from framework.depth.exposure import ENOUGH, Exposures, find_exposures
-from framework.depth.pose_check import PoseCheck
 from framework.files.locks import locked, remove_stale
 from framework.files.whole import following, remove_temporaries
 from framework.metrics.coadaptation import with_average, with_coadaptation
@@ -45,7 +38,6 @@ from framework.metrics.values import (
     measures,
 )
 from framework.options import TrainerOptions
-from framework.rasterizers import build_rasterizer
 from framework.records.cameras import write_cameras
 from framework.records.first_view import write_settings
 from framework.records.notices import noted, warnings_of
@@ -60,6 +52,7 @@ from framework.records.provenance import (
 )
 from framework.records.record import (
     EXPOSURE,
+    LEARNED,
     LPIPS,
     POSE_CHECK,
     TRAIN_STAGE,
@@ -75,16 +68,245 @@ from framework.records.run_files import remove_made_of_model
 from framework.run import answers, budget, trackers
 from framework.run.lpips_later import lacks_lpips, with_lpips
 from framework.run.plugin_code import plugin_hashes
-from framework.run.poses import checked_poses
+from framework.run.preparation import (
+    Preparation,
+    forgotten_if_changed,
+    load_scene,
+    options_of,
+    prepare,
+)
 from framework.run.training import Run, initial, renderer, thinned, train, try_out
-from framework.run.untouched import Shared, depth_parts, foreign, scene_parts
+from framework.run.untouched import Shared, foreign
 from framework.run.warmup import Warmup
 from framework.train.dose import told
 from framework.train.resume.checkpoint import remove_checkpoints
 from framework.train.trainer import Trained
-from framework.types import DepthMap, Gaussians, Scene, View
+from framework.types import Gaussians, Scene, View
 
 LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A requested run.
+
+    Attributes:
+        config: plain and resolved, see `conf/config.yaml`.
+        folder: where its record is written.
+        overrides: the words of the command line.
+        network: measures LPIPS, None for none.
+    """
+
+    config: Mapping[str, Any]
+    folder: Path
+    overrides: tuple[str, ...]
+    rasterizer: Rasterizer
+    network: Lpips | None
+    progress: Progress
+    warmup: Warmup
+
+    def run(self, warnings: list[str]) -> RunRecord:
+        """Run it, or reuse its complete record. `warnings` collects what is logged meanwhile."""
+        self.progress.stage(f"scene {self.config['scene']['name']}")
+        scene = load_scene(options_of(self.config, "scene")).result
+        plugins = plugin_hashes(self.config)
+        files = {**file_fingerprints(self.config, scene), **plugins}
+        identity = identity_of(self.config, scene.fingerprint, code_hash(), files)
+        complete = self._complete(identity)
+        if complete is not None and not lacks_lpips(complete, self.network):
+            self.progress.done(_reused(complete))
+            remove_stale(self.folder, remove_checkpoints)  # of a run killed after its record
+            return complete
+        with locked(self.folder):
+            # the process that held the lock before may have completed the run
+            complete = self._complete(identity)
+            if complete is not None:
+                remove_checkpoints(self.folder)
+                complete = with_lpips(self.folder, complete, self.network)
+                self.progress.done(_reused(complete))
+                return complete
+            damage = "" if self.config["force"] else damaged_file(self.folder, identity)
+            if damage:
+                LOG.warning(f"{self.folder.name}: {damage}; running it again")
+            remove_temporaries(self.folder)
+            shared = Shared(foreign(self.config))
+            with forgotten_if_changed(shared):
+                preparation = prepare(
+                    self.config, files["depth"], shared, self.warmup, self.progress
+                )
+                warnings += preparation.warnings
+                preparation = self._with_fewer_test_views(preparation)
+                record = self._new_record(identity, plugins, preparation, len(scene.test))
+                record = self._train(record, preparation, shared, warnings)
+        self.progress.done(_result(record))
+        return record
+
+    def _complete(self, identity: str) -> RunRecord | None:
+        """The complete record of the same run, unless it is to be repeated."""
+        return None if self.config["force"] else find_complete(self.folder, identity)
+
+    def _with_fewer_test_views(self, preparation: Preparation) -> Preparation:
+        """Keep `metrics.views` of the test views, evenly spread."""
+        scene = preparation.scene
+        test = evenly(scene.test, self.config["metrics"].get(VIEWS, 0))
+        if len(test) < len(scene.test):
+            self.progress.note(
+                f"evaluates {len(test)} of {len(scene.test)} test views (metrics.views)"
+            )
+        return dataclasses.replace(preparation, scene=dataclasses.replace(scene, test=test))
+
+    def _new_record(
+        self, identity: str, plugins: Mapping[str, str], preparation: Preparation, n_test: int
+    ) -> RunRecord:
+        scene, check = preparation.scene, preparation.pose_check
+        return RunRecord(
+            identity=identity,
+            config=dict(self.config),
+            overrides=self.overrides,
+            scene=SceneInfo(
+                scene.name,
+                scene.protocol,
+                scene.fingerprint,
+                tuple(view.name for view in scene.training.views),
+                tuple(view.name for view in scene.test),
+            ),
+            timings=preparation.timings,
+            provenance={
+                **provenance(),
+                "plugins": plugins,
+                **self.rasterizer.facts(),
+                "threads": parallel.threads(),
+                "test_views": {"evaluated": len(scene.test), "of": n_test},
+                LEARNED: registry.part("depth", self.config["depth"]).learned_weights(),
+                LPIPS: None if self.network is None else self.network.name,
+                POSE_CHECK: None if check is None else check.figures(),
+            },
+        )
+
+    def _train(
+        self,
+        record: RunRecord,
+        preparation: Preparation,
+        shared: Shared,
+        warnings: list[str],
+    ) -> RunRecord:
+        """Train and evaluate; returns the record as written."""
+        scene, exposures = preparation.training_scene(), preparation.exposures
+        timings, facts = preparation.timings, dict(record.provenance)
+        if exposures is not None:
+            self.progress.note(exposures.message())
+            facts[EXPOSURE] = exposures.size
+
+        def start(seed: int) -> Gaussians:
+            trainer = TrainerOptions(**self.config["trainer"])
+            with _timed(timings, "init"):
+                return initial(self.config, scene, preparation.depth, trainer, seed)
+
+        run = Run(
+            scene,
+            preparation.depth,
+            start,
+            self.folder,
+            record.identity,
+            self.config["force"],
+            self.rasterizer,
+            exposures,
+        )
+        options = TrainerOptions(**self.config["trainer"])
+        if options.seconds > 0:
+            choice = self._budget(run, options)
+            options, facts["budget"] = choice.applied(options), choice.told
+        config = {**self.config, "trainer": dataclasses.asdict(options)}
+        trained = train(run, config, self.progress)
+        timings[TRAIN_STAGE] = StageTime(trained.wall_s, trained.cpu_s)
+        self.progress.stage("evaluation")
+        near = options.near_plane * scene.training.near
+        with _timed(timings, "evaluate"):
+            metrics, renders = self._evaluate(trained, run, near)
+        shared.check()
+        record = dataclasses.replace(
+            record,
+            provenance=facts,
+            peak_memory_bytes=peak_memory_bytes(),
+            resumed=trained.resumed,
+            dose=told(trained.dose),
+            warnings=tuple(dict.fromkeys(warnings)),
+        )
+        return self._write(record, preparation, trained, near, metrics, renders)
+
+    def _budget(self, run: Run, options: TrainerOptions) -> budget.Choice:
+        """Choose the steps that fit into `trainer.seconds`."""
+        self.progress.stage(f"choosing steps for {options.seconds:g} s")
+        if run.force:
+            (run.folder / budget.FILE).unlink(missing_ok=True)
+        choice = budget.chosen(
+            run.folder,
+            run.identity,
+            options,
+            len(run.scene.training.views),
+            lambda trial: try_out(run, self.config, trial).wall_s,
+        )
+        seconds, repeat = choice.told["seconds"], choice.told["repeat"]
+        self.progress.note(f"{seconds:g} s of training: {repeat}")
+        return choice
+
+    def _evaluate(
+        self, trained: Trained, run: Run, near: float
+    ) -> tuple[list[ViewMetrics], list[tuple[View, Tensor]]]:
+        """Measure the trained model on the test views; also returns its renders of them."""
+        model = trained.gaussians, trained.background, trained.sh_degree
+        test, options = run.scene.test, self.config["metrics"]
+        names = measures(options.get("also"))
+        metrics, renders = evaluate(
+            renderer(*model, near, run.rasterizer, run.exposures),
+            test,
+            self.network,
+            {name: registry.part("metric", {"name": name}) for name in names},
+            bool(options.get(LPIPS_BOTH)),
+            self.progress.stage,
+        )
+        metrics = with_average(metrics)
+        if options.get(COADAPTATION):
+            half = thinned(*model, near, run.rasterizer)
+            cameras = [view.camera for view in test]
+            draws = rng.stream(self.config["seed"], COADAPTATION)
+            metrics = with_coadaptation(metrics, half, len(trained.gaussians), cameras, draws)
+            metrics = with_rank(metrics, trained.gaussians.log_scales)
+        return metrics, renders
+
+    def _write(
+        self,
+        record: RunRecord,
+        preparation: Preparation,
+        trained: Trained,
+        near: float,
+        metrics: list[ViewMetrics],
+        renders: list[tuple[View, Tensor]],
+    ) -> RunRecord:
+        """Write the run's files; the record is last, as it marks the others as complete."""
+        photos, exposures = preparation.scene.training.views, preparation.exposures
+        stale = remove_record(self.folder)  # of an earlier run, with other files than these
+        with following(self.folder) as before:
+            factors = None if exposures is None else exposures.factors
+            write_cameras(self.folder, photos, preparation.scene.test, near, factors)
+            means, background = trained.gaussians.means, trained.background
+            write_settings(self.folder, photos, means, background, near)
+            write_photos(self.folder, photos)
+        record = write_run(
+            self.folder,
+            record,
+            metrics,
+            trained.history,
+            trained.gaussians,
+            trained.background,
+            renders,
+            before,
+            stale,
+        )
+        remove_checkpoints(self.folder)
+        (self.folder / budget.FILE).unlink(missing_ok=True)
+        remove_made_of_model(self.folder)
+        return record
 
 
 def run_experiment(
@@ -95,267 +317,39 @@ def run_experiment(
 ) -> RunRecord:
     """Do one run, or reuse it, and leave its record in `run_dir`.
 
-    config: plain and resolved, see `conf/config.yaml`; overrides: what the user typed. Raises
-    UserError on any bad input; nothing of an older complete run is lost then. Raises `locks.Busy`
-    when another process is at this run. What the framework logs meanwhile becomes notes of
-    `progress`.
+    Args:
+        config: plain and resolved, see `conf/config.yaml`.
+        run_dir: folder of the run.
+        progress: shows what the framework logs meanwhile.
+        overrides: the words that the user typed.
+
+    Returns:
+        The record as written.
+
+    Raises:
+        UserError: for any bad input; an older complete run is kept then.
+        Busy: another process is at this run.
     """
     reset_peak_memory()
     parallel.set_threads(int(config["threads"]))
     torch.set_num_threads(1)  # kernels have their own pool; small tensors gain nothing from two
     registry.discover()
-    build_rasterizer(config).ready()
+    rasterizer = build_rasterizer(config)
+    rasterizer.ready()
+    registry.part("depth", config["depth"]).ready()
     weights = chosen(config["metrics"]["lpips_weights"])
     network = None if weights is None else load(weights)  # a bad path must not cost a training
     with noted(progress), warnings_of() as warnings, Warmup(config, progress) as warmup:
-        record = _experiment(config, run_dir, progress, overrides, network, warmup, warnings)
+        experiment = Experiment(
+            config, run_dir, tuple(overrides), rasterizer, network, progress, warmup
+        )
+        record = experiment.run(warnings)
     trackers.send(config.get("tracker"), run_dir, progress)
     return record
 
 
-def _experiment(
-    config: Mapping[str, Any],
-    run_dir: Path,
-    progress: Progress,
-    overrides: Sequence[str],
-    network: Lpips | None,
-    warmup: Warmup,
-    warnings: list[str],
-) -> RunRecord:
-    timings: dict[str, StageTime] = {}
-    progress.stage(f"scene {config['scene']['name']}")
-    scene, timings["scene"], scene_warnings = _scene(_key(config["scene"]))
-    n_test = len(scene.test)
-    scene = dataclasses.replace(scene, test=evenly(scene.test, config["metrics"].get(VIEWS, 0)))
-    if len(scene.test) < n_test:
-        progress.note(f"evaluates {len(scene.test)} of {n_test} test views (metrics.views)")
-    plugins = plugin_hashes(config)
-    files = {**_files(config, scene), **plugins}
-    identity = identity_of(config, scene.fingerprint, code_hash(), files)
-    done = _reusable(config, run_dir, identity)
-    if done is not None and not lacks_lpips(done, network):
-        progress.done(_reused(done))
-        remove_stale(run_dir, remove_checkpoints)  # of one killed just after it wrote the record
-        return done
-    with locked(run_dir):
-        # whoever held the lock before us may have done it
-        done = _reusable(config, run_dir, identity)
-        if done is not None:
-            remove_checkpoints(run_dir)
-            done = with_lpips(run_dir, done, network)
-            progress.done(_reused(done))
-            return done
-        damage = "" if config["force"] else damaged_file(run_dir, identity)
-        if damage:
-            LOG.warning(f"{run_dir.name}: {damage}; running it again")
-        remove_temporaries(run_dir)
-        shared = Shared(foreign(config))
-        shared.watch(scene_parts(scene))
-        with _read_anew_if_changed(shared):
-            warmup.begin()
-            progress.stage(f"depth {config['depth']['name']}")
-            keys = _key(config["scene"]), _key(config["depth"])
-            depth, timings["depth"], depth_warnings = _depth(*keys, files["depth"])
-            shared.watch(depth_parts(scene, depth))
-            check, timings["pose_check"], pose_warnings = _pose_check(keys[0])
-            warnings += scene_warnings + depth_warnings + pose_warnings
-            warmup.finish()
-            record = RunRecord(
-                identity=identity,
-                config=dict(config),
-                overrides=tuple(overrides),
-                scene=_info(scene),
-                timings=timings,
-                provenance={
-                    **provenance(),
-                    "plugins": plugins,
-                    **build_rasterizer(config).facts(),
-                    "threads": parallel.threads(),
-                    "test_views": {"evaluated": len(scene.test), "of": n_test},
-                    LPIPS: None if network is None else network.name,
-                    POSE_CHECK: None if check is None else check.figures(),
-                },
-            )
-            exposures = None
-            # stereo from wrong poses says nothing about exposure
-            fits = check is None or check.fits
-            if TrainerOptions(**config["trainer"]).exposure and fits:
-                gains, timings["exposure"] = _log_gains(*keys, files["depth"])
-                if gains is not None:
-                    cameras = tuple(view.camera for view in scene.training.views)
-                    exposures = Exposures(cameras, gains)
-            made = (timings, run_dir, scene, depth, exposures, network, progress)
-            record = _trained(record, *made, shared, warnings)
-    progress.done(_result(record))
-    return record
-
-
-@contextmanager
-def _read_anew_if_changed(shared: Shared) -> Iterator[None]:
-    """Where this run changed what runs share, however it ends, the next one reads it anew."""
-    try:
-        yield
-    finally:
-        if shared.changed():
-            for kept in (_scene, _depth, _pose_check, _log_gains):
-                kept.cache_clear()
-
-
-def _reusable(config: Mapping[str, Any], run_dir: Path, identity: str) -> RunRecord | None:
-    """The complete record of the same run, unless it is to be repeated."""
-    return None if config["force"] else find_complete(run_dir, identity)
-
-
-def _trained(
-    record: RunRecord,
-    timings: dict[str, StageTime],
-    run_dir: Path,
-    scene: Scene,
-    depth: tuple[DepthMap, ...],
-    exposures: Exposures | None,
-    network: Lpips | None,
-    progress: Progress,
-    shared: Shared,
-    warnings: list[str],
-) -> RunRecord:
-    """The record with the result of its run, as written; `timings` are those it holds."""
-    config = record.config
-    rasterizer = build_rasterizer(config)
-    photos, told_of_scene = scene.training.views, {}
-    if exposures is not None:
-        progress.note(exposures.message())
-        told_of_scene = {EXPOSURE: exposures.size}
-        evened = dataclasses.replace(scene.training, views=exposures.evened(photos))
-        scene = dataclasses.replace(scene, training=evened)
-
-    def start(seed: int) -> Gaussians:
-        with _timed(timings, "init"):
-            return initial(config, scene, depth, TrainerOptions(**config["trainer"]), seed)
-
-    identity, force = record.identity, config["force"]
-    run = Run(scene, depth, start, run_dir, identity, force, rasterizer, exposures)
-    options, told_of_budget = _steps_for_its_seconds(run, config, progress)
-    config = {**config, "trainer": dataclasses.asdict(options)}
-    trained = train(run, config, progress)
-    timings[TRAIN_STAGE] = StageTime(trained.wall_s, trained.cpu_s)
-    progress.stage("evaluation")
-    near = options.near_plane * scene.training.near
-    with _timed(timings, "evaluate"):
-        measured = _measured(config, trained, near, scene.test, network, run, progress)
-    shared.check()
-    record = dataclasses.replace(
-        record,
-        provenance={**record.provenance, **told_of_budget, **told_of_scene},
-        peak_memory_bytes=peak_memory_bytes(),
-        resumed=trained.resumed,
-        dose=told(trained.dose),
-        warnings=tuple(dict.fromkeys(warnings)),
-    )
-    return _written(record, run, photos, near, trained, *measured)
-
-
-def _written(
-    record: RunRecord,
-    run: Run,
-    photos: tuple[View, ...],
-    near: float,
-    trained: Trained,
-    metrics: list[ViewMetrics],
-    renders: list[tuple[View, Tensor]],
-) -> RunRecord:
-    """The run's files; the record last, as it says that all others are there. photos: the training
-    views as they were taken, whatever the exposures of those of `run` were evened by."""
-    run_dir, test = run.folder, run.scene.test
-    stale = remove_record(run_dir)  # of a run before, with other files than these
-    with following(run_dir) as before:
-        factors = None if run.exposures is None else run.exposures.factors
-        write_cameras(run_dir, photos, test, near, factors)
-        means, background = trained.gaussians.means, trained.background
-        write_settings(run_dir, photos, means, background, near)
-        write_photos(run_dir, photos)
-    record = write_run(
-        run_dir,
-        record,
-        metrics,
-        trained.history,
-        trained.gaussians,
-        trained.background,
-        renders,
-        before,
-        stale,
-    )
-    remove_checkpoints(run_dir)
-    (run_dir / budget.FILE).unlink(missing_ok=True)
-    remove_made_of_model(run_dir)
-    return record
-
-
-def _steps_for_its_seconds(
-    run: Run, config: Mapping[str, Any], progress: Progress
-) -> tuple[TrainerOptions, dict[str, Any]]:
-    """The trainer's options, with steps chosen if they were given as seconds, and what is told."""
-    options = TrainerOptions(**config["trainer"])
-    if options.seconds <= 0:
-        return options, {}
-    progress.stage(f"choosing steps for {options.seconds:g} s")
-    if run.force:
-        (run.folder / budget.FILE).unlink(missing_ok=True)
-    choice = budget.chosen(
-        run.folder,
-        run.identity,
-        options,
-        len(run.scene.training.views),
-        lambda trial: try_out(run, config, trial).wall_s,
-    )
-    progress.note(f"{choice.told['seconds']:g} s of training: {choice.told['repeat']}")
-    return choice.applied(options), {"budget": choice.told}
-
-
-def _measured(
-    config: Mapping[str, Any],
-    trained: Trained,
-    near: float,
-    test: Sequence[View],
-    network: Lpips | None,
-    run: Run,
-    progress: Progress,
-) -> tuple[list[ViewMetrics], list[tuple[View, Tensor]]]:
-    """What the test views say of a trained model, and its renders of them."""
-    seen = trained.gaussians, trained.background, trained.sh_degree
-    render = renderer(*seen, near, run.rasterizer, run.exposures)
-    names = measures(config["metrics"].get("also"))
-    also = {name: registry.part("metric", {"name": name}) for name in names}
-    both = bool(config["metrics"].get(LPIPS_BOTH))
-    metrics, renders = evaluate(render, test, network, also, both, progress.stage)
-    metrics = with_average(metrics)
-    if config["metrics"].get(COADAPTATION):
-        half = thinned(*seen, near, run.rasterizer)
-        cameras = [view.camera for view in test]
-        draws = rng.stream(config["seed"], COADAPTATION)
-        metrics = with_coadaptation(metrics, half, len(trained.gaussians), cameras, draws)
-        metrics = with_rank(metrics, trained.gaussians.log_scales)
-    return metrics, renders
-
-
-def _key(options: Mapping[str, Any]) -> str:
-    """Options as a hashable text."""
-    return json.dumps(dict(options), sort_keys=True)
-
-
-@functools.lru_cache(maxsize=2)
-def _scene(key: str) -> tuple[Scene, StageTime, list[str]]:
-    timings: dict[str, StageTime] = {}
-    with _timed(timings, "scene"), warnings_of() as warnings:
-        options = json.loads(key)
-        loader = registry.part("scene", options)
-        with answers.called(f"scene={options['name']}: load", type(loader)):
-            found = loader.load()
-        scene = answers.scene(options["name"], type(loader), found)
-    return scene, timings["scene"], warnings
-
-
-def _files(config: Mapping[str, Any], scene: Scene) -> dict[str, str]:
-    """Purpose -> fingerprint of the files beside the scene's that the run reads; "" for none."""
+def file_fingerprints(config: Mapping[str, Any], scene: Scene) -> dict[str, str]:
+    """Fingerprints of the files that a run reads besides the scene's, by purpose; "" for none."""
     provider = registry.part("depth", config["depth"])
     with answers.called(f"depth={config['depth']['name']}: fingerprint", type(provider)):
         depth = provider.fingerprint(scene.training)
@@ -363,59 +357,6 @@ def _files(config: Mapping[str, Any], scene: Scene) -> dict[str, str]:
         "depth": depth,
         "lpips_weights": fingerprint(config["metrics"]["lpips_weights"]),
     }
-
-
-@functools.lru_cache(maxsize=2)
-def _depth(
-    scene_key: str, key: str, fingerprint: str
-) -> tuple[tuple[DepthMap, ...], StageTime, list[str]]:
-    """The depth maps; `fingerprint` tells files that were replaced since they were last read."""
-    timings: dict[str, StageTime] = {}
-    with _timed(timings, "depth"), warnings_of() as warnings:
-        options = json.loads(key)
-        training, provider = _scene(scene_key)[0].training, registry.part("depth", options)
-        with answers.called(f"depth={options['name']}: measure", type(provider)):
-            maps = provider.estimate(training)
-        depth = answers.depth(options["name"], type(provider), maps, training)
-    return depth, timings["depth"], warnings
-
-
-@functools.lru_cache(maxsize=2)
-def _pose_check(scene_key: str) -> tuple[PoseCheck | None, StageTime, list[str]]:
-    """Whether stereo confirms the poses; None where they are known or cannot be checked."""
-    timings: dict[str, StageTime] = {}
-    options = json.loads(scene_key)
-    with _timed(timings, "pose_check"), warnings_of() as warnings:
-        loader, training = registry.part("scene", options), _scene(scene_key)[0].training
-        check = checked_poses(options["name"], loader, training)
-    return check, timings["pose_check"], warnings
-
-
-@functools.lru_cache(maxsize=2)
-def _log_gains(
-    scene_key: str, depth_key: str, fingerprint: str
-) -> tuple[NDArray[np.float64] | None, StageTime]:
-    """Of the photos' exposures, None where they are alike; by `_depth` of the same arguments, but
-    as it was before a stress study spoiled it."""
-    views = _scene(scene_key)[0].training.views
-    timings = {"exposure": StageTime(0.0, 0.0)}
-    if len(views) < ENOUGH:
-        return None, timings["exposure"]
-    clean = _key(unspoiled(json.loads(depth_key)))
-    depth = _depth(scene_key, clean, fingerprint)[0]
-    with _timed(timings, "exposure"):
-        found = find_exposures(views, depth)
-    return None if found is None else found.log_gains, timings["exposure"]
-
-
-def _info(scene: Scene) -> SceneInfo:
-    return SceneInfo(
-        scene.name,
-        scene.protocol,
-        scene.fingerprint,
-        tuple(view.name for view in scene.training.views),
-        tuple(view.name for view in scene.test),
-    )
 
 
 def _result(record: RunRecord) -> str:
@@ -440,7 +381,7 @@ def _reused(record: RunRecord) -> str:
 
 @contextmanager
 def _timed(timings: dict[str, StageTime], stage: str) -> Iterator[None]:
-    """The time goes to that of the stage so far."""
+    """Add the time inside to that of the stage so far."""
     before, watch = timings.get(stage, StageTime(0.0, 0.0)), Stopwatch()
     yield
     timings[stage] = StageTime(before.wall_s + watch.wall_s, before.cpu_s + watch.cpu_s)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from framework.rasterizers import RenderGradient
+from framework.backends import RenderGradient
 from framework.types import Gaussians, edited
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from framework.rasterizers import Rasterizer, RenderGradient
+from framework.backends import Rasterizer, RenderGradient
 from framework.train.adam_kernels import BETA1, BETA2, EPS, LOWEST_LOGIT
 from framework.train.optim import Adam
 from framework.train.optimizer import Optimizer

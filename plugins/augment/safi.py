@@ -1,17 +1,18 @@
-"""`augment=safi`: the support views of a pseudo view chosen by Fisher information.
+"""`augment=safi`: a pseudo view warped from the views that Fisher information selects.
 
-For a perturbed camera x' every training view k is scored by the information that x' would add to
-it, I_k = 1/2 tr(F(x') F(x_k)^-1) with diagonal F of the warmed-up Gaussians theta_0. A small I_k
-means that k already knows what x' would show: all views with I_k <= eta min I are warped into x'.
+For a perturbed camera x', every training view k is scored by the information that x' would add to
+it, I_k = 1/2 tr(F(x') F(x_k)^-1), with diagonal F of the Gaussians theta_0 after the warm-up. A
+small I_k means that view k already contains what x' shows. All views with I_k <= eta min I are
+warped into x'.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
-from framework.methods.warping import ThresholdAugmenter
 from framework.plugin import StepContext, register
+from framework.toolbox.warping import ThresholdAugmenter
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -24,10 +25,16 @@ APPROXIMATIONS = ("diagonal", "block")
 
 @dataclass(frozen=True)
 class Snapshot:
-    """theta_0 with what the training views know about it. gaussians: detached copies. sh_degree:
-    the active degree. unknown: for each of the K views the variances [N, P] of the parameters that
-    are taken by their diagonal. blocks, prior: with approximation "block" the K views' information
-    [N, 6, 6] of the others and its [6]; else () and None. epoch: when it was taken."""
+    """theta_0 and what the training views determine about it.
+
+    Attributes:
+        gaussians: detached copies.
+        sh_degree: the active degree.
+        unknown: for each of the K views the variances [N, P] of the parameters with a diagonal.
+        blocks: the information [N, 6, 6] of the other parameters for each view, () if diagonal.
+        prior: [6] prior of the blocks, None if diagonal.
+        epoch: when it was taken.
+    """
 
     gaussians: Gaussians
     sh_degree: int
@@ -40,14 +47,16 @@ class Snapshot:
 @register("augment", "safi")
 @dataclass(frozen=True)
 class Safi(ThresholdAugmenter):
-    """eta: a view supports if I_k is at most eta x the smallest. form: "trace", the paper's bound,
-    or "log", the gain itself, which wants an eta of 1.05 or so. Its ratios are near 1.
-    approximation: "diagonal" information, or the "block" of every Gaussian's mean and log-scale.
+    """eta: a view is a support if I_k is at most eta x the smallest. form: "trace", the paper's
+    bound, or "log", the gain itself, whose ratios are near 1, so use an eta of about 1.05.
+    approximation: "diagonal" information, or the "block" of each Gaussian's mean and log-scale.
     regulariser: prior precision as a share of the median diagonal of the training views. With much
-    less than 1 the trace only counts what a view does not see, and the scores' ratios explode.
-    downscale: the Fisher passes run on images smaller by this integer factor. refresh_epochs:
-    epochs after which theta_0 is taken anew; 0 = never.
-    """
+    less than 1, the trace counts only what a view does not show. downscale: factor by which images
+    are reduced for Fisher passes. refresh_epochs: epochs after which theta_0 is taken again; 0 =
+    never."""
+
+    title: ClassVar[str] = "SAFI"
+    paper: ClassVar[str] = "safi_uar"
 
     form: str = "trace"
     approximation: str = "diagonal"
@@ -58,8 +67,8 @@ class Safi(ThresholdAugmenter):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.check("form", self.form in FORMS, f"one of {', '.join(FORMS)}")
-        known = self.approximation in APPROXIMATIONS
-        self.check("approximation", known, f"one of {', '.join(APPROXIMATIONS)}")
+        valid = self.approximation in APPROXIMATIONS
+        self.check("approximation", valid, f"one of {', '.join(APPROXIMATIONS)}")
         self.check("regulariser", 0 < self.regulariser <= 1e3, "a number in (0, 1000]")
         self.check("downscale", 1 <= self.downscale <= 16, "an integer in [1, 16]")
         self.check("refresh_epochs", self.refresh_epochs >= 0, "an integer >= 0")

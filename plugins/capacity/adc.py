@@ -1,8 +1,8 @@
 """`capacity=adc`: adaptive density control of 3DGS (Kerbl et al. 2023, section 5.2).
 
-Where the projected mean of a Gaussian keeps being pulled, the scene is not yet represented well:
-a small Gaussian there is cloned, a large one split in two. Transparent Gaussians are removed, and
-now and then all opacities are lowered so that only those the views need come back.
+Where the gradient of a projected mean stays large, the scene is under-represented: small Gaussians
+are cloned there and large ones split in two. Transparent Gaussians are pruned, and opacities are
+reset from time to time.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
-from framework.methods.pull import Pull, PullCapacity
 from framework.plugin import Edits, StepContext, StepStats, register
+from framework.toolbox.pull import Pull, PullCapacity
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -26,22 +26,24 @@ SHRINK = 1.6  # ... smaller by this factor (the 3DGS code's 0.8 * CHILDREN)
 @register("capacity", "adc")
 @dataclass(frozen=True)
 class AdaptiveDensityControl(PullCapacity):
-    """Options, with the defaults of the sparse-view literature (10k-step trainings).
+    """Options, with the defaults of the sparse-view literature (10,000 steps).
 
-    of_steps: length of the training that the steps of the others are of. In another they are in
-    proportion, but at least an epoch lies between densifications. 0 = they are absolute: a training
-    of 500 steps or fewer is not densified unless `from_step` is lowered. every: steps between
-    densifications. The last is before the framework key `stop`, whose default leaves the last tenth
-    to settle what was split. from_step: no densification up to this step. grad_threshold: least
-    mean pull (loss per NDC unit). percent_dense: largest standard deviation of a "small" Gaussian,
-    in scene extents. min_opacity: below it a Gaussian is removed. reset_every: steps between
-    lowering all opacities to `reset_opacity`; 0 = never. reset_from: step of the first time; 0 =
-    `reset_every`. reset_opacity: the highest opacity after that. absolute: pull by the sums of
-    absolute gradients, as AbsGS (Ye et al. 2024). A step then takes longer. count_dropped: what a
-    step drops counts as seen and not pulled, as in DropGaussian's code, and not as unseen.
-    max_gaussians: 0 = no limit; otherwise the strongest pulled are served first. Joined members
-    (`trainer.members`) have it together.
+    of_steps: length of the training to which the other step counts refer; they scale with the
+    actual length, but at least an epoch lies between densifications. 0 = they are absolute, so a
+    training of 500 steps or fewer is not densified unless `from_step` is lowered. every: steps
+    between densifications, the last one before `stop`, whose default leaves a tenth of the training
+    to settle. from_step: no densification up to this step. grad_threshold: least mean gradient
+    (loss per NDC unit). percent_dense: largest standard deviation of a "small" Gaussian, in scene
+    extents. min_opacity: prune below it. reset_every: steps between opacity resets; 0 = never.
+    reset_from: step of the first reset; 0 = `reset_every`. reset_opacity: highest opacity after a
+    reset. absolute: use sums of absolute gradients, as AbsGS (Ye et al. 2024); steps take longer.
+    count_dropped: count a dropped Gaussian as visible with zero gradient, as DropGaussian's code
+    does. max_gaussians: 0 = no limit; otherwise those with the largest gradients come first, and
+    members (`trainer.members`) share it.
     """
+
+    title: ClassVar[str] = "ADC"
+    paper: ClassVar[str] = "baseline"
 
     defaults: ClassVar[dict[str, float]] = {"stop": 0.9}
 

@@ -1,11 +1,11 @@
-"""`capacity=edge_split`: a large Gaussian that covers edges of a photo is split in two.
+"""`capacity=edge_split`: split large Gaussians that cover edges of a photo.
 
-DropoutGS (Xu et al. 2025, edge-guided splitting): beside what adaptive density control does, those
-whose largest standard deviation is above a share of the scene's extent and whose edge score is
-above a threshold: the mean of the photo's edges (Sobel's) under the Gaussian, with its blend
-weights. These weights are the derivative of the image by its colour, so one render gives them all.
-The score is of the step's view alone, as the sum over pixels that the paper divides by is not
-clear. It stands beside another capacity, as `capacity=[adc,edge_split]`.
+DropoutGS (Xu et al. 2025, edge-guided splitting): in addition to adaptive density control, split
+Gaussians whose largest standard deviation exceeds a share of the scene's extent and whose edge
+score exceeds a threshold. The score is the mean of the photo's Sobel edges under the Gaussian,
+weighted by its blend weights, which are the derivatives of the image by its colour; one render
+gives them all. It uses the step's view only, because the paper's normalization over views is
+unclear. Combine it with another capacity: `capacity=[adc,edge_split]`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.rounds import halves
 from framework.plugin import Capacity, Edits, StepContext, StepStats, register
+from framework.toolbox.rounds import halves
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -25,9 +25,12 @@ if TYPE_CHECKING:
 @register("capacity", "edge_split")
 @dataclass(frozen=True)
 class EdgeSplit(Capacity):
-    """score: least edge under a Gaussian that is split. large: least standard deviation of such a
-    one, in scene extents. every: share of the training between two rounds. at_most: share of the
-    Gaussians that a round splits."""
+    """score: least edge score of a Gaussian that is split. large: least standard deviation of such
+    a Gaussian, in scene extents. every: share of the training between two rounds. at_most: share of
+    the Gaussians that a round splits."""
+
+    title: ClassVar[str] = "Edge-guided splitting"
+    paper: ClassVar[str] = "dropoutgs"
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.1, "stop": 0.7}
 
@@ -74,8 +77,8 @@ def edge_scores(ctx: StepContext, view: View) -> Tensor:
         shN=torch.zeros_like(ctx.gaussians.shN),
     )
     rgb = ctx.render(view.camera, grey).rgb
-    (found,) = torch.autograd.grad((rgb[:2] * edges).sum(), [grey.sh0])
-    weighted, weight = found[:, 0, 0], found[:, 0, 1]
+    (sums,) = torch.autograd.grad((rgb[:2] * edges).sum(), [grey.sh0])
+    weighted, weight = sums[:, 0, 0], sums[:, 0, 1]
     return torch.where(weight > 0, weighted / weight.clamp(min=1e-12), 0.0)
 
 

@@ -1,13 +1,12 @@
-"""`capacity=gradient_decay`: opacities fade, those that the loss pulls at less.
+"""`capacity=gradient_decay`: opacities decay, less so where their gradient is large.
 
-StereoGS (2026), the gradient-based decay of its project page: after each step an opacity o is
-multiplied by 1 - (1 - decay) exp(-relief g / mean(g)) with g = |dL/do| of the step, so that what
-nobody needs is gone and what the photos hold on to stays. The mean is over those with a gradient:
-how much of the scene a photo does not show must not matter. Gradients come as of the logits, from
-before the step, and are taken to opacities by their values after it, which differ by one step of
-the optimizer (or by what a capacity named before this one set). The trainer lets opacities fade by
-default too: `trainer.opacity_decay=1` turns that off. It stands alone or beside another capacity,
-as `capacity=[adc_paper,gradient_decay]`.
+StereoGS (2026, gradient-aware decay): after each step an opacity o is multiplied by
+1 - (1 - decay) exp(-relief g / mean(g)) with g = |dL/do|. Unneeded Gaussians vanish and supported
+ones stay. The mean is over Gaussians with a gradient, so that the visible share of the scene does
+not matter. Gradients are those of the logits before the step, converted to opacities by the values
+after it, which differ by one optimizer step. The trainer decays opacities by default as well;
+`trainer.opacity_decay=1` disables that. Use it alone or with another capacity:
+`capacity=[adc_paper,gradient_decay]`.
 """
 
 from __future__ import annotations
@@ -26,8 +25,11 @@ LOWEST = -30.0  # no logit fades below, as in the trainer's own decay
 @register("capacity", "gradient_decay")
 @dataclass(frozen=True)
 class GradientDecay(Capacity):
-    """decay: what an opacity without a gradient is multiplied by after a step. relief: how much
-    less one fades that has a gradient; 0 = all alike."""
+    """decay: factor of an opacity without a gradient after a step. relief: how much less opacities
+    with a gradient decay; 0 = all alike."""
+
+    title: ClassVar[str] = "Gradient-aware decay"
+    paper: ClassVar[str] = "stereogs"
 
     gradients: ClassVar[tuple[str, ...]] = ("opacity_logits",)
 

@@ -1,10 +1,9 @@
-"""`capacity=proximity_unpool`: where Gaussians stand far apart, new ones are put between them.
+"""`capacity=proximity_unpool`: add Gaussians between neighbours that are far apart.
 
-FSGS (Zhu et al. 2024, section 3.2 and its code): a Gaussian whose nearest three others are at a
-mean squared distance above a threshold, and which is itself large, gets one new Gaussian in the
-middle to each: opacity and scale of the neighbour, not rotated, grey. Thresholds are of distance
-and scale in units of scene extents; those of the code are 5 (of a squared distance, so in mixed
-units) and 1 and rarely met. It stands beside another capacity, as
+FSGS (Zhu et al. 2024, section 3.2 and its code): a large Gaussian whose three nearest neighbours
+have a mean squared distance above a threshold gets a new Gaussian halfway to each: opacity and
+scale of the neighbour, no rotation, grey. Thresholds are in scene extents; those of the paper's
+code are 5 (of a squared distance) and 1 and are rarely met. Combine it with another capacity:
 `capacity=[adc,proximity_unpool]`.
 """
 
@@ -13,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.neighbours import nearest_others
 from framework.plugin import Capacity, Edits, StepContext, StepStats, register
+from framework.toolbox.neighbours import nearest_others
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -27,9 +26,12 @@ NEIGHBOURS = 3
 @register("capacity", "proximity_unpool")
 @dataclass(frozen=True)
 class ProximityUnpool(Capacity):
-    """far: root mean squared distance to the nearest three, in scene extents, above which there is
-    room. large: standard deviation that such a Gaussian has at least, in scene extents. every:
-    share of the training between two rounds. at_most: share of the Gaussians that a round adds."""
+    """far: least root mean squared distance to the three nearest neighbours, in scene extents.
+    large: least standard deviation of such a Gaussian, in scene extents. every: share of the
+    training between two rounds. at_most: share of the Gaussians that a round adds."""
+
+    title: ClassVar[str] = "Proximity unpooling"
+    paper: ClassVar[str] = "fsgs"
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.2}
 

@@ -1,18 +1,17 @@
-"""`init=epipolar`: a Gaussian for every pixel whose match lies on its epipolar line.
+"""`init=epipolar`: one Gaussian per pixel whose match lies on its epipolar line.
 
-NexusGS (Zheng et al. 2025): a pixel is matched with its two nearest views, the match is moved onto
-its epipolar line, or refused where it is a pixel or more away, and of two depths that one stays
-which a small error of the match changes least. NexusGS matches by optical flow, a network. Here a
-pair of views is matched by the plane sweep, which finds depth, and then freely, by the best
-correlation among the places some pixels around: what is alike elsewhere than on the line is
-refused. Both views have to agree, too, as the search goes only some pixels.
+NexusGS (Zheng et al. 2025): a pixel is matched with its two nearest views. The match is moved onto
+its epipolar line, or rejected if it is a pixel or more away. Of two depths, the one less sensitive
+to an error of the match is kept. NexusGS matches by optical flow, a network. Here a pair of views
+is matched by the plane sweep and then freely, by the best correlation among places some pixels
+around; places that match better off the line are rejected. Both views of a pair must agree.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from framework.errors import require
 from framework.plugin import Initializer, register
@@ -31,13 +30,14 @@ REACH = 2  # pixels around the swept match that are searched
 @register("init", "epipolar")
 @dataclass(frozen=True)
 class Epipolar(Initializer):
-    """partners: views that a pixel is matched with, the nearest. off_line: pixels from its epipolar
-    line at which a match is refused. similar: least correlation of the matched windows. tolerance:
-    relative difference of depth up to which the two views of a pair agree. share: of the matched
-    pixels that become a Gaussian, drawn at random; 1 = all of them. radius: of the compared window.
-    scale_factor: standard deviation in units of the mean spacing of the Gaussians. opacity: of
-    every Gaussian.
-    """
+    """partners: number of nearest views to match with. off_line: distance from the epipolar line,
+    in pixels, at which a match is rejected. similar: least correlation of the matched windows.
+    tolerance: largest relative depth difference between the two views of a pair. share: random
+    share of the matched pixels that become Gaussians; 1 = all. radius: of the compared window.
+    scale_factor: standard deviation in units of the mean spacing. opacity: of every Gaussian."""
+
+    title: ClassVar[str] = "Epipolar"
+    paper: ClassVar[str] = "nexusgs"
 
     partners: int = 2
     off_line: float = 1.0
@@ -71,15 +71,15 @@ class Epipolar(Initializer):
         from framework.initialize.isotropic import isotropic_gaussians
 
         places, colours, sizes = [], [], []
-        for view, found in zip(training.views, self.depths(training), strict=True):
-            valid = found > 0
+        for view, z in zip(training.views, self.depths(training), strict=True):
+            valid = z > 0
             if view.mask is not None:
                 valid &= view.mask.numpy() > 0.5
-            at = unproject(torch.from_numpy(found), view.camera).numpy()
+            at = unproject(torch.from_numpy(z), view.camera).numpy()
             K = view.camera.K
             places.append(at[valid])
             colours.append(view.image.numpy()[:, valid].T)
-            sizes.append(found[valid] / math.sqrt(float(K[0, 0] * K[1, 1])))
+            sizes.append(z[valid] / math.sqrt(float(K[0, 0] * K[1, 1])))
         xyz, rgb, size = (np.concatenate(parts) for parts in (places, colours, sizes))
         require(
             len(xyz) >= FEWEST,
@@ -111,7 +111,7 @@ class Epipolar(Initializer):
             (i, j): sweep_view(training, images, i, [j], bounds[i], options)[0]
             for i, j in sorted(wanted | {(j, i) for i, j in wanted})
         }
-        found = []
+        maps = []
         for i, (_, partners) in enumerate(pairs):
             matches = []
             for j in partners:
@@ -119,8 +119,8 @@ class Epipolar(Initializer):
                 agreed = agreeing_views(*pair, 0, [1], self.tolerance) > 0
                 z = swept[i, j] * agreed
                 matches.append(self._on_line(z, images[i], images[j], cameras[i], cameras[j]))
-            found.append(least_sensitive(matches, images[i].shape))
-        return found
+            maps.append(least_sensitive(matches, images[i].shape))
+        return maps
 
     def _on_line(
         self, z: np.ndarray, image: np.ndarray, other: np.ndarray, camera: Camera, source: Camera
@@ -141,10 +141,12 @@ class Epipolar(Initializer):
 
 @dataclass(frozen=True)
 class Line:
-    """The epipolar lines of a view's pixels in another, at their matches; all [H, W].
+    """Epipolar lines of a view's pixels in another view, at their matches; all [H, W].
 
-    u, v: the match, pixels. du, dv: direction of the line there, length 1, towards larger depth.
-    dz: change of depth per pixel on it.
+    Attributes:
+        u, v: the match, pixels.
+        du, dv: unit direction of the line, towards larger depth.
+        dz: change of depth per pixel along it.
     """
 
     u: np.ndarray
@@ -197,8 +199,8 @@ def free_match(
     y, x = np.indices(image.shape)
 
     def score(i: np.ndarray, j: np.ndarray) -> np.ndarray:
-        found: np.ndarray = scores[np.clip(i, 0, n - 1), np.clip(j, 0, n - 1), y, x]
-        return found
+        chosen: np.ndarray = scores[np.clip(i, 0, n - 1), np.clip(j, 0, n - 1), y, x]
+        return chosen
 
     top = score(row, column)
     finer = []
@@ -222,8 +224,8 @@ def sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     fx, fy = x - column, y - row
     top = image[row, column] * (1 - fx) + image[row, column + 1] * fx
     low = image[row + 1, column] * (1 - fx) + image[row + 1, column + 1] * fx
-    found: np.ndarray = top * (1 - fy) + low * fy
-    return found
+    values: np.ndarray = top * (1 - fy) + low * fy
+    return values
 
 
 def least_sensitive(
@@ -234,7 +236,7 @@ def least_sensitive(
     import numpy as np
 
     depth, least = np.zeros(shape), np.full(shape, np.inf)
-    for found, sensitivity in matches:
-        better = (found > 0) & (sensitivity < least)
-        depth, least = np.where(better, found, depth), np.where(better, sensitivity, least)
+    for candidate, sensitivity in matches:
+        better = (candidate > 0) & (sensitivity < least)
+        depth, least = np.where(better, candidate, depth), np.where(better, sensitivity, least)
     return depth

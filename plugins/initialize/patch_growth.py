@@ -1,18 +1,18 @@
-"""`init=patch_growth`: points of consistent depth, and places around them that all photos confirm.
+"""`init=patch_growth`: consistent points, and places around them that all photos confirm.
 
-The growth of points in the code of Binocular-Guided 3DGS (Han et al. 2024, `triangulate.py`; its
-text does not name it), which needs no network: in every round some points are drawn, places are
-drawn around them from a normal distribution, and a place stays if the patches of the photos around
-its projections are alike, SSIM of 5 x 5 pixels at least 0.95. Its first points are those that a
-network matched; here they are of the fused depth of `depth=`, or the scene's sparse points. Its
-normal distribution is 10 scene units wide; here its width is a share of the point's depth.
+Point growth in the code of Binocular-Guided 3DGS (Han et al. 2024, `triangulate.py`; its text does
+not mention it). In each round some points are drawn, places are drawn around them from a normal
+distribution, and a place is kept if the photos' patches around its projections are similar, SSIM of
+5x5 pixels of at least 0.95. Its first points are a network's matches; here they come from fused
+depth or the scene's sparse points. Its normal distribution is 10 scene units wide; here its width
+is a share of the point's depth.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from framework.errors import require
 from framework.plugin import Initializer, register
@@ -34,14 +34,15 @@ TOLERANCE = 0.03  # relative difference of depth up to which two views show one 
 @register("init", "patch_growth")
 @dataclass(frozen=True)
 class PatchGrowth(Initializer):
-    """seeds: where the first points are from, depth or points. That is: the fused pixels that
-    several views confirm, or the scene's sparse points. per_pixel: points of the depth at most, per
-    training pixel. growth: points that grow at most, in units of the first. Every round adds its
-    share of them. rounds: of growth. drawn: points that a round grows from. samples: places around
-    each of them. spread: their standard deviation, in the point's mean depths. similar: least SSIM
-    of the patches of two views. Of all pairs that have the place in their image. patch: edge of a
-    patch in pixels. opacity: of every Gaussian.
-    """
+    """seeds: source of the first points: "depth" (fused pixels that several views confirm) or
+    "points" (sparse points). per_pixel: most points from depth per training pixel. growth: most
+    grown points, relative to the first ones; each round adds its share. rounds: of growth. drawn:
+    points that a round grows from. samples: places around each of them. spread: their standard
+    deviation, in mean depths of the point. similar: least SSIM of the patches, for all pairs of
+    views that contain the place. patch: patch size in pixels. opacity: of every Gaussian."""
+
+    title: ClassVar[str] = "Patch growth"
+    paper: ClassVar[str] = "binocular"
 
     seeds: str = "depth"
     per_pixel: float = 0.07
@@ -133,8 +134,14 @@ class PatchGrowth(Initializer):
 
 @dataclass(frozen=True)
 class Photo:
-    """A view made ready: image [3, H, W] float64; of the patch around every pixel the mean and the
-    variance [3, H, W], and whether it lies in image and mask [H, W] bool."""
+    """A view prepared for matching.
+
+    Attributes:
+        camera: of the view.
+        image: [3, H, W] float64.
+        mean, variance: [3, H, W], of the patch around each pixel.
+        whole: [H, W] bool, whether the patch lies in image and mask.
+    """
 
     camera: Camera
     image: np.ndarray
@@ -158,7 +165,13 @@ class Photo:
 
 
 class At(NamedTuple):
-    """Pixels of a photo: rows and columns [M], and which of them count [M] bool."""
+    """Pixels of a photo.
+
+    Attributes:
+        photo: the photo.
+        row, column: [M].
+        there: [M] bool, which of them count.
+    """
 
     photo: Photo
     row: np.ndarray
@@ -235,5 +248,5 @@ def ssim(a: At, b: At, shared: np.ndarray | None) -> np.ndarray:
         shared = np.sqrt(var_a * var_b) + 1e-9
     light = (2 * mean_a * mean_b + C1) / (mean_a * mean_a + mean_b * mean_b + C1)
     red, green, blue = light * (2 * shared + C2) / (var_a + var_b + C2)
-    found: np.ndarray = (red + green + blue) / 3
-    return found
+    mean: np.ndarray = (red + green + blue) / 3
+    return mean

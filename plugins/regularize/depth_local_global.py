@@ -1,12 +1,12 @@
-"""`reg=depth_local_global`: depth should match patch by patch, by places first, then opacities.
+"""`reg=depth_local_global`: patchwise match of normalized depth (DNGaussian).
 
-DNGaussian (Li et al. 2024, arXiv 2403.06912): before the update on the photo, one step of the
-optimizer moves the centres alone, with all opacities at 0.95 ("hard" depth), and one the opacities
-alone ("soft" depth). Rendered and known depth are compared in patches of a random size, after the
-patch's mean is taken off and they are divided by the patch's deviation (local) or the image's
-(global): 0.1 local + 1 global, mean over residuals above a margin of their squares (its code for a
-start from dense points: a margin of 0.01, in DropoutGS 0.1 global). Known depth is
-what `depth=` gives, so only its order of magnitude in a patch has to be right.
+DNGaussian (Li et al. 2024, arXiv 2403.06912): before the update on the photo, one optimizer step
+moves the means only, with all opacities at 0.95 ("hard" depth), and one the opacities only ("soft"
+depth). Rendered and known depth are compared in patches of a random size. The patch mean is
+subtracted, and the result is divided by the deviation of the patch (local) or of the image
+(global). The loss is 0.1 local + 1 global: mean square of residuals above a margin. Its code for a
+start from dense points uses a margin of 0.01, DropoutGS 0.1 global. Known depth is that of
+`depth=`; only its relief within a patch matters.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.elsewhere import SEEN, known_depth
 from framework.plugin import Regularizer, StepContext, SubStep, register
+from framework.toolbox.elsewhere import SEEN, known_depth
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -32,9 +32,12 @@ SHARE = 0.01  # of the image's deviation that a patch's is kept above
 @register("reg", "depth_local_global")
 @dataclass(frozen=True)
 class DepthLocalGlobal(Regularizer):
-    """smallest, largest: edge of a patch in pixels, uniform between them. margin: residuals below
-    it do not count. whole: weight of the loss divided by the image's deviation. soft_from: share of
-    the training before which only centres move."""
+    """smallest, largest: patch size in pixels, drawn uniformly. margin: smaller residuals do not
+    count. whole: weight of the global loss. soft_from: share of the training before which only
+    means move."""
+
+    title: ClassVar[str] = "DNGaussian depth"
+    paper: ClassVar[str] = "dngaussian"
 
     defaults: ClassVar[dict[str, float]] = {"weight": 1.0}
 
@@ -52,20 +55,20 @@ class DepthLocalGlobal(Regularizer):
         self.check("soft_from", 0 <= self.soft_from <= 1, "a share in [0, 1]")
 
     def substeps(self, ctx: StepContext, state: Any, view: View) -> Iterator[SubStep]:
-        known = known_depth(ctx, view)
-        if known is None:
+        reference = known_depth(ctx, view)
+        if reference is None:
             return
         rng = ctx.rng("patches")
         names = [("means",)] + [("opacity_logits",)] * (ctx.progress >= self.soft_from)
         for moved in names:
             loss = self._loss(
-                ctx, view, moved[0], known, int(rng.integers(self.smallest, self.largest + 1))
+                ctx, view, moved[0], reference, int(rng.integers(self.smallest, self.largest + 1))
             )
             if loss is not None:
                 yield loss, moved
 
     def _loss(
-        self, ctx: StepContext, view: View, moved: str, known: tuple[Tensor, Tensor], patch: int
+        self, ctx: StepContext, view: View, moved: str, reference: tuple[Tensor, Tensor], patch: int
     ) -> Tensor | None:
         """Of one render in which only the parameter `moved` has a gradient."""
         import torch
@@ -76,12 +79,12 @@ class DepthLocalGlobal(Regularizer):
             opaque = torch.full_like(gaussians.opacity_logits, logit)
             gaussians = gaussians.replace(opacity_logits=opaque)
         seen = ctx.render(view.camera, gaussians)
-        valid = known[1] & (seen.alpha.detach() > SEEN)
-        return compared(seen.expected_depth, known[0], valid, patch, self.margin, self.whole)
+        valid = reference[1] & (seen.alpha.detach() > SEEN)
+        return compared(seen.expected_depth, reference[0], valid, patch, self.margin, self.whole)
 
 
 def compared(
-    rendered: Tensor, known: Tensor, valid: Tensor, patch: int, margin: float, whole: float
+    rendered: Tensor, reference: Tensor, valid: Tensor, patch: int, margin: float, whole: float
 ) -> Tensor | None:
     """0.1 local + `whole` global loss of two depth maps [H, W] over whole patches of `valid`
     pixels; None without any such patch."""
@@ -97,7 +100,7 @@ def compared(
     if not inside.any():
         return None
     loss = rendered.new_zeros(())
-    pair = [tiles(values)[inside] for values in (rendered, known)]
+    pair = [tiles(values)[inside] for values in (rendered, reference)]
     spread = [values.std().detach() for values in pair]
     for weight, local in ((LOCAL, True), (whole, False)):
         normal = []

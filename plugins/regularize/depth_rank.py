@@ -1,9 +1,9 @@
-"""`reg=depth_rank`: what is known to be nearer should be rendered nearer.
+"""`reg=depth_rank`: pixels that are known to be nearer should be rendered nearer.
 
-SparseNeRF (Wang et al. 2023, its training code): for random pairs of pixels of which the known
-depth says that the first is nearer, mean max(d1 - d2 + margin, 0); for neighbours of like known
-depth, mean max(|d1 - d2| - margin, 0). Depths are in units of the scene's near bound, so margins
-mean the same everywhere. Only the order of the known depth counts.
+SparseNeRF (Wang et al. 2023, its training code): mean max(d1 - d2 + margin, 0) over random pairs of
+pixels whose first is nearer in the known depth, and mean max(|d1 - d2| - margin, 0) over neighbours
+of similar known depth. Depths are in units of the scene's near bound, so that margins are
+independent of the scene's scale. Only the order of the known depth matters.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.elsewhere import SEEN, known_depth
 from framework.plugin import Regularizer, StepContext, register
+from framework.toolbox.elsewhere import SEEN, known_depth
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -23,9 +23,12 @@ if TYPE_CHECKING:
 @register("reg", "depth_rank")
 @dataclass(frozen=True)
 class DepthRank(Regularizer):
-    """pairs: random pairs of pixels per render. margin: by how much the nearer one is to be nearer,
-    in near bounds. continuity: weight of the term of neighbours, in units of that of pairs.
-    alike: relative difference of known depth up to which neighbours are to stay together."""
+    """pairs: random pairs of pixels per render. margin: by how much the nearer pixel should be
+    nearer, in near bounds. continuity: weight of the neighbour term relative to the pair term.
+    alike: relative difference of known depth below which neighbours should stay together."""
+
+    title: ClassVar[str] = "Depth ranking"
+    paper: ClassVar[str] = "sparsenerf"
 
     defaults: ClassVar[dict[str, float]] = {"weight": 0.5}
 
@@ -44,10 +47,10 @@ class DepthRank(Regularizer):
         """Mean hinge over pairs plus `continuity` times that over neighbours."""
         import torch
 
-        known = known_depth(ctx, view)
-        if known is None:
+        reference = known_depth(ctx, view)
+        if reference is None:
             return None
-        depth, valid = known
+        depth, valid = reference
         valid = valid & (render.alpha.detach() > SEEN)
         places = valid.reshape(-1).nonzero()[:, 0]
         if len(places) < 2:
@@ -58,9 +61,9 @@ class DepthRank(Regularizer):
         flat, sure = rendered.reshape(-1), depth.reshape(-1)
         nearer = torch.where(sure[first] < sure[second], first, second)
         farther = first + second - nearer
-        told = sure[nearer] < sure[farther]
+        ordered = sure[nearer] < sure[farther]
         hinge = (flat[nearer] - flat[farther] + self.margin).clamp(min=0)
-        total = (hinge * told).sum() / told.sum().clamp(min=1)
+        total = (hinge * ordered).sum() / ordered.sum().clamp(min=1)
         return total + self.continuity * self._continuity(rendered, depth, valid)
 
     def _continuity(self, rendered: Tensor, depth: Tensor, valid: Tensor) -> Tensor:

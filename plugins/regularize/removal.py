@@ -1,8 +1,8 @@
-"""`reg=removal`: Gaussians are left out at random, at a constant rate, and thinner when tested.
+"""`reg=removal`: drop random Gaussians at a constant rate; scale opacities in tests.
 
 The first of two strategies against co-adaptation (Chen et al. 2025, arXiv 2508.12720): a training
-render leaves out a share p; what is evaluated has all, with opacities times 1 - p, so that both
-absorb as much in expectation. `reg=uniform` with compensation scales in training instead.
+render leaves out a share p. The evaluation uses all Gaussians with opacities times 1 - p, so that
+both absorb the same in expectation. `reg=uniform` with `compensate` scales in training instead.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.methods.dropout import dimmed
 from framework.plugin import Regularizer, StepContext, register
+from framework.toolbox.dropout import dimmed
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Removal(Regularizer):
     """p: share of the Gaussians that a render leaves out."""
+
+    title: ClassVar[str] = "Removal"
+    paper: ClassVar[str] = "coadapt"
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 

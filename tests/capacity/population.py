@@ -7,8 +7,8 @@ from dataclasses import replace
 import torch
 
 from framework.fisher.information import FisherInformation, fisher_information
+from framework.kernels import rasterize
 from framework.plugin import StepContext, StepStats
-from framework.rasterize import rasterize
 from framework.types import Camera, Gaussians, Render
 from tests.plugins.fakes import Log, context, wall_of_gaussians
 

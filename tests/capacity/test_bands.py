@@ -11,9 +11,9 @@ import torch
 
 from framework.compute.rng import stream
 from framework.fisher.information import fisher_information
-from framework.methods.bands import BandsEvidence, bands_evidence
-from framework.rasterize import rasterize
-from framework.rasterize.reference import sh_basis
+from framework.kernels import rasterize
+from framework.kernels.reference import sh_basis
+from framework.toolbox.bands import BandsEvidence, bands_evidence
 from framework.types import Gaussians
 from plugins.capacity.evidence import Evidence
 from tests.capacity.population import pulls, watched

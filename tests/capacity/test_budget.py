@@ -9,10 +9,10 @@ import torch
 
 from framework.errors import UserError
 from framework.fisher.scores import removal_energy
-from framework.methods.rounds import training_information
+from framework.kernels import rasterize
 from framework.plugin import StepContext
-from framework.rasterize import rasterize
 from framework.registry import build
+from framework.toolbox.rounds import training_information
 from framework.types import Gaussians, concatenate
 from plugins.capacity.budget import Budget
 from tests.capacity.population import pulls, watched

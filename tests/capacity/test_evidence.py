@@ -17,13 +17,13 @@ import torch
 from framework import registry
 from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.methods.rounds import training_information
 from framework.options import TrainerOptions
 from framework.records.notices import QUIET, noted
 from framework.records.progress import Silent, unwarned
 from framework.records.record import parameters_sha256
 from framework.run.plane import textured_plane
 from framework.run.warmup import STEPS, _train
+from framework.toolbox.rounds import training_information
 from framework.train.trainer import Evaluate, Plugins, Trained, Trainer
 from framework.types import Gaussians, TrainingSet
 from plugins.capacity.evidence import (

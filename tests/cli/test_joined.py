@@ -8,6 +8,7 @@ from framework import registry
 from framework.command.cli import main
 from framework.command.config.check import check
 from framework.errors import UserError
+from framework.train.resume.training_state import Plugins
 from tests.cli.conftest import FakeRuns
 from tests.cli.test_config import composed
 
@@ -19,17 +20,14 @@ def test_each_has_its_options_and_what_presets_set_of_it() -> None:
     assert reg["name"] == "uar_hard+uniform" and set(reg) == {"name", "uar_hard", "uniform"}
     assert (reg["uar_hard"]["name"], reg["uar_hard"]["mode"]) == ("uar", "hard")
     assert reg["uniform"]["p"] == 0.3 and reg["uniform"]["start"] == 0.0  # not the default 0.1
-    plugged = registry.build("reg", reg)
-    assert [name for name, _ in plugged.parts] == ["uar_hard", "uniform"]
-    assert list(plugged.each("reg")) == ["reg.uar_hard", "reg.uniform"]
-    assert list(registry.build("reg", {"name": "uar"}).each("reg")) == ["reg"]
+    assert list(registry.build_all("reg", reg)) == ["reg.uar_hard", "reg.uniform"]
+    assert list(registry.build_all("reg", {"name": "uar"})) == ["reg"]
 
 
 def test_a_warm_up_lets_each_act_throughout() -> None:
     """What a user lets act late would load its kernels in the timed training."""
-    reg = composed("reg=uar+uniform", "reg.uniform.start=0.7")["reg"]
-    always = registry.build("reg", reg).always()
-    assert [(part.start, part.stop) for _, part in always.parts] == [(0, 1), (0, 1)]
+    always = Plugins.of(composed("reg=uar+uniform", "reg.uniform.start=0.7")).always()
+    assert [(one.start, one.stop) for one in always.group("reg").values()] == [(0, 1), (0, 1)]
 
 
 def test_a_list_is_a_choice_that_names_the_folder(runs: FakeRuns) -> None:

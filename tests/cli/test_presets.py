@@ -14,10 +14,10 @@ from framework import registry
 from framework.command.cli import main
 from framework.command.config.check import check
 from framework.command.config.schema import CONF_DIR, ROOT
-from framework.methods.dropout import DropoutRegularizer
-from framework.methods.warping import WarpingAugmenter
 from framework.options import TrainerOptions
 from framework.scenes import LOADERS
+from framework.toolbox.dropout import DropoutRegularizer
+from framework.toolbox.warping import WarpingAugmenter
 from framework.train import schedule
 from tests.cli.conftest import FakeRuns
 from tests.cli.test_config import composed
@@ -210,7 +210,7 @@ def test_the_help_names_presets_and_methods(capsys: pytest.CaptureFixture[str]) 
     assert (
         "\n  preset\n    balanced  " in told
         and "\n    paper  " in told
-        and "literature's conditions" in told
+        and "conditions of the literature" in told
     )
     assert all(f"\n    {name} " in told for name in PAIRS)
 

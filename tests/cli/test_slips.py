@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from framework.command.cli import main
-from framework.command.config.overrides import quoted
+from framework.command.overrides import quoted
 from tests.cli.conftest import FakeRuns
 
 

@@ -121,12 +121,12 @@ def test_what_a_capacity_adds_fits_what_there_is() -> None:
 
 def test_the_gradients_that_a_capacity_asks_for() -> None:
     mine = plugin(Capacity, "capacity")
-    assert hooks.wanted(mine) == ()
+    assert hooks.requested_gradients(mine) == ()
     for names in (("opacities",), "opacity_logits", ("means", "colour"), None):
         asking = plugin(Capacity, "capacity")
         object.__setattr__(asking, "gradients", names)
         with pytest.raises(UserError, match=r"^capacity=mine: gradients: expected a tuple of some"):
-            hooks.wanted(asking)
+            hooks.requested_gradients(asking)
 
 
 def test_edits_of_nothing_are_told_from_others() -> None:
@@ -237,22 +237,22 @@ def test_a_hook_that_raises_is_placed() -> None:
         pytest.raises(
             PluginError, match=r"capacity=mine: update, step 39: raised.*: lost \(test_ho"
         ),
-        hooks.at_work("capacity", mine, "update", 39, THREE),
+        hooks.checked_call(mine, "update", 39, THREE),
     ):
         raise ValueError("lost")
     with (
         pytest.raises(UserError, match=r"^mine: no$"),
-        hooks.at_work("capacity", mine, "update", 39, THREE),
+        hooks.checked_call(mine, "update", 39, THREE),
     ):
         raise UserError("mine: no")
 
 
 def test_what_a_hook_is_given_it_may_not_write_into() -> None:
     mine, given = plugin(Augmenter, "augment"), THREE.clone()
-    with hooks.at_work("augment", mine, "pseudo_views", 3, given):
+    with hooks.checked_call(mine, "pseudo_views", 3, given):
         given.means.clone().add_(1)
     with (
         pytest.raises(UserError, match=r"^augment=mine: pseudo_views, step 3: expected ctx\.gauss"),
-        hooks.at_work("augment", mine, "pseudo_views", 3, given),
+        hooks.checked_call(mine, "pseudo_views", 3, given),
     ):
         given.opacity_logits.add_(1)

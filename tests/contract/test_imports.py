@@ -24,34 +24,34 @@ def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-# Top to bottom: whoever stands in a line may import from the lines below it, never from above.
-# A folder is a room, its `__init__.py` the door: `__all__` there says what other rooms may take.
+# Top to bottom: a package may import from those below it, never from above. `__all__` in the
+# `__init__.py` of a package lists what others may use. Comments appear in docs/rooms.png.
 ROOMS = (
-    "command",  # what a user types, and what they are told
-    "report",  # records -> report
-    "view",  # a run in the browser
-    "exports",  # a finished run -> pictures, videos, files of other programs
-    "run",  # scene -> depth -> start -> training -> measures -> record
-    "train",  # the step loop
-    "methods",  # common parts of method families; the plugins stand beside it
-    "plugin",  # the contracts
+    "command",  # command line -> configurations and runs
+    "report",  # records -> findings -> report
+    "view",  # one or two runs in the browser
+    "exports",  # pictures, videos, files for other programs
+    "run",  # scene -> depth -> training -> evaluation -> record
+    "train",  # the training loop
+    "toolbox",  # code shared by plugins
+    "plugin",  # the plugin interface
     "registry",  # name -> plugin
-    "rasterizers",  # who draws: one contract for several rasterizers
-    "fisher",  # information of the Gaussians, and scores from it
-    "warp",  # the soft z-buffer
-    "initialize",  # the first Gaussians
-    "depth",  # of the training views
-    "scenes",  # photos, cameras, points
-    "records",  # a run on disk
+    "backends",  # one rasterizer interface, three implementations
+    "fisher",  # Fisher information and scores
+    "warp",  # warping by depth, soft z-buffer
+    "initialize",  # initial Gaussians
+    "depth",  # depth of the training views
+    "scenes",  # photos, cameras, points, splits
+    "records",  # files of a run
     "metrics",  # PSNR, SSIM, FLIP, LPIPS
-    "rasterize",  # Gaussians -> pixels and back
-    "geometry",  # points to pixels and back
+    "kernels",  # rasterization, forward and backward
+    "geometry",  # projection, rotations
     "shapes",  # checks of values
-    "types",  # the values everybody speaks of
-    "options",  # the trainer's
-    "compute",  # how kernels run
+    "types",  # shared types
+    "options",  # options of the trainer
+    "compute",  # compilation, threads, random streams
     "files",  # reading and writing safely
-    "errors",  # the ground
+    "errors",  # one-line errors
 )
 MOST_ROOMS, MOST_FILES = 18, 8  # folders, and files that lie in none
 
@@ -59,13 +59,13 @@ PLUGIN_MAY_IMPORT = {
     f"framework.{name}"
     for name in (
         *("plugin", "types", "shapes", "geometry", "errors", "registry"),
-        *("methods", "fisher", "warp", "rasterize.losses", "scenes", "depth", "initialize"),
+        *("toolbox", "fisher", "warp", "kernels.losses", "scenes", "depth", "initialize"),
         *("compute.portable", "compute.rng", "compute.tensors"),
     )
 }
 REPORT_MUST_NOT_IMPORT = {
     *("torch", "numba", "plugins"),
-    *(f"framework.{name}" for name in ("train", "run", "rasterize", "types", "records.ply")),
+    *(f"framework.{name}" for name in ("train", "run", "kernels", "types", "records.ply")),
 }
 HEAVY = {"torch", "numba", "scipy", "skimage", "cv2", "kornia", "pycolmap", "pandas", "matplotlib"}
 

@@ -21,10 +21,11 @@ from framework.metrics.values import LARGEST, Missing
 from framework.plugin import Capacity, Edits, Regularizer
 from framework.records.record import read_run
 from framework.records.run_files import HistoryRow, history_csv
+from framework.registry import ActivePlugin
 from framework.run import answers
 from framework.train.dose import Dose, told
 from tests.contract.test_hooks import as_before
-from tests.golden.test_contracts import plugged, trainer
+from tests.golden.test_contracts import trainer
 from tests.record.fakes import fake_run
 
 
@@ -102,7 +103,7 @@ def test_a_regularizer(hook: str, method: Callable[..., Any], expected: str) -> 
     if hook in ("init_state", "evaluated"):
         hooks["loss"] = lambda _, ctx, state, view, render: render.rgb.mean()
     with pytest.raises(UserError, match=rf"^reg=mine: {hook}.*{expected}"):
-        trainer(reg=plugged(reg(**hooks))).run()
+        trainer(reg=ActivePlugin(reg(**hooks))).run()
 
 
 @pytest.mark.parametrize("ceiling", [0.0, 1.0, 2.0, -1, math.nan, "x", True])
@@ -112,13 +113,13 @@ def test_a_ceiling_of_opacities(ceiling: Any) -> None:
 
     mine = type("Mine", (Capacity,), {"name": "mine", "update": update})()
     with pytest.raises(UserError, match=r"^capacity=mine: update: expected an `opacity_ceiling`"):
-        trainer(capacity=plugged(mine)).run()
+        trainer(capacity=ActivePlugin(mine)).run()
 
 
 def test_values_that_are_no_mapping() -> None:
     mine = type("Mine", (Capacity,), {"name": "mine", "update": lambda *_: (Edits(values=[1]), 0)})
     with pytest.raises(PluginError, match=r"^capacity=mine: update: what it returns: raised"):
-        trainer(capacity=plugged(mine())).run()
+        trainer(capacity=ActivePlugin(mine())).run()
 
 
 def define(body: str) -> str:
@@ -225,12 +226,12 @@ def test_what_cannot_be_logged(name: Any, value: Any) -> None:
         ctx.log(name, value)
 
     with pytest.raises(UserError, match=r"loss, step 0: raised|ctx.log: expected a name"):
-        trainer(reg=plugged(reg(loss=loss))).run()
+        trainer(reg=ActivePlugin(reg(loss=loss))).run()
 
 
 def test_a_number_that_torch_made_is_logged_as_one() -> None:
     def loss(_: Any, ctx: Any, state: Any, view: Any, render: Any) -> Any:
         ctx.log("x", torch.tensor(2.0))
 
-    row = trainer(reg=plugged(reg(loss=loss))).run().history[-1]
+    row = trainer(reg=ActivePlugin(reg(loss=loss))).run().history[-1]
     assert row.logged == {"x": 2.0}

@@ -15,7 +15,8 @@ import torch
 
 from framework.depth.exposure import Exposures, find_exposures
 from framework.records.progress import Silent
-from framework.run import experiment
+from framework.run import preparation
+from framework.run.experiment import run_experiment
 from framework.scenes import Embedded
 from framework.types import DepthMap, Scene, View
 from tests.built import load_scene
@@ -147,16 +148,16 @@ def test_beside_a_mask_its_colours_do_not_count_either(hidden: float) -> None:
 def test_spoiled_depth_does_not_change_the_photos(monkeypatch: pytest.MonkeyPatch) -> None:
     """A stress study spoils the depth alone."""
     asked: list[Sequence[DepthMap]] = []
-    monkeypatch.setattr(experiment, "find_exposures", lambda _, depth: asked.append(depth))
+    monkeypatch.setattr(preparation, "find_exposures", lambda _, depth: asked.append(depth))
     words = ("scene.width=64", "scene.height=48", "scene.n_views=6")
     for spoil in ((), ("depth.corruption=bias", "depth.strength=0.5")):
         config = composed(*words, *spoil)
-        keys = experiment._key(config["scene"]), experiment._key(config["depth"])
-        experiment._log_gains(*keys, "")
-        maps = experiment._depth(*keys, "")[0]
+        keys = [preparation.options_of(config, group) for group in ("scene", "depth")]
+        preparation.compare_exposures(*keys, "")
+        maps = preparation.estimate_depth(*keys, "").result
         assert (maps is asked[-1]) == (not spoil)
     assert all(torch.equal(a.depth, b.depth) for a, b in zip(*asked, strict=True))
-    experiment._log_gains.cache_clear()  # what the stand-in answered
+    preparation.forget()  # what the stand-in answered
 
 
 def test_a_photo_keeps_its_own_exposure_where_another_was_taken_too() -> None:
@@ -201,18 +202,12 @@ def test_a_run_evens_the_photos_and_tests_as_they_were_exposed(
         "trainer.steps=40",
         "metrics.lpips_weights=none",
     )
-    for cached in (
-        experiment._scene,
-        experiment._depth,
-        experiment._pose_check,
-        experiment._log_gains,
-    ):
-        cached.cache_clear()
+    preparation.forget()
     monkeypatch.setattr(Embedded, "load", uneven)
     for evened in ("true", "false"):
         config = composed(*words, f"trainer.exposure={evened}")
         folder = tmp_path / evened
-        record = experiment.run_experiment(config, folder, Silent())
+        record = run_experiment(config, folder, Silent())
         assert ("exposure_rms" in record.provenance) == (evened == "true")
         psnr = record.summary["psnr"]
         assert isinstance(psnr, float)
@@ -225,11 +220,5 @@ def test_a_run_evens_the_photos_and_tests_as_they_were_exposed(
         factors = [frame["exposure"] for frame in frames[:6] if "exposure" in frame]
         if factors:
             assert np.log(factors) == pytest.approx(gains - gains.mean(0), abs=0.03)
-    for cached in (
-        experiment._scene,
-        experiment._depth,
-        experiment._pose_check,
-        experiment._log_gains,
-    ):
-        cached.cache_clear()
+    preparation.forget()
     assert results["true"] > results["false"] + 0.3

@@ -5,12 +5,13 @@ from __future__ import annotations
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from framework.command.cli import main
 from framework.command.config.schema import ROOT
-from framework.command.own_plugins import take_flag
+from framework.command.program import take_flag
 from tests.documents.pages import Block, blocks, quick, tutorials, words_of
 from tests.documents.registered import as_before
 
@@ -27,8 +28,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_its_blocks_run(page: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     try:
         with as_before():
+            namespace: dict[str, Any] = {}  # of the page's Python blocks
             for block in blocks(page):
-                obey(block, capsys)
+                obey(block, capsys, namespace)
             if page.stem == "own-photos":  # what the README speaks of is there now
                 for block in blocks(ROOT / "README.md"):
                     obey(_filled(block), capsys)
@@ -44,13 +46,18 @@ def _filled(block: Block) -> Block:
     return replace(block, text=text.replace("view RUN", f"view --static -- {run}"))
 
 
-def obey(block: Block, capsys: pytest.CaptureFixture[str]) -> None:
-    """Write the file or run the commands of a block."""
+def obey(
+    block: Block, capsys: pytest.CaptureFixture[str], namespace: dict[str, Any] | None = None
+) -> None:
+    """Write the file, run the commands or execute the Python code of a block."""
     if block.title:
         Path(block.title).parent.mkdir(parents=True, exist_ok=True)
         Path(block.title).write_text(block.text, encoding="utf-8")
         return
     if block.language in SHOWN:
+        return
+    if block.language == "python":
+        exec(block.text, namespace)
         return
     assert block.language == "bash", f"a block of {block.language}: give it a title or make it text"
     for line in block.lines():

@@ -17,8 +17,8 @@ from framework.exports.formats import SUFFIXES, packed
 from framework.exports.opened import open_run, read_named_cameras
 from framework.exports.rig import rig
 from framework.exports.upright import moved_camera, moved_gaussians, turned_bands, upright
-from framework.rasterize import rasterize
-from framework.rasterize.reference import sh_basis
+from framework.kernels import rasterize
+from framework.kernels.reference import sh_basis
 from framework.records.ply import read_ply
 from framework.types import Gaussians
 from tests.exports.folders import all_around, camera_at, run_folder, side_by_side, some_gaussians

@@ -4,7 +4,7 @@ steps and gradients of their own."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import pytest
@@ -25,23 +25,22 @@ from framework.plugin import (
 )
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
-from framework.registry import Plugged
-from framework.run.members import IDLE
+from framework.registry import ActivePlugin
 from framework.run.plane import textured_plane
 from framework.train.descent import Fading, fade
-from framework.train.edits import apply_edits, rows_after
+from framework.train.field import apply_edits, rows_after
 from framework.train.optim import Adam
-from framework.train.plugged import _followed
+from framework.train.plugin_calls import _moved
 from framework.train.resume.checkpoint import pack, state_classes, unpack
-from framework.train.resume.training_state import Plugins, TrainerState
+from framework.train.resume.training_state import TrainerState
 from framework.train.trainer import Trainer
 from framework.types import Gaussians, Render, View
+from tests.built import plugins
 
 
-def plugged(*plugins: Any) -> Plugged:
-    """One plugin, or several as the command line joins them."""
-    each = [(type(one).__name__, Plugged(one, 1.0, 0.0, 1.0)) for one in plugins]
-    return each[0][1] if len(each) == 1 else Plugged(None, 1.0, 0.0, 1.0, tuple(each))
+def several(group: str, *chosen: Any) -> dict[str, ActivePlugin]:
+    """Several plugins of a group, as the command line joins them."""
+    return {f"{group}.{type(one).__name__}": ActivePlugin(one) for one in chosen}
 
 
 def trainer(
@@ -49,9 +48,9 @@ def trainer(
 ) -> Trainer:
     settings = {"steps": 4, "evaluations": 1, "coarse_factor": 1, **(options or {})}
     training, depth, gaussians = textured_plane(0)
-    plugins = replace(Plugins.of(IDLE), **chosen)
-    of = (training, depth, gaussians, TrainerOptions(**settings), plugins, 0, Silent())
-    return Trainer(*of, keeper=keeper, start=start, tells=False, second=second)
+    options = TrainerOptions(**settings)
+    of = (training, depth, gaussians, options, plugins(**chosen), 0, Silent())
+    return Trainer(*of, keeper=keeper, start=start, warns=False, second=second)
 
 
 def bits(of: Trainer) -> str:
@@ -73,8 +72,8 @@ class Quarter(Half):
 
 
 def test_several_regularizers_multiply_and_each_has_its_state() -> None:
-    both = trainer(reg=plugged(Half(), Half2()))
-    assert bits(both) == bits(trainer(reg=plugged(Quarter())))
+    both = trainer(reg=several("reg", Half(), Half2()))
+    assert bits(both) == bits(trainer(reg=ActivePlugin(Quarter())))
     kept = both.state().field.plugins
     assert {k: v.value for k, v in kept.items() if k.startswith("reg")} == {
         "reg.Half": 4,
@@ -104,14 +103,14 @@ class Elsewhere(Regularizer):
 
 def test_a_loss_may_render_from_elsewhere_and_leave_parts_alone() -> None:
     plain = trainer().run().gaussians
-    moved = trainer(reg=plugged(Elsewhere())).run().gaussians
+    moved = trainer(reg=ActivePlugin(Elsewhere())).run().gaussians
     assert not torch.equal(plain.opacity_logits, moved.opacity_logits)
     names = tuple(name for name, _ in plain.items())
     with pytest.raises(UserError, match="without a gradient"):
-        trainer(reg=plugged(Elsewhere(names))).run()
+        trainer(reg=ActivePlugin(Elsewhere(names))).run()
     first = {"steps": 1, "lr_final": 1.0}
     plain = trainer(options=first).run().gaussians
-    alone = trainer(reg=plugged(Elsewhere(("means",))), options=first).run().gaussians
+    alone = trainer(reg=ActivePlugin(Elsewhere(("means",))), options=first).run().gaussians
     assert torch.allclose(plain.means, alone.means, atol=1e-6)
     assert not torch.equal(plain.sh0, alone.sh0)
 
@@ -128,7 +127,7 @@ class Sub(Regularizer):
 
 
 def test_a_regularizer_may_take_steps_of_its_own() -> None:
-    plain, own = trainer(), trainer(reg=plugged(Sub()))
+    plain, own = trainer(), trainer(reg=ActivePlugin(Sub()))
     before, after = plain.run().gaussians, own.run().gaussians
     assert own.state().dose["substeps"] == (8, 0.0)
     steps = own.field.optimizer.state().steps
@@ -149,10 +148,10 @@ class Again(Regularizer):
 
 
 def test_a_gradient_may_be_taken_elsewhere() -> None:
-    assert bits(trainer()) == bits(trainer(reg=plugged(Again())))
-    assert bits(trainer()) != bits(trainer(reg=plugged(Again(0.1))))
-    with_loss = plugged(Elsewhere(), Again())
-    assert bits(trainer(reg=plugged(Elsewhere()))) == bits(trainer(reg=with_loss))
+    assert bits(trainer()) == bits(trainer(reg=ActivePlugin(Again())))
+    assert bits(trainer()) != bits(trainer(reg=ActivePlugin(Again(0.1))))
+    with_loss = several("reg", Elsewhere(), Again())
+    assert bits(trainer(reg=ActivePlugin(Elsewhere()))) == bits(trainer(reg=with_loss))
 
 
 @dataclass(frozen=True)
@@ -165,7 +164,7 @@ class Dim(Regularizer):
 
 
 def test_what_is_evaluated_may_differ_from_what_is_trained() -> None:
-    plain, dim = trainer(), trainer(reg=plugged(Dim()))
+    plain, dim = trainer(), trainer(reg=ActivePlugin(Dim()))
     logits = plain.run().gaussians.opacity_logits
     assert torch.equal(dim.run().gaussians.opacity_logits, logits - 0.5)
     assert torch.equal(dim.field.params.opacity_logits, logits)
@@ -203,7 +202,7 @@ class Watch2(Watch):
 
 
 def test_several_capacities_follow_each_other() -> None:
-    training = trainer(capacity=plugged(Watch(), Watch2()))
+    training = trainer(capacity=several("capacity", Watch(), Watch2()))
     training.run()
     states = [training.state().field.plugins[f"capacity.{name}"] for name in ("Watch", "Watch2")]
     # the second begins with what the first left of its first step
@@ -262,18 +261,10 @@ class Keeper:
 
 
 def test_a_second_field_has_parameters_draws_and_capacity_of_its_own(tmp_path: Any) -> None:
-    chosen = {
-        "reg": registry.build("reg", {"name": "uniform", "p": 0.3, "schedule": "constant"}),
-    }
-    chosen["reg"] = Plugged(
-        None,
-        1.0,
-        0.0,
-        1.0,
-        (("uniform", chosen["reg"]), ("Pair", Plugged(Pair(), 1.0, 0.0, 1.0))),
-    )
+    uniform = registry.build("reg", {"name": "uniform", "p": 0.3, "schedule": "constant"})
+    chosen = {"reg": {"reg.uniform": uniform, "reg.Pair": ActivePlugin(Pair())}}
     keeper = Keeper(2)
-    whole = trainer(keeper, capacity=plugged(Watch()), **chosen)
+    whole = trainer(keeper, capacity=ActivePlugin(Watch()), **chosen)
     found = bits(whole)
     assert whole.second is not None
     assert not torch.equal(whole.second.params.means, whole.field.params.means)
@@ -282,7 +273,7 @@ def test_a_second_field_has_parameters_draws_and_capacity_of_its_own(tmp_path: A
     path = tmp_path / "state.safetensors"
     path.write_bytes(keeper.state)
     state = unpack(path, state_classes([Pair()]), "id")[1]
-    assert bits(trainer(start=state, capacity=plugged(Watch()), **chosen)) == found
+    assert bits(trainer(start=state, capacity=ActivePlugin(Watch()), **chosen)) == found
 
 
 def test_what_the_photos_hold_on_to_fades_less() -> None:
@@ -341,15 +332,15 @@ class Odd(Regularizer):
 def test_a_hook_that_fails_or_writes_is_named_with_its_step(hook: str) -> None:
     step = 3 if hook == "evaluated" else 0
     with pytest.raises(PluginError, match=rf"^reg=Odd: {hook}, step {step}: raised .*: lost"):
-        trainer(reg=plugged(Odd(hook))).run()
+        trainer(reg=ActivePlugin(Odd(hook))).run()
     with pytest.raises(UserError, match=rf"^reg=Odd: {hook}, step {step}: expected ctx\.gaussians"):
-        trainer(reg=plugged(Odd(hook, writes=True))).run()
-    trainer(reg=plugged(Odd(""))).run()
+        trainer(reg=ActivePlugin(Odd(hook, writes=True))).run()
+    trainer(reg=ActivePlugin(Odd(""))).run()
 
 
 def test_nobody_dropped_what_an_earlier_capacity_made() -> None:
     stats = StepStats(torch.ones(2, 2), torch.ones(2), 8, 8, factors=torch.tensor([0.0, 0.5]))
-    followed = _followed(stats, torch.tensor([1, 0, -1, -1]))
+    followed = _moved(stats, torch.tensor([1, 0, -1, -1]))
     assert followed.factors is not None and followed.factors.tolist() == [0.5, 0.0, 1.0, 1.0]
     assert followed.radii.tolist() == [1, 1, 0, 0]
 
@@ -369,7 +360,7 @@ def test_a_second_field_of_its_own_draw(caplog: pytest.LogCaptureFixture) -> Non
         assert same is (second is None)
     for drawn in (False, True):
         reg = registry.build("reg", {"name": "co_register", "second_drawn": drawn})
-        assert replace(Plugins.of(IDLE), reg=reg).second_drawn is drawn
+        assert plugins(reg=reg).second_drawn is drawn
 
 
 def test_a_plugin_says_what_its_second_field_begins_with(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -384,7 +375,7 @@ def test_a_plugin_says_what_its_second_field_begins_with(monkeypatch: pytest.Mon
         loss = Pair.loss
 
     reg = registry.build("reg", {"name": "drawn"})
-    both = replace(Plugins.of(IDLE), reg=reg)
+    both = plugins(reg=reg)
     assert both.second_field and both.second_drawn
     with pytest.raises(UserError, match="second_drawn"):
         registry.build("reg", {"name": "drawn", "second_drawn": False})

@@ -13,19 +13,20 @@ import torch
 from torch import Tensor
 
 from framework import registry
+from framework.kernels.losses import photometric_gradient
 from framework.options import TrainerOptions
 from framework.plugin import Augmenter, Regularizer, StepContext, SubStep
-from framework.rasterize.losses import photometric_gradient
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
-from framework.registry import Plugged
-from framework.run.members import IDLE, in_turn
+from framework.registry import ActivePlugin
+from framework.run.members import in_turn
 from framework.run.plane import textured_plane
 from framework.train.dose import NEVER, joined, told
 from framework.train.epoch import Item, Items
 from framework.train.optim import Adam
 from framework.train.trainer import Plugins, Trained, Trainer
 from framework.types import PSEUDO, Camera, View
+from tests.built import plugins
 
 STEPS, K = 12, 3  # four epochs
 
@@ -59,12 +60,8 @@ class Noting(Trainer):
         return super()._update(items, turn)
 
 
-def plugins(**changes: Plugged) -> Plugins:
-    return replace(Plugins.of(IDLE), **changes)
-
-
-def darker(every: int = 1, weight: float = 1.0) -> dict[str, Plugged]:
-    return {"augment": Plugged(Darker(every), weight, 0.0, 1.0)}
+def darker(every: int = 1, weight: float = 1.0) -> dict[str, ActivePlugin]:
+    return {"augment": ActivePlugin(Darker(every), weight, 0.0, 1.0)}
 
 
 def train(chosen: Plugins, **options: Any) -> tuple[Trained, list[list[str]]]:
@@ -148,7 +145,7 @@ def test_every_update_has_draws_of_its_own_and_the_real_ones_are_the_plain_train
             return None, state
 
     drawn: list[float] = []
-    reg = {"reg": Plugged(Drawing(), 1.0, 0.0, 1.0)}
+    reg = {"reg": ActivePlugin(Drawing())}
     _, _ = train(plugins(**reg))
     plain = list(drawn)
     drawn.clear()
@@ -220,7 +217,7 @@ def test_the_dose_of_a_training() -> None:
     found = told(trained.dose)
     assert (found["views_asked"], found["views_made"]) == (4, 2)
     assert (found["refused_mood"], found["refused_coverage"], found["refused_other"]) == (2, 0, 0)
-    quiet, _ = train(plugins(augment=Plugged(Darker(every=2, silent=3), 1.0, 0.0, 1.0)))
+    quiet, _ = train(plugins(augment=ActivePlugin(Darker(every=2, silent=3))))
     assert [told(quiet.dose)[f"refused_{why}"] for why in ("mood", "other")] == [1, 1]
     assert found["light_mean"] == 1.5 and found["pseudo_share_of_loss"] == 0
     assert found["reg_acted_share"] == 1.0 and found["acted_share"] == 0.5
@@ -243,11 +240,11 @@ def test_a_method_that_acts_on_less_than_half_is_told(caplog: pytest.LogCaptureF
     with caplog.at_level(logging.WARNING, "framework"):
         train(plugins(**darker(every=2)))
         assert not caplog.records
-        train(plugins(**darker(every=3), reg=Plugged(Rare(), 1.0, 0.0, 1.0)), steps=15)
+        train(plugins(**darker(every=3), reg=ActivePlugin(Rare())), steps=15)
     messages = [record.getMessage() for record in caplog.records]
     assert messages == [
-        "augment=Darker: a pseudo view in only 2 of 5 epochs that asked for one; 0 covered less"
-        " than augment.min_coverage",
+        "augment=Darker: made a pseudo view in only 2 of 5 epochs; in 0 the coverage was below"
+        " augment.min_coverage",
         "reg=Rare: changed only 5 of the 15 training steps between reg.start=0 and reg.stop=1",
     ]
 
@@ -262,7 +259,7 @@ def test_steps_of_its_own_and_a_loss_are_one_act(caplog: pytest.LogCaptureFixtur
             yield ctx.gaussians.opacities.mean(), ("opacity_logits",)
 
     with caplog.at_level(logging.WARNING, "framework"):
-        trained, _ = train(plugins(**darker(), reg=Plugged(Both(), 1.0, 0.0, 1.0)), steps=15)
+        trained, _ = train(plugins(**darker(), reg=ActivePlugin(Both())), steps=15)
     assert not caplog.records
     assert trained.dose["reg.asked"][0] == trained.dose["reg.acted"][0] == 15
     assert trained.dose["substeps"][0] == 15
@@ -274,10 +271,8 @@ def test_a_loss_term_is_an_act_however_many_views_a_step_has() -> None:
             total: Tensor = ctx.gaussians.opacities.mean()
             return total
 
-    idle = told(
-        train(plugins(**darker(every=99), reg=Plugged(Regularizer(), 1.0, 0.0, 1.0)))[0].dose
-    )
+    idle = told(train(plugins(**darker(every=99), reg=ActivePlugin(Regularizer())))[0].dose)
     assert idle["reg_acted_share"] == 0 and idle["views_made"] == 1
-    trained, _ = train(plugins(**darker(), reg=Plugged(Faint(), 1.0, 0.0, 1.0)))
+    trained, _ = train(plugins(**darker(), reg=ActivePlugin(Faint())))
     found = told(trained.dose)
     assert found["reg_acted_share"] == 1.0 and "share_dropped_mean" not in found

@@ -19,7 +19,7 @@ from framework.compute import parallel
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
-from framework.run import experiment, training
+from framework.run import preparation, training
 from framework.run.plane import textured_plane
 from framework.run.training import Run, initial, train
 from framework.train.epoch import Item, ordered
@@ -71,9 +71,9 @@ def start(folder: Path, augment: str, reg: str, seed: int) -> None:
     with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
         config = plain(compose("config", line))
     parallel.set_threads(1)
-    key = experiment._key(config["scene"])
-    scene = experiment._scene(key)[0]
-    depth = experiment._depth(key, experiment._key(config["depth"]), "")[0]
+    key = preparation.options_of(config, "scene")
+    scene = preparation.load_scene(key).result
+    depth = preparation.estimate_depth(key, preparation.options_of(config, "depth"), "").result
     options = TrainerOptions(**config["trainer"])
     run_dir = folder / f"{augment}-{reg}-{seed}"
     run = Run(

@@ -13,12 +13,11 @@ import torch
 
 from framework import registry
 from framework.errors import UserError
-from framework.methods.elsewhere import known_depth
 from framework.options import TrainerOptions
 from framework.records.progress import Silent
-from framework.registry import build
 from framework.run.members import IDLE
 from framework.run.plane import textured_plane
+from framework.toolbox.elsewhere import known_depth
 from framework.train import schedule
 from framework.train.adam_kernels import LOWEST_LOGIT
 from framework.train.descent import Fading, fade
@@ -40,9 +39,12 @@ def trained(steps: int = 12, **chosen: Mapping[str, Any]) -> Trainer:
 @pytest.mark.parametrize(
     ("chosen", "told"),
     [
-        ({"augment": {"name": "dba", "start": 0.3, "stop": 0.4}}, "augment=dba: was asked in no"),
-        ({"reg": {"name": "uar", "start": 0.5, "stop": 0.5}}, "reg=uar: was asked in none of"),
-        ({"capacity": {"name": "self_ensemble"}}, "capacity=self_ensemble: changes the second"),
+        ({"augment": {"name": "dba", "start": 0.3, "stop": 0.4}}, "augment=dba: was never called"),
+        ({"reg": {"name": "uar", "start": 0.5, "stop": 0.5}}, "reg=uar: was never called"),
+        (
+            {"capacity": {"name": "self_ensemble"}},
+            "capacity=self_ensemble: changes only",
+        ),
         ({"capacity": {"name": "self_ensemble"}, "reg": {"name": "co_register"}}, ""),
         ({}, ""),
     ],
@@ -52,7 +54,7 @@ def test_what_was_never_asked_is_told(
 ) -> None:
     with caplog.at_level(logging.WARNING, "framework"):
         trained(**chosen)
-    said = [r.getMessage() for r in caplog.records if "was asked" in r.getMessage()]
+    said = [r.getMessage() for r in caplog.records if "was never called" in r.getMessage()]
     said += [r.getMessage() for r in caplog.records if "second field" in r.getMessage()]
     assert [line[: len(told)] for line in said] == ([told] if told else [])
 
@@ -75,15 +77,15 @@ def test_visits_that_are_too_many_are_told_by_their_own_name() -> None:
 
 
 def test_members_share_a_limit_of_their_number() -> None:
-    budget = build("capacity", {"name": "budget", "gaussians": 5000}).shared(2)
-    assert budget.plugin.gaussians == 2500
-    assert (
-        build("capacity", {"name": "adc", "max_gaussians": 9}).shared(4).plugin.max_gaussians == 2
-    )
-    assert build("capacity", {"name": "adc"}).shared(4).plugin.max_gaussians == 0
+    def shared(members: int, **capacity: Any) -> dict[str, Any]:
+        chosen = Plugins.of({**IDLE, "capacity": capacity}).shared(members).group("capacity")
+        return {key: one.plugin for key, one in chosen.items()}
+
+    assert shared(2, name="budget", gaussians=5000)["capacity"].gaussians == 2500
+    assert shared(4, name="adc", max_gaussians=9)["capacity"].max_gaussians == 2
+    assert shared(4, name="adc")["capacity"].max_gaussians == 0
     both = {"name": "adc+budget", "adc": {"name": "adc"}, "budget": {"name": "budget"}}
-    shared = dict(build("capacity", both).shared(5).parts)
-    assert shared["budget"].plugin.gaussians == 1000
+    assert shared(5, **both)["capacity.budget"].gaussians == 1000
 
 
 def test_fading_ends_where_uniform_decay_ends() -> None:
@@ -136,7 +138,7 @@ def test_a_checkpoint_that_could_not_be_read_is_not_written(
     with caplog.at_level(logging.WARNING, "framework"):
         keeper.keep(trainer.state())
     assert not list((tmp_path / "checkpoints").glob("step-*")) and not keeper.due()
-    assert "begins anew" in caplog.text
+    assert "starts again" in caplog.text
 
 
 def test_a_pseudo_view_s_checkpoint_holds_no_photo() -> None:

@@ -12,13 +12,12 @@ from torch import Tensor
 
 from framework import registry
 from framework.errors import UserError
+from framework.kernels import ScreenGradient
 from framework.options import TrainerOptions
 from framework.plugin import Augmenter, Capacity, Edits, Regularizer, StepContext, StepStats
-from framework.rasterize import ScreenGradient
 from framework.records.progress import Silent
 from framework.records.record import parameters_sha256
-from framework.registry import Plugged
-from framework.run.members import IDLE
+from framework.registry import ActivePlugin
 from framework.run.plane import textured_plane
 from framework.train import schedule
 from framework.train.epoch import Items, box_mean
@@ -26,22 +25,17 @@ from framework.train.optim import Adam
 from framework.train.trainer import Plugins, Trained, Trainer
 from framework.types import PSEUDO, Camera, Gaussians, View
 from plugins.capacity.fixed import Fixed
+from tests.built import plugins
 
 
-def _plugins(**changes: Plugged) -> Plugins:
-    return replace(Plugins.of(IDLE), **changes)
-
-
-def _trainer(plugins: Plugins | None = None, evaluate: Any = None, **options: Any) -> Trainer:
+def _trainer(chosen: Plugins | None = None, evaluate: Any = None, **options: Any) -> Trainer:
     settings = TrainerOptions(**{"steps": 12, "evaluations": 1, "sh_every": 4, **options})
     training, depth, gaussians = textured_plane(settings.sh_degree)
-    return Trainer(
-        training, depth, gaussians, settings, plugins or _plugins(), 0, Silent(), evaluate
-    )
+    return Trainer(training, depth, gaussians, settings, chosen or plugins(), 0, Silent(), evaluate)
 
 
-def _train(plugins: Plugins | None = None, evaluate: Any = None, **options: Any) -> Trained:
-    return _trainer(plugins, evaluate, **options).run()
+def _train(chosen: Plugins | None = None, evaluate: Any = None, **options: Any) -> Trained:
+    return _trainer(chosen, evaluate, **options).run()
 
 
 def test_training_lowers_the_loss() -> None:
@@ -89,7 +83,7 @@ def test_a_capacity_that_removes_all_is_an_error() -> None:
             return Edits(keep=torch.zeros(len(ctx.gaussians), dtype=torch.bool)), state
 
     with pytest.raises(UserError, match="removed every Gaussian"):
-        _train(_plugins(capacity=Plugged(Nothing(), 1.0, 0.0, 1.0)))
+        _train(plugins(capacity=ActivePlugin(Nothing())))
 
 
 def test_a_loss_that_is_not_finite_is_an_error() -> None:
@@ -99,7 +93,7 @@ def test_a_loss_that_is_not_finite_is_an_error() -> None:
             return render.rgb.sum() * float("nan")
 
     with pytest.raises(UserError, match="reg=Broken: loss: expected a finite number, got nan"):
-        _train(_plugins(reg=Plugged(Broken(), 1.0, 0.0, 1.0)))
+        _train(plugins(reg=ActivePlugin(Broken())))
 
 
 def test_a_loss_may_be_of_the_gaussians_themselves() -> None:
@@ -109,8 +103,8 @@ def test_a_loss_may_be_of_the_gaussians_themselves() -> None:
             return total
 
     plain, faint = (
-        _train(_plugins(**chosen), steps=30)
-        for chosen in ({}, {"reg": Plugged(Faint(), 10.0, 0.0, 1.0)})
+        _train(plugins(**chosen), steps=30)
+        for chosen in ({}, {"reg": ActivePlugin(Faint(), 10.0, 0.0, 1.0)})
     )
     assert faint.gaussians.opacities.mean() < 0.8 * plain.gaussians.opacities.mean()
 
@@ -121,11 +115,11 @@ def test_an_augmenter_that_gave_nothing_is_told(
 ) -> None:
     built = registry.build("augment", {"name": "dba", "min_coverage": coverage, "stop": 1.0})
     with caplog.at_level(logging.WARNING, "framework"):
-        _train(_plugins(augment=built))
-        _train(_plugins())
+        _train(plugins(augment=built))
+        _train(plugins())
     messages = [record.getMessage() for record in caplog.records]
     assert len(messages) == told
-    assert all("augment=dba: no pseudo view in any of" in message for message in messages)
+    assert all("augment=dba: made no pseudo view in any of" in message for message in messages)
 
 
 def test_bands_that_were_never_active_are_told(caplog: pytest.LogCaptureFixture) -> None:
@@ -141,10 +135,10 @@ def test_bands_that_were_never_active_are_told(caplog: pytest.LogCaptureFixture)
 def test_a_capacity_that_never_acted_is_told(caplog: pytest.LogCaptureFixture) -> None:
     """ADC of the literature begins after 500 steps; that the number is fixed needs no telling."""
     with caplog.at_level(logging.WARNING, "framework"):
-        _train(_plugins(capacity=registry.build("capacity", {"name": "adc"})))
-        _train(_plugins())
+        _train(plugins(capacity=registry.build("capacity", {"name": "adc"})))
+        _train(plugins())
         often = registry.build("capacity", {"name": "adc", "every": 2, "from_step": 0})
-        _train(_plugins(capacity=often))
+        _train(plugins(capacity=often))
     (message,) = (record.getMessage() for record in caplog.records)
     assert message.startswith("capacity=adc: changed no Gaussian in")
 
@@ -154,7 +148,7 @@ def test_an_inactive_method_changes_nothing() -> None:
     plain = _train()
     for group, name in (("augment", "safi"), ("reg", "uar")):
         built = registry.build(group, {"name": name, "start": 1.0, "stop": 1.0})
-        trained = _train(_plugins(**{group: built}))
+        trained = _train(plugins(**{group: built}))
         assert parameters_sha256(trained.gaussians) == parameters_sha256(plain.gaussians)
 
 
@@ -174,7 +168,7 @@ def test_pseudo_views_are_never_kept() -> None:
             return [replace(view, image=view.image * self.by**ctx.epoch)], state
 
     bits = {
-        parameters_sha256(_train(_plugins(augment=Plugged(Brighter(by), 1.0, 0.0, 1.0))).gaussians)
+        parameters_sha256(_train(plugins(augment=ActivePlugin(Brighter(by)))).gaussians)
         for by in (1.0, 0.5)
     }
     assert len(bits) == 2
@@ -210,8 +204,9 @@ def test_a_pseudo_view_adds_its_weighted_gradient_to_its_step(
     monkeypatch.setattr(Adam, "step", noted)
     monkeypatch.setattr(Adam, "step_from", whole_first)
     monkeypatch.setattr(Fixed, "update", watched)
-    for plugins in (None, *(_plugins(augment=Plugged(Darker(), w, 0.0, 1.0)) for w in (0.5, 1.0))):
-        _train(plugins, steps=1, coarse_factor=1)
+    for weight in (None, 0.5, 1.0):
+        chosen = plugins(augment=ActivePlugin(Darker(), weight)) if weight else plugins()
+        _train(chosen, steps=1, coarse_factor=1)
     plain, half, whole = gradients
     for name in plain:
         middle = (plain[name] + whole[name]) / 2
@@ -311,7 +306,7 @@ def test_a_training_forgets_the_pseudo_views_of_earlier_epochs() -> None:
         def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[View], Any]:
             return [replace(ctx.views[0], name=f"pseudo-{ctx.epoch}")], state
 
-    trainer = _trainer(_plugins(augment=Plugged(Fresh(), 1.0, 0.0, 1.0)))
+    trainer = _trainer(plugins(augment=ActivePlugin(Fresh())))
     trainer.run()
     assert trainer.epoch > 2
     kept = {name for pseudo, name in trainer.items._kept if pseudo}

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from framework.compute.parallel import set_threads
 from framework.fisher.information import fisher_information
-from framework.rasterize import rasterize
-from framework.rasterize.losses import Target, photometric_loss
+from framework.kernels import rasterize
+from framework.kernels.losses import Target, photometric_loss
 from framework.types import Camera, Gaussians
 from tests.numerics.scenes import Case, random_case, wide_case
 

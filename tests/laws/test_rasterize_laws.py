@@ -15,8 +15,8 @@ from torch import Tensor
 
 from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.rasterize import rasterize
-from framework.rasterize.reference import cutoff_margin, project, rasterize_reference
+from framework.kernels import rasterize
+from framework.kernels.reference import cutoff_margin, project, rasterize_reference
 from framework.types import Camera, Gaussians, Render
 from tests.numerics.scenes import Case, random_case, rotation_matrix
 

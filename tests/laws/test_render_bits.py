@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from framework.compute.parallel import set_threads
-from framework.rasterize import rasterize
+from framework.kernels import rasterize
 from tests.laws.render_bits import render_bits
 from tests.numerics.scenes import random_case, wide_case
 

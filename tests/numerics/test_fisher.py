@@ -19,8 +19,8 @@ from framework.errors import UserError
 from framework.fisher.in_torch import fisher_in_torch
 from framework.fisher.information import FisherInformation, fisher_information
 from framework.fisher.scores import block_prior, information_gains, uncertainty
-from framework.rasterize.constants import ALPHA_MAX
-from framework.rasterize.reference import cutoff_margin, project, rasterize_reference
+from framework.kernels.constants import ALPHA_MAX
+from framework.kernels.reference import cutoff_margin, project, rasterize_reference
 from framework.types import Camera, Gaussians
 from tests.numerics.scenes import Case, random_case
 

@@ -12,12 +12,12 @@ import torch
 
 from framework.compute.parallel import set_threads
 from framework.errors import UserError
-from framework.rasterize import ScreenGradient, render_gradient
+from framework.kernels import ScreenGradient, render_gradient
+from framework.train.depth_priors import DepthSmoothness
 from framework.train.epoch import Items
-from framework.train.gradient import ViewGradient, view_gradient
+from framework.train.gradient import Rendering, ViewGradient, view_gradient
 from framework.train.guard import Diverged
 from framework.train.optim import Adam
-from framework.train.smoothness import DepthSmoothness
 from framework.types import Gaussians, View
 from tests.numerics.scenes import Case, crowded_case, random_case
 
@@ -50,13 +50,12 @@ def test_direct_is_autograd(seed: int, masked: bool, weight: float, smooth: floa
     view = View("v", case.camera, image, mask=mask, weight=weight)
     items = Items(smoothness=DepthSmoothness(smooth, 0.1) if smooth else None)
     item, params = items.get(view, 1), case.gaussians.map(lambda t: t.requires_grad_())
-    options: dict[str, Any] = {"background": case.background, "near": 0.2}
-    options |= {"sh_degree": case.sh_degree, "opacity_factors": case.factors}
-    direct = view_gradient(params, item, "here", 0.2, **options)
-    by_autograd = view_gradient(params, item, "here", 0.2, lambda view, render: 0.0, **options)
+    rendering = Rendering(case.background, case.sh_degree, 0.2, case.factors)
+    direct = view_gradient(params, item, "here", rendering)
+    by_autograd = view_gradient(params, item, "here", rendering, lambda view, render: 0.0)
     assert bits(direct) == bits(by_autograd)
     assert direct[1]["means"].abs().sum() > 0
-    rough = view_gradient(params, replace(item, smoothing=None), "here", 0.2, **options)
+    rough = view_gradient(params, replace(item, smoothing=None), "here", rendering)
     assert (bits(rough) == bits(direct)) == (smooth == 0)
     assert rough[0] == direct[0]  # the loss that is told is the photo's
     assert (direct[2].height, direct[2].width) == size
@@ -69,10 +68,10 @@ def test_a_loss_that_is_not_finite_is_told_and_the_next_is_as_ever(penalty: Any)
     item = Items().get(View("v", case.camera, image), 1)
     broken = Items().get(View("v", case.camera, torch.full_like(image, torch.nan)), 1)
     params = case.gaussians.map(lambda t: t.requires_grad_())
-    before = bits(view_gradient(params, item, "here", 0.2, penalty))
+    before = bits(view_gradient(params, item, "here", Rendering(), penalty))
     with pytest.raises(Diverged, match="here: expected a finite loss, got nan"):
-        view_gradient(params, broken, "here", 0.2, penalty)
-    assert bits(view_gradient(params, item, "here", 0.2, penalty)) == before
+        view_gradient(params, broken, "here", Rendering(), penalty)
+    assert bits(view_gradient(params, item, "here", Rendering(), penalty)) == before
 
 
 @pytest.mark.parametrize("change", [lambda rgb: rgb[:, :-1], lambda rgb: rgb.astype(np.float64)])

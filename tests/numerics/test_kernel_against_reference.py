@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from framework.compute.rng import stream
-from framework.rasterize import rasterize
-from framework.rasterize.reference import cutoff_margin, project, rasterize_reference
+from framework.kernels import rasterize
+from framework.kernels.reference import cutoff_margin, project, rasterize_reference
 from framework.types import Gaussians, Render
 from tests.numerics.scenes import Case, crowded_case, random_case, wide_case
 

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from framework.compute.parallel import run_together
-from framework.rasterize import rasterize
-from framework.rasterize.lending import Lender, ThreadsLender
-from framework.rasterize.losses import Target, photometric_loss
+from framework.kernels import rasterize
+from framework.kernels.lending import Lender, ThreadsLender
+from framework.kernels.losses import Target, photometric_loss
 from tests.numerics.scenes import random_case
 
 SHAPES = [(3, 5), (7,), (0, 0)]

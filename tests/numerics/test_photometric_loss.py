@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn.functional import conv2d
 
 from framework.compute.rng import stream
-from framework.rasterize.losses import Target, photometric_loss
+from framework.kernels.losses import Target, photometric_loss
 
 SIZES = ((40, 30), (64, 48), (33, 21), (16, 11), (9, 5), (1, 1), (101, 17), (23, 130), (17, 67))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from framework.rasterize.reference import cutoff_margin, project, rasterize_reference
+from framework.kernels.reference import cutoff_margin, project, rasterize_reference
 from framework.types import Camera, Gaussians
 from tests.numerics.scenes import Case, random_case
 

@@ -9,12 +9,12 @@ import pytest
 import torch
 from torch import Tensor
 
+from framework.backends.torch_loss import roughness_gradient as in_torch
 from framework.compute.parallel import set_threads
 from framework.geometry import mean_neighbour_distance
-from framework.rasterize.roughness import roughness_gradient
-from framework.rasterizers.torch_loss import roughness_gradient as in_torch
+from framework.kernels.roughness import roughness_gradient
+from framework.train.depth_priors import DepthSmoothness
 from framework.train.epoch import Items
-from framework.train.smoothness import DepthSmoothness
 from framework.types import PSEUDO, Camera, View
 
 

@@ -11,9 +11,9 @@ import torch
 from framework.compute.jit import kernel
 from framework.compute.rng import stream
 from framework.compute.simd import store
-from framework.rasterize import Arrays, Workspace
-from framework.rasterize.constants import ALPHA_MIN
-from framework.rasterize.tile.tiles import first_alphas, next_run, run_of, seen_from
+from framework.kernels import Arrays, Workspace
+from framework.kernels.constants import ALPHA_MIN
+from framework.kernels.tile.tiles import first_alphas, next_run, run_of, seen_from
 from framework.types import Camera
 
 N = 3000

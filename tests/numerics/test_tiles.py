@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from framework.compute.rng import stream
-from framework.rasterize import Arrays, Workspace
-from framework.rasterize.tile import binning
+from framework.kernels import Arrays, Workspace
+from framework.kernels.tile import binning
 from framework.types import Camera, Gaussians
 
 f4 = np.float32

@@ -9,8 +9,8 @@ from kornia.geometry.conversions import quaternion_to_rotation_matrix
 from torch import Tensor
 from torch.func import jacrev, vmap
 
-from framework.rasterize.constants import DILATION
-from framework.rasterize.reference import project
+from framework.kernels.constants import DILATION
+from framework.kernels.reference import project
 from tests.numerics.scenes import random_case
 
 

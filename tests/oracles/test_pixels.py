@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import torch
 
-from framework.rasterize import rasterize
-from framework.rasterize.reference import rasterize_reference
+from framework.kernels import rasterize
+from framework.kernels.reference import rasterize_reference
 from framework.types import Camera, Gaussians, Render
 
 CAMERA = Camera(torch.eye(4), torch.tensor([[100.0, 0, 20.5], [0, 100, 10.5], [0, 0, 1]]), 64, 32)

@@ -9,7 +9,7 @@ import torch
 from scipy.special import sph_harm_y
 
 from framework.compute.rng import stream
-from framework.rasterize.reference import sh_basis
+from framework.kernels.reference import sh_basis
 
 
 def test_basis_equals_scipy() -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from framework.kernels import rasterize
 from framework.plugin import StepContext
-from framework.rasterize import rasterize
 from framework.types import Camera, Gaussians, Render, View
 from tests.plugins.fakes import context
 

@@ -29,7 +29,7 @@ def trained(steps: int = 1, capacity: Any = None, **options: Any) -> Trainer:
     training, depth, _ = textured_plane(1)
     settings = TrainerOptions(steps=steps, **{**PLAIN, **options})
     rest = settings, plugins, 0, Silent()
-    trainer = Trainer(training, depth, scattered(0), *rest, tells=False)
+    trainer = Trainer(training, depth, scattered(0), *rest, warns=False)
     trainer.run()
     return trainer
 

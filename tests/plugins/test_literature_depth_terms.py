@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from framework.methods.elsewhere import known_depth, unseen_camera
+from framework.toolbox.elsewhere import known_depth, unseen_camera
 from framework.types import PSEUDO, Render
 from plugins.augment.mvs_warp import MvsWarp
 from plugins.regularize.depth_local_global import DepthLocalGlobal, compared

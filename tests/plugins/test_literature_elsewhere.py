@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from framework.geometry import moved_aside
-from framework.methods.elsewhere import (
+from framework.toolbox.elsewhere import (
     seen_through,
     unseen_camera,
 )

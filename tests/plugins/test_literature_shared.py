@@ -11,7 +11,9 @@ import pytest
 import torch
 
 from framework.compute.rng import stream
-from framework.methods.elsewhere import (
+from framework.options import TrainerOptions
+from framework.run.plane import textured_plane
+from framework.toolbox.elsewhere import (
     bilinear,
     correlation,
     difference,
@@ -19,9 +21,7 @@ from framework.methods.elsewhere import (
     seen_through,
     unseen_camera,
 )
-from framework.methods.neighbours import nearest_distance, nearest_others
-from framework.options import TrainerOptions
-from framework.run.plane import textured_plane
+from framework.toolbox.neighbours import nearest_distance, nearest_others
 from framework.train.context import Conditions, Moment, step_context
 from tests.plugins.at_work import true_depth
 from tests.plugins.fakes import context, stage

@@ -83,7 +83,7 @@ def trained(weight: float = 1.0, steps: int = 2, **options: dict[str, Any]) -> T
         Plugins.of(chosen),
         0,
         Silent(),
-        tells=False,
+        warns=False,
         second=scattered(1),
     )
     trainer.run()

@@ -14,8 +14,8 @@ import torch
 from framework.compute.rng import stream
 from framework.errors import UserError
 from framework.geometry import mean_neighbour_distance
-from framework.methods.warping import WarpingAugmenter, perturbed, within
 from framework.plugin import StepContext
+from framework.toolbox.warping import WarpingAugmenter, perturbed, within
 from framework.types import Camera, DepthMap, View
 from framework.warp.zbuffer import prepare
 from plugins.augment.dba import Dba

@@ -9,7 +9,7 @@ import pytest
 
 from framework import registry
 from framework.errors import UserError
-from framework.methods.warping import ThresholdAugmenter, WarpingAugmenter, center_distances
+from framework.toolbox.warping import ThresholdAugmenter, WarpingAugmenter, center_distances
 from framework.types import Camera
 from plugins.augment.dba import Dba
 from plugins.augment.euclidean import Euclidean

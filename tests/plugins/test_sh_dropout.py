@@ -11,8 +11,8 @@ from torch import Tensor
 
 from framework.compute.rng import stream
 from framework.errors import UserError
+from framework.kernels import rasterize
 from framework.plugin import StepContext
-from framework.rasterize import rasterize
 from framework.types import Gaussians
 from plugins.regularize.sh_dropout import ShDropout
 from tests.plugins.fakes import context, wall_of_gaussians

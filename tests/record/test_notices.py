@@ -10,7 +10,7 @@ import pytest
 
 from framework.records.notices import noted
 from framework.records.progress import Terminal
-from framework.run import experiment
+from framework.run import preparation
 from tests.record.test_reuse import Told, group, run_experiment, small_config
 
 LOG = logging.getLogger("framework.scenes.anything")
@@ -51,7 +51,7 @@ def test_a_first_run_tells_that_it_generates_the_scene(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FISHERSPLAT_CACHE", str(tmp_path / "cache"))
-    experiment._scene.cache_clear()
+    preparation.forget()
     progress = Told()
     run_experiment(small_config(group("depth", "ground_truth")), tmp_path / "run", progress)
     assert [note for note in progress.notes if note.startswith("generating the embedded scene")]

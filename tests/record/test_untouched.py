@@ -13,7 +13,7 @@ import torch
 from framework.errors import UserError
 from framework.plugin import DepthProvider, Regularizer, register
 from framework.records.progress import Silent
-from framework.run import experiment
+from framework.run import preparation
 from framework.run.experiment import run_experiment
 from framework.run.untouched import Shared, foreign
 from framework.types import DepthMap
@@ -52,13 +52,7 @@ def scribblers() -> Iterator[None]:
                 far = torch.full(size, 2.0)
                 return tuple(DepthMap(far, torch.ones(size)) for _ in training.views)
 
-        for kept in (
-            experiment._scene,
-            experiment._depth,
-            experiment._pose_check,
-            experiment._log_gains,
-        ):
-            kept.cache_clear()
+        preparation.forget()
         yield
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from framework.report.main import main
 from framework.report.study.collect import collect
-from framework.report.study.runs import DAMAGED
+from framework.report.study.study import DAMAGED
 from tests.record.fakes import fake_run
 
 

@@ -9,7 +9,7 @@ from scipy import stats
 from framework.compute.rng import stream
 from framework.report.statistics.compare import compare, corrected
 from framework.report.statistics.estimates import Interval, spread
-from framework.report.statistics.numbers import interval_text, spanned
+from framework.report.statistics.numbers import format_interval, format_span
 
 
 def test_spread_of_known_values() -> None:
@@ -107,11 +107,11 @@ def test_correction_is_for_what_can_be_tested() -> None:
 
 
 def test_an_end_beside_zero_is_not_rounded_to_it() -> None:
-    assert interval_text(Interval(-0.21, -0.0041)) == "-0.21 to -0.004"
-    assert interval_text(Interval(-0.21, 0.0041)) == "-0.21 to 0.004"
-    assert interval_text(Interval(0.0, 0.0)) == "0.00 to 0.00"
-    assert spanned(Interval(0.084, 1.0)) == "0.084 to 1.0"
-    assert spanned(Interval(0.011, 4.5e36)) == "0.011 or more"
-    assert interval_text(Interval(-1e-16, 2e-16)) == "0.00 to 0.00"
-    assert interval_text(Interval(-0.0, 0.5)) == "0.00 to 0.50"
-    assert interval_text(Interval(0.12, 0.48)) == "0.12 to 0.48"
+    assert format_interval(Interval(-0.21, -0.0041)) == "-0.21 to -0.004"
+    assert format_interval(Interval(-0.21, 0.0041)) == "-0.21 to 0.004"
+    assert format_interval(Interval(0.0, 0.0)) == "0.00 to 0.00"
+    assert format_span(Interval(0.084, 1.0)) == "0.084 to 1.0"
+    assert format_span(Interval(0.011, 4.5e36)) == "0.011 or more"
+    assert format_interval(Interval(-1e-16, 2e-16)) == "0.00 to 0.00"
+    assert format_interval(Interval(-0.0, 0.5)) == "0.00 to 0.50"
+    assert format_interval(Interval(0.12, 0.48)) == "0.12 to 0.48"

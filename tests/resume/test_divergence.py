@@ -14,14 +14,13 @@ from torch import Tensor
 from framework import registry
 from framework.errors import UserError
 from framework.initialize import INITIALIZERS
+from framework.kernels import losses
+from framework.kernels.losses import photometric_gradient
 from framework.options import TrainerOptions
 from framework.plugin import Capacity, Edits, Regularizer, StepContext, StepStats
-from framework.rasterize import losses
-from framework.rasterize.losses import photometric_gradient
 from framework.records.progress import Silent
-from framework.registry import Plugged
+from framework.registry import ActivePlugin
 from framework.run import training
-from framework.run.members import IDLE
 from framework.run.plane import textured_plane
 from framework.train.guard import Diverged, diverged
 from framework.train.optim import Adam
@@ -29,6 +28,7 @@ from framework.train.optimizer import AdamState
 from framework.train.resume.checkpoint import unpack
 from framework.train.trainer import Plugins, Trained, Trainer
 from framework.types import Camera, Gaussians, Scene, TrainingSet, View
+from tests import built
 from tests.built import build_provider
 from tests.record.fakes import make_gaussians
 
@@ -57,8 +57,7 @@ class NoChildren(Capacity):
 
 
 def plugins(**changes: Any) -> Plugins:
-    acting = {group: Plugged(plugin, 1.0, 0.0, 1.0) for group, plugin in changes.items()}
-    return replace(Plugins.of(IDLE), **acting)
+    return built.plugins(**{group: ActivePlugin(plugin) for group, plugin in changes.items()})
 
 
 def train(
@@ -149,7 +148,7 @@ def test_a_parameter_that_overflows_is_caught() -> None:
 def test_the_state_is_left_for_inspection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     views, depth, gaussians = textured_plane(0)
     chosen = plugins(reg=SteepLoss())
-    monkeypatch.setattr(registry, "build", lambda group, config: getattr(chosen, group))
+    monkeypatch.setattr(registry, "build", lambda group, config: chosen.each[group])
     config = {"augment": {}, "reg": {}, "capacity": {}, "seed": 0, "trainer": asdict(OPTIONS)}
     run = training.Run(
         Scene("plane", "own", views, (), "f"), depth, lambda _: gaussians, tmp_path, "id", False

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 import torch
 
+from framework.kernels import rasterize
 from framework.metrics.evaluate import quantise
-from framework.rasterize import rasterize
 from framework.records.cameras import write_cameras
 from framework.records.ply import write_ply
 from framework.view import read_viewed, view_page

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from framework import registry
-from framework.methods.warping import WarpingAugmenter
+from framework.toolbox.warping import WarpingAugmenter
 from framework.types import Camera
 from framework.warp.zbuffer import Warped, prepare, warp
 from tests.warp.rig import context, embedded, truth

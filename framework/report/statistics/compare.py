@@ -21,8 +21,10 @@ from typing import TypeVar
 import numpy as np
 
 from framework.report.statistics.estimates import Estimate, Interval, estimate
+from framework.report.study.methods import Method
 
 Pairs = Mapping[tuple[str, int], float]  # (scene, seed) -> PSNR in dB
+M = TypeVar("M")
 K = TypeVar("K", str, int)  # a scene, or the place of a strength among those of a stress
 
 
@@ -33,8 +35,8 @@ class Comparison:
     taken together; None for a single one. tests: how many comparisons `joint`, `p_joint` and
     `significant` are corrected for."""
 
-    method: str
-    baseline: str
+    method: Method
+    baseline: Method
     scenes: tuple[str, ...]
     these: Estimate
     like: Estimate | None
@@ -89,9 +91,9 @@ def excludes_zero(interval: Interval | None) -> bool:
 
 
 def compare(
-    method: str,
+    method: Method,
     values: Pairs,
-    baseline: str,
+    baseline: Method,
     others: Pairs,
     names: Mapping[str, str] | None = None,
 ) -> Comparison | None:
@@ -137,9 +139,11 @@ def block(keys: Collection[tuple[K, int]]) -> tuple[list[K], list[int]]:
     return best
 
 
-def corrected(known: Mapping[str, Comparison]) -> dict[str, Comparison]:
+def corrected(comparisons: Mapping[M, Comparison]) -> dict[M, Comparison]:
     """With intervals and p that hold for all of those that can be tested at once, over seeds or
     over scenes."""
-    testable = [c for c in known.values() if c.p is not None or (c.like and c.like.p is not None)]
+    testable = [
+        c for c in comparisons.values() if c.p is not None or (c.like and c.like.p is not None)
+    ]
     tests = max(1, len(testable))
-    return {method: replace(c, tests=tests) for method, c in known.items()}
+    return {method: replace(c, tests=tests) for method, c in comparisons.items()}

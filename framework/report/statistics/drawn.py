@@ -18,7 +18,8 @@ import numpy as np
 from scipy import special  # without scipy.stats, which takes a second to import
 
 from framework.report.statistics.estimates import Estimate, estimate
-from framework.report.study.runs import ReportRun, Study
+from framework.report.study.methods import Method
+from framework.report.study.study import ReportRun, Study
 from framework.scenes import DRAWN
 
 
@@ -42,8 +43,8 @@ class Draws:
     draws differ, of those with two seeds or more; None where these are fewer than two."""
 
     scene: str
-    method: str
-    baseline: str
+    method: Method
+    baseline: Method
     differences: Mapping[str, tuple[float, ...]]
     plain: Mapping[str, float]
     over: Estimate
@@ -74,7 +75,7 @@ def draws(study: Study) -> list[Draws]:
     return [d for d in found if d is not None]
 
 
-def _draws(scene: str, method: str, baseline: str, runs: Sequence[ReportRun]) -> Draws | None:
+def _draws(scene: str, method: Method, baseline: Method, runs: Sequence[ReportRun]) -> Draws | None:
     own, base = (_by_draw(runs, one) for one in (method, baseline))
     differences = {}
     for draw in own:
@@ -89,7 +90,7 @@ def _draws(scene: str, method: str, baseline: str, runs: Sequence[ReportRun]) ->
     return Draws(scene, method, baseline, differences, plain, over, alike)
 
 
-def _by_draw(runs: Sequence[ReportRun], method: str) -> dict[str, dict[int, float]]:
+def _by_draw(runs: Sequence[ReportRun], method: Method) -> dict[str, dict[int, float]]:
     """Draw, in the order of their numbers -> seed -> PSNR."""
     found: dict[str, dict[int, float]] = defaultdict(dict)
     for run in runs:

@@ -17,7 +17,8 @@ from scipy import special
 
 from framework.report.statistics.estimates import CONFIDENCE, Interval
 from framework.report.statistics.outcomes import by_pair
-from framework.report.study.runs import FailedRun, ReportRun, Study
+from framework.report.study.methods import Method
+from framework.report.study.study import FailedRun, ReportRun, Study
 
 FAILURE_DB = 1.0
 PERCENTILE = 5.0
@@ -61,7 +62,7 @@ def worst_case(runs: Sequence[ReportRun]) -> WorstCase | None:
     return WorstCase(*min(means), lowest, view, view_seed, percentile)
 
 
-def failure_rate(study: Study, method: str, scene: str | None = None) -> FailureRate | None:
+def failure_rate(study: Study, method: Method, scene: str | None = None) -> FailureRate | None:
     """The share of failed runs of a method; None where it has no run."""
     runs = study.of(scene, method)
     lost = [run for run in study.failed if _is_of(run, scene, method)]
@@ -103,5 +104,5 @@ def _has_converged(run: ReportRun) -> bool:
     return len(psnr) == 0 or bool(psnr[-1] > psnr.max() - FAILURE_DB)
 
 
-def _is_of(run: FailedRun, scene: str | None, method: str) -> bool:
+def _is_of(run: FailedRun, scene: str | None, method: Method) -> bool:
     return run.method == method and scene in (None, run.scene)

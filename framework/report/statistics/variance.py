@@ -21,6 +21,7 @@ import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy import special
@@ -40,7 +41,9 @@ from framework.report.statistics.power import (
     size,
     uncorrelated,
 )
+from framework.report.study.methods import Method
 
+M = TypeVar("M")
 MOST_ALIKE = 1 - 1e-9  # a correlation of exactly 1 would leave no noise to test against
 
 
@@ -51,8 +54,8 @@ class SigmaComparison:
     pairs that share a seed, None where the samples were compared as independent. tests: how many
     comparisons `p_joint` and all that follows are corrected for (Bonferroni)."""
 
-    method: str
-    baseline: str
+    method: Method
+    baseline: Method
     ratio: float | None
     interval: Interval | None
     p: float
@@ -92,7 +95,7 @@ class SigmaComparison:
 
 
 def compare_sigmas(
-    method: str, values: Mapping[int, float], baseline: str, others: Mapping[int, float]
+    method: Method, values: Mapping[int, float], baseline: Method, others: Mapping[int, float]
 ) -> SigmaComparison | None:
     """The standard deviations of two samples by seed, of the seeds that both have if these are
     three or more; None where one has fewer than three values."""
@@ -117,9 +120,9 @@ def compare_sigmas(
     return known(ratio=ratio, interval=_paired_interval(ratio, rho, len(a)), p=p, rho=rho)
 
 
-def sigmas_corrected(known: Mapping[str, SigmaComparison]) -> dict[str, SigmaComparison]:
+def sigmas_corrected(found: Mapping[M, SigmaComparison]) -> dict[M, SigmaComparison]:
     """With p and power of a test that is one of all of these."""
-    return {method: replace(c, tests=len(known)) for method, c in known.items()}
+    return {method: replace(c, tests=len(found)) for method, c in found.items()}
 
 
 def brown_forsythe(a: np.ndarray, b: np.ndarray) -> float:

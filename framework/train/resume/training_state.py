@@ -1,20 +1,20 @@
-"""All that a training needs to go on: with it and the configuration every later bit is fixed.
+"""The state of a training: together with the configuration it determines every later bit.
 
-Random draws need nothing here: a stream is fixed by (seed, purpose, step). Real views are part of
-the scene and are not repeated; an epoch's pseudo views are, since they were made at its start.
+Random streams need no state, as (seed, purpose, step) determines them. Real views are part of the
+scene and are not stored; the pseudo views of an epoch are, since they were made at its start.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, Self
 
 from torch import Tensor
 
 from framework import registry
 from framework.records.run_files import HistoryRow
-from framework.registry import Plugged
+from framework.registry import ActivePlugin
 from framework.train.dose import Tallies
 from framework.train.optimizer import AdamState
 from framework.types import Gaussians, View
@@ -22,38 +22,55 @@ from framework.types import Gaussians, View
 
 @dataclass(frozen=True)
 class Plugins:
-    """The chosen plugins with their framework keys, of `reg` and `capacity` perhaps several."""
+    """The chosen plugins by the keys of their states: `augment`, `reg` and `capacity`, or
+    `reg.NAME` and `capacity.NAME` where several of a group run."""
 
-    augment: Plugged
-    reg: Plugged
-    capacity: Plugged
+    each: Mapping[str, ActivePlugin]
 
     @classmethod
     def of(cls, choices: Mapping[str, Mapping[str, Any]]) -> Self:
-        """Those of `choices`: of each group its choice, as in a run's configuration."""
-        return cls(*(registry.build(group, choices[group]) for group in registry.GROUPS))
+        """Build the plugins of a run's configuration."""
+        groups = [registry.build_all(group, choices[group]) for group in registry.GROUPS]
+        return cls({key: chosen for group in groups for key, chosen in group.items()})
 
-    def each(self) -> dict[str, Plugged]:
-        """Every single one, by the key of its state."""
-        groups = (("augment", self.augment), ("reg", self.reg), ("capacity", self.capacity))
-        return {key: one for name, plugged in groups for key, one in plugged.each(name).items()}
+    def group(self, name: str) -> dict[str, ActivePlugin]:
+        """The plugins of one group."""
+        return {key: one for key, one in self.each.items() if key.partition(".")[0] == name}
+
+    def shared(self, members: int) -> Self:
+        """The plugins of one of so many trainings whose Gaussians are joined."""
+        capacities = {
+            key: replace(one, plugin=one.plugin.shared(members))
+            for key, one in self.group("capacity").items()
+        }
+        return replace(self, each={**self.each, **capacities})
+
+    def always(self) -> Self:
+        """The same plugins, active over the whole training."""
+        each = {key: replace(one, start=0.0, stop=1.0) for key, one in self.each.items()}
+        return replace(self, each=each)
 
     @property
     def second_field(self) -> bool:
-        """Whether any of them compares the Gaussians with a second set."""
-        return any(one.plugin.second_field for one in self.each().values())
+        """Whether a plugin compares the Gaussians with a second set."""
+        return any(one.plugin.second_field for one in self.each.values())
 
     @property
     def second_drawn(self) -> bool:
-        """Whether that set begins with a draw of its own."""
-        return any(one.plugin.second_drawn for one in self.each().values())
+        """Whether the second set starts from another draw."""
+        return any(one.plugin.second_drawn for one in self.each.values())
 
 
 @dataclass(frozen=True)
 class Trained:
-    """What a training gives. background: [3], what renders for evaluation stand on. wall_s, cpu_s:
-    of the training without evaluations, all its parts together. resumed: how often it was taken up
-    again from a kept state. dose: see `framework.train.dose`."""
+    """The result of a training.
+
+    Attributes:
+        background: [3], of renders for evaluation.
+        wall_s, cpu_s: of the training without evaluations.
+        resumed: how often it was resumed.
+        dose: see `framework.train.dose`.
+    """
 
     gaussians: Gaussians
     background: Tensor
@@ -87,11 +104,13 @@ class FieldState:
 class TrainerState:
     """A training between two steps.
 
-    step: finished steps. left: how many of the epoch's real views are still to be trained on.
-    pseudo: the epoch's pseudo views. logged: since the last row of `history`. field: what is
-    trained; second: the field beside it, where a plugin wants one.
-    dose: of the methods so far. psnr: the last one measured. wall_s, cpu_s: of the training so far,
-    without evaluations. resumed: how often it was taken up again.
+    Attributes:
+        step: finished steps.
+        left: real views of the epoch that are not yet trained on.
+        logged: since the last row of `history`.
+        psnr: the last one measured.
+        wall_s, cpu_s: so far, without evaluations.
+        second: state of the second field, if there is one.
     """
 
     step: int

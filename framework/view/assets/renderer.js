@@ -2,7 +2,7 @@
    target, and detail: how many of them to a pixel of the photos, along a side. */
 
 const COLOUR = 0, DEPTH = 1, COUNT = 2;
-const DILATION = 0.3, PIXEL_VARIANCE = 1 / 12; // pixels^2: framework/rasterize/constants.py; of a box
+const DILATION = 0.3, PIXEL_VARIANCE = 1 / 12; // pixels^2: framework/kernels/constants.py; of a box
 const TEXELS = 3; // of a projected Gaussian
 const CHUNK = 1024; // Gaussians that are drawn as one instance: one each is slow on many a driver
 const MOST_COUNT = 1023; // of the colours of the count view

@@ -1,4 +1,4 @@
-/* The image formation of framework/rasterize/reference.py, in three passes: every Gaussian to the
+/* The image formation of framework/kernels/reference.py, in three passes: every Gaussian to the
    screen, quads blended from the farthest to the nearest, sums to colours. */
 
 const PROJECT = `#version 300 es

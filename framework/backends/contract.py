@@ -1,0 +1,155 @@
+"""What a training asks of whoever draws Gaussians and takes gradients of what it drew.
+
+The trainer, its gradient, the plugins' context and the evaluation know this contract and no
+rasterizer. Importing it loads neither torch nor numba: `--help` reads the choices.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+from framework.records.provenance import BITS
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from framework.fisher.information import FisherInformation
+    from framework.types import Camera, Gaussians, Render
+
+NOT_KEPT = "not kept by this rasterizer"
+DepthGradient = Callable[[Any, Any], tuple[Any, Any]]
+
+
+class RenderGradient(Protocol):
+    """The gradient of a loss on one render. gaussians: what was rendered. radii [N]: in pixels,
+    0 = culled. absolute: [N, 2], sums over pixels of the absolute gradient in the projected means,
+    where that was asked for."""
+
+    @property
+    def gaussians(self) -> Gaussians: ...
+
+    @property
+    def radii(self) -> Tensor: ...
+
+    @property
+    def absolute(self) -> Tensor | None: ...
+
+    def pull_back(self) -> tuple[dict[str, Tensor], Tensor]:
+        """The gradient in every tensor of `gaussians`, by name, and in the projected means [N, 2],
+        in pixels. To be asked once."""
+
+    def drop(self) -> None:
+        """Give back what it holds, in the place of `pull_back`."""
+
+
+class Rasterizer(ABC):
+    """A way to draw; frozen dataclasses, whose fields are options of `rasterizer=NAME`.
+
+    Gaussians may be given on any device; what comes back is on `device`, but Fisher information,
+    which is on the CPU. keeps_bits: whether the same seed gives the same bits. fused: its gradients
+    are `framework.kernels.ScreenGradient`s, which Adam's kernel takes; other rasterizers have
+    torch's arithmetic in Adam as in the loss. single_pixels: whether `render_gradient` can give the
+    absolute gradient, for which it must know that of every pixel.
+    """
+
+    name: ClassVar[str]
+    keeps_bits: ClassVar[bool] = True
+    fused: ClassVar[bool] = False
+    single_pixels: ClassVar[bool] = False
+
+    @property
+    def device(self) -> str:
+        """Where parameters, moments and targets of a training are kept, as torch calls it."""
+        return "cpu"
+
+    def ready(self) -> None:  # noqa: B027 - most are ready anywhere
+        """Raise UserError, in one line, where this machine cannot draw so."""
+
+    def facts(self) -> dict[str, Any]:
+        """For the provenance of a run's record; nothing of a rasterizer that keeps bits."""
+        return {} if self.keeps_bits else {BITS: NOT_KEPT}
+
+    @abstractmethod
+    def render(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        *,
+        background: Tensor | None = None,
+        sh_degree: int | None = None,
+        opacity_factors: Tensor | None = None,
+        means2d_offset: Tensor | None = None,
+        near: float = 0.01,
+        depth: bool = True,
+    ) -> Render:
+        """What `camera` sees, as `framework.kernels.rasterize`; differentiable in all tensors but
+        the background."""
+
+    @abstractmethod
+    def render_gradient(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        image_gradient: Callable[[Any], Any],
+        *,
+        background: Tensor | None = None,
+        sh_degree: int | None = None,
+        opacity_factors: Tensor | None = None,
+        near: float = 0.01,
+        absolute: bool = False,
+        depth_gradient: DepthGradient | None = None,
+    ) -> RenderGradient:
+        """Render, and the gradient of a loss of the colours: `image_gradient` gets rgb [3, H, W]
+        and returns the loss's gradient in it, both as `loss_gradient` has them. absolute: also
+        `RenderGradient.absolute`; asked for only where `single_pixels` is true. depth_gradient:
+        gets alpha and depth [H, W] and returns the gradients in them that are added."""
+
+    @abstractmethod
+    def fisher(
+        self,
+        gaussians: Gaussians,
+        camera: Camera,
+        *,
+        background: Tensor | None = None,
+        sh_degree: int | None = None,
+        near: float = 0.01,
+        mask: Tensor | None = None,
+    ) -> FisherInformation:
+        """Information of the camera's image on each Gaussian, on the CPU; see
+        `framework.fisher.information`. mask: [H, W] on the CPU."""
+
+    @abstractmethod
+    def target(self, image: Tensor, mask: Tensor | None) -> Any:
+        """What the loss needs of a photo [3, H, W] and its mask [H, W], both on the CPU."""
+
+    @abstractmethod
+    def loss(self, rgb: Tensor, target: Any, ssim_weight: float) -> Tensor:
+        """The photometric loss of a render [3, H, W]; a differentiable scalar."""
+
+    @abstractmethod
+    def loss_gradient(
+        self, rgb: Any, target: Any, ssim_weight: float, weight: float
+    ) -> tuple[float, Any]:
+        """`loss` times `weight`, and its gradient in the render."""
+
+    @abstractmethod
+    def roughness_gradient(self, alpha: Any, depth: Any, weights: Tensor) -> tuple[Any, Any]:
+        """The gradient in alpha and depth [H, W], as `render` or `render_gradient` has them, of
+        `framework.kernels.roughness`. weights: [2, H, W], on `device`."""
+
+    @abstractmethod
+    def binocular_gradient(
+        self,
+        alpha: Any,
+        depth: Any,
+        beside: Render,
+        target: Any,
+        moves: float,
+        tolerance: float,
+        weight: float,
+    ) -> tuple[Any, Any, Any]:
+        """The gradients of `framework.kernels.binocular`, in alpha and depth [H, W], as `render`
+        or `render_gradient` has them, and in the colours of `beside`, which the moved camera sees.
+        target: the photo's."""

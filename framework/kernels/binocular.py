@@ -1,0 +1,132 @@
+"""A photo seen again through a render from beside it: the loss's gradient in both renders.
+
+Binocular-Guided 3DGS (Han et al. 2024, arXiv 2410.18822, section 3.1): the camera moves by t along
+its own x axis, so a pixel at depth D moves along its row by -f t / D. What the moved camera sees
+there should be what the photo shows: mean over pixels and channels of |warped - photo|. A pixel
+counts (ours) where its depth is that of the render beside it, as elsewhere one hides the other, or
+one of the two depths is wrong and its colour would be painted on what lies behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from framework.compute.jit import inlined, kernel
+from framework.compute.parallel import run_blocks
+from framework.kernels.constants import WHOLE
+from framework.kernels.lending import ThreadsLender
+from framework.kernels.roughness import SEEN
+
+_NONE, _ZERO, _ONE, _WHOLE = (np.float32(x) for x in (-1, 0, 1, WHOLE))
+
+
+@inlined
+def _disparities(alpha: Any, depth: Any, into: Any) -> None:
+    """Inverse expected depth of a row; -1 where nothing is seen."""
+    for x in range(len(into)):
+        into[x] = alpha[x] / depth[x] if (alpha[x] > SEEN) & (depth[x] > _ZERO) else _NONE
+
+
+@inlined
+def _places(own: Any, beside: Any, mask: Any, numbers: Any, left: Any, share: Any) -> None:
+    """Of every pixel of a row: the pixel to the left of where it is seen from beside, how far it is
+    from there to the next, and into `own` its weight, 0 where it does not count."""
+    moves, tolerance, weight = numbers
+    width = len(own)
+    last, most = np.float32(width - 1), np.float32(max(width - 2, 0))
+    to_right = np.uint32(width > 1)
+    for x in range(width):
+        there = np.float32(x) - moves * own[x]
+        counts = (own[x] > _ZERO) & (mask[x] > _WHOLE) & (there >= _ZERO) & (there <= last)
+        at = np.uint32(min(there, most)) if counts else np.uint32(0)
+        rest = there - np.float32(at) if counts else _ZERO
+        near, far = beside[at], beside[at + to_right]
+        apart = abs((near + rest * (far - near)) - own[x])
+        counts = counts & (near > _ZERO) & (far > _ZERO) & (apart < tolerance)
+        left[x], share[x] = at, rest
+        own[x] = weight if counts else _ZERO
+
+
+@inlined
+def _pull(rgb: Any, photo: Any, own: Any, left: Any, share: Any, in_rgb: Any, slope: Any) -> None:
+    """One colour of a row: the gradient in what is seen from beside, and added to `slope` how the
+    loss moves with the place where a pixel is seen."""
+    to_right = np.uint32(len(own) > 1)
+    for x in range(len(own)):
+        at, rest = left[x], share[x]
+        near, far = rgb[at], rgb[at + to_right]
+        error = near + rest * (far - near) - photo[x]
+        pull = own[x] if error > _ZERO else (-own[x] if error < _ZERO else _ZERO)
+        in_rgb[at] += pull * (_ONE - rest)
+        in_rgb[at + to_right] += pull * rest
+        slope[x] += pull * (far - near)
+
+
+@kernel
+def binocular_rows(
+    block: int,
+    blocks: int,
+    alpha: Any,
+    depth: Any,
+    rgb_beside: Any,
+    alpha_beside: Any,
+    depth_beside: Any,
+    photo: Any,
+    mask: Any,
+    moves: Any,
+    tolerance: Any,
+    weight: Any,
+    in_alpha: Any,
+    in_depth: Any,
+    in_rgb: Any,
+) -> None:
+    """A range of rows of the gradients: in alpha and depth [H, W] of the photo's camera, and in the
+    colours [3, H, W] that the camera beside it sees. The other arguments: `binocular_gradient`."""
+    height, width = alpha.shape
+    own, beside = np.empty(width, np.float32), np.empty(width, np.float32)
+    share, slope = np.empty(width, np.float32), np.empty(width, np.float32)
+    left = np.empty(width, np.uint32)
+    for y in range(height * block // blocks, height * (block + 1) // blocks):
+        _disparities(alpha[y], depth[y], own)
+        _disparities(alpha_beside[y], depth_beside[y], beside)
+        _places(own, beside, mask[y], (moves, tolerance, weight), left, share)
+        slope[:] = _ZERO
+        for c in range(3):
+            in_rgb[c, y] = _ZERO
+            _pull(rgb_beside[c, y], photo[c, y], own, left, share, in_rgb[c, y], slope)
+        to_alpha, to_depth, a, z = in_alpha[y], in_depth[y], alpha[y], depth[y]
+        for x in range(width):
+            counts = own[x] > _ZERO
+            pull = moves * slope[x] / z[x] if counts else _ZERO
+            to_alpha[x] = -pull
+            to_depth[x] = pull * (a[x] / z[x]) if counts else _ZERO
+
+
+_lender = ThreadsLender()
+
+
+def binocular_gradient(
+    alpha: np.ndarray,
+    depth: np.ndarray,
+    beside: Sequence[np.ndarray],
+    photo: np.ndarray,
+    mask: np.ndarray,
+    moves: float,
+    tolerance: float,
+    weight: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The gradients in alpha and depth [H, W] of the photo's camera and in the colours [3, H, W] of
+    the camera beside it, all float32, in memory that is lent again once nobody holds it.
+
+    beside: colours, alpha and depth that the moved camera sees. photo [3, H, W]: multiplied by mask
+    [H, W]. moves: f t, pixels that a point at depth 1 moves to the left. tolerance: by which the
+    inverse depths of a pixel may differ. weight: of a pixel and channel.
+    """
+    found = _lender.lend([alpha.shape, alpha.shape, photo.shape])
+    numbers = np.float32(moves), np.float32(tolerance), np.float32(weight)
+    run_blocks(binocular_rows, alpha, depth, *beside, photo, mask, *numbers, *found)
+    in_alpha, in_depth, in_rgb = found
+    return in_alpha, in_depth, in_rgb

@@ -1,0 +1,83 @@
+"""How rough the disparity of a render is where its photo is smooth: the gradient.
+
+R = sum over pixels p and their right and lower neighbours q of w_pq |d_p - d_q|, of the inverse
+expected depth d = alpha / depth (Godard et al. 2017, eq. 3; `framework.train.depth_priors` has the
+weights w). A pixel that shows nothing is nobody's neighbour.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from framework.compute.jit import inlined, kernel
+from framework.compute.parallel import run_blocks
+from framework.kernels.lending import ThreadsLender
+
+SEEN = np.float32(1e-6)  # alpha from which a pixel shows something
+_NONE, _ZERO = np.float32(-1), np.float32(0)
+
+
+@inlined
+def _step(own: Any, other: Any, weight: Any) -> Any:
+    """w times the slope of |own - other| in own, of disparities; below 0 nothing is seen."""
+    slope = weight if own > other else (-weight if own < other else _ZERO)
+    return slope if (own >= _ZERO) & (other >= _ZERO) else _ZERO
+
+
+@kernel
+def roughness_rows(
+    block: int,
+    blocks: int,
+    alpha: Any,
+    depth: Any,
+    weights: Any,
+    in_alpha: Any,
+    in_depth: Any,
+) -> None:
+    """A range of rows of the gradients in alpha and depth [H, W]. weights: [2, H, W], towards the
+    right neighbour and the lower one. Row by row without branches, for vectors."""
+    height, width = alpha.shape
+    y0, y1 = height * block // blocks, height * (block + 1) // blocks
+    above, below = max(0, y0 - 1), min(height, y1 + 1)
+    disparity = np.empty((below - above, width), np.float32)
+    for y in range(above, below):
+        a, z, d = alpha[y], depth[y], disparity[y - above]
+        for x in range(width):
+            d[x] = a[x] / z[x] if (a[x] > SEEN) & (z[x] > _ZERO) else _NONE
+    right = np.zeros(width + 1, np.float32)
+    down = np.zeros((2, width), np.float32)  # from the row above to this, from this to the next
+    if y0 > 0:
+        for x in range(width):
+            down[1, x] = _step(disparity[0, x], disparity[1, x], weights[1, y0 - 1, x])
+    for y in range(y0, y1):
+        d, z, w = disparity[y - above], depth[y], weights[0, y]
+        for x in range(width - 1):
+            right[x + 1] = _step(d[x], d[x + 1], w[x])
+        for x in range(width):
+            down[0, x] = down[1, x]
+        if y + 1 < height:
+            lower, w = disparity[y + 1 - above], weights[1, y]
+            for x in range(width):
+                down[1, x] = _step(d[x], lower[x], w[x])
+        else:
+            down[1] = _ZERO
+        to_alpha, to_depth = in_alpha[y], in_depth[y]
+        for x in range(width):
+            pull = (right[x + 1] - right[x]) + (down[1, x] - down[0, x])
+            pull = pull / z[x] if d[x] >= _ZERO else _ZERO
+            to_alpha[x], to_depth[x] = pull, -pull * d[x]
+
+
+_lender = ThreadsLender()
+
+
+def roughness_gradient(
+    alpha: np.ndarray, depth: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The gradients of R in alpha and depth [H, W] float32, as `rasterize` gives them, in memory
+    that is lent again once nobody holds it. weights: [2, H, W] float32."""
+    in_alpha, in_depth = _lender.lend([alpha.shape, alpha.shape])
+    run_blocks(roughness_rows, alpha, depth, weights, in_alpha, in_depth)
+    return in_alpha, in_depth

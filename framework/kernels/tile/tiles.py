@@ -1,0 +1,191 @@
+"""What the passes over a tile's list share: rows, masks, and how a pixel meets a Gaussian.
+
+A tile is 16 rows of 16 lanes; per row the state is the transmittance T and what else a pass keeps.
+A finished pixel keeps its T with a minus sign, so that it blends nothing more. The loops
+over rows have no branch, only masks; they visit the rows that an item reaches and that were not
+finished at the last look. Which rows these are decides from where alpha is carried on
+(`first_alphas`), alike in every pass; so the last bits of a pixel depend on its tile.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from framework.compute.jit import inlined
+from framework.compute.simd import (
+    absolute,
+    any_lane,
+    both,
+    but_not,
+    exp2,
+    floor,
+    fma,
+    fnma,
+    greater,
+    greater_equal,
+    iota,
+    load,
+    lowest_bit,
+    maximum,
+    minimum,
+    neg,
+    select,
+    splat,
+    store,
+    zeros,
+)
+from framework.kernels.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+
+f4 = np.float32
+HALF, ZERO, ONE = f4(0.5), f4(0), f4(1)
+_MIN = f4(ALPHA_MIN)
+_MAX = f4(ALPHA_MAX)
+_STOP = f4(TRANSMITTANCE_MIN)
+_FAINT = f4(-9)  # log2 of an alpha that is less than ALPHA_MIN, whatever the rounding
+_LOWEST = f4(124)  # minus the log2 of the least alpha that is kept
+CHECK = 16  # items between two looks at which rows are finished
+AHEAD = 6  # items between asking for a Gaussian's row and using it
+
+
+@inlined
+def aligned(size: int) -> Any:
+    """Uninitialised float32 scratch that begins on a cache line: a vector access that straddles two
+    lines costs twice."""
+    scratch = np.empty(size + 15, np.float32)
+    skip = (-(scratch.ctypes.data // 4)) % 16
+    return scratch[skip : skip + size]
+
+
+@inlined
+def alive_rows(transmittance: Any) -> int:
+    """Bit y is set if a pixel of row y of the tile (flat [256]) still blends."""
+    rows = 0
+    for y in range(16):
+        if any_lane(greater(load(transmittance, y * 16), zeros())):
+            rows |= 1 << y
+    return rows
+
+
+@inlined
+def listed_rows(item: Any) -> int:
+    """Bits first row ... last row of a list item."""
+    return ((2 << ((item >> 4) & 15)) - 1) & ~((1 << (item & 15)) - 1)
+
+
+@inlined
+def clear_outside(transmittance: Any, x: int, y: int, width: int, height: int) -> None:
+    """T = 1 in the image, 0 (finished) for the lanes and rows of the tile outside it."""
+    for j in range(16):
+        for i in range(16):
+            inside = x + i < width and y + j < height
+            transmittance[j * 16 + i] = ONE if inside else ZERO
+
+
+@inlined
+def read_row(plane: Any, at: int, count: int, buffer: Any, place: int) -> None:
+    """Copy `count` of 16 values of a flat image into a flat tile buffer, zeros for the rest."""
+    if count == 16:
+        store(buffer, place, load(plane, at))
+    else:
+        for i in range(16):
+            buffer[place + i] = plane[at + i] if i < count else ZERO
+
+
+@inlined
+def write_row(plane: Any, at: int, count: int, value: Any, scratch: Any) -> None:
+    """Write the first `count` lanes into a flat image."""
+    if count == 16:
+        store(plane, at, value)
+    else:
+        store(scratch, 0, value)
+        for i in range(count):
+            plane[at + i] = scratch[i]
+
+
+@inlined
+def seen_from(rows: Any, g: int, x: int, y: int) -> tuple[Any, Any, Any, Any, Any, Any]:
+    """A Gaussian as the rows of the tile at (x, y) see it: dx of their lanes, dy of the first row,
+    and the four coefficients of `log_alpha`."""
+    dx = iota() + splat(f4(x) + HALF - rows[g, 0])
+    dy0 = splat(f4(y) + HALF - rows[g, 1])
+    return dx, dy0, splat(rows[g, 2]) * dx, splat(rows[g, 3]), splat(rows[g, 4]), splat(rows[g, 5])
+
+
+@inlined
+def run_of(rows: Any, g: int) -> tuple[Any, int, Any]:
+    """How alpha goes on from row to row: (the factor of its factor, the longest run, B / C)."""
+    return splat(rows[g, 13]), int(rows[g, 14]), splat(rows[g, 15])
+
+
+@inlined
+def next_run(todo: int, longest: int) -> tuple[int, int, int]:
+    """The first rows of `todo` that follow one another, at most `longest` of them: (first, how
+    many, the others of `todo`)."""
+    first = lowest_bit(todo)
+    count = min(lowest_bit(~(todo >> first)), longest)
+    return first, count, todo & ~(((1 << count) - 1) << first)
+
+
+@inlined
+def first_alphas(placed: Any, lean: Any, row: int, count: int) -> tuple[Any, Any]:
+    """Alpha in a row of the tile, and the factor that makes it alpha in the row below.
+
+    log2(alpha) is a parabola in dy: from row to row the logarithm of that factor falls by the same,
+    so two multiplications give what an exponential would. Lanes that stay below 1/255 in all of the
+    `count` rows get 0. In the others neither falls below 2^-125, where `exp2` ends and float32 soon
+    has no normal numbers (products with others are slow), if count is at most `longest_run`.
+    lean: B / C.
+    """
+    dx, dy0, slant, shear, fall, peak = placed
+    dy = dy0 + splat(f4(row))
+    summit = minimum(maximum(neg(lean * dx), dy), dy + splat(f4(count - 1)))
+    seen = greater(log_alpha(dx, summit, slant, shear, fall, peak), splat(_FAINT))
+    alpha = exp2(log_alpha(dx, dy, slant, shear, fall, peak))
+    ratio = exp2(fma(shear, dx, fma(fall + fall, dy, fall)))
+    return select(seen, alpha, zeros()), select(seen, ratio, zeros())
+
+
+@inlined
+def log_alpha(dx: Any, dy: Any, slant: Any, shear: Any, fall: Any, peak: Any) -> Any:
+    """log2(alpha) at (dx, dy) from the mean."""
+    return fma(fma(shear, dy, slant), dx, fma(fall * dy, dy, peak))
+
+
+@inlined
+def longest_run(fall: Any, peak: Any) -> Any:
+    """How many rows may follow `first_alphas`, as float32; of vectors.
+
+    With d = sqrt(-fall), p the peak or 0 if that is more: a parabola below p that reaches -9 in one
+    of n rows is above p - (sqrt(9 + p) + n d)^2 in all of them and in the row below, which is to
+    stay above -124. At least 5 where p = 0, as the dilation of the covariance bounds d.
+    """
+    p = maximum(peak, zeros())
+    span = math.sqrt(_LOWEST + p) - math.sqrt(p - _FAINT)
+    return maximum(floor(minimum(span / math.sqrt(-fall), splat(f4(16)))), splat(ONE))
+
+
+@inlined
+def colour(rows: Any, g: int) -> tuple[Any, Any, Any]:
+    return splat(rows[g, 6]), splat(rows[g, 7]), splat(rows[g, 8])
+
+
+@inlined
+def meet(t: Any, raw: Any, limits: Any) -> tuple[Any, ...]:
+    """A pixel with transmittance t and a Gaussian of alpha `raw`: (alpha after its limit, weight,
+    whether it blends, the pixel's next t). limits: least alpha, least t, most alpha."""
+    least, stop, most = limits
+    active = greater_equal(raw, least)
+    a = minimum(raw, most)
+    goes_on = both(active, greater_equal(fnma(t, a, t), stop))  # false if t < 0
+    weight = select(goes_on, a * t, zeros())
+    kept = t - weight
+    return a, weight, goes_on, select(but_not(active, goes_on), neg(absolute(kept)), kept)
+
+
+@inlined
+def blend_limits() -> tuple[Any, Any, Any]:
+    """Broadcast: the least alpha that blends, the least transmittance, the most alpha."""
+    return splat(_MIN), splat(_STOP), splat(_MAX)

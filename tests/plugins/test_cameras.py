@@ -1,0 +1,70 @@
+"""A plugin that chooses the camera of its pseudo views, as a third-party author would write it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from framework.errors import UserError
+from framework.plugin import StepContext
+from framework.toolbox.elsewhere import unseen_camera
+from framework.toolbox.warping import WarpingAugmenter
+from framework.types import Camera
+from tests.plugins.fakes import context
+
+
+@dataclass(frozen=True)
+class Between(WarpingAugmenter):
+    """Pseudo views between two neighbouring training cameras, warped from all views."""
+
+    def sample_camera(self, ctx: StepContext) -> Camera:
+        return unseen_camera(ctx, ctx.rng("camera"), ctx.views[0].camera)
+
+    def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
+        return list(range(len(ctx.views))), selection
+
+
+Between.name = "between"
+
+
+def test_the_pseudo_view_has_the_camera_that_the_plugin_chose() -> None:
+    ctx = context()
+    (view,), _ = Between(min_coverage=0.0).pseudo_views(ctx, None)
+    expected = Between().sample_camera(context())
+    assert view.camera.viewmat.equal(expected.viewmat)
+    assert tuple(view.image.shape[1:]) == (expected.height, expected.width)
+    centers = [v.camera.center for v in ctx.views]
+    # on the segment between two training cameras: the distances to both add up to theirs
+    on_segment = [
+        float((a - view.camera.center).norm() + (view.camera.center - b).norm() - (a - b).norm())
+        for i, a in enumerate(centers)
+        for b in centers[i + 1 :]
+    ]
+    assert min(on_segment) == pytest.approx(0, abs=1e-9)
+
+
+def test_select_gets_the_chosen_camera() -> None:
+    cameras = []
+
+    @dataclass(frozen=True)
+    class Recording(Between):
+        def select(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[int], Any]:
+            cameras.append(camera)
+            return [0], selection
+
+    Recording.name = "recording"
+    Recording(min_coverage=0.0).pseudo_views(context(), None)
+    assert cameras[0].viewmat.equal(Between().sample_camera(context()).viewmat)
+
+
+def test_anything_but_a_camera_is_refused() -> None:
+    @dataclass(frozen=True)
+    class Nowhere(Between):
+        def sample_camera(self, ctx: StepContext) -> Any:
+            return None
+
+    Nowhere.name = "nowhere"
+    with pytest.raises(UserError, match="augment=nowhere: expected sample_camera"):
+        Nowhere().pseudo_views(context(), None)
