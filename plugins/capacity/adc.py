@@ -29,10 +29,10 @@ class AdaptiveDensityControl(PullCapacity):
     """Options, with the defaults of the sparse-view literature (trainings of 10,000 steps).
 
     With `of_steps` at 0 step numbers are absolute: a training of 500 steps or fewer is densified
-    only if `from_step` is lowered. Otherwise they scale with the training's length, with at least an
-    epoch between densifications. The last densification is before the framework key `stop`, whose
-    default leaves the last tenth for splits to settle. Joined members (`trainer.members`) share
-    `max_gaussians`.
+    only if `from_step` is lowered. Otherwise they scale with the training's length, and at least an
+    epoch lies between densifications. The last densification is before the framework key `stop`,
+    whose default leaves the last tenth for splits to settle. Joined members (`trainer.members`)
+    share `max_gaussians`.
     """
 
     defaults: ClassVar[dict[str, float]] = {"stop": 0.9}

@@ -33,8 +33,8 @@ remove too much. Therefore:
   one at a time. It removes more where k Gaussians together lower the evidence even if all of them
   change the same pixels in the same direction. Their change is then at most k times the sum of
   their energies (Cauchy-Schwarz).
-- With many views few epochs lie between rounds. Below ten the pace falls with their number, and
-  with its square root once nothing grows and rates fall, when the noise is nearly final. Rounds are
+- With many views few epochs lie between rounds. Below ten the pace falls with their number. It
+  falls with its square root once nothing grows and rates fall. Rounds are
   at least `APART` epochs apart (a round costs about two epochs).
 
 `start`, `pace` and `until` were chosen by experiment, see `benchmarks/results/capacity.md`.

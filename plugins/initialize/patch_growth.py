@@ -38,9 +38,7 @@ TOLERANCE = 0.03  # relative difference of depth up to which two views show one 
 class PatchGrowth(Initializer):
     """Points that grow where all photos confirm them."""
 
-    seeds: str = (
-        "depth"  # first points: "depth" (fused, confirmed pixels) or "points" (sparse ones)
-    )
+    seeds: str = "depth"  # first points: of the fused "depth", or the sparse "points"
     per_pixel: float = 0.07  # largest number of points of the depth, per training pixel
     growth: float = 1.0  # largest number of grown points, in units of the first; rounds share it
     rounds: int = 200  # of growth

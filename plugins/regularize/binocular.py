@@ -5,9 +5,9 @@ along its x axis. The render there is warped into the photo by the disparity -f 
 rendered depth D. The loss is the mean over all pixels of |mask (warped - photo)|, with gradients
 into both renders.
 
-Its code also smooths the disparity, by the mean of exp(-0.33 |dI|) |d(mask d)| along each axis,
-with dI the sum over channels of central differences; the text does not mention it. The trainer has
-a variant, `trainer.binocular`, see `framework.train.depth_priors`.
+Its code also smooths the disparity, by the mean of exp(-0.33 |dI|) |d(mask d)| along each axis.
+There dI is the sum over channels of central differences. The text does not mention it. The trainer
+has a variant, `trainer.binocular`, see `framework.train.depth_priors`.
 """
 
 from __future__ import annotations
