@@ -57,15 +57,6 @@ class Heading:
     anchor: str
 
 
-@dataclass(frozen=True)
-class TableRow:
-    """method, scene: indices for the page's filter."""
-
-    method: int | None
-    scene: int | None
-    cells: list[Cell]
-
-
 @dataclass
 class Page:
     """What a template needs beside the findings.
@@ -73,7 +64,7 @@ class Page:
     Attributes:
         methods, scenes: what the page can be filtered by.
         folder: of the pictures, which the page takes in.
-        viewer: whether the page has pictures of runs; `left_out`: those that do not fit.
+        data: for the page's script.
         headings: filled while the template is rendered.
     """
 
@@ -101,17 +92,6 @@ class Page:
     def scene_index(self, cell: object) -> int | None:
         name = str(cell).removesuffix(f" {MARK}")
         return list(self.scenes).index(name) if name in self.scenes else None
-
-    def table_rows(self, rows: Sequence[Row]) -> list[TableRow]:
-        """The cells of each row, in the order of `columns`."""
-        return [
-            TableRow(
-                self.method_index(row.get("Method")),
-                self.scene_index(row.get("Scene")),
-                [row.get(name, "") for name in columns(rows)],
-            )
-            for row in rows
-        ]
 
     def copy_of(self, name: str) -> str:
         """A picture of the report as a data URI, at its own size."""

@@ -15,9 +15,9 @@ import pytest
 import yaml
 from PIL import Image
 
+from framework.command.cli import main as command
 from framework.files.limits import RUNS
 from framework.report.build import build_report
-from framework.report.main import main
 from framework.report.study.collect import collect
 from tests.fuzz.structured import BOMB
 from tests.record.fakes import fake_run, make_config
@@ -225,6 +225,6 @@ def test_a_report_that_cannot_be_written(
 ) -> None:
     (study / "file").write_text("")
     out = Path("/proc/here") if where == "proc" else study / where
-    assert main([str(study), "--out", str(out)], "report") == 2
+    assert command(["report", str(study), "--out", str(out)]) == 2
     told = capsys.readouterr().err
     assert told.startswith("error: ") and told.count("\n") == 1 and "Traceback" not in told
