@@ -71,8 +71,8 @@ def point_samples(
     uvz = project(camera, training.points.xyz.numpy()[seen])
     uvz = uvz[inside(camera, uvz)]
     sampled = values[uvz[:, 1].astype(np.int64), uvz[:, 0].astype(np.int64)]
-    known = sampled > 0
-    return sampled[known], uvz[known, 2]
+    valid = sampled > 0
+    return sampled[valid], uvz[valid, 2]
 
 
 def align(
@@ -105,9 +105,9 @@ def align(
     if mode != "none":
         scale, shift = _fit(training, index, values, inverse, mode, where, way_out)
     fitted = np.where(values > 0, scale * values + shift, 0.0)
-    known = fitted > 0
-    safe = np.where(known, fitted, 1.0)
-    return np.where(known, 1.0 / safe if inverse else safe, 0.0)
+    valid = fitted > 0
+    safe = np.where(valid, fitted, 1.0)
+    return np.where(valid, 1.0 / safe if inverse else safe, 0.0)
 
 
 def _fit(

@@ -77,23 +77,23 @@ def _bias(depth: Array, view: int, n: int, strength: float, seed: int) -> Array:
 
 def _kept(depth: Array, strength: float, rng: np.random.Generator) -> NDArray[np.bool_]:
     """The known pixels outside of the holes."""
-    known = depth > 0
+    valid = depth > 0
     field = normal_field(depth.shape, HOLES_LENGTH, rng)
-    count = round(HOLES * strength * int(known.sum()))
-    lowest = np.argsort(np.where(known, field, np.inf), axis=None, kind="stable")[:count]
-    kept = known.copy()
+    count = round(HOLES * strength * int(valid.sum()))
+    lowest = np.argsort(np.where(valid, field, np.inf), axis=None, kind="stable")[:count]
+    kept = valid.copy()
     kept.ravel()[lowest] = False
     return kept
 
 
 def _blur(depth: Array, strength: float) -> Array:
     """Normalised convolution (Knutsson & Westin, CVPR 1993): unknown pixels have weight 0."""
-    known = depth > 0
-    inverse = np.where(known, 1.0 / np.where(known, depth, 1.0), 0.0)
+    valid = depth > 0
+    inverse = np.where(valid, 1.0 / np.where(valid, depth, 1.0), 0.0)
     sigma_px = BLUR_LENGTH * strength * math.hypot(*depth.shape)
     total = _smoothed(inverse, sigma_px, "nearest")
-    weight = _smoothed(known.astype(np.float64), sigma_px, "nearest")
-    return np.where(known, weight / np.where(known, total, 1.0), depth)
+    weight = _smoothed(valid.astype(np.float64), sigma_px, "nearest")
+    return np.where(valid, weight / np.where(valid, total, 1.0), depth)
 
 
 def normal_field(shape: tuple[int, ...], length: float, rng: np.random.Generator) -> Array:

@@ -173,10 +173,10 @@ def _by_brightness(a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
 
 def _certain_depth(view: View, depth: DepthMap) -> NDArray[np.float32]:
     """[H, W] depth of the photo's surfaces, 0 = unknown or a guess."""
-    known = depth.confidence.numpy() > 0
+    valid = depth.confidence.numpy() > 0
     if view.mask is not None:
-        known &= view.mask.numpy() > 0.5
-    return np.where(known, depth.depth.numpy(), np.float32(0))
+        valid &= view.mask.numpy() > 0.5
+    return np.where(valid, depth.depth.numpy(), np.float32(0))
 
 
 def _shared(
@@ -195,11 +195,11 @@ def _shared(
     safe = np.where(front, w, 1.0)
     u, v = u / safe, v / safe
     inside = front & (u >= 0) & (v >= 0) & (u < b.width) & (v < b.height)
-    here = (rows * a.width + columns)[inside]
+    pixels = (rows * a.width + columns)[inside]
     there = v[inside].astype(np.int64) * b.width + u[inside].astype(np.int64)
     seen = other.reshape(-1)[there].astype(np.float64)
     same = np.abs(w[inside] - seen) < TOLERANCE * seen
-    return here[same], there[same]
+    return pixels[same], there[same]
 
 
 def _smoothed(view: View) -> NDArray[np.float32]:

@@ -121,9 +121,9 @@ def normalised_poses(training: TrainingSet) -> tuple[NDArray[np.float32], float]
 def _require_given_poses(output: Any, poses: NDArray[np.float32]) -> None:
     """The package brings depth to the unit of the given poses, but keeps its own poses and units
     where that fails, with a mere warning."""
-    found = None if output.extrinsics is None else np.asarray(output.extrinsics)[:, :3]
+    extrinsics = None if output.extrinsics is None else np.asarray(output.extrinsics)[:, :3]
     require(
-        found is not None and bool(np.abs(found - poses[:, :3]).max() < POSE_TOLERANCE),
+        extrinsics is not None and bool(np.abs(extrinsics - poses[:, :3]).max() < POSE_TOLERANCE),
         f"{WHERE}: expected depth in the unit of the camera poses, got the network's own units (it"
         " could not align the poses); use depth.align=points or depth.align=plane_sweep",
     )
@@ -136,14 +136,14 @@ def _prediction(output: Any, n: int, unit: float) -> Prediction:
         f"{WHERE}: expected depth [{n}, h, w] from the network, got shape {depth.shape}; install"
         f" the package from {DEPTH_ANYTHING_3}",
     )
-    known = np.isfinite(depth) & (depth > 0)
+    valid = np.isfinite(depth) & (depth > 0)
     if output.sky is not None:
-        known &= ~np.asarray(output.sky, bool)
+        valid &= ~np.asarray(output.sky, bool)
     confidence = np.ones_like(depth)
     if output.conf is not None:
-        own = np.maximum(np.asarray(output.conf, np.float64), 1.0)
-        confidence = np.maximum(1.0 - 1.0 / own, LEAST_CONFIDENCE)
-    return Prediction(np.where(known, unit * np.where(known, depth, 0.0), 0.0), confidence)
+        raw = np.maximum(np.asarray(output.conf, np.float64), 1.0)
+        confidence = np.maximum(1.0 - 1.0 / raw, LEAST_CONFIDENCE)
+    return Prediction(np.where(valid, unit * np.where(valid, depth, 0.0), 0.0), confidence)
 
 
 def _in_scene_units(

@@ -40,19 +40,19 @@ def find_file(folder: Path, view: str) -> Path:
     """
     name = Path(view)
     below = not name.is_absolute() and ".." not in name.parts
-    found = _with_suffixes(folder / name) if below else []
-    found = found or _with_suffixes(folder / name.name)
-    if not found:
+    matches = _with_suffixes(folder / name) if below else []
+    matches = matches or _with_suffixes(folder / name.name)
+    if not matches:
         raise UserError(
             f"depth=file: expected '{name.with_suffix('')}' with one of {', '.join(SUFFIXES)} in"
             f" {folder} for view '{view}', got none; name the files by the views"
         )
-    if len(found) > 1:
+    if len(matches) > 1:
         raise UserError(
             f"depth=file: expected one file for view '{view}' in {folder}, got"
-            f" {', '.join(p.name for p in found)}; remove all but one"
+            f" {', '.join(p.name for p in matches)}; remove all but one"
         )
-    return inside(folder, found[0].relative_to(folder))
+    return inside(folder, matches[0].relative_to(folder))
 
 
 def _with_suffixes(image: Path) -> list[Path]:
@@ -211,9 +211,9 @@ def read_views(training: TrainingSet, options: DepthFileOptions) -> tuple[DepthM
     cameras = [view.camera for view in training.views]
     maps = []
     for i, depth in enumerate(depths):
-        known = depth > 0
+        valid = depth > 0
         if options.tolerance > 0:
             others = [other for other in indices if other != i]
-            known &= agreeing_views(depths, cameras, i, others, options.tolerance) > 0
-        maps.append(DepthMap(torch.from_numpy(depth), torch.from_numpy(known.astype(np.float32))))
+            valid &= agreeing_views(depths, cameras, i, others, options.tolerance) > 0
+        maps.append(DepthMap(torch.from_numpy(depth), torch.from_numpy(valid.astype(np.float32))))
     return tuple(maps)

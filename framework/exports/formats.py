@@ -175,10 +175,10 @@ def _byte(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
 def _sog(gaussians: Gaussians, background: Tensor) -> bytes:
     import gaussforge
 
-    told = gaussforge.GaussForge().convert(_ply(gaussians, background), "ply", "sog")
-    if "error" in told:
-        raise UserError(f"sog: expected gaussforge to write it, got '{told['error']}'")
-    return bytes(told["data"])
+    result = gaussforge.GaussForge().convert(_ply(gaussians, background), "ply", "sog")
+    if "error" in result:
+        raise UserError(f"sog: expected gaussforge to write it, got '{result['error']}'")
+    return bytes(result["data"])
 
 
 def _for_gsply(gaussians: Gaussians) -> Any:

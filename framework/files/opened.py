@@ -87,18 +87,18 @@ def is_file(path: Path) -> bool:
     return os.path.isfile(path)
 
 
-def _check(found: os.stat_result, path: Path, limit: int) -> int:
-    kind = KINDS.get(stat.S_IFMT(found.st_mode), "something else")
+def _check(status: os.stat_result, path: Path, limit: int) -> int:
+    kind = KINDS.get(stat.S_IFMT(status.st_mode), "something else")
     require(
-        stat.S_ISREG(found.st_mode),
+        stat.S_ISREG(status.st_mode),
         f"{path}: expected a regular file, got {kind}; put a file in its place",
     )
     require(
-        found.st_size <= limit,
-        f"{path}: expected a file of at most {limit:,} bytes, got {found.st_size:,}; use a smaller"
+        status.st_size <= limit,
+        f"{path}: expected a file of at most {limit:,} bytes, got {status.st_size:,}; use a smaller"
         " one (the limits are in framework/files/limits.py)",
     )
-    return found.st_size
+    return status.st_size
 
 
 def _user_error(error: OSError, path: Path) -> OSError | UserError:

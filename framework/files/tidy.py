@@ -37,8 +37,10 @@ def own_folder(prefix: str) -> Iterator[Path]:
     parent = cache_dir()
     tidy(prefix)
     with usable(parent):
-        made = tempfile.TemporaryDirectory(prefix=prefix, dir=parent, ignore_cleanup_errors=True)
-    with made as name, locked(Path(name)):
+        temporary = tempfile.TemporaryDirectory(
+            prefix=prefix, dir=parent, ignore_cleanup_errors=True
+        )
+    with temporary as name, locked(Path(name)):
         yield Path(name)
 
 

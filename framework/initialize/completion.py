@@ -78,12 +78,12 @@ def filled(depth: Array) -> Array:
 
     Pull-push (Gortler et al., SIGGRAPH 1996, section 3.4) of inverse depth, weighted by depth^2.
     """
-    known = depth > 0
-    if known.all() or not known.any():
+    valid = depth > 0
+    if valid.all() or not valid.any():
         return depth
-    safe = np.where(known, depth, 1.0)
-    weight = np.where(known, (safe / safe[known].max()) ** FAR_PREFERENCE, 0.0)
-    return np.where(known, depth, 1.0 / _pull_push(weight / safe, weight))
+    safe = np.where(valid, depth, 1.0)
+    weight = np.where(valid, (safe / safe[valid].max()) ** FAR_PREFERENCE, 0.0)
+    return np.where(valid, depth, 1.0 / _pull_push(weight / safe, weight))
 
 
 def _pull_push(total: Array, weight: Array) -> Array:

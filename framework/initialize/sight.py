@@ -60,13 +60,13 @@ def sights(views: Sequence[View], maps: Sequence[DepthMap]) -> Sights:
                 f"sights: expected a depth map {list(size)} like the camera, got"
                 f" {list(estimate.depth.shape)}"
             )
-    found = run_tasks([partial(_confident, v, m) for v, m in zip(views, maps, strict=True)])
+    planes = run_tasks([partial(_confident, v, m) for v, m in zip(views, maps, strict=True)])
     pixels = np.array([height * width for height, width in sizes])
     return Sights(
         np.stack([_camera(view.camera) for view in views]),
         np.column_stack([np.array(sizes), np.cumsum(pixels) - pixels]).astype(np.int64),
-        np.concatenate([depth.reshape(-1) for depth, _ in found]),
-        np.concatenate([nearest.reshape(-1) for _, nearest in found]),
+        np.concatenate([depth.reshape(-1) for depth, _ in planes]),
+        np.concatenate([nearest.reshape(-1) for _, nearest in planes]),
     )
 
 
@@ -171,10 +171,10 @@ def _unrepeated(
     height, width = chosen.shape
     for row in range(height * block // blocks, height * (block + 1) // blocks):
         for column in range(width):
-            own = depth[frames[v, 2] + row * width + column]
-            if not own > 0.0:
+            z_pixel = depth[frames[v, 2] + row * width + column]
+            if not z_pixel > 0.0:
                 continue
-            x, y, z = _place(cameras, v, _ray(cameras, v, row, column), own)
+            x, y, z = _place(cameras, v, _ray(cameras, v, row, column), z_pixel)
             votes, repeated = 0, False
             for other in range(len(frames)):
                 if other == v:
@@ -207,7 +207,7 @@ def _pushed_back(
     guesses: Any,
     same: float,
     places: Any,
-    found: Any,
+    guessed: Any,
 ) -> None:
     height, width = start.shape
     for row in range(height * block // blocks, height * (block + 1) // blocks):
@@ -216,21 +216,21 @@ def _pushed_back(
                 continue
             ray = _ray(cameras, v, row, column)
             for step in steps:
-                own = step * start[row, column]
-                x, y, z = _place(cameras, v, ray, own)
+                z_pixel = step * start[row, column]
+                x, y, z = _place(cameras, v, ray, z_pixel)
                 dx, dy, dz = x - center[0], y - center[1], z - center[2]
-                free, known = np.sqrt(dx * dx + dy * dy + dz * dz) >= radius, False
+                free, taken = np.sqrt(dx * dx + dy * dy + dz * dz) >= radius, False
                 for other in range(len(frames)):
                     if other == v or not free:
                         continue
                     at, far = _pixel(cameras, frames, other, x, y, z)
                     if at >= 0:
                         free = not _looks_through(nearest[at], far, tolerance)
-                        known = known or _shows(depth[at], far, tolerance)
-                        known = known or (other < v and _shows(guesses[at], far, same))
+                        taken = taken or _shows(depth[at], far, tolerance)
+                        taken = taken or (other < v and _shows(guesses[at], far, same))
                 if free:
-                    if not known:
-                        found[row, column] = own
+                    if not taken:
+                        guessed[row, column] = z_pixel
                         places[row, column, 0] = x
                         places[row, column, 1] = y
                         places[row, column, 2] = z

@@ -23,11 +23,10 @@ from framework.compute import parallel, rng
 from framework.compute.stopwatch import Stopwatch
 from framework.files.locks import locked, remove_stale
 from framework.files.whole import following, remove_temporaries
-from framework.metrics.coadaptation import with_average, with_coadaptation
+from framework.metrics.coadaptation import with_average, with_coadaptation, with_rank
 from framework.metrics.evaluate import evaluate
 from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
-from framework.metrics.rank import with_rank
 from framework.metrics.values import (
     COADAPTATION,
     LPIPS_BOTH,

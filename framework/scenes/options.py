@@ -62,9 +62,9 @@ def check_folder_options(loader: str, options: Any, files: bool = False) -> None
 
 def _check_range(loader: str, near: float | None, far: float | None) -> None:
     """Check depth bounds, of which either may be None."""
-    given = [bound for bound in (near, far) if bound is not None]
+    bounds = [bound for bound in (near, far) if bound is not None]
     require(
-        all(0 < bound < math.inf for bound in given) and given == sorted(set(given)),
+        all(0 < bound < math.inf for bound in bounds) and bounds == sorted(set(bounds)),
         f"scene={loader}: expected 0 < near < far, got near={near}, far={far}; correct scene.near"
         " and scene.far",
     )

@@ -221,11 +221,11 @@ def resolve(
         for col in range(width):
             k = np.uint64(5 * ((row - top + 1) * (width + 2) + col + 1))
             w = total[k + np.uint64(4)]
-            known = w >= least
-            inverse = ONE / w if known else ZERO
+            has_depth = w >= least
+            inverse = ONE / w if has_depth else ZERO
             image[0, row, col] = min(total[k] * inverse, most)
             image[1, row, col] = min(total[k + np.uint64(1)] * inverse, most)
             image[2, row, col] = min(total[k + np.uint64(2)] * inverse, most)
             depth[row, col] = total[k + np.uint64(3)] * inverse
             weight[row, col] = w
-            valid[row, col] = known
+            valid[row, col] = has_depth

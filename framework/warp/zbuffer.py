@@ -183,12 +183,12 @@ def _prepare(view: View, depth_map: DepthMap) -> Support:
             f"prepare: view {view.name} is {size[0]}x{size[1]} (rows x columns), its depth map"
             f" {tuple(depth.shape)}, confidence {tuple(depth_map.confidence.shape)}"
         )
-    known = torch.isfinite(depth) & (depth > 0) & (depth_map.confidence > 0)
+    valid = torch.isfinite(depth) & (depth > 0) & (depth_map.confidence > 0)
     if view.mask is not None:
-        known &= view.mask > 0
-    inverse = torch.where(known, 1.0 / depth, 0.0).to(torch.float32).contiguous()
+        valid &= view.mask > 0
+    inverse = torch.where(valid, 1.0 / depth, 0.0).to(torch.float32).contiguous()
     color = view.image.to(torch.float32).permute(1, 2, 0).contiguous()
-    return Support(view.camera, inverse, (known & ~_depth_edge(inverse)).contiguous(), color)
+    return Support(view.camera, inverse, (valid & ~_depth_edge(inverse)).contiguous(), color)
 
 
 def _depth_edge(inverse: Tensor) -> Tensor:
@@ -201,8 +201,8 @@ def _depth_edge(inverse: Tensor) -> Tensor:
         n = inverse.shape[dim]
         if n < 3:
             continue
-        before, here, after = (inverse.narrow(dim, i, n - 2) for i in range(3))
-        jump = (before - 2 * here + after).abs() > EDGE * here
+        before, middle, after = (inverse.narrow(dim, i, n - 2) for i in range(3))
+        jump = (before - 2 * middle + after).abs() > EDGE * middle
         edge.narrow(dim, 1, n - 2).logical_or_(jump & (before > 0) & (after > 0))
     return edge
 

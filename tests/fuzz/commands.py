@@ -1,11 +1,9 @@
-"""What the subcommands and `scene=photos` read: a run of which a video, pictures or files are made,
-photos, and a video."""
+"""What the subcommands and `scene=photos` read: a run of which a video, pictures or files are
+made, and photos."""
 
 from __future__ import annotations
 
 import contextlib
-import importlib
-import importlib.util
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,14 +14,9 @@ from PIL import Image
 
 from framework.exports import render
 from framework.scenes.photos.prepare import prepare
-from framework.scenes.photos.source import find_source
-from framework.scenes.photos.video import sharpest_frames
 from tests.view.runs import seen_run
 
-PAGE = "<p>the page</p>"
 RUN = ("record.json", "metrics.csv", "history.csv")
-HEIC_WRITER = "pillow_heif"  # where it is installed, HEIC is among what is read
-HAS_HEIC = importlib.util.find_spec(HEIC_WRITER) is not None
 EXIF_FOCAL_35MM, EXIF_IFD, ORIENTATION, MAKE = 41989, 0x8769, 274, 271
 
 
@@ -55,8 +48,6 @@ def photo(folder: Path, kind: str) -> None:
     if kind != "png":
         exif[ORIENTATION], exif[MAKE] = 6, "Maker"
         exif.get_ifd(EXIF_IFD)[EXIF_FOCAL_35MM] = 28
-    if kind == "heic":
-        importlib.import_module(HEIC_WRITER).register_heif_opener()
     image.save(folder / f"a.{kind}", exif=exif)
 
 
@@ -70,19 +61,3 @@ def prepared(name: str, side: int) -> Callable[[Path], None]:
                 assert image.size == (done.width, done.height)
 
     return read
-
-
-def film(folder: Path) -> None:
-    import cv2
-
-    out = cv2.VideoWriter(str(folder / "a.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 10, (64, 48))
-    draw = np.random.default_rng(0)
-    for _ in range(6):
-        out.write(draw.integers(0, 255, (48, 64, 3), dtype=np.uint8))
-    out.release()
-
-
-def frames(folder: Path) -> None:
-    (file,) = find_source(str(folder / "a.avi"), 128, 4).files
-    with _out() as out:
-        assert 3 <= len(sharpest_frames(file, 4, out, lambda *_: None)) <= 4

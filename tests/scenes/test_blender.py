@@ -129,19 +129,6 @@ def test_opaque_photos_lie_on_no_paper(tmp_path: Path, caplog: pytest.LogCapture
     assert background_color("black", training).tolist() == [0, 0, 0] and not caplog.records
 
 
-def test_flattened_photos_are_another_scene(tmp_path: Path) -> None:
-    """Of the same pixels, but their mean is then what renders stand on."""
-    clear = load(write(tmp_path), split="file", n_views=3)
-    for file in tmp_path.glob("*/*.png"):
-        image = Image.open(file)
-        rgb, share = np.asarray(image)[..., :3], np.asarray(image)[..., 3:] / 255.0
-        flat = np.rint(rgb * share + 255 * (1 - share)).astype(np.uint8)
-        Image.fromarray(flat).save(file)
-    flat_scene = load(tmp_path, split="file", n_views=3)
-    assert torch.equal(clear.training.views[0].image, flat_scene.training.views[0].image)
-    assert clear.fingerprint != flat_scene.fingerprint
-
-
 def test_a_test_photo_may_not_train(tmp_path: Path) -> None:
     folder = write(tmp_path)
     data = json.loads((folder / "transforms_test.json").read_text())
