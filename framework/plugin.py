@@ -60,30 +60,44 @@ def _made(key: str, make: Callable[[], Any]) -> Any:
 
 @dataclass(frozen=True)
 class StepContext:
-    """What a plugin may know: read-only, and of the scene only what training may know.
+    """What a plugin may read: the training at one moment, without test views.
 
-    step: index, from 0, of the current step: the one about to run, for `Capacity.update` the one
-    just made. views: the real training views; depth: their depth maps, in the same order.
-    gaussians: the current ones, detached but in `Regularizer.loss`; clone what is to be kept, the
-    next step changes them in place. version: changes whenever Gaussians were added, removed or
-    reordered. sh_degree: the active degree. background: [3]. extent: see `TrainingSet.extent`;
-    spacing: mean distance of a training camera to its nearest other one (of a single one the
-    extent); near, far: depth bounds of the scene, all in scene units. supports(): the training
-    views, ready to be warped (`framework.warp`), made once. render(camera): the current Gaussians
-    without any dropout, and without a gradient; render(camera, gaussians, opacity_factors=[N],
-    background=[3]): any others, from any camera, differentiable in both: in `Regularizer.loss`
-    those of `ctx.gaussians` or some with parts detached,
-    `ctx.gaussians.replace(means=ctx.gaussians.means.detach())`.
-    fisher(camera): their information; fisher(camera, gaussians, sh_degree): that of others, for
-    instance a snapshot; fisher(camera, mask=view.mask): that of the pixels which a photo has.
-    once(key, make): what `make()` gave when it was first asked for under this key, for what stays
-    the same over a training; not to be written into, and in no checkpoint. All plugins share the
-    keys: begin yours with the plugin's name. rng(purpose): this plugin's own stream for this
-    update. log(name, value): into the history, and its mean over the
-    training into the run's dose. behind: [3], the background of this step's
-    renders, another in every step with `trainer.background=random`. other: the second field of a
-    training that has one (`Plugin.second_field`), as it was before this step, detached; second:
-    whether the plugin's own Gaussians are that one, of which nothing is kept.
+    Attributes:
+        step: index of the step about to run, from 0; in `Capacity.update` the one just done.
+        views: the real training views, at full size.
+        depth: their depth maps, in the same order.
+
+        gaussians: the current ones, detached except in `Regularizer.loss` and `substeps`. Clone
+            what is kept, as the next step changes them in place.
+        version: changes whenever Gaussians were added, removed or reordered.
+
+        sh_degree: the active degree.
+        background: [3].
+        extent: see `TrainingSet.extent`, in scene units.
+        spacing: mean distance of a training camera to the nearest other one.
+
+        near, far: depth bounds of the scene, in scene units.
+        behind: [3], the background of this step's renders (random with
+            `trainer.background=random`).
+
+        other: the second field before this step, detached (`Plugin.second_field`).
+        second: whether the plugin's Gaussians are the second field, which is not kept.
+
+    Functions:
+        supports(): the training views prepared for warping (`framework.warp`).
+
+        render(camera): render the current Gaussians without dropout and without a gradient.
+            `render(camera, gaussians, opacity_factors=[N], background=[3])` renders any Gaussians
+            and is differentiable in them and in the factors.
+
+        fisher(camera): Fisher information of the current Gaussians. `fisher(camera, gaussians,
+            sh_degree, mask)` takes others, for instance a snapshot, and only a photo's pixels.
+
+        once(key, make): the value of `make()`, computed once per training and shared by all
+            plugins. Begin the key with the plugin's name, and do not write into the value.
+
+        rng(purpose): the plugin's random stream for this update.
+        log(name, value): log into the history, and the mean over the training into the run's dose.
     """
 
     step: int
@@ -124,12 +138,18 @@ class StepContext:
 
 
 class Plugin:
-    """Base of all plugins. `defaults` changes the framework keys' defaults for a method. `idle`:
-    it does nothing by design; of others a run without any effect is told. `second_field`: beside
-    the Gaussians a second set is trained, from the same start on the same photos with draws, an
-    optimizer, regularizers and capacities of its own, which `StepContext.other` shows.
-    `second_drawn`: its start is another draw of the first Gaussians; a plugin may let an option
-    decide it (`reg=co_register_drawn`)."""
+    """Base of all plugins.
+
+    Attributes:
+        defaults: changes the defaults of the framework keys.
+        idle: a deliberate no-op. Other plugins without any effect cause a warning.
+        second_field: train a second set of Gaussians on the same photos, from the same start.
+
+        second_drawn: the second set starts from another draw of the initial Gaussians. An option
+            may decide it (`reg=co_register_drawn`).
+
+    The second set has separate draws, optimizer and plugins; `StepContext.other` is the other set.
+    """
 
     name: ClassVar[str]
     group: ClassVar[str]
@@ -164,10 +184,13 @@ class Plugin:
 
 
 class Augmenter(Plugin):
-    """Makes the pseudo views of an epoch. Each joins the step of one real view, drawn at random,
-    and adds its loss times `weight` (or has an update of its own, `trainer.pseudo_steps`); before
-    `start` and after `stop` (shares of the training) none is asked for. Why an epoch gets none is
-    told with the run if it is logged as `NAME_refused_WHY`, see `framework.train.dose`."""
+    """Makes the pseudo views of an epoch.
+
+    Each joins the step of one real view, drawn at random, and adds its loss times `weight`. With
+    `trainer.pseudo_steps=own` it has a separate update. It is not called before `start` and after
+    `stop` (shares of the training). Log `NAME_refused_WHY` to record why an epoch has no view, see
+    `framework.train.dose`.
+    """
 
     group: ClassVar[str] = "augment"
 
@@ -190,7 +213,7 @@ class Regularizer(Plugin):
 
     @classmethod
     def weighted(cls) -> bool:
-        """`weight` multiplies the loss term and the losses of steps of its own."""
+        """`weight` multiplies the loss term and the losses of `substeps`."""
         return not (cls.loss is Regularizer.loss and cls.substeps is Regularizer.substeps)
 
     def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
@@ -205,39 +228,50 @@ class Regularizer(Plugin):
         return None
 
     def substeps(self, ctx: StepContext, state: Any, view: View) -> Iterator[SubStep]:
-        """Losses that have a step of the optimizer of their own, before that on the photo: each is
-        asked for when the one before it was taken. `ctx.gaussians` are the parameters. view: the
-        step's real one, as large as it is trained on."""
+        """Yield losses that get a separate step of the optimizer, before that on the photo.
+
+        Each is requested after the step of the one before. `ctx.gaussians` are the parameters.
+        view: the step's real one, at the size of the training.
+        """
         return iter(())
 
     def gradient(
         self, ctx: StepContext, state: Any, found: Mapping[str, Tensor], at: GradientAt
     ) -> Mapping[str, Tensor] | None:
-        """What the optimizer gets in place of `found`, the gradient of the step's loss by parameter
-        name, or None for `found` itself. at(gaussians): the same at other values of the parameters,
-        for one more pass over the step's views. Of several, each gets in both what those before
-        it made of it."""
+        """Return the gradient for the optimizer instead of `found`, or None for `found` itself.
+
+        found: gradient of the step's loss by parameter name, as earlier regularizers left it.
+        at(gaussians): the same at other values of the parameters; a second pass over the views.
+        """
         return None
 
     def evaluated(self, ctx: StepContext, gaussians: Gaussians, state: Any) -> Gaussians:
-        """What is evaluated and kept in the place of the trained `gaussians`, which are
-        `ctx.gaussians` as the regularizers before it left them. ctx: of the last step, after it;
-        what is logged is not heard."""
+        """Return the Gaussians that are evaluated and kept instead of the trained `gaussians`.
+
+        These are `ctx.gaussians` as earlier regularizers left them. ctx: of the last step, after
+        it; its log is discarded.
+        """
         return gaussians
 
 
 @dataclass(frozen=True)
 class StepStats:
-    """What the last step measured on its real view; pseudo views have no say in the number of
-    Gaussians. means2d_grad: [N, 2], gradient of the loss with respect to the projected means, in
-    pixels. radii: [N] pixels, 0 = culled. width, height: of that render. factors: [N], what the
-    regularizers multiplied opacities by (0 = dropped), None for nothing. gradients: of the
-    parameters that the capacity's `gradients` names, as stored and by name: of the loss on the real
-    view with the regularizers' terms, without pseudo views and without what
-    `Regularizer.gradient` makes of it, at the values before the step, while `ctx.gaussians` are
-    those after it. view: the real one.
-    absolute: [N, 2], as means2d_grad, but sums over pixels of absolute values, for a capacity that
-    `wants_absolute`, of the photometric loss alone; None where nobody does.
+    """What the last step measured on its real view, before pseudo views.
+
+    Attributes:
+        means2d_grad: [N, 2], gradient of the loss in the projected means, in pixels.
+        radii: [N] pixels, 0 = culled.
+        width, height: of the render.
+
+        factors: [N], the regularizers' opacity factors (0 = dropped), None for none.
+        view: the real view.
+
+        gradients: of the parameters that the capacity's `gradients` names, by name. They are of the
+            loss on the real view with the regularizers' terms, at the values before the step, while
+            `ctx.gaussians` are those after it. `Regularizer.gradient` does not change them.
+
+        absolute: [N, 2], as means2d_grad but summed over absolute values of pixels, of the
+            photometric loss. None unless a capacity has `wants_absolute`.
     """
 
     means2d_grad: Tensor
@@ -267,12 +301,17 @@ class StepStats:
 
 @dataclass(frozen=True)
 class Edits:
-    """A change of the set of Gaussians: first `keep` ([N] bool), then `append`; afterwards clamp
-    opacities to at most `opacity_ceiling` (and forget their optimizer moments). bands: [N] bool,
-    which of those there were keep their SH bands above 0; None: all. sh0: [N, 1, 3], new values for
-    those there were. values: the same of any parameters by name, `opacity_logits` or others (the
-    trainer's own fading stops at a logit of -30); what the optimizer knows of them stays. The order
-    may change."""
+    """A change of the set of Gaussians; their order may change.
+
+    Attributes:
+        keep: [N] bool, applied first.
+        append: new Gaussians.
+        bands: [N] bool, which of the existing ones keep their SH bands above 0; None: all.
+
+        opacity_ceiling: clamp opacities to this value at the end, and reset their moments.
+        sh0: [N, 1, 3], new values for the existing ones.
+        values: new values of parameters by name. The optimizer's moments stay.
+    """
 
     keep: Tensor | None = None
     append: Gaussians | None = None
@@ -347,8 +386,9 @@ class SceneLoader(Part):
     group: ClassVar[str] = "scene"
 
     def load(self) -> Scene:
-        """The scene: its training set and its test views. The same options and files give the same
-        scene and `fingerprint`, which tells a finished run from one to be repeated."""
+        """Return the scene. The same options and files give the same scene and `fingerprint`, by
+        which a finished run is reused.
+        """
         raise NotImplementedError
 
 
@@ -372,9 +412,12 @@ class Metric(Part):
     group: ClassVar[str] = "metric"
 
     def measure(self, render: Tensor, truth: Tensor, mask: Tensor | None) -> float:
-        """Of a render and its photo as saved, [3, H, W] float32 in [0, 1] in steps of 1/255; mask:
-        [H, W] bool, the valid pixels (the others are white in both), or None. What it raises, or a
-        value that is not finite, is reported as missing with the reason."""
+        """Measure a render against its photo, both as saved.
+
+        render, truth: [3, H, W] float32 in [0, 1] in steps of 1/255. mask: [H, W] bool, the valid
+        pixels (the others are white in both), or None. An exception, or a value that is not finite,
+        is reported as missing with the reason.
+        """
         raise NotImplementedError
 
 

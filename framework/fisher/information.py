@@ -1,9 +1,9 @@
 """Fisher information of the Gaussians from one view.
 
-With additive Gaussian noise on the pixels, F = J^T J: the sum over pixels **and channels** of outer
-products of the pixel's derivatives (never the square of a summed gradient). Blocks are per Gaussian
-(no cross terms between Gaussians), as in FisherRF and PUP-3DGS; unlike in the former, channels are
-summed as squares. Units: intensity^2 per squared parameter, means in scene units; noise variance 1.
+With additive Gaussian noise on the pixels, F = J^T J. It is the sum over pixels and channels of
+outer products of the pixel's derivatives (never the square of a summed gradient). Blocks are per
+Gaussian, without cross terms, as in FisherRF and PUP-3DGS. Unlike in FisherRF, channels are summed
+as squares. Units: intensity^2 per squared parameter, means in scene units; noise variance 1.
 """
 
 from __future__ import annotations
@@ -21,9 +21,15 @@ from framework.types import Camera, Gaussians
 
 @dataclass(frozen=True)
 class FisherInformation:
-    """block [N, 6, 6]: (mean, log-scale). diagonal [N, 14]: mean 3, log-scale 3, quat 4, opacity
-    logit 1, sh0 3. visible [N] bool: touched a pixel's box. All zeros for what the view misses. The
-    first two share memory that is lent again once nobody holds either."""
+    """Information of one view on N Gaussians; zeros for those that the view misses.
+
+    block and diagonal share memory that is reused once neither is referenced.
+
+    Attributes:
+        block: [N, 6, 6], mean and log-scale.
+        diagonal: [N, 14], mean 3, log-scale 3, quat 4, opacity logit 1, sh0 3.
+        visible: [N] bool.
+    """
 
     block: Tensor
     diagonal: Tensor
@@ -39,10 +45,13 @@ def fisher_information(
     near: float = 0.01,
     mask: Tensor | None = None,
 ) -> FisherInformation:
-    """Information of `camera`'s image on each Gaussian, exactly: one render, one second-moment
-    pass, one pull-back (equation: `kernels.project.information`). mask [H, W]: pixels
-    that it has not, at or below 0.5, tell nothing. The other arguments as `rasterize`. Raises
-    UserError as `rasterize`, and for a mask of another shape or dtype."""
+    """Compute the exact information of `camera`'s image on each Gaussian.
+
+    It takes one render, one pass for second moments and one pull-back (equation:
+    `kernels.project.information`). Pixels of mask [H, W] at or below 0.5 do not count. The other
+    arguments, and errors, are those of `rasterize`; a mask of another shape or dtype raises
+    UserError.
+    """
     n = len(gaussians)
     pixels = np.empty((0, 0), np.float32) if mask is None else counted(mask, camera).numpy()
     work, image, _ = rendered(gaussians, camera, background, sh_degree, near)

@@ -112,21 +112,26 @@ def _block_gain(gained: np.ndarray, known: np.ndarray, prior: np.ndarray, form: 
 
 
 def block_prior(blocks: Sequence[Tensor], regulariser: float) -> Tensor:
-    """[6] float64 prior precision for blocks [N, 6, 6] of several views: `regulariser` x the median
-    positive diagonal, one number for the means and one for the log-scales, so that what follows
-    does not depend on the axes of the world. Raises ValueError as `shared_prior`."""
+    """Return the [6] float64 prior precision for blocks [N, 6, 6] of several views.
+
+    It is `regulariser` x the median positive diagonal, one number for the means and one for the
+    log-scales, so that results do not depend on the world's axes. Raises ValueError as
+    `shared_prior`.
+    """
     _check_positive("block_prior: regulariser", regulariser)
     return from_numpy(_block_prior(np.concatenate([_float64(b) for b in blocks]), regulariser))
 
 
 def removal_energy(diagonal: Tensor, opacity_logits: Tensor) -> Tensor:
-    """Squared change of the images, summed over pixels and channels, if a Gaussian were not there.
+    """Return [N] float64: the squared change of the images if a Gaussian is removed, in
+    intensity^2.
 
     diagonal: [N, 14], `FisherInformation.diagonal`, summed over the views. opacity_logits: [N].
-    A pixel's colour is linear in each alpha, and alpha in the opacity o, so that the change is o
-    dC/do = dC/d(logit) / (1 - o) and its energy F_logit / (1 - o)^2: no approximation but at the
-    cut-offs (alphas clamped at 0.99 are missing, at most the central 2 % of a Gaussian's square).
-    Others do not fill the gap; what a refit loses is less. Returns [N] float64, intensity^2.
+
+    A pixel's colour is linear in each alpha, and alpha in the opacity o. So the change is
+    o dC/do = dC/d(logit) / (1 - o) and its energy F_logit / (1 - o)^2. It is exact except at
+    cut-offs: alphas clamped at 0.99 are missing, at most the central 2 % of a Gaussian's square.
+    The other Gaussians are not refitted.
     """
     transparency = 1 / (1 + portable.exp(np.minimum(_float64(opacity_logits), LARGEST_LOGIT)))
     return from_numpy(_float64(diagonal)[:, OPACITY] / transparency**2)

@@ -45,7 +45,7 @@ _free: list[Workspace] = []  # workspaces not in use; two renders may be waiting
 
 
 def borrow() -> Workspace:
-    """A workspace nobody else uses; `give_back` it when nothing of it is needed any more."""
+    """Return an unused workspace; `give_back` it when it is no longer needed."""
     try:
         return _free.pop()
     except IndexError:  # asking first would leave another thread the time to take the last one
@@ -182,11 +182,14 @@ def rasterize(
 
 
 class ScreenGradient:
-    """The gradient of a loss on one render, as far back as the Gaussians on the screen.
+    """The gradient of a loss on one render, on the screen.
 
     `pull_back` or `framework.train.optim.Adam.step_from` takes it to the parameters, once, as it
-    holds the render's workspace. gaussians: what was rendered. radii [N]: in pixels, 0 = culled.
-    absolute: [N, 2], see `render_gradient`, None where it was not asked for.
+    holds the render's workspace.
+
+    Attributes:
+        radii: [N] in pixels, 0 = culled.
+        absolute: [N, 2], see `render_gradient`, None unless requested.
     """
 
     def __init__(
@@ -234,14 +237,17 @@ def render_gradient(
     absolute: bool = False,
     depth_gradient: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None,
 ) -> ScreenGradient:
-    """Render as `rasterize` does, and the gradient of a loss of its colours.
+    """Render as `rasterize` does, and take the gradient of a loss of the colours.
 
-    image_gradient: given the render's rgb [3, H, W] float32, returns the loss's gradient in it. The
-    same bits as autograd's in less time. absolute: also sum, over the pixels, the absolute gradient
-    in the projected means, in pixels, by one more pass over them: pulls that cancel still count
-    (AbsGS, Ye et al. 2024). depth_gradient: given alpha and depth [H, W] float32, returns the
-    gradients in them that are added. Raises UserError as `rasterize`, and for a gradient of
+    It has the bits of autograd in less time. Raises UserError as `rasterize`, and for a gradient of
     another shape or dtype.
+
+    image_gradient: gets rgb [3, H, W] float32 and returns the loss's gradient in it.
+    absolute: also sum the absolute gradient in the projected means over pixels, in another pass. So
+    gradients of opposite sign do not cancel (AbsGS, Ye et al. 2024).
+
+    depth_gradient: gets alpha and depth [H, W] float32 and returns gradients in them, which are
+        added.
     """
     how = background, sh_degree, near, opacity_factors
     work, image, radii = rendered(gaussians, camera, *how, with_depth=depth_gradient is not None)

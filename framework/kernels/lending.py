@@ -44,15 +44,15 @@ class _Buffer:
         self._unheld = self._references()
 
     def _references(self) -> list[int]:
-        """Of every array, which tensors hold, and of the memory, which views hold."""
+        """Reference counts of every array (held by tensors) and of the memory (held by views)."""
         return [sys.getrefcount(array) for array in (*self._arrays, self._flat.base)]
 
     def free(self) -> bool:
-        """Whether nobody holds any of the arrays, nor a view or a tensor of one."""
+        """Whether none of the arrays, and no view or tensor of one, is referenced."""
         return self._references() == self._unheld
 
     def arrays(self, shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
-        """Of these shapes, each on a cache line."""
+        """Return arrays of these shapes, each on a cache line."""
         if self._shapes != shapes:
             ends = list(accumulate(-(-math.prod(shape) // _FLOATS) * _FLOATS for shape in shapes))
             self._flat, self._shapes = grown(self._flat, ends[-1]), list(shapes)
@@ -65,8 +65,11 @@ class _Buffer:
 
 
 class Lender:
-    """Lends arrays. Those of one call share a buffer, which is lent again once nobody holds any of
-    them, nor a view or a tensor of one; nobody has to give anything back. For one thread."""
+    """Lends arrays whose memory is reused once they are not referenced; for one thread.
+
+    The arrays of one call share a buffer. It is reused when none of them, and no view or tensor of
+    them, is referenced.
+    """
 
     def __init__(self) -> None:
         self._buffers: list[_Buffer] = []

@@ -60,8 +60,11 @@ _lender = ThreadsLender()
 def photometric_gradient(
     rgb: np.ndarray, target: Target, ssim_weight: float = 0.2, weight: float = 1.0
 ) -> tuple[float, np.ndarray]:
-    """`photometric_loss` times `weight` of a render [3, H, W] float32, and its gradient in it, in
-    memory that is lent again once nobody holds it. Raises ValueError for another shape or dtype."""
+    """`photometric_loss` times `weight` of a render [3, H, W] float32, and its gradient in it.
+
+    The gradient's memory is reused once it is not referenced. Raises ValueError for another shape
+    or dtype.
+    """
     if rgb.dtype != np.float32 or rgb.shape != target.image.shape:
         raise ValueError(
             f"photometric_loss: expected float32 {target.image.shape}, got {rgb.dtype} {rgb.shape}"

@@ -1,15 +1,16 @@
 """L1 + SSIM and its gradient, in one pass over bands of rows that stay in the cache.
 
-SSIM (Wang et al. 2004) as 3DGS trains with it: 11x11 Gaussian window, sigma 1.5, zero padding,
-C1 = 0.01^2, C2 = 0.03^2, variance E[x^2] - mu^2. With mu, q = E[a^2], r = E[ab] the window's blurs,
-SSIM = (2 mu mu' + C1)(2 (r - mu mu') + C2) / ((mu^2 + mu'^2 + C1)(q - mu^2 + var' + C2)); the
-gradient in the image is the blur (self-adjoint) of the partial derivatives in mu, q and r.
+SSIM (Wang et al. 2004) as in 3DGS: 11x11 Gaussian window, sigma 1.5, zero padding, C1 = 0.01^2,
+C2 = 0.03^2, variance E[x^2] - mu^2. Let mu, q = E[a^2] and r = E[ab] be the window's blurs. Then
 
-Both blurs are horizontal, then vertical. A band goes down the image by CHUNK rows at a time with
-two buffers [3, CHUNK + 10, S] of horizontally blurred rows, one of a, a^2, ab and one of the three
-partials: new rows join the last ten, which a vertical window of the next rows still reaches. Rows
-outside the image are zero. S is a whole number of vectors; what lies beyond W is finite and enters
-nothing.
+    SSIM = (2 mu mu' + C1)(2 (r - mu mu') + C2) / ((mu^2 + mu'^2 + C1)(q - mu^2 + var' + C2))
+
+The gradient in the image is the blur (self-adjoint) of the partial derivatives in mu, q and r.
+
+Both blurs are horizontal, then vertical. A band advances by CHUNK rows at a time with two buffers
+[3, CHUNK + 10, S] of horizontally blurred rows. One is of a, a^2, ab and one of the three partials.
+New rows join the last ten, which the vertical window of the next rows still needs. Rows outside the
+image are zero. S is a whole number of vectors; values beyond W are finite and unused.
 """
 
 from __future__ import annotations
@@ -162,9 +163,11 @@ def _partial_rows(
     to: int,
     sums: Any,
 ) -> None:
-    """Partial derivatives of rows first ... first + count - 1, horizontally blurred into `partials`
-    from row `to` on, and SSIM summed per row, of the band's own rows alone. target: its mean and
-    variance [H, S]. windows, derived, values: scratch."""
+    """Blur partial derivatives of rows first ... first + count - 1 horizontally into `partials`
+    from row `to` on, and sum SSIM per row over the band's own rows.
+
+    target: its mean and variance [H, S]. windows, derived, values: scratch.
+    """
     mean, variance = target
     _down(blurred, count, windows)
     for i in range(count):
@@ -180,8 +183,11 @@ def _partial_rows(
 
 @kernel
 def _gradient_row(windows: Any, i: int, near: Any, pulls: Any, values: Any, gradient: Any) -> None:
-    """|mask a - b| of a row into `values`, and its gradient; row i of `windows` are the blurs of
-    its partial derivatives. near: the row of a, b and mask; pulls: of L1 and of SSIM."""
+    """Compute |mask a - b| of a row into `values`, and its gradient.
+
+    Row i of `windows` has the blurs of its partial derivatives. near: the row of a, b and mask.
+    pulls: weights of L1 and of SSIM.
+    """
     a, b, mask = near
     keep, pull = pulls
     mu, q, r = windows[0, i], windows[1, i], windows[2, i]
@@ -196,7 +202,7 @@ def _gradient_row(windows: Any, i: int, near: Any, pulls: Any, values: Any, grad
 
 @kernel
 def statistics(block: int, blocks: int, b: Any, mask: Any, mean: Any, variance: Any) -> None:
-    """Of a target b [C, H, W]: its window's mean and variance [C, H, S]. mask: ones [H, W].
+    """Compute the window's mean and variance [C, H, S] of a target b [C, H, W]. mask: ones [H, W].
 
     The third blur, of b b once more, is not needed; a target is made once.
     """
@@ -238,9 +244,12 @@ def loss_and_gradient(
     l1_sums: Any,
     gradient: Any,
 ) -> None:
-    """Of an image a [C, H, W] and a masked target b with its `statistics`: SSIM and |mask a - b|
-    summed per row, [C, H] each; gradient [C, H, W] of
-    scale x ((1 - w) sum |mask a - b| - w sum SSIM) in a."""
+    """Compute the loss and its gradient for an image a [C, H, W] and a masked target b.
+
+    mean, variance: of the target, see `statistics`. ssim_sums, l1_sums: out, [C, H], SSIM and
+    |mask a - b| summed per row. gradient: out, [C, H, W], of
+    scale x ((1 - w) sum |mask a - b| - w sum SSIM) in a.
+    """
     channels, height, width = a.shape
     wide = mean.shape[2]
     blurred = np.empty((3, CHUNK + REACH, wide), np.float32)

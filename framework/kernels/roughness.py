@@ -1,8 +1,8 @@
-"""How rough the disparity of a render is where its photo is smooth: the gradient.
+"""The gradient of the roughness of a render's disparity where its photo is smooth.
 
-R = sum over pixels p and their right and lower neighbours q of w_pq |d_p - d_q|, of the inverse
-expected depth d = alpha / depth (Godard et al. 2017, eq. 3; `framework.train.depth_priors` has the
-weights w). A pixel that shows nothing is nobody's neighbour.
+R is the sum of w_pq |d_p - d_q| over pixels p and their right and lower neighbours q, with the
+inverse expected depth d = alpha / depth (Godard et al. 2017, eq. 3). `framework.train.depth_priors`
+has the weights w. Pixels that show nothing do not count.
 """
 
 from __future__ import annotations
@@ -76,8 +76,10 @@ _lender = ThreadsLender()
 def roughness_gradient(
     alpha: np.ndarray, depth: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The gradients of R in alpha and depth [H, W] float32, as `rasterize` gives them, in memory
-    that is lent again once nobody holds it. weights: [2, H, W] float32."""
+    """Return the gradients of R in alpha and depth [H, W] float32 of `rasterize`.
+
+    Their memory is reused once it is not referenced. weights: [2, H, W] float32.
+    """
     in_alpha, in_depth = _lender.lend([alpha.shape, alpha.shape])
     run_blocks(roughness_rows, alpha, depth, weights, in_alpha, in_depth)
     return in_alpha, in_depth

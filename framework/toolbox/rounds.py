@@ -1,9 +1,8 @@
-"""The common part of capacities that change the set in rounds: split what is pulled, then keep what
-is worth it.
+"""Common part of capacities that change the set in rounds of pruning and splitting.
 
-Such a method is a subclass that decides, from the Fisher information of all training views, which
-Gaussians stay and how many of them are split. When a round is due and how a Gaussian is split are
-here. A split replaces a Gaussian by two along its longest axis, of its colour, opacity and second
+A subclass decides, from the Fisher information of all training views, which Gaussians stay and how
+many are split. When a round is due and how a Gaussian is split are shared. A split replaces a
+Gaussian by two along its longest axis, of its colour, opacity and second
 moment: standard deviations 0.6, offsets 0.8 of the parent's (0.6^2 + 0.8^2 = 1). Light to import.
 """
 

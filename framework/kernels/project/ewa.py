@@ -86,7 +86,7 @@ def times_rotation(t: Any, r: Any) -> tuple[Any, ...]:
 
 @inlined
 def exp(x: Any) -> Any:
-    """Of a vector; 2^126 where that is exceeded or x is not a number."""
+    """Exponential of a vector; 2^126 where that is exceeded or x is not a number."""
     return exp2(minimum(x * LOG2E, splat(_LARGEST)))
 
 

@@ -78,9 +78,13 @@ def colour_slopes(
     clipped: Any,
     slopes: Any,
 ) -> None:
-    """slopes (flat [N, 16]): the derivative of colour c along tangent k per scene unit at 2 c + k,
-    0 where the colour is clamped or has no bands above 0; 6-11 the two tangents. Undefined for
-    culled Gaussians. means flat, shN [M, K, 3]."""
+    """Fill slopes (flat [N, 16]) with the derivatives of the colours; undefined for culled
+    Gaussians.
+
+    The derivative of colour c along tangent k per scene unit is at 2 c + k. It is 0 where the
+    colour is clamped or has no bands above 0. The two tangents are at 6-11. means flat, shN [M, K,
+    3].
+    """
     n = len(means) // 3
     terms = (degree + 1) * (degree + 1) - 1
     scratch, sh = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)

@@ -48,7 +48,7 @@ def _put_turned(jacobian: Any, row: int, camera: Any, x: Any, y: Any, z: Any) ->
 
 @inlined
 def _axis(camera: Any, x: Any, y: Any, z: Any, j: Any) -> tuple[Any, ...]:
-    """Of one axis r of the Gaussian: the two numbers of m = J W r, then the three of W r."""
+    """For one axis r of the Gaussian: the two numbers of m = J W r, then the three of W r."""
     px = camera[0] * x + camera[1] * y + camera[2] * z
     py = camera[3] * x + camera[4] * y + camera[5] * z
     pz = camera[6] * x + camera[7] * y + camera[8] * z
@@ -74,8 +74,11 @@ def _combined(a: Any, b: Any, c: Any, k0: Any, k1: Any, k2: Any) -> tuple[Any, A
 
 @inlined
 def _put_turns(jacobian: Any, quat: Any, n: Any, s: Any) -> None:
-    """By the quaternion. A turn w about the Gaussian's own axis 0 mixes axes 1 and 2 by
-    (s_1^2 - s_2^2) (y.m_1) (y.m_2), and so on; w = 2 vec(q* dq) / |q|."""
+    """Derivatives by the quaternion.
+
+    A turn w about the Gaussian's axis 0 mixes axes 1 and 2 by (s_1^2 - s_2^2) (y.m_1) (y.m_2), and
+    so on; w = 2 vec(q* dq) / |q|.
+    """
     qw, qx, qy, qz, scale = quat
     scale = TWO * scale
     t0, t1, t2 = scale * (s[1] - s[2]), scale * (s[2] - s[0]), scale * (s[0] - s[1])

@@ -1,4 +1,4 @@
-"""The row of a projected Gaussian in memory; `projection` says what its 16 floats are."""
+"""The row of a projected Gaussian in memory; `projection` describes its 16 floats."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ def seen_from(rows: Any, g: int, x: int, y: int) -> tuple[Any, Any, Any, Any, An
 
 @inlined
 def run_of(rows: Any, g: int) -> tuple[Any, int, Any]:
-    """How alpha goes on from row to row: (the factor of its factor, the longest run, B / C)."""
+    """The recurrence of alpha from row to row: (factor of its factor, longest run, B / C)."""
     return splat(rows[g, 13]), int(rows[g, 14]), splat(rows[g, 15])
 
 
