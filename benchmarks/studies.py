@@ -1,9 +1,9 @@
 """What two studies must share to count as equal: everything but measured times and memory.
 
-`digests` copies a study, replaces every measured time (`timings` and `peak_memory_bytes` of the
-records, `resumed`, hashes of the two tables, `render_s` of metrics.csv, `seconds` of history.csv)
-by a constant, builds the report of the copy, and hashes every file of it: records, tables,
-Gaussians, renders, the report and its figures. Hydra's own notes (`.hydra/`) are left out.
+`digests` copies a study and replaces every measured time by a constant (`timings` and
+`peak_memory_bytes` of the records, `resumed`, hashes of the two tables, `render_s` of metrics.csv,
+`seconds` of history.csv). Then it builds the report of the copy and hashes every file: records,
+tables, Gaussians, renders, the report and its figures. Hydra's own notes (`.hydra/`) are left out.
 """
 
 from __future__ import annotations

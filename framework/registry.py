@@ -52,9 +52,9 @@ YAML_WORDS = ("true", "false", "null")  # which no command line can choose
 FOLDER = Path(__file__).resolve().parent.parent / "plugins"
 FRAMEWORK_KEYS = {"weight": 1.0, "start": 0.0, "stop": 1.0}
 MEANINGS = {
-    "weight": "factor of the loss it adds",
-    "start": "share of the training before which it rests",
-    "stop": "share of the training after which it rests",
+    "weight": "factor of its loss",
+    "start": "share of the training before it acts",
+    "stop": "share of the training until which it acts",
 }
 JOINABLE = ("reg", "capacity")  # several of these may work in one run, as `reg=[uar,depth_rank]`
 JOINED_BY = "+"  # their names are one choice: `uar+depth_rank`

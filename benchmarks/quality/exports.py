@@ -4,11 +4,11 @@
         --output benchmarks/results/exports.md
 
 Each RUN (the folder of a finished run with test views) is exported in every format, in the world of
-its cameras. The files are read back by two programs that are not of this project: PlayCanvas'
-splat-transform (npm, @playcanvas/splat-transform), which writes a PLY of them, and gsply (Python).
-What they read is drawn from the run's test cameras by our rasterizer: PSNR against the test photos,
-and against our own renders of the run, which tells the loss alone. SPZ's axes are turned back by
-splat-transform, and here after gsply, which hands them on as stored.
+its cameras. Two other programs read the files back: PlayCanvas' splat-transform (npm,
+@playcanvas/splat-transform), which writes a PLY, and gsply (Python). Our rasterizer renders the
+result from the run's test cameras. PSNR is against the test photos, and against our renders of the
+run, which measures the loss of the format alone. SPZ's axes are turned back by splat-transform, and
+here after gsply, which returns them as stored.
 """
 
 from __future__ import annotations

@@ -3,16 +3,16 @@
     python benchmarks/quality/photos.py --output benchmarks/results/photos.md \\
         fern=DIR:8 fern=DIR:20 door=DIR --train preset=fast
 
-Each DIR is a COLMAP scene (`images`, `sparse/0`), of which the given number of photos, evenly
-spread, all without a number, is copied to a new folder: names and pixels, no poses. DIR+DIR takes
-the photos of both. Errors are those of the camera's direction and place after the best similarity
-(rotation: mean of the relative ones; scale and shift: least squares); places in percent of the
-largest distance from the cameras' mean. Seconds are CPU time, all threads together.
+Each DIR is a COLMAP scene (`images`, `sparse/0`). The given number of photos, evenly spread (all
+without a number), is copied to a new folder without poses. DIR+DIR takes the photos of both. Errors
+are those of the camera's direction and place after the best similarity (rotation: mean of the
+relative ones; scale and shift: least squares). Places are in percent of the largest distance from
+the cameras' mean. Seconds are CPU time of all threads.
 
-With --train each scene is also trained, by one command from photos to Gaussians, and once more from
-the known poses of the same photos, on the same split; a second table tells the seconds of the first
-command by stage: those of the poses by the search itself, those of the run by its record, and as
-rest what the whole command took beside them (start, reading photos, writing, the report).
+With --train each scene is also trained, by one command from photos to Gaussians, and again from the
+known poses of the same photos, on the same split. A second table has the seconds of the first
+command by stage. Poses are timed by the search, the run by its record; the rest is start, reading
+photos, writing and the report.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def cameras(sparse: Path) -> Cameras:
 
 
 def errors(found: Cameras, known: Cameras) -> Errors:
-    """Of the found cameras, after the best similarity to the known ones."""
+    """Errors of the estimated cameras, after the best similarity to the known ones."""
     names = sorted(found)
     ours = np.array([found[name][0] for name in names])
     theirs = np.array([known[name][0] for name in names])

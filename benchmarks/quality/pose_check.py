@@ -83,7 +83,7 @@ def _renamed(training: TrainingSet) -> TrainingSet:
 
 
 def _farther(training: TrainingSet) -> TrainingSet:
-    """Depth bounds of another scale, and no points that would tell."""
+    """Depth bounds of another scale, and no points that would show it."""
     none = replace(
         training.points,
         xyz=training.points.xyz[:0],

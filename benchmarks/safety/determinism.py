@@ -1,7 +1,7 @@
-"""Hashes of what every stage of `stages.py` computes, on this processor or on a simulated one: the
-libraries and the C library are told to leave out what lesser processors lack.
+"""Hashes of what every stage of `stages.py` computes, on this or a simulated processor.
 
-`tests/golden/bits.json` has the hashes that the tests expect. After a change that is meant to
+The simulation makes the libraries and the C library leave out instructions that older processors
+lack. `tests/golden/bits.json` has the hashes that the tests expect. After a change that is meant to
 change numbers:
 
     python benchmarks/safety/determinism.py --update
@@ -58,9 +58,12 @@ SSE = {
 def stages(
     changes: dict[str, str], kernels: str | None = None, names: Sequence[str] = ()
 ) -> dict[str, str]:
-    """Stage -> hash, computed where the environment has these `changes`; generated things are not
-    taken from a cache but the kernels, whose cache tells processors apart. names: of the stages of
-    `stages.py`, without any the usual ones."""
+    """Return stage -> hash, computed with these `changes` of the environment.
+
+    Generated scenes are not taken from a cache. Kernels are, as their cache distinguishes
+    processors.
+    names: stages of `stages.py`; by default the usual ones.
+    """
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "FISHERSPLAT_CACHE": cache, **changes}
         environment["NUMBA_CACHE_DIR"] = kernels or _kernel_cache()
@@ -79,17 +82,17 @@ def _kernel_cache() -> str:
 
 
 def committed(found: dict[str, str]) -> dict[str, str]:
-    """Of the stages those that the one hash is of."""
+    """The stages that the one hash covers."""
     return {stage: bits for stage, bits in found.items() if not stage.startswith(FOLLOWING)}
 
 
 def one_hash(found: dict[str, str]) -> str:
-    """Of all committed stages."""
+    """The one hash of all committed stages."""
     return hashlib.sha256(json.dumps(committed(found), sort_keys=True).encode()).hexdigest()
 
 
 def versions() -> dict[str, str]:
-    """Of the libraries that compute."""
+    """Versions of the libraries that compute."""
     return {name: importlib.metadata.version(name) for name in LIBRARIES}
 
 

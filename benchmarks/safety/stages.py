@@ -55,7 +55,7 @@ STEPS = 20
 
 
 def digest(parts: Iterable[Any]) -> str:
-    """Of arrays, tensors, texts, numbers and bytes in their order."""
+    """Hash arrays, tensors, texts, numbers and bytes in their order."""
     import numpy as np
 
     found = hashlib.sha256()
@@ -152,7 +152,7 @@ def init(folder: Path) -> dict[str, str]:
 
 
 def training(folder: Path) -> dict[str, str]:
-    """Whole runs: what each wrote, but times and what tells of the machine."""
+    """Whole runs: what each wrote, without times and facts of the machine."""
     from framework.command import cli
 
     found = {}

@@ -4,8 +4,8 @@
 
 Whole trainings on one thread without evaluations, by default on the embedded scene; overrides are
 those of `run.py`, for instance `scene=llff scene.path=DIR` or `trainer.steps=200`. Every method
-trains in a process of its own, and the processes take turns of `--chunk` steps, all others waiting,
-so that a slow minute of the machine hits all alike. CPU is the processor time of the process, which
+trains in a separate process. The processes take turns of `--chunk` steps while the others wait, so
+a slow minute of the machine affects all alike. CPU is the processor time of the process, which
 other programs disturb less than wall time, though their use of caches and of a core's second
 hardware thread still shows. Kernels are compiled, scene and depth loaded before. While it acts a
 method costs more than this mean over the training: its `start` and `stop` leave a part out. Prints

@@ -2,9 +2,10 @@
 
     python benchmarks/speed/end_to_end.py [--runs 5] [--output FILE] [OVERRIDE ...]
 
-Each run is a fresh process doing what `python run.py OVERRIDE ...` does, into an empty folder, with
-kernels cached by one before. A stage's time is without the stages inside it, on the main thread: of
-members that are trained at the same time it is the first's, with the wait for the others. Medians
+Each run is a new process doing what `python run.py OVERRIDE ...` does, into an empty folder, with
+kernels cached by one before. A stage's time excludes the stages inside it and is of the main
+thread. For members trained at the same time it is the first's, with the wait for the others.
+Medians
 over the runs. The machine should be idle. Writes a markdown table to FILE, or prints it.
 """
 
@@ -34,7 +35,7 @@ CHILD = "--child"
 # stage -> functions, as module and name, whose time it is
 STAGES = {
     "scene": ["framework.run.experiment:load_scene"],
-    "depth, and loading kernels beside it": [
+    "depth, and loading kernels meanwhile": [
         "framework.run.preparation:estimate_depth",
         "framework.run.preparation:check_poses",
         "framework.run.warmup:Warmup.begin",

@@ -26,7 +26,7 @@ from benchmarks.quality.time_to_quality import short
 from benchmarks.speed.end_to_end import END, REPORT, REST, STAGES, START, profile
 from framework.records.provenance import cpu_model
 
-BEFORE = {"scene", "depth, and loading kernels beside it", "initial Gaussians"}
+BEFORE = {"scene", "depth, and loading kernels meanwhile", "initial Gaussians"}
 TRAINING = {stage for stage in STAGES if stage.startswith("training")}
 GROUPS = {
     "Python, libraries": {START},

@@ -1,11 +1,11 @@
-"""All that a machine with CUDA has to show of `rasterizer=gsplat`, in one command. Prints tables.
+"""All measurements of `rasterizer=gsplat` on a machine with CUDA, in one command. Prints tables.
 
     python benchmarks/speed/gpu.py [--data DIR] [--against gsplat] [--output FILE.md]
 
 Equality of image, gradients and Fisher information with the numba kernels, at opacities below both
 ends of alpha; seconds of whole runs on the built-in scene, with `preset=paper`, and
 with --data DIR (a folder with `fern` and `fox`) on fern with 3 views and fox with 43; the spread
-over repetitions of one seed beside that over seeds. `--against reference --small` tries the script
+over repetitions of one seed and over seeds. `--against reference --small` tries the script
 itself on a CPU. Refused in one line where the rasterizer cannot run.
 """
 

@@ -1,6 +1,6 @@
 """Peak memory of a training over what the interpreter, its libraries and the kernels take.
 
-Each case is a process of its own: three views, SH of degree 3, a few steps of the trainer, without
+Each case is a separate process: three views, SH of degree 3, a few steps of the trainer, without
 methods. Its base is the resident size after a training of 1000 Gaussians on tiny images. The last
 line fits peak = a x Gaussians + b x pixels, where the pixels are those of all training views.
 
@@ -85,7 +85,7 @@ def worker(count: int, factor: int) -> None:
 
     train(1000, 0.125)
     if not reset_peak_memory():
-        raise SystemExit("error: expected Linux, whose /proc tells the peak; run it there")
+        raise SystemExit("error: expected Linux, whose /proc has the peak; run it there")
     base = peak_memory_bytes()
     width, height = train(count, factor)
     case = Case(count, width, height, base, peak_memory_bytes())

@@ -1,19 +1,20 @@
-"""Milliseconds by stage of one training step, optionally beside the prototype's.
+"""Milliseconds by stage of one training step, optionally with the prototype's.
 
     python benchmarks/speed/step.py [--prototype DIR] [--clock cpu] [--output FILE]
 
 The step is what training runs: `render_gradient` (SH degree 3) of `photometric_gradient` and of
-smooth depth, and `Adam.step_from`, at 504x378 on `benchmarks.scene`. Stages are timed inside it;
-what they leave over (Python between them) is the column `rest`. Every round runs in fresh
-processes, ours and the
-prototype's in turn, so that a slow minute of the machine hits both; ours takes a few steps with one
-thread, a few with two, and a few with one beside a second process that does the same: both of them
-share nothing, so how much faster than one alone they are together tells what the machine had to
-give at that time, if a little too much, as the slower one is alone for its last steps. The
-speed-ups are medians over such turns. `wall` is the median over all steps of all rounds; `CPU` is
-the processor time of the whole process per step, which other programs disturb less: `--clock cpu`
-measures the stages by it too, for a machine that is not idle. Prints a markdown table, and writes
-it to FILE.
+smooth depth, and `Adam.step_from`, at 504x378 on `benchmarks.scene`. Stages are timed inside it.
+The column `rest` is the time between them.
+
+Every round runs in new processes, ours and the prototype's in turn, so that a slow minute of the
+machine affects both. Ours takes a few steps with one thread, a few with two, and a few with one
+while a second process does the same. Both share nothing, so their joint speed-up measures what the
+machine had to give, slightly too high since the slower one is alone for its last steps. Speed-ups
+are medians over such turns.
+
+`wall` is the median over all steps of all rounds. `CPU` is the processor time of the whole process
+per step, which other programs disturb less. `--clock cpu` measures the stages by it too, for a
+machine that is not idle. Prints a markdown table, and writes it to FILE.
 """
 
 from __future__ import annotations
@@ -75,8 +76,9 @@ class Stopwatch:
 
 
 def work(options: argparse.Namespace) -> None:
-    """What a worker does: for every count it says that it is ready, and then takes a turn for every
-    line with a number of threads that it is given."""
+    """A worker: for every count it prints that it is ready, and then takes a turn for every line
+    with a number of threads.
+    """
     import torch
 
     from framework.compute.parallel import set_threads
@@ -150,7 +152,7 @@ def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable
 
 
 class Worker:
-    """A process that takes turns when it is told to."""
+    """A process that takes turns on request."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         command = [sys.executable, __file__, "--worker", "--clock", options.clock]
