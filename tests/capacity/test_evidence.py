@@ -139,7 +139,7 @@ def test_a_scene_of_one_colour_ends_with_a_handful_and_says_so(
 
 
 def test_the_warm_up_tells_nothing_of_its_plane() -> None:
-    """Neither while it compiles nor in its thread; elsewhere the same training is told of."""
+    """No warning while the warm-up compiles or in its thread; elsewhere the training warns."""
     config: dict[str, Any] = {group: {"name": "none"} for group in ("augment", "reg")}
     hasty = {"name": "evidence", "start": 0.0, "until": 0.1, "pace": 1.0}
     config |= {"capacity": hasty, "trainer": {}}

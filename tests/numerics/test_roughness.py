@@ -106,7 +106,7 @@ def test_it_is_kornia_s_inverse_depth_smoothness() -> None:
 
 
 def test_it_means_the_same_at_another_size_and_scale() -> None:
-    """Of a slanted plane: photos twice as wide, and a scene ten times as large."""
+    """A slanted plane: photos twice as wide, and a scene ten times as large."""
 
     def rough(height: int, focal: float, scale: float) -> float:
         width = 2 * height

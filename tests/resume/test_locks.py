@@ -59,7 +59,7 @@ def test_the_lock_of_a_killed_process_is_free(
 
 
 def test_only_a_stale_lock_is_removed(holder: subprocess.Popen[str], tmp_path: Path) -> None:
-    """And what was left beside it, which is another's while somebody holds the lock."""
+    """Leftovers next to it belong to another process while the lock is held."""
     left = tmp_path / "run" / "left"
     left.touch()
 

@@ -1,4 +1,4 @@
-"""A study with a forged or broken run: its report tells that run in a line and all the others."""
+"""A study with a forged or broken run: its report lists that run in a line and all the others."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _scene(name: str, **more: Any) -> Forge:
 
 
 def _failed(text: str, config: str | bytes = "") -> Forge:
-    """A folder with `failed.json` alone, and the configuration beside it."""
+    """A folder with `failed.json` alone, and the configuration."""
 
     def forge(run: Path) -> None:
         shutil.rmtree(run)
