@@ -188,8 +188,9 @@ class Findings:
 
     @cached_property
     def costs(self) -> list[Cost]:
-        """Of the advised method and its baseline, or the best of the others; of several budgets the
-        cheapest and the most expensive one."""
+        """Costs of the advised method and of its baseline, or of the best other method. With
+        several budgets these are the cheapest and the most expensive.
+        """
         found = self.outcomes
         if not found.psnr:
             return []
@@ -216,7 +217,7 @@ class Findings:
 
     @property
     def least_power(self) -> SigmaComparison | None:
-        """Of the tests of deviations the one with the least power."""
+        """The test of deviations with the least power."""
         tested = [c for c in self.outcomes.sigmas.values() if c.ratio is not None]
         return min(tested, key=lambda c: c.detectable or 0.0, default=None)
 
@@ -344,7 +345,7 @@ def _weakest(findings: Findings) -> Weakest | None:
 
 
 def _cheapest_good(study: Study, found: Outcomes) -> Method | None:
-    """Of the first method the cheapest budget that is nearly as good as the best."""
+    """The cheapest budget of the first method that is nearly as good as its best."""
     means = {m: s.mean for m, s in found.psnr.items() if m.family == study.families[0]}
     good = [m for m, mean in means.items() if mean >= max(means.values()) - AS_GOOD_DB]
 
@@ -356,8 +357,10 @@ def _cheapest_good(study: Study, found: Outcomes) -> Method | None:
 
 
 def contests(study: Study) -> list[Contest]:
-    """Of every method that ran with several capacities, each of them compared with the first one,
-    over runs paired by scene and seed; corrected for all of them together."""
+    """Compare the capacities of every method that ran with several, each with the first one.
+
+    Runs are paired by scene and seed, and tests are corrected for all of these comparisons.
+    """
     groups: dict[Method, list[Method]] = {}
     for method in study.methods:
         groups.setdefault(method.without_capacity, []).append(method)

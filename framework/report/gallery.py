@@ -1,9 +1,10 @@
 """The pictures of the page's viewer: ground truth, renders and error maps as small WebP copies.
 
-A page holds at most `BYTES_PER_RUN` of them for each run, within `FEWEST_BYTES` and `MOST_BYTES`,
-and `MOST_IMAGES` in number, taken in layers: the lowest seed and most informative view of every
-method first, then its other views, then the next seeds. Copies are at most `LONGEST` pixels long,
-error maps, which are mostly noise, `LONGEST_ERROR`. Every number of the report is of the originals.
+A page contains at most `BYTES_PER_RUN` of them for each run, within `FEWEST_BYTES` and
+`MOST_BYTES`, and at most `MOST_IMAGES`. The lowest seed and most informative view of every method
+come first, then its other views, then the next seeds. Copies are at most `LONGEST` pixels long.
+Error maps are mostly noise, so `LONGEST_ERROR` applies to them. Every number of the report is
+computed from the originals.
 """
 
 from __future__ import annotations
@@ -93,7 +94,7 @@ def gallery(study: Study, scenes: Sequence[str]) -> Gallery:
 
 
 def _videos(study: Study, scenes: Sequence[str]) -> Iterator[tuple[str, str, int, str]]:
-    """Of each method on each scene, as far as they are small; the rest is linked."""
+    """The small videos of each method on each scene; larger ones are linked."""
     left = VIDEOS_BYTES
     for scene in scenes:
         for method in study.methods:
@@ -108,7 +109,7 @@ def _videos(study: Study, scenes: Sequence[str]) -> Iterator[tuple[str, str, int
 
 
 def _layers(study: Study, scenes: Sequence[str]) -> Iterator[list[tuple[ReportRun, str]]]:
-    """By rank of the seed, then of the view: the pairs of run and view of that rank."""
+    """Group the pairs of run and view by rank of the seed, then of the view."""
     ranked: dict[tuple[int, int], list[tuple[ReportRun, str]]] = {}
     for scene in scenes:
         first = [view for view, _ in choose_views(study, scene).views]

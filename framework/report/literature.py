@@ -117,7 +117,7 @@ def _reversals(
 ) -> list[Row]:
     """For every recipe those that are above it here and below it as published."""
     measured = {recipe: by_pair(own) for recipe, own in runs.items()}
-    # of a recipe that was run in several ways, nobody can say which one was published
+    # if a recipe was run in several ways, it is unclear which one was published
     once = {recipe for recipe, own in runs.items() if len(measured[recipe]) == len(own)}
     printed = {
         e.recipe: float(p)

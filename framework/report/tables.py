@@ -94,7 +94,7 @@ Row = dict[str, Cell]
 
 def heading_of(metric: str, study: Study | None = None) -> str:
     """The heading of a metric's column; LPIPS with the network of the runs, if they name it."""
-    if metric not in NAMES:  # of a plugin, whose name says what is better
+    if metric not in NAMES:  # a metric of a plugin
         return outside(metric)
     unit = UNITS.get(metric, "↓")
     networks = study.lpips_networks if study is not None and metric in LPIPS else []

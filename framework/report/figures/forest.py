@@ -121,8 +121,9 @@ def _row(study: Study, c: Comparison, label: str, interval: Interval | None, joi
 
 
 def limits(rows: Sequence[Row]) -> tuple[float, float]:
-    """Of the axis: zero and every thick bar are inside; a thin one may be cut, at three times what
-    the thick ones need."""
+    """Limits of the axis: zero and every thick bar are inside. A thin bar may be cut at three
+    times the range of the thick ones.
+    """
 
     def ends(some: Sequence[Row]) -> list[float]:
         return [v for r in some for v in (r.low, r.middle, r.high) if v is not None] + [0.0]

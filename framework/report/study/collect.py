@@ -57,7 +57,7 @@ def collect(
         tuple(unique),
         tuple(named),
         (*naming.notes, *repeated),
-        # the trials of a search are no full cross: each is a method of its own
+        # the trials of a search are no full cross: each is a separate method
         tuple(missing) if searched is None else (),
         linked=not archived,
         archived=tuple(archived),
@@ -192,7 +192,7 @@ def _label(
 def _missing(
     runs: Sequence[ReportRun], failed: Sequence[FailedRun], origins: Sequence[Path]
 ) -> list[tuple[str, Method, int]]:
-    """What each folder lacks to be the full cross of its own scenes, methods and seeds."""
+    """List what each folder lacks for the full cross of its scenes, methods and seeds."""
     present: set[tuple[object, ...]] = {(run.scene, run.method, run.seed) for run in runs}
     present |= {(run.scene, run.method, run.seed) for run in failed}
     by_folder: dict[Path, list[ReportRun]] = defaultdict(list)

@@ -1,10 +1,10 @@
-"""Methods as values: what users compare, found from what differs between the runs of a study.
+"""Methods as values: what users compare, derived from what differs between the runs of a study.
 
-A method is an augmenter and a regularizer with every other option that differs between the runs:
-another capacity plugin, depth provider or initializer, an option of a plugin that differs between
-runs of the same plugin, `trainer.steps` and so on. Default choices (`USUAL`) need no name. The
+A method is an augmenter and a regularizer, with every other option that differs between the runs.
+Such options are another capacity plugin, depth provider or initializer, an option of a plugin,
+`trainer.steps` and so on. Default choices (`USUAL`) need no name. A method does not include the
 seed, options that follow it (`depth.corruption_seed=${seed}`), the scene, the stresses of
-`framework.report.study.axes` and keys that cannot change a result are not part of a method.
+`framework.report.study.axes` and keys without effect on results.
 """
 
 from __future__ import annotations
@@ -264,8 +264,11 @@ def shortened(methods: Sequence[Method]) -> tuple[dict[Method, Method], list[str
 
 
 def _distinguishing(found: Sequence[Mapping[str, str]]) -> list[str]:
-    """The keys that tell the options apart, words before numbers; a key that follows from another
-    one is left out. All keys, where capacities have different ones."""
+    """Return the keys that distinguish the options, words before numbers.
+
+    A key that follows from another one is left out. All keys are returned if capacities have
+    different ones.
+    """
     keys = list(dict.fromkeys(key for options in found for key in options))
     if len(found) < 2 or any(options.keys() != set(keys) for options in found):
         return keys
@@ -292,12 +295,16 @@ class _Ways:
 
 
 def by_recipe(runs: Sequence[tuple[Method, Sequence[str], str]]) -> dict[Method, Method]:
-    """Of runs (method, overrides, scene): method -> the method named by its recipe, with other
-    words of the command line where one recipe was run in several ways on a scene. On another scene
-    a recipe may have other options (`conf/for_scene`); it is the same method.
+    """Name methods by their recipes, for runs (method, overrides, scene).
 
-    Empty unless every run has a recipe, each name is one method on each scene, and there is more to
-    the methods than an augmenter, a regularizer and the words on the command line.
+    The name includes other words of the command line if one recipe was run in several ways on a
+    scene. A recipe may have other options on another scene (`conf/for_scene`) and remains the same
+    method.
+
+    Returns:
+        method -> named method. It is empty unless every run has a recipe, each name is one method
+        on each scene, and recipes are more than an augmenter, a regularizer and the words on the
+        command line.
     """
     ways: dict[Method, _Ways] = {}
     for method, overrides, scene in runs:

@@ -219,9 +219,12 @@ class Study:
         return replace(self, rival=None) if self.rival else self
 
     def baseline_of(self, method: Method) -> Method:
-        """The baseline with the budget and, for another method, the other options of `method`, if
-        there is one; plain training if the `rival` has no run of that budget; `method` itself if
-        neither has."""
+        """Return what `method` is compared with.
+
+        It is the baseline with the same budget and, if there is one, the same other options.
+        Without a run of the `rival` with that budget it is plain training, and without that
+        `method` itself.
+        """
         return self._baselines.get(method, self.baseline)
 
     @cached_property
