@@ -13,7 +13,7 @@ from framework.command.complaints import USER_ERRORS, composing, one_line
 from framework.command.config.check import check
 from framework.command.config.naming import plain, register_resolvers, run_name, study_name
 from framework.command.config.schema import CONF_DIR, register_config
-from framework.command.words import normalise
+from framework.command.overrides import normalise
 from framework.errors import UserError, require
 from framework.records import RUN_FOLDERS
 

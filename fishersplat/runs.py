@@ -43,10 +43,10 @@ class Run:
     @cached_property
     def cameras(self) -> dict[str, Camera]:
         """Cameras of training and test views by name; `viewmat` is world to camera, OpenCV axes."""
-        from framework.exports.given import read_given
+        from framework.exports.opened import read_named_cameras
         from framework.records.cameras import TRANSFORMS
 
-        return {given.name: given.camera for given in read_given(self.folder / TRANSFORMS)}
+        return {entry.name: entry.camera for entry in read_named_cameras(self.folder / TRANSFORMS)}
 
     @cached_property
     def _opened(self) -> OpenedRun:

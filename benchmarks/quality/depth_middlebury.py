@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from framework.compute.parallel import threads
 from framework.depth.matching.bounds import FARTHER, NEARER
-from framework.depth.plane_sweep import PlaneSweep
+from framework.depth.providers import PlaneSweep
 from framework.types import Camera, SparsePoints, TrainingSet, View
 
 DISPARITIES = 80

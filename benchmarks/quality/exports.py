@@ -32,8 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from framework.exports.export import NAME
 from framework.exports.export import main as export
 from framework.exports.formats import SUFFIXES, TURNED
-from framework.exports.given import read_given
-from framework.exports.opened import OpenedRun, open_run
+from framework.exports.opened import OpenedRun, open_run, read_named_cameras
 from framework.exports.upright import moved_gaussians
 from framework.files.documents import read_json
 from framework.files.limits import TEXT_BYTES
@@ -53,7 +52,7 @@ Test = list[tuple[Camera, torch.Tensor, torch.Tensor | None]]  # with its photo 
 def test_views(run: Path) -> Test:
     """The run's test cameras and photos."""
     test_names = read_json(run / "transforms.json", TEXT_BYTES)["test_filenames"]
-    cameras = {entry.name: entry.camera for entry in read_given(run / "transforms.json")}
+    cameras = {entry.name: entry.camera for entry in read_named_cameras(run / "transforms.json")}
     views = []
     for name, stem in zip(test_names, file_stems(test_names), strict=True):
         photo = pixels(run / RENDERS / f"{stem}_truth.png", "RGB").permute(2, 0, 1)

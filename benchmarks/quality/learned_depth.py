@@ -23,7 +23,7 @@ from framework import registry
 from framework.depth.consistency import agreeing_views
 from framework.depth.itermvs.views import SURE_TOLERANCE, estimate_views
 from framework.depth.options import IterMvsOptions
-from framework.depth.plane_sweep import PlaneSweep
+from framework.depth.providers import PlaneSweep
 from framework.depth.transfer import inside, project
 from framework.types import TrainingSet
 

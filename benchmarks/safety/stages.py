@@ -140,7 +140,7 @@ def depth(folder: Path) -> dict[str, str]:
 
 def init(folder: Path) -> dict[str, str]:
     """Initial Gaussians of every built-in initializer."""
-    from framework.depth.plane_sweep import PlaneSweep
+    from framework.depth.providers import PlaneSweep
     from framework.initialize import Sparse, Stereo
 
     training, hashes = _training(), {}

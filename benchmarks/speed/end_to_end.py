@@ -94,7 +94,7 @@ def child(began: float, output: Path, overrides: list[str]) -> None:
     """One run with a clock around its stages; `began` is the time when the process was started."""
     from framework.command import runner
     from framework.command.cli import main
-    from framework.command.collector import import_uncollected
+    from framework.command.runner import import_uncollected
 
     clock, run = Clock(), runner.run
     ended = began

@@ -120,8 +120,8 @@ def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable
     from framework.compute.rng import stream
     from framework.kernels import render_gradient
     from framework.kernels.losses import Target, photometric_gradient
+    from framework.train.depth_priors import DepthSmoothness
     from framework.train.optim import Adam
-    from framework.train.smoothness import DepthSmoothness
     from framework.types import View
 
     gaussians, camera = layered_scene(count, factor=factor)

@@ -1,7 +1,8 @@
-"""What a user types, and what they are told.
+"""The command line.
 
-`entry` begins, `cli` reads the line, `runner` does the runs; `config/` says what may be asked for
-and checks it, `studies/` is about many runs at once. Nothing heavy is imported before a run starts.
+`entry` starts the program, `cli` parses the line, `runner` does a run. `config/` has the typed
+configuration and its checks, `studies/` handles many runs, `launchers/` runs them on other
+machines, `search/` optimises options. Nothing heavy is imported before a run starts.
 """
 
 __all__ = ["cli", "entry"]

@@ -1,10 +1,14 @@
 """The command line: from arguments to runs, and from errors to one line and an exit code.
 
-Exit codes: 0 all runs are complete · 1 a bug or the machine · 2 bad input, no room or no right to
-write · 3 another process is still at some of the runs · 130 interrupted.
+Exit codes:
+    0: all runs are complete.
+    1: a bug, or a fault of the machine.
+    2: bad input, or no space or permission to write.
+    3: another process still works on some of the runs.
+    130: interrupted.
 
-Nothing heavy is imported here before a run really starts. Importing this module registers the
-resolvers that name run folders, which the processes of a launcher need too.
+Nothing heavy is imported before a run starts. Importing this module registers the resolvers that
+name run folders, which the processes of a launcher need too.
 """
 
 from __future__ import annotations
@@ -23,19 +27,17 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 import framework
-from framework.command import own_plugins, runner
+from framework.command import runner
 from framework.command.complaints import USER_ERRORS, composing, one_line, with_variant
 from framework.command.config.check import check
 from framework.command.config.help import help_text
 from framework.command.config.naming import plain, register_resolvers, study_name
-from framework.command.config.schema import (
-    CONF_DIR,
-    register_config,
-)
-from framework.command.job import Job
+from framework.command.config.schema import CONF_DIR, register_config
 from framework.command.launchers.supported import register_launchers
-from framework.command.program import program
-from framework.command.studies.failures import again, conclude, tell
+from framework.command.overrides import check_utf8, normalise, only_informs, parse_flags
+from framework.command.program import program, take_flag
+from framework.command.runner import Job
+from framework.command.studies.failures import again, conclude, record_failure
 from framework.command.studies.study import (
     Outcome,
     Refused,
@@ -44,13 +46,12 @@ from framework.command.studies.study import (
     ledger,
     varied,
 )
-from framework.command.subcommands import asked_for, obey
-from framework.command.words import check_utf8, normalise, only_informs, parse
+from framework.command.subcommands import run_subcommand, subcommand_of
 from framework.compute.orphans import end_with_parent
 from framework.errors import UserError, machine_line, nearest_hint, printable_line, require
 from framework.records.progress import unread
 
-IN_ALL_LINES = ("augment=", "reg=", "seed=")  # progress lines have these of every run
+IN_ALL_LINES = ("augment=", "reg=", "seed=")  # in the progress lines of every run
 SHOWN = 32  # characters of another word
 
 register_resolvers()
@@ -60,10 +61,10 @@ def main(argv: Sequence[str]) -> int:
     """Run the command line `argv` (without the program's name); returns the exit code."""
     try:
         check_utf8("the current folder", os.getcwd())
-        words = own_plugins.take_flag(argv)
-        subcommand = asked_for(words)
+        words = take_flag(argv)
+        subcommand = subcommand_of(words)
         if subcommand is not None:
-            return obey(subcommand, words[1:])
+            return run_subcommand(subcommand, words[1:])
         if "--version" in argv:
             print(f"fishersplat {framework.__version__}")
             return 0
@@ -71,7 +72,7 @@ def main(argv: Sequence[str]) -> int:
         with _hydra_process(arguments):
             register_config()
             register_launchers()
-            flags = parse(arguments)
+            flags = parse_flags(arguments)
             if flags.help:
                 print(help_text(flags.overrides))
                 return 0
@@ -88,7 +89,7 @@ def main(argv: Sequence[str]) -> int:
                 return conclude()
     except KeyboardInterrupt:
         again = f"{program()} {shlex.join(argv)}"
-        print(f"error: interrupted; what is done is kept, go on with: {again}", file=sys.stderr)
+        print(f"error: interrupted; results are kept, continue with: {again}", file=sys.stderr)
         return 130
     except (Refused, *USER_ERRORS) as error:
         if "traceback=true" in argv:
@@ -111,21 +112,25 @@ def main(argv: Sequence[str]) -> int:
 
 
 def task(cfg: DictConfig) -> Outcome:
-    """Do one run; Hydra calls it, perhaps in a launcher's fresh process.
+    """Do one run. Hydra calls this, perhaps in a new process of a launcher.
 
-    An error ends this run and not its siblings: it goes into the record and the ledger. Returns the
-    run's entry in the ledger.
+    An error ends only this run and is written into its record and the ledger.
+
+    Returns:
+        The run's entry in the ledger.
     """
     end_with_parent()
     job = _job(HydraConfig.get(), plain(cfg))
     try:
-        check(job.config)  # finds plugins too, of which a launcher's fresh process knows nothing
+        check(job.config)  # also finds plugins, which a launcher's new process has not done
         job.config["study"] = study_name(job.config)
         runner.run(job)
-    except SystemExit as end:  # of somebody else's code: it must end neither siblings nor quietly
-        return tell(job, UserError(f"the run called sys.exit({end.code!r}); fix the plugin"))
+    except SystemExit as end:  # raised by a plugin; it must not end other runs
+        return record_failure(
+            job, UserError(f"the run called sys.exit({end.code!r}); fix the plugin")
+        )
     except Exception as error:
-        return tell(job, error)
+        return record_failure(job, error)
     outcome = Outcome(job.number, job.run_dir)
     add_outcome(outcome)
     return outcome
@@ -145,7 +150,7 @@ def _check_package(flags: Any) -> None:
 
 @contextmanager
 def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
-    """What `hydra.main` reads from the process: its arguments, and to leave errors to us."""
+    """Set what `hydra.main` reads from the process: the arguments, and not to catch errors."""
     argv, environment = sys.argv, dict(os.environ)
     sys.argv = [argv[0], *arguments]
     os.environ["HYDRA_FULL_ERROR"] = "1"
@@ -158,8 +163,8 @@ def _hydra_process(arguments: Sequence[str]) -> Iterator[None]:
 
 
 def _shown(word: str) -> str:
-    """A word of the command line as progress lines have it: of a path its last parts, of a long
-    option its last name; the value whole, unless it is too long by itself."""
+    """Shorten a word of the command line for progress lines: a path to its last two parts, a long
+    key to its last name, a long value to its start."""
     key, _, value = word.partition("=")
     name = "/".join(PurePath(value.strip("'\"")).parts[-2:]) if "/" in value else value
     if len(key) + len(name) >= SHOWN:
@@ -169,7 +174,7 @@ def _shown(word: str) -> str:
 
 
 def _job(hydra: Any, config: dict[str, Any]) -> Job:
-    """The run of a composed configuration; hydra: Hydra's part of it."""
+    """The run of a composed configuration; `hydra` is Hydra's part of it."""
     overrides = [str(override) for override in hydra.overrides.task]
     method = "+".join(str(hydra.runtime.choices.get(group)) for group in ("augment", "reg"))
     pair = "_".join(part for part in method.split("+") if part != "none") or "baseline"

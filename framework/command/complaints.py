@@ -1,7 +1,7 @@
-"""Hydra's and OmegaConf's exceptions as one line in the style of `UserError`.
+"""Exceptions of Hydra and OmegaConf as one line in the style of `UserError`.
 
-Both libraries tell a bad input over several lines and in their own terms ("not in struct"); the
-user gets: where, what was expected, what came, how to fix it.
+Both libraries report bad input in several lines and in internal terms ("not in struct"). The user
+gets: where, what was expected, what came, how to fix it.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ KINDS = {
 
 @contextmanager
 def composing() -> Iterator[None]:
-    """Raise what Hydra refuses without an error of its own as UserError: a number of too many
-    digits, a choice that is no name."""
+    """Turn Python's errors inside Hydra into UserError: a number of too many digits, a choice that
+    is no name."""
     try:
         yield
     except USER_ERRORS:
@@ -57,12 +57,12 @@ def composing() -> Iterator[None]:
     except (ValueError, OverflowError, RecursionError) as error:
         raise UserError(
             f"command line: expected options of the configuration, got what Hydra refuses"
-            f" ({printable_line(str(error))[:160]}); --help lists what there is"
+            f" ({printable_line(str(error))[:160]}); --help lists the options"
         ) from error
 
 
 def one_line(error: BaseException) -> str:
-    """The message of a user's error, without its newlines; the most specific cause speaks."""
+    """The message of a user's error in one line, from its most specific cause."""
     chain = list(_causes(error))
     for cause in chain:
         if isinstance(cause, UserError):
@@ -76,9 +76,11 @@ def one_line(error: BaseException) -> str:
 
 
 def with_variant(message: str, words: Sequence[str]) -> str:
-    """`message`, and what the `words` of the command line could be instead: with -m, where it asks
-    for that; for a missing depth, recipes whose depth is a network's have a variant NAME_sweep
-    without one; for an option of several plugins, which of them have it."""
+    """Add to `message` what could be typed instead of `words`.
+
+    With -m if the message advises it. For a missing depth network the recipe's variant NAME_sweep.
+    For an option of several plugins, the plugins that have it.
+    """
     if message.endswith(EACH) and any(word in INFORM for word in words):
         return message.replace(EACH, "name one, or several that work together, as reg=[a,b]")
     if message.endswith(EACH):
@@ -97,26 +99,25 @@ def with_variant(message: str, words: Sequence[str]) -> str:
 
 
 def _of_several(group: str, key: str, words: Sequence[str]) -> str:
-    """What to write in place of `group.key` where several plugins are chosen, each with options of
-    its own."""
+    """What to write instead of `group.key` if several plugins are chosen."""
     chosen = [word.partition("=")[2] for word in words if word.lstrip("+").startswith(f"{group}=")]
     names = [name for value in chosen for name in re.findall(r"[\w.-]+", value)]
     there = places_of(group, key, names)
-    several = f"several plugins are chosen, each with options of its own, as {group}.NAME.OPTION"
-    advice = f"did you mean {there}?" if there else f"{several}; --help with these words tells them"
+    several = f"with several plugins the options are {group}.NAME.OPTION"
+    advice = f"did you mean {there}?" if there else f"{several}; --help with these words lists them"
     return f"{group}.{key}: unknown option of {group}; {advice}"
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
-    """`error` and what it arose from, the original first. OmegaConf hides its cause (`from None`),
-    so the context is followed too."""
+    """`error` and its causes, the original first. OmegaConf hides causes (`from None`), so contexts
+    are followed too."""
     if error is not None:
         yield from _causes(error.__cause__ or error.__context__)
         yield error
 
 
 def _reworded(error: BaseException) -> str | None:
-    """Our words for one exception of Hydra, OmegaConf or the system; None if we have none."""
+    """Reword an exception of Hydra, OmegaConf or the system; None for others."""
     if isinstance(error, OSError) and mendable(error):
         return os_line(error)
     if isinstance(error, MissingConfigException):
@@ -138,7 +139,7 @@ def _reworded(error: BaseException) -> str | None:
 
 
 def _expected(error: OmegaConfBaseException) -> str:
-    """The declared type of the option that got a wrong value, in words."""
+    """The declared type of the option with a wrong value, in words."""
     types = {option.name: option.type for option in _fields(error.object_type)}
     declared = types.get(str(error.key), "another type")
     return " or ".join(map(_kind, typing.get_args(declared) or (declared,)))
@@ -168,7 +169,7 @@ def _missing_choice(error: MissingConfigException) -> str | None:
         )
     options = {*error.options, *(LAUNCHERS if group == "hydra/launcher" else ())}
     folder = os.environ.get(OWN_VARIABLE)
-    searched = f"; --plugins {folder} was searched, too" if folder else ""
+    searched = f"; --plugins {folder} was searched too" if folder else ""
     return f"{group}={name}: unknown {group}; {nearest_hint(name, options)}{searched}"
 
 

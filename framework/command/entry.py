@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from framework.command.program import CONSOLE, SCRIPT, typed
+from framework.command.program import CONSOLE, SCRIPT, set_program
 from framework.command.streams import make_safe
 from framework.errors import memory_line
 from framework.files.limits import check_address_space
@@ -20,7 +20,7 @@ def main() -> NoReturn:
 
 def command(argv: Sequence[str], name: str = SCRIPT) -> NoReturn:
     """Run the command line `argv` of the program `name` and end this process."""
-    typed(name)
+    set_program(name)
     make_safe()
     try:
         check_address_space()

@@ -1,11 +1,12 @@
-"""The one place that reaches into Hydra's private modules, and why.
+"""All uses of Hydra's private modules, and why they are needed.
 
-Hydra has no public name for its argument parser: its flags are needed before Hydra composes
-anything, to refuse what a stranger's line may not ask for, and an error is told in our words. Nor
-has it one for how its sweeper splits overrides into runs: the runs are checked before the first
-begins, so both must split alike. And its store of choices is a plain dictionary, where a choice of
-several plugins, `reg=uar+depth_rank`, is to be made when it is asked for.
-`tests/cli/test_hydra_inside.py` says what breaks with a newer Hydra.
+- The argument parser: flags are checked before Hydra composes anything, with our messages.
+- The split of a sweep into runs: all runs are checked before the first one, so both must split
+  alike.
+- The store of choices is a plain dictionary; a choice of several plugins, `reg=uar+depth_rank`, is
+  made on demand.
+
+`tests/cli/test_hydra_inside.py` fails if a newer Hydra changes one of them.
 """
 
 from __future__ import annotations
@@ -24,22 +25,22 @@ from framework.registry import JOINED_BY, parts_of
 
 
 def argument_parser() -> ArgumentParser:
-    """A parser of Hydra's flags and of the overrides beside them."""
+    """Return a parser of Hydra's flags and of overrides."""
     parser: ArgumentParser = get_args_parser()
     return parser
 
 
 def jobs_of(overrides: Sequence[Override]) -> list[list[str]]:
-    """The overrides of every run of a sweep, in the order of Hydra's basic sweeper."""
+    """Return the overrides of every run of a sweep, in the order of Hydra's basic sweeper."""
     batches = BasicSweeper.split_arguments(list(overrides), None)
     return [list(job) for batch in batches for job in batch]
 
 
 class JoinedChoices(dict[str, Any]):
-    """The nodes of a group in Hydra's ConfigStore, and one for every `a+b.yaml` asked for.
+    """The nodes of a group in Hydra's ConfigStore, with a node for every `a+b.yaml` on demand.
 
-    Such a node composes its parts, each in a package of its own: `reg.a`, `reg.b`, with all that
-    presets set of them. So a part may be a variant from a YAML file, as `uar_hard`.
+    Such a node composes its parts into separate packages `reg.a`, `reg.b`, with the values that
+    presets set. So a part may be a variant from a YAML file, such as `uar_hard`.
     """
 
     def __init__(self, group: str, nodes: Mapping[str, Any]) -> None:

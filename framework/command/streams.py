@@ -1,4 +1,4 @@
-"""Standard streams that a run can write to whatever becomes of them."""
+"""Standard streams that never end a run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from framework.records.progress import unread
 
 
 def make_safe() -> None:
-    """Let a closed or full stdout or stderr, or one that lacks a letter, end no run."""
+    """Keep a closed or full stdout or stderr, or one that cannot encode a letter, from raising."""
     with contextlib.suppress(OSError):
         while os.open(os.devnull, os.O_RDWR) <= 2:  # takes the lowest number that is free
             pass
@@ -28,7 +28,7 @@ def make_safe() -> None:
 
 
 class _Safe(io.TextIOWrapper):
-    """Goes on without output where a disk is full, and says so once on stderr."""
+    """Discards output once a disk is full, with one warning on stderr."""
 
     def write(self, text: str) -> int:
         try:
@@ -46,9 +46,9 @@ class _Safe(io.TextIOWrapper):
             self._lost(error, 0)
 
     def _lost(self, error: OSError, written: int) -> int:
-        if error.errno == errno.EPIPE:  # `| head`, which callers know
+        if error.errno == errno.EPIPE:  # `| head`, which callers handle
             raise error
         unread(self)
         if self is not sys.stderr:
-            print(f"warning: output: {error.strerror}; going on without it", file=sys.stderr)
+            print(f"warning: output: {error.strerror}; continuing without it", file=sys.stderr)
         return written

@@ -1,4 +1,4 @@
-"""What the program does beside training: `fishersplat NAME ...`. A name is a word without `=`."""
+"""Subcommands, `fishersplat NAME ...`: a first word without `=` is a subcommand."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from framework.command.program import program
 from framework.errors import UserError, nearest_hint
 
-# name -> (module with `main(arguments, prog) -> exit code`, what it does, in two words). One line
-# each, by name. The module is light to import and reads its arguments with argparse; what it
-# raises is told as for a run: see `framework.command.cli.main`.
+# name -> (module with `main(arguments, prog) -> exit code`, what it does in two words). The modules
+# are light to import and use argparse; `framework.command.cli.main` prints what they raise.
 SUBCOMMANDS = {
     "compare": ("framework.report.pair", "two runs"),
     "export": ("framework.exports.export", "for viewers"),
@@ -25,23 +24,24 @@ SUBCOMMANDS = {
 }
 
 
-def asked_for(argv: Sequence[str]) -> str | None:
-    """The subcommand that `argv` begins with; None for a line of options and flags.
+def subcommand_of(argv: Sequence[str]) -> str | None:
+    """Return the subcommand that `argv` begins with; None if it begins with an option or flag.
 
-    Raises UserError for another word.
+    Raises:
+        UserError: for another word.
     """
     if not argv or argv[0].startswith(("-", "+", "~")) or "=" in argv[0]:
         return None
     if argv[0] not in SUBCOMMANDS:
         raise UserError(
             f"command line: expected KEY=VALUE or a subcommand, got '{argv[0]}';"
-            f" {nearest_hint(argv[0], SUBCOMMANDS)}, {program()} --help tells the rest"
+            f" {nearest_hint(argv[0], SUBCOMMANDS)}, {program()} --help lists the rest"
         )
     return argv[0]
 
 
-def obey(name: str, arguments: Sequence[str]) -> int:
-    """Do a subcommand; returns the exit code."""
+def run_subcommand(name: str, arguments: Sequence[str]) -> int:
+    """Run a subcommand; returns the exit code."""
     code: int = importlib.import_module(SUBCOMMANDS[name][0]).main(
         list(arguments), f"{program()} {name}"
     )

@@ -1,5 +1,4 @@
-"""The options of the depth providers that take more than a line: what the code that estimates
-knows of them, below the providers themselves. Light to import."""
+"""Options of the depth providers, used by them and by the code that estimates. Light to import."""
 
 from __future__ import annotations
 
@@ -18,7 +17,7 @@ PATCH = 14  # pixels per token; the network's input sizes are its multiples
 
 @dataclass(frozen=True)
 class PlaneSweepOptions(DepthProvider):
-    """Of `depth=plane_sweep`; penalties are in units of 1 - ZNCC."""
+    """Options of `depth=plane_sweep`; penalties are in units of 1 - ZNCC."""
 
     planes: int = 96  # of inverse depth, evenly spaced
     radius: int = 2  # of the (2 r + 1)^2 window, pixels
@@ -45,7 +44,7 @@ class PlaneSweepOptions(DepthProvider):
 
 @dataclass(frozen=True)
 class DepthFileOptions(DepthProvider):
-    """Of `depth=file`."""
+    """Options of `depth=file`."""
 
     path: str = ""  # folder of the depth maps
     kind: str = "depth"  # what the maps hold: depth or inverse_depth
@@ -67,7 +66,7 @@ class DepthFileOptions(DepthProvider):
 
 @dataclass(frozen=True)
 class DepthAnything3Options(DepthProvider):
-    """Of `depth=depth_anything_3`."""
+    """Options of `depth=depth_anything_3`."""
 
     weights: str = "depth-anything/DA3-BASE"  # on the Hugging Face hub, or a local folder
     revision: str = "main"  # branch, tag or commit on the hub

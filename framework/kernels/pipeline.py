@@ -6,7 +6,7 @@ brings its gradient to the parameters. A workspace belongs to one render until i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from framework.errors import UserError
 from framework.kernels.constants import ROW
 from framework.kernels.lending import Lender, aligned, grown
 from framework.kernels.project import backward, information, projection
-from framework.kernels.tile import absolute, binning, blend, moments
+from framework.kernels.tile import binning, blend, moments
 from framework.types import Camera
 
 MAX_ENTRIES = 2**31 - 1  # an int32 counts them
@@ -36,6 +36,11 @@ class Arrays:
     factors: np.ndarray
     offset: np.ndarray
 
+    def flat(self) -> tuple[np.ndarray, ...]:
+        """All arrays flattened but shN [M, K, 3], as the kernels read them."""
+        values = (getattr(self, field.name) for field in fields(self))
+        return tuple(value if value is self.shN else value.reshape(-1) for value in values)
+
 
 @dataclass(frozen=True)
 class Image:
@@ -44,6 +49,10 @@ class Image:
     rgb: np.ndarray
     alpha: np.ndarray
     depth: np.ndarray
+
+    def flat(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The three arrays flattened, as the kernels read them."""
+        return self.rgb.reshape(-1), self.alpha.reshape(-1), self.depth.reshape(-1)
 
 
 def camera_row(camera: Camera, near: float) -> np.ndarray:
@@ -118,22 +127,11 @@ class Workspace:
         self._fit(len(arrays.means))
         run_blocks(
             projection.project,
-            arrays.means.reshape(-1),
-            arrays.quats.reshape(-1),
-            arrays.log_scales.reshape(-1),
-            arrays.logits,
-            arrays.sh0.reshape(-1),
-            arrays.shN,
-            arrays.factors,
-            arrays.offset.reshape(-1),
+            arrays.flat(),
             degree,
             self.camera,
-            self.width,
-            self.height,
-            self.rows.reshape(-1),
-            self.clipped,
-            self.bound,
-            radii,
+            (self.width, self.height),
+            (self.rows.reshape(-1), self.clipped, self.bound, radii),
         )
 
     def sort(self) -> None:
@@ -208,9 +206,7 @@ class Workspace:
             self.offsets,
             self.lists,
             background,
-            image.rgb.reshape(-1),
-            image.alpha.reshape(-1),
-            image.depth.reshape(-1),
+            *image.flat(),
             blocks=TILE_BLOCKS,
         )
 
@@ -237,43 +233,42 @@ class Workspace:
         kept += [aligned((size + size // 4, 16), np.float32) for _ in range(n - len(kept))]
         return [slots.reshape(-1) for slots in kept]
 
-    def _strip_inputs(self) -> tuple[Any, ...]:
-        """What every pass over the strips reads first."""
+    def _strips(self) -> tuple[Any, ...]:
+        """The lists of tiles and strips, for passes over the strips."""
         lists = self.rows, self.offsets, self.lists
         return self.width, self.height, *lists, self.strips, self.bounds, self.parts, self.n_slots
 
-    def blend_backward(self, image: Image, gradient: Image) -> None:
-        """Gradient in the image -> per (Gaussian, strip) sums in `sums`."""
+    def _differentiate(self, kernel: Any, image: Image, gradient: Image) -> None:
+        """Run `blend_backward` or `blend_absolute` over the strips, into `sums`."""
         self.sums = grown(self.sums, int(self.bounds[-1]))
         run_blocks(
-            blend.blend_backward,
-            *self._strip_inputs(),
-            image.rgb.reshape(-1),
-            image.depth.reshape(-1),
-            image.alpha.reshape(-1),
-            gradient.rgb.reshape(-1),
-            gradient.alpha.reshape(-1),
-            gradient.depth.reshape(-1),
+            kernel,
+            self._strips(),
+            image.flat(),
+            gradient.flat(),
             self.sums.reshape(-1),
             blocks=len(self.n_slots),
             own=[(slots,) for slots in self._scratch(self.slots)],
         )
 
+    def blend_backward(self, image: Image, gradient: Image) -> None:
+        """Gradient in the image -> per (Gaussian, strip) sums in `sums`."""
+        self._differentiate(blend.blend_backward, image, gradient)
+
     def blend_absolute(self, image: Image, in_rgb: np.ndarray) -> np.ndarray:
-        """[N, 2] float32: sums over pixels of the absolute gradient in the projected means, in
-        pixels; see `absolute.blend_absolute`. Writes over `sums`, so before `blend_backward`."""
-        self.sums = grown(self.sums, int(self.bounds[-1]))
-        nothing = self.sums.reshape(-1)[:0]
-        run_blocks(
-            absolute.blend_absolute,
-            *self._strip_inputs(),
-            image.rgb.reshape(-1),
-            in_rgb.reshape(-1),
-            nothing,
-            self.sums.reshape(-1),
-            blocks=len(self.n_slots),
-            own=[(slots,) for slots in self._scratch(self.slots)],
-        )
+        """Sum the absolute gradient in the projected means over pixels.
+
+        Overwrites `sums`, so call it before `blend_backward`.
+
+        Args:
+            image: the render.
+            in_rgb: gradient in its colours, [3, H, W].
+
+        Returns:
+            [N, 2] float32, in pixels.
+        """
+        nothing = in_rgb.reshape(-1)[:0]
+        self._differentiate(blend.blend_absolute, image, Image(in_rgb, nothing, nothing))
         n = len(self.arrays.means)
         owners = np.repeat(np.arange(n), np.diff(self.first[: n + 1]))
         parts = self.sums[: len(owners), :2]
@@ -308,7 +303,7 @@ class Workspace:
             )
         run_blocks(
             moments.blend_moments,
-            *self._strip_inputs(),
+            self._strips(),
             image.rgb.reshape(-1),
             mask.reshape(-1),
             self.sums.reshape(-1),
@@ -318,30 +313,19 @@ class Workspace:
             own=list(zip(slots, mixed, strict=True)),
         )
 
-    def backward_inputs(self) -> tuple[Any, ...]:
-        """What `backward.project_backward` reads beside the parameters that lie flat."""
+    def projected(self) -> tuple[Any, ...]:
+        """What `backward.project_backward` reads besides the parameters."""
         rows, sums = self.rows.reshape(-1), self.sums.reshape(-1)
-        of_all = self.arrays.shN, self.arrays.factors, self.degree, self.camera
-        return *of_all, rows, self.clipped, self.first, sums
+        return self.degree, self.camera, rows, self.clipped, self.first, sums
 
     def project_backward(self, gradient: Arrays) -> None:
         """Sums in `sums` -> gradients of every parameter (all of `gradient` is overwritten)."""
-        arrays = self.arrays
+        means, quats, log_scales, logits, _, shN, factors, _ = self.arrays.flat()
         run_blocks(
             backward.project_backward,
-            arrays.means.reshape(-1),
-            arrays.quats.reshape(-1),
-            arrays.log_scales.reshape(-1),
-            arrays.logits,
-            *self.backward_inputs(),
-            gradient.means.reshape(-1),
-            gradient.quats.reshape(-1),
-            gradient.log_scales.reshape(-1),
-            gradient.logits,
-            gradient.sh0.reshape(-1),
-            gradient.shN,
-            gradient.factors,
-            gradient.offset.reshape(-1),
+            (means, quats, log_scales, logits, shN, factors),
+            self.projected(),
+            gradient.flat(),
         )
 
     def information(self, block: np.ndarray, diagonal: np.ndarray) -> None:

@@ -1,5 +1,7 @@
-"""What plugins for the parts of a run hand over is checked where it comes, so that the message
-names the plugin; see `framework.plugin` for what is expected. The project's own have tests."""
+"""Checks of what third-party scene loaders, depth providers and initializers return.
+
+The message names the plugin; `framework.plugin` has the contracts. The project's own parts have
+tests instead."""
 
 from __future__ import annotations
 
@@ -68,7 +70,7 @@ def _check_scene(found: Any) -> None:
             check_view(f"{part} view {number}", view)
     names = [view.name for view in (*found.training.views, *found.test)]
     if len(set(names)) < len(names):
-        raise ValueError("the views: expected a name of its own for each, got one twice")
+        raise ValueError("the views: expected different names, got one twice")
     check_kind("the points", found.training.points, SparsePoints)
     if not 0 < found.training.near < found.training.far:
         near, far = found.training.near, found.training.far

@@ -1,8 +1,8 @@
 """`trainer.seconds`: as many steps as fit into a time, chosen before the training starts.
 
-A short training of the same kind, with its own growth and pseudo views in proportion, tells what a
-step takes here and now. The choice is kept in the run's folder, so that an interrupted run goes on
-with it, and in the record: the same steps give the same bits anywhere, the same seconds do not.
+A short training of the same kind, with growth and pseudo views in proportion, measures the time of
+a step. The choice is kept in the run's folder for an interrupted run, and in the record: the same
+steps give the same bits on any machine, the same seconds do not.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from framework.train import schedule
 
 FILE = "budget.json"
 TRIAL_STEPS, TRIAL_EPOCHS = 40, 2  # of the trial, the more of both
-SHARE, LONGEST_S = 0.15, 20.0  # of the time asked for, and seconds, that a second trial may take
+SHARE, LONGEST_S = 0.15, 20.0  # of the given time, and seconds, that a second trial may take
 WARM = 8  # steps of a first trial, which meets cold caches and is not counted
 BESIDE = 12  # steps of a trial with the second camera, which no short training comes to
 SHORT = 150  # steps; a training below it takes more of them at half size, as preset=fast does
@@ -69,11 +69,15 @@ class Choice:
 def chosen(
     folder: Path, identity: str, options: TrainerOptions, n_views: int, trial: Trial
 ) -> Choice:
-    """The choice that an interrupted process of the same run left, else a new one, which is kept.
+    """Return the choice of an interrupted process of the same run, else make and keep a new one.
 
-    n_views: real training views. Measures for about `TRIAL_STEPS` steps, then for `SHARE` of time:
-    the longer a training, the less is it like its beginning, when Gaussians are many and photos are
-    prepared. A few steps with the second camera (`trainer.binocular`) tell what these take.
+    Measures about `TRIAL_STEPS` steps, then for `SHARE` of the time: early steps are slower, with
+    more Gaussians and unprepared photos. A few steps with the second camera (`trainer.binocular`)
+    measure its cost.
+
+    Args:
+        n_views: number of real training views.
+        trial: trains with options and returns the seconds of its steps.
     """
     kept = _kept(folder / FILE, identity)
     if kept is not None:
@@ -125,5 +129,5 @@ def _kept(file: Path, identity: str) -> Choice | None:
         choice = Choice(**read_json(file, TEXT_BYTES))
         choice.applied(TrainerOptions())
     except (UserError, ValueError, TypeError, AttributeError, RecursionError):
-        return None  # damaged: choose anew
+        return None  # damaged: choose again
     return choice if choice.identity == identity else None

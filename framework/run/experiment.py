@@ -23,11 +23,10 @@ from framework.compute import parallel, rng
 from framework.compute.stopwatch import Stopwatch
 from framework.files.locks import locked, remove_stale
 from framework.files.whole import following, remove_temporaries
-from framework.metrics.coadaptation import with_average, with_coadaptation
+from framework.metrics.coadaptation import with_average, with_coadaptation, with_rank
 from framework.metrics.evaluate import evaluate
 from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
-from framework.metrics.rank import with_rank
 from framework.metrics.values import (
     COADAPTATION,
     LPIPS_BOTH,
@@ -88,7 +87,7 @@ LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Experiment:
-    """A run that is asked for.
+    """A requested run.
 
     Attributes:
         config: plain and resolved, see `conf/config.yaml`.
@@ -194,7 +193,7 @@ class Experiment:
         scene, exposures = preparation.training_scene(), preparation.exposures
         timings, facts = preparation.timings, dict(record.provenance)
         if exposures is not None:
-            self.progress.note(exposures.told())
+            self.progress.note(exposures.message())
             facts[EXPOSURE] = exposures.size
 
         def start(seed: int) -> Gaussians:
@@ -283,7 +282,7 @@ class Experiment:
         metrics: list[ViewMetrics],
         renders: list[tuple[View, Tensor]],
     ) -> RunRecord:
-        """Write the run's files; the record is last, as it says that all others are complete."""
+        """Write the run's files; the record is last, as it marks the others as complete."""
         photos, exposures = preparation.scene.training.views, preparation.exposures
         stale = remove_record(self.folder)  # of an earlier run, with other files than these
         with following(self.folder) as before:

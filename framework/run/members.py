@@ -32,7 +32,7 @@ def member_seed(seed: int, member: int) -> int:
 
 
 def second_seed(seed: int) -> int:
-    """The seed of the first Gaussians of a second field that has a draw of its own."""
+    """The seed of the first Gaussians of a second field with a separate draw."""
     return int(stream(seed, "second field").integers(2**62))
 
 
@@ -42,10 +42,10 @@ def join(members: Sequence[Gaussians]) -> Gaussians:
 
 
 def thinner(opacities: np.ndarray, n: int) -> np.ndarray:
-    """The opacities of which `n` Gaussians in one place darken as much as one of `opacities`.
+    """Return the opacity at which `n` coinciding Gaussians absorb as much light as one.
 
-    A Gaussian of opacity o has the optical depth -log(1 - o exp(-r^2 / 2)) at r standard
-    deviations from its centre; over its footprint that sums up to 2 pi Li2(o), Li2 the
+    The optical depth of a Gaussian of opacity o is -log(1 - o exp(-r^2 / 2)) at r standard
+    deviations from its centre. Its integral over the footprint is 2 pi Li2(o), with Li2 the
     dilogarithm. So the result is Li2^-1(Li2(o) / n), for o in [0, 1].
     """
     from scipy.special import spence  # a tenth of a second, for those who join
@@ -54,9 +54,13 @@ def thinner(opacities: np.ndarray, n: int) -> np.ndarray:
 
 
 def tuning_options(options: TrainerOptions, steps: int) -> TrainerOptions:
-    """Those of `steps` steps on joined members, from the members' `schedule.paced` options: the
-    share `lr_final` of all rates, from which they fall as in a training (the means' had fallen
-    further), and nothing fades."""
+    """Return the options of tuning joined members for `steps` steps.
+
+    All rates start at the share `lr_final` and fall as in a training; opacities do not fade.
+
+    Args:
+        options: of the members, from `schedule.paced`.
+    """
     return replace(
         options,
         steps=steps,

@@ -66,7 +66,7 @@ class _Source(NamedTuple):
 
 @functools.cache
 def _sources(own_folder: str | None) -> dict[Path, _Source]:
-    """Read every plugin file once per process: an edit during a study changes no running code."""
+    """Read every plugin file once per process: edits during a study do not change running code."""
     found = [(file, "", file.relative_to(ROOT).as_posix()) for file in FOLDER.rglob("*.py")]
     found += [(file, "own", f"own {place}") for place, file in own_plugins()]
     for point in entry_points(group=ENTRY_POINTS):

@@ -41,12 +41,10 @@ class Preparation:
     """What a training starts from.
 
     Attributes:
-        scene: its photos as they were taken.
         depth: one map per training view.
         pose_check: None where poses are exact or cannot be checked.
-        exposures: of the training photos, None where they are alike.
-        timings: by stage.
-        warnings: of all stages, also of those that an earlier run of the process did.
+        exposures: None where photos are exposed alike.
+        warnings: also of cached stages.
     """
 
     scene: Scene
@@ -151,7 +149,7 @@ def prepare(
         depth_fingerprint: of the files that the depth provider reads.
         shared: watches the tensors that runs of the process share.
         warmup: loads kernels while the stages run; complete on return.
-        progress: is told which stage runs.
+        progress: shows the stages.
     """
     scene_options, depth_options = options_of(config, "scene"), options_of(config, "depth")
     scene = load_scene(scene_options)

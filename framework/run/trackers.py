@@ -1,9 +1,9 @@
-"""What a finished run logged goes to an experiment tracker of the user's choice: `tracker=NAME`.
+"""Sends the log of a finished run to an experiment tracker, `tracker=NAME`.
 
 A tracker is one function in `TRACKERS` that takes `Tracked`: the options, the rows of the history
-by step, the measures at the end. All of it is read from the finished record, so that training never
-waits for a tracker and a run that was already complete is sent without being repeated. What was
-sent is told by a file in the run's folder `tracker/`: the same record is sent once.
+by step, the measures at the end. All of it is read from the finished record. So training never
+waits for a tracker, and a complete run is sent without being repeated. A file in the run's folder
+`tracker/` marks a record as sent, so it is sent once.
 
 A tracker never harms a run: `ready` refuses a missing package before anything is trained, and what
 fails later is one warning line. This module is light: each package is imported where it is used.
@@ -70,7 +70,7 @@ def _mlflow(run: Tracked) -> None:
     """To `MLFLOW_TRACKING_URI`, or where MLflow writes without it; the study is the experiment."""
     import mlflow
 
-    logging.getLogger("mlflow").setLevel(logging.WARNING)  # it tells of every table that it makes
+    logging.getLogger("mlflow").setLevel(logging.WARNING)  # it reports every table that it makes
     mlflow.set_experiment(run.study)
     with mlflow.start_run(run_name=run.name):
         options = list(run.options.items())
@@ -97,7 +97,7 @@ def _wandb(run: Tracked) -> None:
 
 
 def _trackio(run: Tracked) -> None:
-    """Into trackio's own folder; it has no summary, so the last step tells it."""
+    """Into trackio's own folder; it has no summary, so the last step gets it."""
     import trackio
 
     place = {"project": PROJECT, "group": run.study, "name": run.name}
@@ -139,8 +139,8 @@ def ready(tracker: str | None) -> None:
 def send(tracker: str | None, run_dir: Path, progress: Progress) -> None:
     """Send the complete run in `run_dir`, unless this very record was sent before.
 
-    Never raises: what fails becomes one note of `progress`, and is tried again the next time that
-    the run is asked for.
+    Never raises: a failure becomes a note of `progress`, and is tried again when the command is
+    repeated.
     """
     if tracker is None or tracker == NONE:
         return

@@ -1,7 +1,7 @@
-"""One run's training: from the scene and its depth to the trained Gaussians, kept on the way.
+"""The training of one run: from the scene and its depth to the trained Gaussians.
 
-A training that was interrupted goes on from its last checkpoint and ends with the same bits; one
-that diverged leaves its state in `diverged.safetensors`.
+An interrupted training continues from its last checkpoint and ends with the same bits. One that
+diverged leaves its state in `diverged.safetensors`.
 """
 
 from __future__ import annotations
@@ -25,23 +25,15 @@ from framework.files.whole import write_whole
 from framework.metrics.evaluate import psnr
 from framework.metrics.values import Missing
 from framework.options import TrainerOptions
-from framework.plugin import Plugin
-from framework.records.progress import Part, Parts, Progress, Silent
+from framework.records.progress import Part as PartProgress
+from framework.records.progress import Parts, Progress, Silent
 from framework.records.record import DIVERGED
 from framework.run import answers
-from framework.run.members import (
-    IDLE,
-    in_turn,
-    join,
-    member_seed,
-    second_seed,
-    tuning_options,
-)
+from framework.run.members import IDLE, in_turn, join, member_seed, second_seed, tuning_options
 from framework.train import schedule
 from framework.train.guard import Diverged
 from framework.train.resume.checkpoint import Checkpoints, pack, remove_checkpoints
 from framework.train.resume.state_check import check_state
-from framework.train.resume.training_state import TrainerState
 from framework.train.trainer import Evaluate, Plugins, Trained, Trainer
 from framework.types import Camera, DepthMap, Gaussians, Render, Scene
 
@@ -50,55 +42,14 @@ BYTES_PER_FLOAT, COPIES = 4, 3  # of every parameter: itself and two moments
 DIVERGING = threading.Lock()  # members may diverge at the same time, into one file
 
 
-def initial(
-    config: Mapping[str, Any],
-    scene: Scene,
-    depth: tuple[DepthMap, ...],
-    options: TrainerOptions,
-    seed: int,
-) -> Gaussians:
-    """The Gaussians that the chosen initializer starts from."""
-    builder = registry.part("init", config["init"])
-    with answers.called(f"init={config['init']['name']}: build", type(builder)):
-        gaussians: Gaussians = builder.build(scene.training, depth, options.sh_degree, seed)
-    return answers.gaussians(config["init"]["name"], type(builder), gaussians, options.sh_degree)
-
-
-@dataclass(frozen=True)
-class _Part:
-    """A training of its own within a run. name: of its checkpoints. choices: of the plugin groups.
-    tells: see `Trainer`. to_keep: its end is kept, for a later process."""
-
-    name: str
-    choices: Mapping[str, Mapping[str, Any]]
-    options: TrainerOptions
-    seed: int
-    tells: bool = True
-    to_keep: bool = False
-
-
-@dataclass(frozen=True)
-class _Opened:
-    """A part with its plugins and checkpoints, and the state that an earlier process kept."""
-
-    part: _Part
-    plugins: Plugins
-    checkpoints: Checkpoints
-    kept: TrainerState | None
-
-    @property
-    def done(self) -> int:
-        """Steps that are behind it."""
-        return 0 if self.kept is None else self.kept.step
-
-
 @dataclass(frozen=True)
 class Run:
-    """What the parts of a run have in common.
+    """What all trainings of a run share.
 
-    scene: its training photos are evened by `exposures`, if there are any. start(seed) makes the
-    Gaussians to begin with, which nobody else keeps then. force: go on with nothing that an
-    interrupted process left in `folder` under this identity.
+    Attributes:
+        scene: with evened exposures if `exposures` is given.
+        start: makes the initial Gaussians for a seed.
+        force: ignore checkpoints in `folder`.
     """
 
     scene: Scene
@@ -110,41 +61,130 @@ class Run:
     rasterizer: Rasterizer = NUMBA
     exposures: Exposures | None = None
 
+    def near(self, options: TrainerOptions) -> float:
+        """The near plane in scene units."""
+        return options.near_plane * self.scene.training.near
+
+    def test_psnr(self, options: TrainerOptions) -> Evaluate | None:
+        """A function for the mean PSNR over the test views in dB; None without test views."""
+        test = self.scene.test
+        if not test:
+            return None
+
+        def evaluate(gaussians: Gaussians, background: Tensor, sh_degree: int) -> float | None:
+            model, near = (gaussians, background, sh_degree), self.near(options)
+            render = renderer(*model, near, self.rasterizer, self.exposures)
+            images = [render(view.camera) for view in test]
+            pairs = zip(images, test, strict=True)
+            values = run_tasks([partial(psnr, image, v.image, v.mask) for image, v in pairs])
+            finite = [value for value in values if not isinstance(value, Missing)]
+            return sum(finite) / len(finite) if len(finite) == len(values) else None
+
+        return evaluate
+
+
+class Part:
+    """One of the trainings of a run: the run's own, a member, or the tuning of joined members.
+
+    Attributes:
+        name: of its checkpoints' folder.
+        kept: the state of its newest checkpoint, None for a new training.
+    """
+
+    def __init__(
+        self,
+        run: Run,
+        name: str,
+        choices: Mapping[str, Mapping[str, Any]],
+        options: TrainerOptions,
+        seed: int,
+        *,
+        warns: bool,
+        keeps_end: bool = False,
+    ) -> None:
+        self.run, self.name, self.options, self.seed = run, name, options, seed
+        self.warns, self.keeps_end = warns, keeps_end
+        self.plugins = Plugins.of(choices)
+        with plugin_call("capacity: shared"):
+            self.plugins = self.plugins.shared(options.members)
+        plugins = {key: one.plugin for key, one in self.plugins.each.items()}
+        self.checkpoints = Checkpoints(run.folder, run.identity, plugins.values(), name)
+        check = partial(check_state, training=run.scene.training, options=options, plugins=plugins)
+        self.kept = self.checkpoints.newest(check)
+        self.done = 0 if self.kept is None else self.kept.step
+
+    def train(
+        self, gaussians: Gaussians, progress: Progress, resumed: int, sh_from: int
+    ) -> Trained:
+        """Train, or continue from the newest checkpoint.
+
+        Args:
+            gaussians: the initial ones.
+            progress: shows the steps.
+            resumed: how often the run was resumed.
+            sh_from: SH degree that is active in the first step.
+        """
+        run, checkpoints = self.run, self.checkpoints
+        checkpoints.begin(COPIES * BYTES_PER_FLOAT * sum(t.numel() for _, t in gaussians.items()))
+        second = run.start(second_seed(self.seed)) if self.plugins.second_drawn else None
+        trainer = Trainer(
+            run.scene.training,
+            run.depth,
+            gaussians,
+            self.options,
+            self.plugins,
+            self.seed,
+            progress,
+            evaluate=run.test_psnr(self.options),
+            keeper=checkpoints,
+            start=self.kept,
+            sh_from=sh_from,
+            warns=self.warns,
+            rasterizer=run.rasterizer,
+            second=second,
+        )
+        self.kept = None  # the trainer has its own copies
+        del gaussians, second
+        trainer.resumed = resumed
+        try:
+            trained = trainer.run()
+        except Diverged as error:
+            state = pack(error.state, checkpoints.classes, run.identity, "diverged state")
+            with DIVERGING:
+                write_whole(run.folder / DIVERGED, state)
+            name = f"{self.name}, " if self.name else ""
+            error.args = (f"{name}{error}; the state is in {run.folder.name}/{DIVERGED}",)
+            raise
+        if self.keeps_end and self.done < self.options.steps:
+            checkpoints.keep(trainer.state())
+        return trained
+
 
 def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
-    """Train, or go on with what an interrupted process left.
+    """Train, or continue an interrupted training.
 
-    With `trainer.members` > 1 there are several trainings, each from its own draws, whose Gaussians
-    are joined and tuned: what one of them got wrong by chance weighs less. The first is that of a
-    run with one member. As many as there are threads are trained at the same time, one thread each,
-    which takes less time than all threads for one after another, unless there are two for each.
-    Raises Diverged when a training diverges; the state is in the run's folder then.
+    With `trainer.members` > 1 several trainings run, each with its own draws, and their Gaussians
+    are joined and tuned, so errors made by chance average out. The first equals a run with one
+    member. As many members train at the same time as there are threads, with one thread each,
+    unless there are two threads for each: then one after another with all threads.
+
+    Raises:
+        Diverged: a training diverged; its state is in the run's folder.
     """
     if run.force:
         remove_checkpoints(run.folder)
-    n_views = len(run.scene.training.views)
-    options = schedule.paced(schedule.shared(TrainerOptions(**config["trainer"]), n_views), n_views)
-    if options.steps > (asked := config["trainer"]["steps"]):
-        progress.note(
-            f"{options.steps} steps instead of trainer.steps={asked}: trainer.visits="
-            f"{options.visits} of each of {n_views} photos"
-        )
+    options = _paced(run, config, progress)
     for line in schedule.inert(options):
         LOG.warning(line)
-    parts = _parts(config, options)
-    opened = {index: _open(run, part) for index, part in enumerate(parts)}
-    kept = [part.kept for part in opened.values() if part.kept is not None]
-    n_steps, done = sum(part.options.steps for part in parts), sum(state.step for state in kept)
-    resumed = 1 + max(state.resumed for state in kept) if kept else 0
-    if kept:
-        progress.note(f"going on at step {done} of {n_steps}")
-    whole = Parts(progress, n_steps, [part.done for part in opened.values()])
-    del kept  # each is its training's, and goes with it
-    starts = dict[int, Gaussians]()
+    parts = _parts(run, config, options)
+    resumed = _resumed(parts, progress)
+    n_steps = sum(part.options.steps for part in parts)
+    whole = Parts(progress, n_steps, [part.done for part in parts])
 
-    def task(index: int, check: Callable[[], None], sh_from: int = 0) -> Trained:
-        part = Part(whole, index, check)
-        return _train(run, opened.pop(index), starts.pop(index), part, resumed, sh_from)
+    starts = dict[int, Gaussians]()  # each is dropped when its training has copied it
+
+    def task(k: int, check: Callable[[], None], sh_from: int = 0) -> Trained:
+        return parts[k].train(starts.pop(k), PartProgress(whole, k, check), resumed, sh_from)
 
     n, rounds = options.members, list[list[Trained]]()
     at_once = threads() if threads() < 2 * n else 1
@@ -157,11 +197,11 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
     if n == 1:
         return rounds[0][0]
     gaussians = join([member.gaussians for members in rounds for member in members])
-    # of one that lost all of its bands, as evidence may decide, the others' must not go
+    # a member may have lost all its bands (capacity=evidence); the others keep theirs
     degree = max(member.sh_degree for members in rounds for member in members)
     if len(parts) == n:
-        together = replace(in_turn(rounds, options.steps, gaussians), sh_degree=degree)
-        return _untuned(run, together, options)
+        joined = replace(in_turn(rounds, options.steps, gaussians), sh_degree=degree)
+        return _evaluated(run, joined, options)
     progress.stage("tuning of the members together")
     starts[n] = gaussians
     tuned = task(n, lambda: None, sh_from=degree)
@@ -169,124 +209,86 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
 
 
 def try_out(run: Run, config: Mapping[str, Any], options: TrainerOptions) -> Trained:
-    """One training with other options, without a look at the test views; nothing of it is kept."""
-    plugins = Plugins.of(config)
-    seed, n_views = int(config["seed"]), len(run.scene.training.views)
+    """Train once with other options, without evaluations; nothing is kept."""
+    seed = int(config["seed"])
     return Trainer(
         run.scene.training,
         run.depth,
         run.start(seed),
-        schedule.paced(options, n_views),
-        plugins,
+        schedule.paced(options, len(run.scene.training.views)),
+        Plugins.of(config),
         seed,
         Silent(),
-        tells=False,
+        warns=False,
         rasterizer=run.rasterizer,
     ).run()
 
 
-def _parts(config: Mapping[str, Any], options: TrainerOptions) -> list[_Part]:
-    """The members of a run, and their tuning if there is any."""
+def initial(
+    config: Mapping[str, Any],
+    scene: Scene,
+    depth: tuple[DepthMap, ...],
+    options: TrainerOptions,
+    seed: int,
+) -> Gaussians:
+    """Make the initial Gaussians with the chosen initializer."""
+    builder = registry.part("init", config["init"])
+    with answers.called(f"init={config['init']['name']}: build", type(builder)):
+        gaussians: Gaussians = builder.build(scene.training, depth, options.sh_degree, seed)
+    return answers.gaussians(config["init"]["name"], type(builder), gaussians, options.sh_degree)
+
+
+def _paced(run: Run, config: Mapping[str, Any], progress: Progress) -> TrainerOptions:
+    """The options of one member, with steps and rates adapted to the number of photos."""
+    n_views, given = len(run.scene.training.views), TrainerOptions(**config["trainer"])
+    options = schedule.paced(schedule.shared(given, n_views), n_views)
+    if options.steps > given.steps:
+        progress.note(
+            f"{options.steps} steps instead of trainer.steps={given.steps}: trainer.visits="
+            f"{options.visits} of each of {n_views} photos"
+        )
+    return options
+
+
+def _parts(run: Run, config: Mapping[str, Any], options: TrainerOptions) -> list[Part]:
+    """The members of a run and, if there are several, their tuning."""
     seed, n = int(config["seed"]), options.members
     if n == 1:
-        return [_Part("", config, options, seed)]
+        return [Part(run, "", config, options, seed, warns=True)]
     parts = [
-        _Part(
+        Part(
+            run,
             f"member {k + 1}",
             config,
             options,
             member_seed(seed, k),
-            tells=k == n - 1,
-            to_keep=True,
+            warns=k == n - 1,
+            keeps_end=True,
         )
         for k in range(n)
     ]
     if options.tuning > 0:
         tuned = tuning_options(options, max(1, round(options.tuning * options.steps)))
-        parts.append(_Part("tuning", IDLE, tuned, seed, tells=False))
+        parts.append(Part(run, "tuning", IDLE, tuned, seed, warns=False))
     return parts
 
 
-def _untuned(run: Run, joined: Trained, options: TrainerOptions) -> Trained:
-    """`joined` with a history that ends with what the joined Gaussians are."""
-    evaluate = _evaluation(run, options)
+def _resumed(parts: list[Part], progress: Progress) -> int:
+    """How often the run was resumed, this time included; 0 for a new one."""
+    kept = [part.kept for part in parts if part.kept is not None]
+    if not kept:
+        return 0
+    done, n_steps = sum(part.done for part in parts), sum(part.options.steps for part in parts)
+    progress.note(f"going on at step {done} of {n_steps}")
+    return 1 + max(state.resumed for state in kept)
+
+
+def _evaluated(run: Run, joined: Trained, options: TrainerOptions) -> Trained:
+    """`joined` with a history that ends with the joined Gaussians."""
+    evaluate = run.test_psnr(options)
     found = evaluate and evaluate(joined.gaussians, joined.background, joined.sh_degree)
     last = replace(joined.history[-1], test_psnr=found, gaussians=len(joined.gaussians))
     return replace(joined, history=(*joined.history[:-1], last))
-
-
-def _open(run: Run, part: _Part) -> _Opened:
-    """The part with what an earlier process kept of it."""
-    plugins = Plugins.of(part.choices)
-    with plugin_call("capacity: shared"):
-        plugins = plugins.shared(part.options.members)
-    chosen: dict[str, Plugin] = {key: one.plugin for key, one in plugins.each.items()}
-    checkpoints = Checkpoints(run.folder, run.identity, chosen.values(), part.name)
-    check = partial(check_state, training=run.scene.training, options=part.options, plugins=chosen)
-    return _Opened(part, plugins, checkpoints, checkpoints.newest(check))
-
-
-def _train(
-    run: Run,
-    opened: _Opened,
-    gaussians: Gaussians,
-    progress: Progress,
-    resumed: int,
-    sh_from: int,
-) -> Trained:
-    """One part, or what is left of it to do. resumed: how often the run was taken up again.
-    sh_from: see `Trainer`."""
-    part, checkpoints, kept = opened.part, opened.checkpoints, opened.kept
-    checkpoints.begin(COPIES * BYTES_PER_FLOAT * sum(t.numel() for _, t in gaussians.items()))
-    trainer = Trainer(
-        run.scene.training,
-        run.depth,
-        gaussians,
-        part.options,
-        opened.plugins,
-        part.seed,
-        progress,
-        _evaluation(run, part.options),
-        checkpoints,
-        kept,
-        sh_from,
-        part.tells,
-        run.rasterizer,
-        run.start(second_seed(part.seed)) if opened.plugins.second_drawn else None,
-    )
-    del gaussians  # the trainer has its own
-    trainer.resumed = resumed
-    try:
-        trained = trainer.run()
-    except Diverged as error:
-        state = pack(error.state, checkpoints.classes, run.identity, "diverged state")
-        with DIVERGING:
-            write_whole(run.folder / DIVERGED, state)
-        name = f"{part.name}, " if part.name else ""
-        error.args = (f"{name}{error}; the state is in {run.folder.name}/{DIVERGED}",)
-        raise
-    if part.to_keep and opened.done < part.options.steps:
-        checkpoints.keep(trainer.state())
-    return trained
-
-
-def _evaluation(run: Run, options: TrainerOptions) -> Evaluate | None:
-    """Mean PSNR over the test views in dB, if there are any; None where one of them has none."""
-    scene = run.scene
-    if not scene.test:
-        return None
-    near = options.near_plane * scene.training.near
-
-    def test_psnr(current: Gaussians, background: Tensor, sh_degree: int) -> float | None:
-        seen = current, background, sh_degree
-        render = renderer(*seen, near, run.rasterizer, run.exposures)
-        images = [render(view.camera) for view in scene.test]
-        pairs = zip(images, scene.test, strict=True)
-        values = run_tasks([partial(psnr, image, view.image, view.mask) for image, view in pairs])
-        finite = [value for value in values if not isinstance(value, Missing)]
-        return sum(finite) / len(finite) if len(finite) == len(values) else None
-
-    return test_psnr
 
 
 def renderer(
@@ -297,8 +299,10 @@ def renderer(
     rasterizer: Rasterizer = NUMBA,
     exposures: Exposures | None = None,
 ) -> Callable[[Camera], Tensor]:
-    """What evaluation sees: the Gaussians alone, without plugins or gradients, exposed as photos
-    around were. Images are on the CPU."""
+    """Return a function that renders a camera's image [3, H, W] for evaluation, on the CPU.
+
+    With `exposures` the image is exposed like the photos around the camera.
+    """
     draw = thinned(gaussians, background, sh_degree, near, rasterizer)
     if exposures is None:
         return lambda camera: draw(camera, None).rgb
@@ -312,11 +316,11 @@ def thinned(
     near: float,
     rasterizer: Rasterizer,
 ) -> Callable[[Camera, Tensor | None], Render]:
-    """As `renderer`, with opacities times factors [N] if there are any, and with alpha."""
+    """Return a function that renders with opacities multiplied by factors [N], or None."""
     placed = gaussians.detach().to(rasterizer.device)
 
     def render(camera: Camera, factors: Tensor | None) -> Render:
-        seen = rasterizer.render(
+        image = rasterizer.render(
             placed,
             camera,
             background=background,
@@ -325,6 +329,8 @@ def thinned(
             opacity_factors=None if factors is None else factors.to(rasterizer.device),
             depth=False,
         )
-        return replace(seen, rgb=seen.rgb.detach().to("cpu"), alpha=seen.alpha.detach().to("cpu"))
+        return replace(
+            image, rgb=image.rgb.detach().to("cpu"), alpha=image.alpha.detach().to("cpu")
+        )
 
     return render

@@ -1,8 +1,8 @@
-"""Whether plugins from outside left what the runs of a process share as it was.
+"""Checks that third-party plugins do not change the tensors that runs of a process share.
 
-A scene and its depth are read once and serve every run after it. A plugin that writes into a photo
-in place would change the other runs, plain training too, without a word. The project's own plugins
-have tests (`tests/contract`); others are looked after here, by a checksum before and after a run.
+A scene and its depth are read once for all runs. A plugin that writes into a photo in place would
+silently change the other runs, the baseline too. The project's own plugins have tests
+(`tests/contract`); for others a checksum is compared before and after a run.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from framework.types import DepthMap, Scene
 
 
 class Shared:
-    """What a run with `foreign` plugins shares with others; without any nothing is looked at."""
+    """The shared tensors of a run with `foreign` plugins; does nothing without any."""
 
     def __init__(self, foreign: list[str]) -> None:
         self._foreign = foreign
         self._known: list[tuple[str, Tensor, int]] = []
 
     def watch(self, parts: Iterable[tuple[str, Tensor]]) -> None:
-        """Remember these as they are; parts: what each is, and it."""
+        """Store the checksums of (description, tensor) pairs."""
         if self._foreign:
             self._known += [(what, tensor, checksum(tensor)) for what, tensor in parts]
 
     def changed(self) -> list[str]:
-        """What is no longer as it was."""
+        """The descriptions of changed tensors."""
         return [what for what, tensor, sum_ in self._known if checksum(tensor) != sum_]
 
     def check(self) -> None:
@@ -40,8 +40,8 @@ class Shared:
         changed = self.changed()
         if changed:
             raise UserError(
-                f"{', '.join(self._foreign)}: expected {changed[0]} unchanged, got another than"
-                " before the run; a plugin wrote into what it was given: let it clone what it"
+                f"{', '.join(self._foreign)}: expected {changed[0]} unchanged, got other"
+                " values than before the run; a plugin wrote into its input: let it clone what it"
                 " changes"
             )
 

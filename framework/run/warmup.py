@@ -1,10 +1,9 @@
 """Compile every kernel a run will need before anything is timed, or load it before a training is.
 
 Kernels are compiled on first use and kept on disk. So the first run of a checkout does a few steps
-on three tiny synthetic views with the same depth provider, trainer options and plugins; it tells
-the user where that really compiles, and afterwards what and how long. Later processes load the
-kernels in a moment. Those of the depth provider are compiled by a process beside (a process
-compiles one at a time).
+on three tiny synthetic views with the same depth provider, trainer options and plugins. It shows
+that it compiles, and how long that took. Later processes load the kernels in a moment. A process
+compiles one kernel at a time, so a second process compiles those of the depth provider.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from framework.records.progress import Progress, Silent, unwarned
 from framework.records.provenance import cpu_model
 from framework.run.plane import textured_plane
 from framework.train.epoch import Items
-from framework.train.gradient import screen_gradient, view_gradient
+from framework.train.gradient import Rendering, screen_gradient, view_gradient
 from framework.train.torch_adam import optimizer_of
 from framework.train.trainer import Plugins, Trainer
 from framework.types import DepthMap, Gaussians, TrainingSet, View
@@ -45,14 +44,12 @@ _warm: set[str] = set()  # keys this process has warmed up
 
 
 class Warmup:
-    """The warm-up of one configuration: `with Warmup(config, progress)` as early as possible,
-    `begin()` before anything is timed, `finish()` before a training is. Does nothing a second time
-    in a process.
+    """The warm-up of one configuration; does nothing a second time in a process.
 
-    Kernels that no process compiled before are compiled by `begin`. Others are loaded: the depth
-    provider's by `begin`, the rest by a thread until `finish`: that is work of the interpreter, and
-    what is done meanwhile, depth, hardly is. So the depth of a process's first run is timed
-    together with it.
+    Enter it as early as possible, call `begin()` before anything is timed and `finish()` before the
+    training. `begin` compiles kernels that were never compiled. Compiled ones are loaded: those of
+    the depth provider by `begin`, the rest by a thread until `finish`, since loading is work of the
+    interpreter and depth is work of kernels. So the time of a process's first depth includes it.
     """
 
     def __init__(self, config: Mapping[str, Any], progress: Progress) -> None:
@@ -62,7 +59,7 @@ class Warmup:
         chosen |= {"sh_degree": config["trainer"]["sh_degree"], "init": config["init"]["name"]}
         chosen |= {"rasterizer": build_rasterizer(config).name}
         chosen |= {key: config["trainer"][key] > 0 for key in ("depth_smoothness", "binocular")}
-        # an option's value may call another kernel: warmed up once per process, without a word
+        # an option's value may call another kernel: warmed up once per process
         self.key = _key(chosen | {group: config[group] for group in (*registry.GROUPS, "depth")})
         self.markers = [KERNEL_CACHE / f"warm-{_key(names)}" for names in (chosen, depth)]
         self.beside: subprocess.Popen[bytes] | None = None
@@ -70,13 +67,13 @@ class Warmup:
         if self.compiles and not self.markers[1].exists():
             self.beside = _start_beside(config["depth"])
         self.loading: threading.Thread | None = None
-        self.told = False
+        self.announced = False
 
     def __enter__(self) -> Warmup:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """A run that ends early does not leave anything beside it to disturb what comes next."""
+        """Stop the thread and the process of a run that ends early."""
         if self.loading is not None:
             self.loading.join()
         if self.beside is not None and self.beside.poll() is None:
@@ -88,7 +85,7 @@ class Warmup:
         if self.key in _warm:
             return
         if self.compiles:
-            with noticed(self._tell) as compiled:
+            with noticed(self._announce) as compiled:
                 self._compile()
             if compiled.kernels:
                 self.progress.note(
@@ -116,13 +113,13 @@ class Warmup:
                 partial(_initialize, self.config["init"], training, depth),
                 partial(_train, self.config, training, depth, gaussians, LOAD_STEPS),
             ):
-                with contextlib.suppress(Exception):  # it fails again where it is told
+                with contextlib.suppress(Exception):  # it fails again in the run, with a message
                     load()
 
-    def _tell(self) -> None:
-        """Say that kernels are compiled; once, however many a run waits for."""
-        if not self.told:
-            self.told = True
+    def _announce(self) -> None:
+        """Show once that kernels are compiled."""
+        if not self.announced:
+            self.announced = True
             self.progress.compiling(FIRST)
 
     def _compile(self) -> None:
@@ -134,7 +131,7 @@ class Warmup:
             done = True
         if self.beside is not None:
             if self.beside.poll() is None:
-                self._tell()
+                self._announce()
             self.beside.wait()  # if it failed, the next line compiles
         _estimate(self.config["depth"], training)
         _initialize(self.config["init"], training, depth)
@@ -144,7 +141,7 @@ class Warmup:
 
 
 def _key(chosen: Mapping[str, Any]) -> str:
-    """Of what was compiled, for which CPU, by which checkout: numba's cache knows files by path."""
+    """Hash of what was compiled, the CPU and the checkout: numba's cache keys files by path."""
     text = json.dumps(dict(chosen), sort_keys=True, default=str)
     return hashlib.sha256(f"{text} {cpu_model()} {__file__}".encode()).hexdigest()[:16]
 
@@ -163,7 +160,7 @@ def _start_beside(depth: Mapping[str, Any]) -> subprocess.Popen[bytes]:
 
 
 def _estimate(depth: Mapping[str, Any], training: TrainingSet) -> None:
-    # a provider of files knows nothing of synthetic views, nor does a plugin that reads by name
+    # a provider that reads files has none for synthetic views
     with contextlib.suppress(Exception):
         registry.part("depth", depth).estimate(training)
 
@@ -171,7 +168,7 @@ def _estimate(depth: Mapping[str, Any], training: TrainingSet) -> None:
 def _initialize(
     init: Mapping[str, Any], training: TrainingSet, depth: tuple[DepthMap, ...]
 ) -> None:
-    with contextlib.suppress(Exception):  # whatever it misses here; it is told in the run itself
+    with contextlib.suppress(Exception):  # it fails again in the run, with a message
         registry.part("init", init).build(training, depth, 0, 0)
 
 
@@ -194,7 +191,7 @@ def _train(
     plugins = Plugins.of(config).always()
     rasterizer = build_rasterizer(config)
     given = training, depth, gaussians, options, plugins, 0, Silent()
-    Trainer(*given, tells=False, rasterizer=rasterizer).run()
+    Trainer(*given, warns=False, rasterizer=rasterizer).run()
     _update(training.views[0], gaussians.clone().to(rasterizer.device), rasterizer)
 
 
@@ -203,9 +200,9 @@ def _update(view: View, gaussians: Gaussians, rasterizer: Rasterizer) -> None:
     in a run perhaps another than in these few steps."""
     item, adam = Items(rasterizer=rasterizer).get(view, 1), optimizer_of(rasterizer, gaussians)
     rates = dict.fromkeys(dict(gaussians.items()), 0.0)
-    how = (gaussians, item, "warm-up", 0.2)
-    adam.step_from(screen_gradient(*how, rasterizer=rasterizer)[1], rates)
-    adam.step(gaussians, view_gradient(*how, rasterizer=rasterizer)[1], rates)
+    rendering = Rendering(rasterizer=rasterizer)
+    adam.step_from(screen_gradient(gaussians, item, "warm-up", rendering)[1], rates)
+    adam.step(gaussians, view_gradient(gaussians, item, "warm-up", rendering)[1], rates)
 
 
 if __name__ == "__main__":

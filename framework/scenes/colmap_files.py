@@ -1,14 +1,21 @@
 """Strict reader of a COLMAP sparse model, whose files may come from strangers.
 
-Layouts (COLMAP's documentation, "Output format"). Binary, little-endian: each file starts with a
-uint64 count. cameras: id int32, model int32, width and height uint64, the model's float64
-parameters. images: id int32, quaternion and translation 7 float64, camera id int32, name ended by
-0, uint64 n, n x (x, y float64, point id int64). points3D: id uint64, xyz 3 float64, rgb 3 uint8,
-error float64, uint64 n, n x (image id int32, index int32 of that image's n).
+The layouts are in COLMAP's documentation, "Output format".
 
-Text, `#` starts a comment: a camera is a line of id, model, width, height and parameters; an image
-is two, of id, quaternion, translation, camera id and name, and of x y point-id triples (may be
-empty); a point is one, of id, xyz, rgb, error and its track.
+Binary, little-endian; each file starts with a uint64 count:
+
+    cameras   id int32, model int32, width and height uint64, the model's float64 parameters
+    images    id int32, quaternion and translation 7 float64, camera id int32, name ended by 0,
+              uint64 n, n x (x, y float64, point id int64)
+    points3D  id uint64, xyz 3 float64, rgb 3 uint8, error float64, uint64 n,
+              n x (image id int32, index int32 of that image's n)
+
+Text, where `#` starts a comment; an image is two lines, of which the second may be empty:
+
+    cameras   id, model, width, height, parameters
+    images    id, quaternion, translation, camera id, name
+              x, y, point id, ...
+    points3D  id, xyz, rgb, error, track
 
 Rigs and frames of newer models repeat the poses and are not read.
 """
@@ -18,6 +25,7 @@ from __future__ import annotations
 import logging
 import re
 import struct
+from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -70,8 +78,8 @@ class Point(NamedTuple):
     """A 3D point. track: [n, 2] image id, and index of the image's 2D point."""
 
     id: int
-    xyz: Sequence[float]
-    rgb: Sequence[int]
+    xyz: tuple[float, ...]
+    rgb: tuple[int, ...]
     track: NDArray[np.int64]
 
 
@@ -110,30 +118,34 @@ def read_files(folder: Path) -> Files:
 
 
 def _tracks(reader: _Binary | _Text, images: Sequence[Image]) -> Tracks:
-    """The points in the order of their ids."""
+    """The points in the order of their ids, collected in few bytes per point."""
     n_points = {image.id: image.points for image in images}
-    points: dict[int, Point] = {}
+    column = {image.id: k for k, image in enumerate(images)}
+    ids: dict[int, int] = {}  # point id -> row
+    xyz, rgb, lengths, columns = array("d"), bytearray(), array("q"), array("q")
     for point in reader.points():
-        ids, indices = point.track.T.tolist()
-        known = all(0 <= index < n_points.get(i, 0) for i, index in zip(ids, indices, strict=True))
+        image_ids, indices = point.track.T.tolist()
+        pairs = zip(image_ids, indices, strict=True)
+        listed = all(0 <= index < n_points.get(i, 0) for i, index in pairs)
         expected = "each point once, with a track of listed images"
-        _check(known and point.id not in points, reader, expected, point.id)
-        points[point.id] = point
-    cells = len(points) * len(images)
+        _check(listed and point.id not in ids, reader, expected, point.id)
+        ids[point.id] = len(ids)
+        xyz.extend(point.xyz)
+        rgb.extend(point.rgb)
+        lengths.append(len(image_ids))
+        columns.extend(column[i] for i in image_ids)
+    cells = len(ids) * len(images)
     require(
         cells <= MODEL_CELLS,
         f"{reader.where}: expected at most {MODEL_CELLS:,} points x images, got {cells:,}; filter"
         " the points or split the model",
     )
-    column = {image.id: k for k, image in enumerate(images)}
-    in_order = [points[i] for i in sorted(points)]
-    seen = np.zeros((len(points), len(images)), dtype=bool)
-    for row, point in zip(seen, in_order, strict=True):
-        row[[column[i] for i in point.track[:, 0].tolist()]] = True
-    xyz = np.array([point.xyz for point in in_order], np.float64).reshape(-1, 3)
-    rgb = np.array([point.rgb for point in in_order], np.uint8).reshape(-1, 3)
-    good = near_points(xyz)
-    return Tracks(xyz[good], rgb[good], seen[good])
+    seen = np.zeros((len(ids), len(images)), dtype=bool)
+    seen[np.repeat(np.arange(len(ids)), np.array(lengths)), np.array(columns)] = True
+    places, colours = np.array(xyz).reshape(-1, 3), np.frombuffer(rgb, np.uint8).reshape(-1, 3)
+    order = np.array([ids[i] for i in sorted(ids)], np.intp)
+    order = order[near_points(places[order])]
+    return Tracks(places[order], colours[order], seen[order])
 
 
 def _files(folder: Path) -> list[Path]:

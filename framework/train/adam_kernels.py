@@ -81,7 +81,7 @@ def adam_kernel(  # type: ignore[no-untyped-def]
         a, b = n * block // n_blocks, n * (block + 1) // n_blocks
         rate, correction = coefficients[k, 0], coefficients[k, 1]
         broken[block, k] = _adam_range(p[k][a:b], g[k][a:b], m[k][a:b], v[k][a:b], rate, correction)
-    if decay < 1 and not np.any(broken[block]):  # of what broke the error tells what it is
+    if decay < 1 and not np.any(broken[block]):  # else the error names what broke
         n = len(logits)
         _decay_range(logits, n * block // n_blocks, n * (block + 1) // n_blocks, decay)
 
@@ -102,49 +102,44 @@ def _pieces(scratch, n, banded, per_shN):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _pull_back(a, b, p, seen, g, g_offset):  # type: ignore[no-untyped-def]
-    """`project_backward` for Gaussians a ... b - 1 alone, into the pieces g. seen: what it reads
-    beside p."""
-    shN, factors, degree, camera, rows, clipped, first, sums = seen
+def _pull_back(a, b, p, shN, factors, projected, g, g_offset):  # type: ignore[no-untyped-def]
+    """`project_backward` for Gaussians a ... b - 1 alone, into the pieces g."""
+    degree, camera, rows, clipped, first, sums = projected
+    q = (p[0][3 * a : 3 * b], p[1][4 * a : 4 * b], p[2][3 * a : 3 * b], p[3][a:b])
+    of_shN = g[5].reshape(len(shN[a:b]), shN.shape[1], 3)
     project_backward(
         0,
         1,
-        p[0][3 * a : 3 * b],
-        p[1][4 * a : 4 * b],
-        p[2][3 * a : 3 * b],
-        p[3][a:b],
-        shN[a:b],
-        factors[a:b],
-        degree,
-        camera,
-        rows[16 * a : 16 * b],
-        clipped[a:b],
-        first[a : b + 1],
-        sums,
-        g[0],
-        g[1],
-        g[2],
-        g[3],
-        g[4],
-        g[5].reshape(len(shN[a:b]), shN.shape[1], 3),
-        g[6],
-        g_offset[2 * a : 2 * b],
+        (q[0], q[1], q[2], q[3], shN[a:b], factors[a:b]),
+        (degree, camera, rows[16 * a : 16 * b], clipped[a:b], first[a : b + 1], sums),
+        (g[0], g[1], g[2], g[3], g[4], of_shN, g[6], g_offset[2 * a : 2 * b]),
     )
 
 
 @kernel
 def pull_back_and_step(  # type: ignore[no-untyped-def]
-    block, n_blocks, scratch, p, seen, g_offset, m, v, coefficients, banded, broken, decay
+    block,
+    n_blocks,
+    scratch,
+    p,
+    shN,
+    factors,
+    projected,
+    g_offset,
+    m,
+    v,
+    coefficients,
+    banded,
+    broken,
+    decay,
 ):
     """Block `block` of `project_backward` and `adam_kernel` in one: the gradient of CHUNK Gaussians
     at a time goes to the scratch, from where it is used while the cache has it.
 
-    p, m, v: flat, of all the tensors of `Gaussians` in their order. seen: what the former reads
-    beside them, the first is shN [M, K, 3]. scratch: float32[CHUNK (15 + 3 K)]. banded: whether the
-    last of p, shN, ever had a gradient; else Adam would leave it as it is and its moments 0. The
-    others as in the two kernels.
+    p, m, v: flat, of all tensors of `Gaussians` in their order. shN: [M, K, 3]. scratch:
+    float32[CHUNK (15 + 3 K)]. banded: whether shN ever had a gradient; otherwise it is left alone
+    and its moments stay 0. The others as in the two kernels.
     """
-    shN = seen[0]
     per_shN = 3 * shN.shape[1]
     widths = (3, 4, 3, 1, 3, per_shN)
     begin, end = span(len(p[3]), block, n_blocks)
@@ -152,7 +147,7 @@ def pull_back_and_step(  # type: ignore[no-untyped-def]
     for a in range(begin, end, CHUNK):
         b = min(a + CHUNK, end)
         g = _pieces(scratch, b - a, min(b, len(shN)) - min(a, len(shN)), per_shN)
-        _pull_back(a, b, p, seen, g, g_offset)
+        _pull_back(a, b, p, shN, factors, projected, g, g_offset)
         for k in range(len(p) if banded else len(p) - 1):
             i, j = widths[k] * a, widths[k] * b
             rate, correction = coefficients[k, 0], coefficients[k, 1]

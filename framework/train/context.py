@@ -1,4 +1,4 @@
-"""What a plugin may see of a training at one moment: how its `StepContext` is made."""
+"""Makes the `StepContext` that a plugin gets at one moment of a training."""
 
 from __future__ import annotations
 
@@ -28,9 +28,14 @@ CPU = "cpu"
 
 @dataclass(frozen=True)
 class Conditions:
-    """What stays the same over a training. background: [3]. near: nothing nearer is drawn, in scene
-    units. seed: of every draw. rasterizer: who draws. field: in whose name plugins draw: the
-    first's is empty. made: what was asked for `once`, by its key."""
+    """The constants of a training.
+
+    Attributes:
+        background: [3].
+        near: the near plane in scene units.
+        field: prefix of the plugins' random streams, empty for the first field.
+        made: values of `once` by key.
+    """
 
     training: TrainingSet
     depth: tuple[DepthMap, ...]
@@ -42,14 +47,14 @@ class Conditions:
     field: str = ""
     made: dict[str, Any] = dataclasses.field(default_factory=dict, repr=False)
 
-    @cached_property  # goes with the square of the number of views
+    @cached_property  # costs the square of the number of views
     def spacing(self) -> float:
         """Mean distance of a training camera to the next; of a single one the extent."""
         cameras = [view.camera for view in self.training.views]
         return mean_neighbour_distance(cameras) or self.training.extent
 
     def supports(self) -> tuple[Support, ...]:
-        """The training views, ready to be warped: as large as the photos, so made for who asks."""
+        """The training views prepared for warping, made on demand as they are large."""
         from framework.warp.zbuffer import prepare
 
         found: tuple[Support, ...] = self.once(
@@ -58,7 +63,7 @@ class Conditions:
         return found
 
     def once(self, key: str, make: Callable[[], Any]) -> Any:
-        """See `StepContext`; a second field has what the first made."""
+        """See `StepContext`; both fields share the values."""
         if key not in self.made:
             self.made[key] = make()
         return self.made[key]
@@ -66,10 +71,14 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Moment:
-    """Where a training stands. gaussians: detached. version: changes with their number or order.
-    sh_degree: the active one. turn: 0 for the update on the step's real view, from 1 for those of
-    pseudo views that have their own; each has draws of its own, and the first's never change.
-    behind, other: see `StepContext`."""
+    """A moment of a training.
+
+    Attributes:
+        version: changes with the number or order of the Gaussians.
+        turn: 0 for the update on the step's real view, from 1 for separate updates of pseudo
+            views. Each turn has separate draws.
+        behind, other: see `StepContext`.
+    """
 
     step: int
     epoch: int
@@ -82,22 +91,24 @@ class Moment:
 
 
 class Fetched(Gaussians):
-    """Gaussians of another device, each tensor copied to the CPU when it is first asked for, and
-    again where it has changed since: most plugins look at few of them in few steps. A gradient in
-    a copy is one in its source."""
+    """Gaussians of another device, whose tensors are copied to the CPU on access.
+
+    A changed tensor is copied again. Most plugins use few tensors in few steps. A gradient in a
+    copy is a gradient in its source.
+    """
 
     _source: Gaussians
     _copies: dict[str, tuple[int, Tensor]]
 
     def __new__(cls, source: Gaussians | None = None, **tensors: Tensor) -> Any:
-        """Of tensors, as `dataclasses.replace` makes another, ordinary Gaussians."""
+        """Make ordinary Gaussians from tensors, as `dataclasses.replace` does."""
         return Gaussians(**tensors) if source is None else super().__new__(cls)
 
     def __init__(self, source: Gaussians) -> None:
         object.__setattr__(self, "_source", source)
         object.__setattr__(self, "_copies", {})
 
-    def __getattr__(self, name: str) -> Tensor:  # asked where there is no attribute
+    def __getattr__(self, name: str) -> Tensor:  # called where there is no attribute
         if name not in NAMES:
             raise AttributeError(name)
         tensor: Tensor = getattr(self._source, name)
@@ -117,14 +128,14 @@ class Fetched(Gaussians):
 
 
 def on_cpu(gaussians: Gaussians) -> Gaussians:
-    """As plugins see Gaussians, which may be on another device."""
+    """The Gaussians for plugins, which work on the CPU."""
     return gaussians if gaussians.means.device.type == CPU else Fetched(gaussians)
 
 
 def step_context(
     of: Conditions, now: Moment, owner: str, log: Callable[[str, float], None]
 ) -> StepContext:
-    """What the plugin `owner` sees now; its random draws are its own."""
+    """Make the context of a plugin; `owner` names its random streams."""
     gaussians, active, rasterizer = now.gaussians, now.sh_degree, of.rasterizer
     fixed: dict[str, Any] = {"background": of.background, "near": of.near}
 

@@ -1,21 +1,19 @@
-"""One update of the Gaussians: Adam's step down the losses on one or several views."""
+"""One update of the Gaussians: a step of Adam on the losses of one or several views."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from framework.backends import Rasterizer
 from framework.compute import portable
 from framework.plugin import GradientAt, StepStats
 from framework.train.adam_kernels import LOWEST_LOGIT
 from framework.train.epoch import Item
-from framework.train.gradient import Penalty, screen_gradient, step_stats, view_gradient
+from framework.train.gradient import Penalty, Rendering, screen_gradient, step_stats, view_gradient
 from framework.train.guard import check_loss, diverged
 from framework.train.optimizer import Optimizer
 from framework.types import Gaussians
@@ -26,80 +24,96 @@ TINY = 1e-30  # an opacity that has a logit
 
 @dataclass(frozen=True)
 class Regularization:
-    """What regularizers make of an update; nothing by default.
+    """What regularizers contribute to an update; nothing by default.
 
-    factors: [N] of the opacities. penalty: of some Gaussians, what the loss terms add to the loss
-    on a render of them; None for nothing. mixed: the gradient that the optimizer gets, of the
-    loss's own and of what gives it elsewhere.
+    Attributes:
+        factors: [N], multiply the opacities.
+        penalty: makes the added loss term for some Gaussians.
+        gradient: replaces the loss's gradient.
     """
 
     factors: Tensor | None = None
     penalty: Callable[[Gaussians], Penalty] | None = None
-    mixed: Callable[[Gradients, GradientAt], Gradients] | None = None
+    gradient: Callable[[Gradients, GradientAt], Gradients] | None = None
 
 
 @dataclass(frozen=True)
 class Fading:
-    """Opacities are multiplied by `decay` in (0, 1] after an update. spare: a Gaussian whose
-    opacity the loss pulls at as hard as at the mean one's loses exp(-spare) of that, see `fade`."""
+    """Opacities are multiplied by `decay` in (0, 1] after an update. With `spare` > 0 those with a
+    larger gradient fade less, see `fade`."""
 
     decay: float = 1.0
     spare: float = 0.0
 
     @property
-    def alike(self) -> bool:
-        """Whether all Gaussians fade alike, which the optimizer does on its way."""
+    def uniform(self) -> bool:
+        """Whether all Gaussians fade alike, which the optimizer does in passing."""
         return self.spare == 0 or self.decay == 1
 
 
-def descend(
-    params: Gaussians,
-    optimizer: Optimizer,
-    items: Sequence[Item],
-    step: int,
-    rates: Mapping[str, float],
-    fading: Fading,
-    ssim_weight: float,
-    acting: Regularization,
-    wanted: Sequence[str],
-    rasterizer: Rasterizer,
-    absolute: bool,
-    **rendered: Any,
-) -> tuple[list[float], StepStats]:
-    """Update `params` in place by the sum of the losses on the views of `items`; gives the
-    weighted loss on each of them and what was seen of the first one.
+@dataclass(frozen=True)
+class Update:
+    """What an update does.
 
-    step: for messages. rates: of every tensor. wanted: the parameters whose gradient the capacity
-    sees. absolute: whether it sees the absolute gradient on the screen. rendered: how, see
-    `Rasterizer.render`, but for the factors of `acting`. A lone view's gradient goes from the
-    screen into Adam while the cache has it, unless somebody looks at it; the others' are summed as
-    a whole. Raises Diverged.
+    Attributes:
+        rates: learning rate of every tensor.
+        rendering: without opacity factors.
+        requested: parameters whose gradient a capacity sees.
+        absolute: whether a capacity sees absolute gradients.
     """
-    first, rendered = items[0], {**rendered, "opacity_factors": acting.factors}
-    where = _on(f"training step {step} on view", first)
-    looked_at = acting.penalty or acting.mixed or wanted or first.beside or not fading.alike
-    if len(items) == 1 and not looked_at:
-        how = (where, ssim_weight, rasterizer)
-        loss, found = screen_gradient(params, first, *how, absolute=absolute, **rendered)
+
+    step: int
+    rates: Mapping[str, float]
+    rendering: Rendering
+    regularization: Regularization
+    fading: Fading
+    requested: Sequence[str] = ()
+    absolute: bool = False
+
+    def place(self, item: Item) -> str:
+        """The place of a view's loss, for messages."""
+        return f"training step {self.step} on view '{item.view.name}'"
+
+
+def descend(
+    params: Gaussians, optimizer: Optimizer, items: Sequence[Item], update: Update
+) -> tuple[list[float], StepStats]:
+    """Update `params` in place by the sum of the losses on the views of `items`.
+
+    The gradient of a single view goes from the screen into Adam while the cache has it, unless
+    something needs it as a whole.
+
+    Returns:
+        The weighted loss on each view, and the stats of the first view.
+
+    Raises:
+        Diverged: the loss or the new parameters are not finite.
+    """
+    first, acting, fading = items[0], update.regularization, update.fading
+    rendering = replace(update.rendering, opacity_factors=acting.factors)
+    whole = acting.penalty or acting.gradient or update.requested or first.beside
+    if len(items) == 1 and not whole and fading.uniform:
+        loss, gradient = screen_gradient(
+            params, first, update.place(first), rendering, update.absolute
+        )
         losses = [loss]
-        broken, means2d = optimizer.step_from(found, rates, fading.decay)
-        stats = step_stats(first, means2d, found.radii, found.absolute, **rendered)
+        broken, means2d = optimizer.step_from(gradient, update.rates, fading.decay)
+        stats = step_stats(first, means2d, gradient.radii, rendering, gradient.absolute)
     else:
+        gradients: Gradients
+        losses, gradients, stats = _summed(params, items, update, rendering, update.absolute)
+        if acting.gradient is not None:
 
-        def whole(of: Gaussians, seen: bool = False) -> tuple[list[float], Gradients, StepStats]:
-            penalty = None if acting.penalty is None else acting.penalty(of)
-            options = (ssim_weight, penalty, rasterizer, seen)
-            return _summed(of, items, step, wanted, *options, **rendered)
+            def elsewhere(other: Gaussians) -> Gradients:
+                return _summed(other.leaves(), items, update, rendering)[1]
 
-        losses, gradients, stats = whole(params, absolute)
-        if acting.mixed is not None:
-            gradients = acting.mixed(gradients, lambda other: whole(other.leaves())[1])
-        decay = fading.decay if fading.alike else 1.0
-        broken = optimizer.step(params, gradients, rates, decay)
-        if not fading.alike:
+            gradients = acting.gradient(gradients, elsewhere)
+        decay = fading.decay if fading.uniform else 1.0
+        broken = optimizer.step(params, gradients, update.rates, decay)
+        if not fading.uniform:
             fade(params, gradients["opacity_logits"], fading)
     if broken:
-        raise diverged(broken, where, params.detach(), optimizer.state())
+        raise diverged(broken, update.place(first), params.detach(), optimizer.state())
     return losses, stats
 
 
@@ -111,68 +125,63 @@ def substep(
     step: int,
     rates: Mapping[str, float],
 ) -> None:
-    """One step of the optimizer down `loss`, a scalar of `params`, of the tensors `names` alone.
-    Raises Diverged."""
+    """Take a step of the optimizer down a regularizer's `loss`, for the tensors `names` alone.
+
+    Raises:
+        Diverged: the loss or the new parameters are not finite.
+    """
     where = f"a regularizer's own update in training step {step}"
     check_loss(float(loss.detach()), where, params)
     tensors = dict(params.items())
-    found = torch.autograd.grad(loss, [tensors[name] for name in names], allow_unused=True)
-    broken = optimizer.step(params, dict(zip(names, found, strict=True)), rates)
+    gradients = torch.autograd.grad(loss, [tensors[name] for name in names], allow_unused=True)
+    broken = optimizer.step(params, dict(zip(names, gradients, strict=True)), rates)
     if broken:
         raise diverged(broken, where, params.detach(), optimizer.state())
 
 
 def fade(params: Gaussians, in_logits: Tensor, fading: Fading) -> None:
     """Multiply every opacity in place by 1 - (1 - decay) exp(-spare g / mean g), g the size of the
-    loss's gradient in it (StereoGS 2026, its relative opacity decay, with spare = 0.5): what the
-    photos hold on to fades less.
+    loss's gradient in it: what the photos need fades less.
 
-    in_logits: [N], the gradient in the logits.
+    Args:
+        params: the Gaussians.
+        in_logits: [N], the gradient in the logits.
+
+    Source: StereoGS (2026), relative opacity decay, with spare = 0.5.
     """
     with torch.no_grad():
         logits = params.opacity_logits
         opacities = portable.sigmoid(logits.cpu().numpy())
-        pull = np.abs(in_logits.cpu().numpy()) / np.maximum(opacities * (1 - opacities), 1e-12)
-        relative = pull / max(float(pull.mean()), 1e-30)
+        size = np.abs(in_logits.cpu().numpy()) / np.maximum(opacities * (1 - opacities), 1e-12)
+        relative = size / max(float(size.mean()), 1e-30)
         factors = 1 - (1 - fading.decay) * portable.exp(-fading.spare * relative)
-        kept = factors < 1  # an opacity of 1 has no logit
-        faded = portable.logit(np.where(kept, np.maximum(opacities * factors, TINY), 0.5))
-        faded = np.maximum(faded, LOWEST_LOGIT)
-        logits.copy_(
-            torch.where(
-                torch.from_numpy(kept).to(logits.device), torch.from_numpy(faded).to(logits), logits
-            )
-        )
+        finite = factors < 1  # an opacity of 1 has no logit
+        faded = portable.logit(np.where(finite, np.maximum(opacities * factors, TINY), 0.5))
+        lower = torch.from_numpy(np.maximum(faded, LOWEST_LOGIT)).to(logits)
+        logits.copy_(torch.where(torch.from_numpy(finite).to(logits.device), lower, logits))
 
 
 def _summed(
     params: Gaussians,
     items: Sequence[Item],
-    step: int,
-    wanted: Sequence[str],
-    ssim_weight: float,
-    penalty: Penalty | None,
-    rasterizer: Rasterizer,
-    absolute: bool,
-    **rendered: Any,
+    update: Update,
+    rendering: Rendering,
+    absolute: bool = False,
 ) -> tuple[list[float], dict[str, Tensor], StepStats]:
-    """(loss on each view, gradient of their sum in every parameter, what was seen of the first)."""
-    options = (ssim_weight, penalty, rasterizer)
-    where = f"training step {step} on view"
+    """The loss on each view, the gradient of their sum by parameter, the stats of the first."""
+    acting = update.regularization
+    penalty = None if acting.penalty is None else acting.penalty(params)
     first, *others = items
     loss, gradients, stats = view_gradient(
-        params, first, _on(where, first), *options, absolute, **rendered
+        params, first, update.place(first), rendering, penalty, absolute
     )
     losses = [loss]
-    if wanted:
-        stats = replace(stats, gradients={name: gradients[name].clone() for name in wanted})
+    if update.requested:
+        requested = {name: gradients[name].clone() for name in update.requested}
+        stats = replace(stats, gradients=requested)
     for item in others:
-        loss, more, _ = view_gradient(params, item, _on(where, item), *options, **rendered)
+        loss, more, _ = view_gradient(params, item, update.place(item), rendering, penalty)
         losses.append(loss)
         for name, gradient in more.items():
             gradients[name].add_(gradient)
     return losses, gradients, stats
-
-
-def _on(where: str, item: Item) -> str:
-    return f"{where} '{item.view.name}'"

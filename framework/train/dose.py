@@ -1,7 +1,7 @@
-"""How much of its methods a training got, counted as it goes and told in the run's record.
+"""Counts how much the methods of a training acted, for the run's record.
 
-A method that is chosen may still hardly act: pseudo views are refused, a dropout rate rounds to
-nothing, a loss is outweighed. So every occasion is counted, and a checkpoint holds the counts.
+A chosen method may hardly act: pseudo views are refused, a dropout rate rounds to 0, a loss is
+outweighed. So every call is counted; checkpoints hold the counts.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ class Dose:
         self._tallies: dict[str, tuple[int, float]] = {}
 
     def open(self, *names: str) -> None:
-        """Name what may happen, so that it is told also if it never does."""
+        """Name a tally, so that it is recorded even if it stays 0."""
         for name in names:
             self._tallies.setdefault(name, NONE)
 
     def add(self, name: str, value: float = 0.0) -> None:
-        """Once more, with this value."""
+        """Count one more, with this value."""
         count, total = self[name]
         self._tallies[name] = count + 1, total + float(value)
 
@@ -39,16 +39,16 @@ class Dose:
         return self._tallies.get(name, NONE)
 
     def kept(self) -> dict[str, tuple[int, float]]:
-        """What a checkpoint holds."""
+        """The tallies for a checkpoint."""
         return dict(self._tallies)
 
-    def take_up(self, kept: Tallies) -> None:
-        """Go on from what a checkpoint held."""
+    def load(self, kept: Tallies) -> None:
+        """Continue from the tallies of a checkpoint."""
         self._tallies = dict(kept)
 
 
 def joined(parts: Iterable[Tallies]) -> Tallies:
-    """Of several trainings as one."""
+    """The tallies of several trainings together."""
     whole: dict[str, tuple[int, float]] = {}
     for part in parts:
         for name, (count, total) in part.items():
@@ -58,20 +58,22 @@ def joined(parts: Iterable[Tallies]) -> Tallies:
 
 
 def told(of: Tallies) -> Told:
-    """What a record tells, empty without a method; a text stands where there is no number.
+    """Return the record's counts, empty without a method; texts replace undefined numbers.
 
-    Of an augmenter: `views_asked`, the epochs that asked for a pseudo view; `views_made`, the
-    views that these gave to train on; `refused_WHY`, epochs without one, by what the plugin logged
-    last as the reason, and `refused_other`; `NAME_mean` of all else that it logged (of a warping
-    one `coverage`, of the frame, `coverage_of_depth`, `supports`, `support_distance`, `nearest`,
-    that the nearest photo is one of them, `support_rank`, their mean place by nearness);
-    `pseudo_share_of_loss`, the pseudo views' weighted photometric losses over those of all views;
-    `pseudo_share_of_views`, the same of the number of renders. Of a regularizer: `NAME_mean` of
-    what it logged; of one that drops, `share_dropped_mean`, the share of Gaussians with a smaller
-    opacity, mean over all training steps; of several regularizers each of these begins with the
-    plugin's name. `augment_acted_share`, `reg_acted_share`: of the
-    occasions on which it was asked (epochs, steps), those on which it acted; `acted_share`: the
-    smaller one.
+    Augmenter:
+        views_asked: epochs that called it.
+        views_made: pseudo views that were trained on.
+        refused_WHY: epochs without a view, by the last reason logged; refused_other for the rest.
+        NAME_mean: mean of every other value that it logged.
+        pseudo_share_of_loss: pseudo views' share of the weighted photometric losses.
+        pseudo_share_of_views: the same of the number of renders.
+
+    Regularizer (with several, names begin with the plugin's name):
+        NAME_mean: mean of every value that it logged.
+        share_dropped_mean: share of Gaussians with a reduced opacity, mean over training steps.
+
+    Both: augment_acted_share and reg_acted_share are the shares of the calls in which the method
+    acted; acted_share is the smaller one.
     """
     found = _of_augmenter(of) if "augment.asked" in of else {}
     for owner in sorted(name.removesuffix(".asked") for name in of if name.endswith(".asked")):

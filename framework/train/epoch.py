@@ -1,4 +1,4 @@
-"""The views of an epoch: their order, and each ready for a step at the resolution of the moment."""
+"""The views of an epoch: their order, and their preparation at the current resolution."""
 
 from __future__ import annotations
 
@@ -12,19 +12,17 @@ from torch import Tensor
 
 from framework.backends import NUMBA, Rasterizer
 from framework.compute.rng import stream
-from framework.train.binocular import Beside
-from framework.train.smoothness import DepthSmoothness
+from framework.train.depth_priors import Beside, DepthSmoothness
 from framework.types import View
 
 
 def ordered(
     real: Sequence[View], pseudo: Sequence[View], seed: int, epoch: int
 ) -> list[tuple[View, ...]]:
-    """The steps of an epoch: a real view each, and after it the pseudo views that join its step, or
-    have steps of their own just before it (`trainer.pseudo_steps`).
+    """Return the steps of an epoch: each has one real view and the pseudo views of its step.
 
-    The order of the real ones depends on (seed, epoch) alone; a pseudo view joins a step by a draw
-    of its own. So all methods of a seed see the same real view at every step.
+    The order of the real views depends on (seed, epoch) alone, and pseudo views are assigned by a
+    separate draw. So all methods of a seed see the same real view at every step.
     """
     order = stream(seed, "epoch", epoch).permutation(len(real))
     steps: list[tuple[View, ...]] = [(real[i],) for i in order]
@@ -37,9 +35,13 @@ def ordered(
 
 @dataclass(frozen=True)
 class Item:
-    """A view at the resolution that is trained now, on the CPU, with what the loss needs of it, on
-    the rasterizer's device. smoothing: the weights of its render's steps in depth, if any. beside:
-    the camera from which it is seen again in this step, if any."""
+    """A view at the current resolution, on the CPU, with the inputs of its loss.
+
+    Attributes:
+        target: for the photometric loss, on the rasterizer's device.
+        smoothing: weights of the depth smoothness.
+        beside: the second camera of this step.
+    """
 
     view: View
     target: Any
@@ -93,9 +95,9 @@ class Items:
 
 
 def _marks(view: View) -> tuple[object, ...]:
-    """What tells whether a pseudo view is as it was."""
+    """Values that change when a pseudo view changes."""
     tensors = [tensor for tensor in (view.image, view.mask, view.depth) if tensor is not None]
-    # of one that torch does not count the writes into, nobody knows: never the same
+    # torch does not count writes into inference tensors: always taken as changed
     written = [object() if t.is_inference() else (id(t), t._version) for t in tensors]
     return len(tensors), id(view.camera), view.weight, view.tags, view.lens, *written
 
@@ -117,8 +119,8 @@ def _over_covered(view: View) -> View:
 def _smaller(view: View, factor: int) -> tuple[Tensor, Tensor | None]:
     """Image and mask.
 
-    A coarse pixel of a photo is valid if all the pixels it covers are; one of a pseudo view, which
-    is full of small holes, if half of them are, and has their mean.
+    A coarse pixel of a photo is valid if all the pixels it covers are valid. Pseudo views have many
+    small holes: there half of the pixels must be valid, and the pixel is their mean.
     """
     if view.mask is None:
         return box_mean(view.image, factor), None

@@ -1,5 +1,5 @@
-"""Divergence is caught at the step where it happens: loss, gradients, moments and parameters are
-finite after every step, or the training ends and tells which of them is not."""
+"""Detects divergence: the training ends at the first step whose loss, gradients, moments or
+parameters are not finite, with a message that names them."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ SLOPES = (
 
 
 class Diverged(UserError):
-    """A training that cannot go on. state: what to look at, values that `framework.files.tree`
-    holds."""
+    """A training that cannot continue. state: values for inspection that `framework.files.tree`
+    can store."""
 
     kind = "diverged"
 
@@ -56,8 +56,8 @@ def check_appended(appended: Gaussians, where: str) -> None:
 def diverged(names: tuple[str, ...], where: str, gaussians: Gaussians, adam: AdamState) -> Diverged:
     """The error of a step that left the tensors `names` (parameters or moments) not finite.
 
-    gaussians, adam: after the step. A gradient is told by what it left in the moments, as it is not
-    kept itself: an infinite one is infinite in the first, NaN is NaN in the second.
+    gaussians, adam: after the step. Gradients are not kept, but recognised by the moments. An
+    infinite gradient makes the first moment infinite, NaN makes the second NaN.
     """
     name = names[0]
     first, second = getattr(adam.first, name), getattr(adam.second, name)

@@ -21,7 +21,7 @@ from framework.train.adam_kernels import BETA1, BETA2, CHUNK, adam_kernel, pull_
 from framework.train.optimizer import AdamState, Optimizer
 from framework.types import Gaussians
 
-# stands for a tensor without gradient: tuples of another length would be compiled anew
+# replaces a tensor without gradient: tuples of another length would be compiled again
 _NOTHING = (np.empty(0, dtype=np.float32),) * 4
 
 
@@ -82,7 +82,9 @@ class Adam(Optimizer):
         run_blocks(
             pull_back_and_step,
             p,
-            work.backward_inputs(),
+            work.arrays.shN,
+            work.arrays.factors,
+            work.projected(),
             means2d.reshape(-1),
             m,
             v,
@@ -114,7 +116,7 @@ class Adam(Optimizer):
         return self._views[2]
 
     def _flat_views(self, params: Gaussians) -> list[tuple[np.ndarray, ...]]:
-        """Of every parameter and its moments, made once for many steps."""
+        """Flat views of every parameter and its moments, made once for many steps."""
         views: list[tuple[np.ndarray, ...]] = []
         for name, parameter in params.items():
             first, second = getattr(self._first, name), getattr(self._second, name)

@@ -38,9 +38,7 @@ class RunningPlugin:
 
     Attributes:
         key: of its state: its group, or `group.name` where several plugins of a group run.
-        rng_key: names its random streams. The first plugin of a group uses the group's name, so it
-            draws the same alone and with others.
-        chosen: the plugin with its weight and span.
+        rng_key: names its random streams. The first plugin uses the group's name.
         started: whether `state` was initialised.
         acted: whether it acted in the current update.
     """
@@ -185,10 +183,8 @@ class PluginCalls:
         """Let the capacities change the set after a step, one after another.
 
         Args:
-            now: the moment after the step.
-            stats: what the step measured.
-            apply: applies edits; returns the new Gaussians, and for each its previous row, or None
-                where rows did not change.
+            apply: applies edits; returns the new Gaussians and their previous rows, None if rows
+                did not change.
         """
         if stats.radii.device.type != CPU:  # plugins work on the CPU
             stats = stats.map(Tensor.cpu)

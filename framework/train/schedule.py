@@ -42,16 +42,15 @@ def paced(options: TrainerOptions, n_views: int) -> TrainerOptions:
     """The options as they hold for a single step, `pace_*` being 0.
 
     Rates and decay are given for `pace_steps` steps on `pace_views` views.
-    - Adam moves a parameter by about its rate in every step whatever the gradient's size, so the
-      sum of the rates is the way it can go. A longer training goes the same way in more, smaller
-      steps, which have less noise. It is longer only if it visits every view `VISITS` times, and a
-      shorter one cannot take larger steps.
-    - With V views, V - 1 others pull between two visits of one: the noise of the way grows with V,
-      so rates fall with V^-VIEWS_EXPONENT (by trial).
+    - Adam moves a parameter by about its rate in every step, for any gradient, so the sum of the
+      rates bounds its path. A longer training takes more, smaller steps with less noise. It must
+      visit every view `VISITS` times; a shorter one does not take larger steps.
+    - With V views, V - 1 others act between two visits of one. The noise grows with V, so rates
+      fall with V^-VIEWS_EXPONENT (chosen by experiment).
     - The second camera costs as much as a step, and a short training gains more from a step. So it
-      waits until a training has the steps that its views pay for.
-    - Fading is a prior against Gaussians that no photo asks for. It competes with the rates, so it
-      slows with them; and it holds once, not once per photo: each of V views does 1/V of it.
+      starts after `enough_steps`.
+    - Fading is a prior against Gaussians that no photo supports. It competes with the rates, so it
+      slows with them. It holds once, not once per photo: each of V views does 1/V of it.
     """
     o = options
     fewer = min(1.0, o.pace_views / n_views) if o.pace_views else 1.0
@@ -69,27 +68,26 @@ def paced(options: TrainerOptions, n_views: int) -> TrainerOptions:
 
 
 def inert(options: TrainerOptions) -> list[str]:
-    """A line for each of the `paced` options that was set and, with the others, changes nothing."""
-    o, told = options, []
+    """Return a warning for each option that was set and has no effect with the others."""
+    o, lines = options, []
     if o.members == 1 and o.tuning != TrainerOptions.tuning:
-        told.append(
-            f"trainer.tuning={o.tuning:g}: with trainer.members=1 nothing is joined that could be"
-            " tuned, so it changes nothing; set trainer.members=2 or more"
+        lines.append(
+            f"trainer.tuning={o.tuning:g}: with trainer.members=1 no members are joined and tuned,"
+            " so it has no effect; set trainer.members=2 or more"
         )
     late = math.ceil(o.binocular_from * o.steps) >= o.steps
     if late and o.binocular not in (0, TrainerOptions.binocular):
-        told.append(
+        lines.append(
             f"trainer.binocular={o.binocular:g}: begins after step"
-            f" {math.ceil(o.binocular_from * o.steps)} of {o.steps}, so it changes nothing; it"
-            " begins at trainer.binocular_from, and after the steps that the photos pay for: take"
-            " more trainer.steps, or trainer.pace_steps=0"
+            f" {math.ceil(o.binocular_from * o.steps)} of {o.steps}, so it has no effect; set more"
+            " trainer.steps, a smaller trainer.binocular_from, or trainer.pace_steps=0"
         )
     if o.opacity_decay == 1 and o.opacity_spare != TrainerOptions.opacity_spare:
-        told.append(
+        lines.append(
             f"trainer.opacity_spare={o.opacity_spare:g}: with trainer.opacity_decay=1 no opacity"
-            " fades, so it changes nothing"
+            " fades, so it has no effect"
         )
-    return told
+    return lines
 
 
 def learning_rates(options: TrainerOptions, step: int, extent: float) -> dict[str, float]:
@@ -113,8 +111,10 @@ def sh_degree(options: TrainerOptions, step: int, stored: int, first: int = 0) -
 
 
 def downsampling(options: TrainerOptions, step: int, view: View) -> int:
-    """By which integer factor a view is box-downsampled now. A pseudo view, warped from photos, has
-    little to say about fine detail and is drawn in a fraction of the time when it is small."""
+    """Return the integer factor by which a view is box-downsampled now.
+
+    A warped pseudo view has little fine detail, and a small one takes a fraction of the time.
+    """
     factor = coarse_factor(options, step)
     if view.pseudo:
         factor = max(factor, options.pseudo_factor)

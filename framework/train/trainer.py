@@ -1,14 +1,18 @@
-"""The shared trainer: every method of a study runs this loop with the same options.
+"""The shared trainer: all methods of a study run this loop with the same options.
 
-A training step: pick the epoch's next view -> the regularizer scales opacities -> rasterize ->
-photometric loss (+ regularizer term) -> gradient -> Adam -> the capacity plugin edits the set. At
-each epoch's start the augmenter may add pseudo views; each joins the step of a real one and adds
-its weighted loss, or has an update of its own before it (`trainer.pseudo_steps`). A step is one
-real view's in both cases and what pseudo views do comes on top: so every method takes the same
-steps on the same real views, and rates, SH bands, capacity, evaluations and checkpoints, which go
-by the step, mean the same for all. The paper counts both: its T updates with one pseudo view per
-epoch of K photos are T K / (K + 1) steps here. The trainer holds a `TrainingSet`, so no test view
-can be reached from here; `evaluate` is a callback that sees only the Gaussians.
+A training step picks the epoch's next view, renders it with the regularizers' opacity factors,
+takes the gradient of the photometric loss and the regularizers' terms, takes a step of Adam and
+lets the capacity plugins edit the set of Gaussians. At the start of an epoch the augmenter may add
+pseudo views. Each joins the step of one real view and adds its weighted loss, or has its own update
+before that step (`trainer.pseudo_steps`).
+
+A step is always one of a real view. So all methods take the same steps on the same real views.
+Everything counted in steps (rates, SH bands, capacity, evaluations) means the same for all. The
+paper counts pseudo views too: its T updates with one pseudo view per epoch of K photos are
+T K / (K + 1) steps here.
+
+The trainer has a `TrainingSet`, so test views cannot be reached from here; `evaluate` is a callback
+that is given only the Gaussians.
 """
 
 from __future__ import annotations
@@ -17,7 +21,6 @@ import logging
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -31,33 +34,37 @@ from framework.plugin import Edits, StepStats
 from framework.records.progress import Progress
 from framework.records.run_files import HistoryRow
 from framework.train import schedule
-from framework.train.binocular import Binocular
 from framework.train.context import Conditions, Moment
-from framework.train.descent import Fading, descend, substep
+from framework.train.depth_priors import Binocular, DepthSmoothness
+from framework.train.descent import Fading, Update, descend, substep
 from framework.train.dose import Dose
 from framework.train.epoch import Item, Items, ordered
 from framework.train.field import Field
+from framework.train.gradient import Rendering
 from framework.train.plugin_calls import PluginCalls
 from framework.train.resume.training_state import Keeper, Plugins, Trained, TrainerState
-from framework.train.smoothness import DepthSmoothness
 from framework.types import DepthMap, Gaussians, TrainingSet, View
 
 LOG = logging.getLogger(__name__)
-HISTORY_ROWS = 60  # about so many rows of history per run, beside the evaluations
+HISTORY_ROWS = 60  # per run, besides those of evaluations
 
 Evaluate = Callable[[Gaussians, Tensor, int], float | None]
 
 
 class Trainer:
-    """One training. `run` may be called once.
+    """One training; `run` may be called once.
 
-    evaluate(gaussians, background [3], sh_degree) -> mean test PSNR in dB, or None; called at the
-    evaluation steps with copies, and its time does not count. keeper: is offered the state after
-    every step. start: a kept state of the same training, to go on from instead of `gaussians`.
-    sh_from: the degree of SH that is active in the first step. tells: whether to warn of a method
-    that did nothing. rasterizer: who draws; parameters, moments and targets are on its device, what
-    is given and what comes out on the CPU. second: what a second field begins with; None: with what
-    the first does.
+    Args:
+        evaluate: (gaussians, background [3], sh_degree) -> mean test PSNR in dB, or None. It gets
+            copies at the evaluation steps, and its time does not count.
+        keeper: is offered the state after every step.
+
+        start: a kept state of the same training, to continue from.
+        sh_from: SH degree that is active in the first step.
+        warns: warn about methods without effect.
+
+        rasterizer: renders; parameters and targets are on its device.
+        second: initial Gaussians of a second field; by default those of the first.
     """
 
     def __init__(
@@ -73,7 +80,7 @@ class Trainer:
         keeper: Keeper | None = None,
         start: TrainerState | None = None,
         sh_from: int = 0,
-        tells: bool = True,
+        warns: bool = True,
         rasterizer: Rasterizer = NUMBA,
         second: Gaussians | None = None,
     ) -> None:
@@ -86,7 +93,7 @@ class Trainer:
         self.options = options = schedule.paced(options, len(training.views))
         self.progress, self.evaluate, self.keeper = progress, evaluate, keeper
         self.sh_from = sh_from
-        self.tells, self.rasterizer = tells, rasterizer
+        self.warns, self.rasterizer = warns, rasterizer
         self.near, self.extent = options.near_plane * training.near, training.extent
         self.random_background = options.background == "random"
         self.background = background_color(options.background, training)
@@ -97,8 +104,8 @@ class Trainer:
         self.field = Field.of(gaussians, PluginCalls(plugins, conditions, self.dose), rasterizer)
         require(
             rasterizer.single_pixels or not self.field.plugins.absolute,
-            f"rasterizer={rasterizer.name}: expected one that tells the pull of single pixels, for"
-            " the absolute gradients that a capacity asks for; use rasterizer=numba, or turn that"
+            f"rasterizer={rasterizer.name}: expected one with gradients of single pixels, for the"
+            " absolute gradients that a capacity requests; use rasterizer=numba, or turn that"
             " option off, for instance capacity.absolute=false",
         )
         self.second: Field | None = None
@@ -106,8 +113,8 @@ class Trainer:
             conditions = replace(conditions, field="second/")
             if second is not None and torch.equal(second.means, gaussians.means):
                 LOG.warning(
-                    "second_drawn: this init draws nothing, so the second field begins with the"
-                    " Gaussians of the first all the same"
+                    "second_drawn: this init draws nothing, so the second field starts from the"
+                    " same Gaussians as the first"
                 )
             self.second = Field.of(
                 gaussians if second is None else second,
@@ -123,30 +130,34 @@ class Trainer:
         self.psnr: float | None = None
         self.watch, self.resumed = Stopwatch(), 0
         if start is not None:
-            self._take_up(start)
+            self._load(start)
 
     def run(self) -> Trained:
-        """Train for `options.steps` steps. Raises Diverged when loss, gradients or parameters
-        stop being finite."""
+        """Train for `options.steps` steps.
+
+        Raises:
+            Diverged: loss, gradients or parameters stopped being finite.
+        """
         evaluations = schedule.evaluation_steps(self.options)
         every = max(1, self.options.steps // HISTORY_ROWS)
         while self.step < self.options.steps:
             loss, stats = self._train_step()
             done = self.step + 1
-            tested, last = done in evaluations, done == self.options.steps
-            noted = tested or done % every == 0
-            # before the edits, as the field does: after a reset of opacities nothing is seen
-            if noted and not last:
-                self._record(done, loss, tested)
+            evaluates, last = done in evaluations, done == self.options.steps
+            records = evaluates or done % every == 0
+            # before the edits: right after an opacity reset nothing would be visible
+            if records and not last:
+                self._record(done, loss, evaluates)
             self._edit(stats)
             self.step = done
-            if noted and last:  # of what is kept
-                self._record(done, loss, tested)
+            if records and last:  # of the final Gaussians
+                self._record(done, loss, evaluates)
             n = len(self.field.params)
             self.progress.step(self.step, self.options.steps, loss, n, self.psnr)
             if self.keeper is not None and self.keeper.due():
                 self.keeper.keep(self.state())
-        self._tell_what_did_nothing()
+        if self.warns:
+            self._warn_of_no_effect()
         return Trained(
             self._evaluated(self.field.params.detach().to("cpu"), self.step),
             self.background,
@@ -159,10 +170,10 @@ class Trainer:
         )
 
     def _train_step(self) -> tuple[float, StepStats]:
-        """Pick, render, lose, step. Returns the loss on the real view and what was seen of it.
+        """Pick, render and step; returns the loss on the real view and its stats.
 
-        A pseudo view's own update comes before its real one: so every step, and the training, ends
-        on a photo, and what the capacity plugin sees of it is of the Gaussians as they are.
+        A pseudo view's own update comes before the real one, so every step ends on a photo, and
+        capacity plugins see stats of the current Gaussians.
         """
         real, *pseudo = self._pick()
         if self.options.pseudo_steps == "own":
@@ -172,42 +183,38 @@ class Trainer:
         return self._update([real, *pseudo])
 
     def _update(self, items: list[Item], turn: int = 0) -> tuple[float, StepStats]:
-        """One descent down the losses on `items`; the loss on the first, and what was seen of it.
+        """Update both fields; returns the loss on the first view and its stats.
 
-        A second field takes the same, and each is shown what the other was before.
+        Each field is shown the state of the other before the update.
         """
         second = self.second
         if second is None:
             return self._descend(self.field, items, turn, None)
-        before = self.field.params.clone()  # the second changes only after the first looked at it
-        found = self._descend(self.field, items, turn, second.params.detach())
+        before = self.field.params.clone()
+        result = self._descend(self.field, items, turn, second.params.detach())
         self.seen_by_second = self._descend(second, items, turn, before)[1]
-        return found
+        return result
 
     def _descend(
         self, field: Field, items: list[Item], turn: int, other: Gaussians | None
     ) -> tuple[float, StepStats]:
-        """Opacities fade in updates on real views alone: so much per step, whatever joins it."""
-        rendered, options = self._rendered(), self.options
-        now = self._now(turn, field, other, rendered["background"])
+        """Opacity decay is applied once per real view, not for pseudo views (turn > 0)."""
+        options, rendering, real = self.options, self._rendering(), turn == 0
+        now = self._now(turn, field, other, rendering.background)
         rates = schedule.learning_rates(options, self.step, self.extent)
-        if turn == 0:
+        if real:
             for lowered, names in field.plugins.substeps(now, field.params, items[0].view):
                 substep(field.params, field.optimizer, lowered, names, self.step, rates)
-        losses, stats = descend(
-            field.params,
-            field.optimizer,
-            items,
+        update = Update(
             self.step,
             rates,
-            Fading(options.opacity_decay, options.opacity_spare) if turn == 0 else Fading(),
-            options.ssim_weight,
+            rendering,
             field.plugins.regularization(now, field.params),
-            field.plugins.gradients if turn == 0 else (),
-            self.rasterizer,
-            turn == 0 and field.plugins.absolute,
-            **rendered,
+            Fading(options.opacity_decay, options.opacity_spare) if real else Fading(),
+            field.plugins.gradients if real else (),
+            real and field.plugins.absolute,
         )
+        losses, stats = descend(field.params, field.optimizer, items, update)
         if field is self.field:
             self.dose.add("steps")
             for item, loss in zip(items, losses, strict=True):
@@ -231,19 +238,25 @@ class Trainer:
         return real, *pseudo
 
     def _ordered(self) -> list[tuple[View, ...]]:
-        """The epoch's steps in their order; the last one is taken first."""
+        """The epoch's steps; the last one is taken first."""
         return ordered(self.training.views, self.pseudo, self.seed, self.epoch)
 
-    def _rendered(self) -> dict[str, Any]:
+    def _rendering(self) -> Rendering:
         """How the step renders its views."""
         background = (
             random_background(self.seed, self.step) if self.random_background else self.background
         )
-        return {"background": background, "sh_degree": self._sh_degree(), "near": self.near}
+        return Rendering(
+            background,
+            self._sh_degree(),
+            self.near,
+            ssim_weight=self.options.ssim_weight,
+            rasterizer=self.rasterizer,
+        )
 
     def _edit(self, stats: StepStats) -> None:
-        """Let the capacity plugins change the set, and that of a second field, parameters and
-        moments together. Edits make new tensors, so both are shown the other as it was."""
+        """Let the capacity plugins change both fields. Each is shown the previous other one;
+        edits make new tensors."""
         if self.second is None:
             self._edit_field(self.field, stats, None)
             return
@@ -266,9 +279,8 @@ class Trainer:
         weight, since = self.options.binocular, self.options.binocular_from
         if weight == 0:
             return None
-        return Binocular(
-            weight, self.conditions.spacing, math.ceil(since * self.options.steps), self.seed
-        )
+        first = math.ceil(since * self.options.steps)
+        return Binocular(weight, self.conditions.spacing, first, self.seed)
 
     def _sh_degree(self) -> int:
         stored = self.field.params.sh_degree
@@ -281,21 +293,29 @@ class Trainer:
         other: Gaussians | None = None,
         behind: Tensor | None = None,
     ) -> Moment:
-        """Where the training stands, as plugins see it."""
-        of, degree = field or self.field, self._sh_degree()
-        gaussians = of.params.detach()
-        return Moment(self.step, self.epoch, of.version, gaussians, degree, turn, behind, other)
+        """The training at this moment, as plugins see it."""
+        field = field or self.field
+        return Moment(
+            self.step,
+            self.epoch,
+            field.version,
+            field.params.detach(),
+            self._sh_degree(),
+            turn,
+            behind,
+            other,
+        )
 
     def _evaluated(self, gaussians: Gaussians, done: int) -> Gaussians:
-        """What is evaluated after `done` steps in the place of the field's, here on the CPU."""
+        """The Gaussians that are evaluated after `done` steps, on the CPU."""
         now = replace(self._now(behind=self.background), step=max(done - 1, 0))
         return self.field.plugins.evaluated(now, gaussians)
 
-    def _record(self, done: int, loss: float, evaluating: bool) -> None:
-        """A row of the history after `done` steps; on evaluation steps with the test PSNR."""
+    def _record(self, done: int, loss: float, evaluates: bool) -> None:
+        """Append a row to the history after `done` steps, with the test PSNR if it evaluates."""
         psnr: float | None = None
         with self.watch.paused() as seconds:
-            if evaluating and self.evaluate is not None:
+            if evaluates and self.evaluate is not None:
                 params = self.field.params.clone().to("cpu")
                 gaussians = self._evaluated(params, done)
                 psnr = self.evaluate(gaussians, self.background, self._sh_degree())
@@ -314,7 +334,7 @@ class Trainer:
         self.field.plugins.logged.clear()
 
     def state(self) -> TrainerState:
-        """All that is needed to go on from here, with tensors that the next step changes."""
+        """Everything needed to continue from here; the next step changes its tensors."""
         return TrainerState(
             step=self.step,
             epoch=self.epoch,
@@ -331,28 +351,25 @@ class Trainer:
             second=None if self.second is None else self.second.state(),
         )
 
-    def _take_up(self, state: TrainerState) -> None:
+    def _load(self, state: TrainerState) -> None:
         self.step, self.epoch = state.step, state.epoch
-        self.field.take_up(state.field, state.logged)
+        self.field.load(state.field, state.logged)
         if self.second is not None and state.second is not None:
-            self.second.take_up(state.second)
+            self.second.load(state.second)
         self.pseudo = list(state.pseudo)
         self.queue = self._ordered()[: state.left] if state.left else []
-        self.dose.take_up(state.dose)
+        self.dose.load(state.dose)
         self.history = list(state.history)
         self.psnr, self.resumed = state.psnr, state.resumed + 1
         self.watch = Stopwatch(state.wall_s, state.cpu_s)
 
-    def _tell_what_did_nothing(self) -> None:
-        if not self.tells:
-            return
+    def _warn_of_no_effect(self) -> None:
         stored = self.field.params.sh_degree
         active = schedule.sh_degree(self.options, self.options.steps - 1, stored, self.sh_from)
         if active < stored:
             LOG.warning(
-                f"trainer.sh_degree={stored}: only degree {active} was ever active, as"
+                f"trainer.sh_degree={stored}: only degree {active} was active, because"
                 f" {self.options.steps} steps are few for trainer.sh_every={self.options.sh_every};"
-                " the other bands are stored and 0; raise trainer.steps or set trainer.sh_every=0,"
-                " which is over half of them"
+                " the other bands are stored and 0; raise trainer.steps or set trainer.sh_every=0"
             )
         self.field.plugins.warn_of_no_effect()

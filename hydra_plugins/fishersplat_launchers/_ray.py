@@ -1,8 +1,8 @@
 """`hydra/launcher=ray`: the runs are tasks of a Ray cluster, or of a small one started here.
 
-Hydra's launcher of this name, but: a run's configuration is composed where it runs, so the command
-holds a line per run and no more; a run whose worker was killed is done again, from its checkpoint,
-by another (`ray.remote.max_retries`, 3 times); the study goes on where one was lost for good.
+It differs from Hydra's launcher of this name. A run's configuration is composed where it runs, so
+the command only holds a line per run. If a worker is killed, another resumes its run from the
+checkpoint (`ray.remote.max_retries`, 3 times). A lost run does not end the study.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from framework.command.studies.study import Outcome
 
 OBJECTS_BYTES = 80_000_000  # Ray's least; runs exchange nothing but their outcome
 ENVIRONMENT = {
-    "RAY_USAGE_STATS_ENABLED": "0",  # nothing is told to others
+    "RAY_USAGE_STATS_ENABLED": "0",  # no usage statistics are sent
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
 }
 
@@ -35,7 +35,7 @@ class Ray(RayLauncher):
     def launch(
         self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
     ) -> Sequence[JobReturn]:
-        """Do the runs; returns those that told how they ended."""
+        """Do the runs; returns those with an outcome."""
         for name, text in ENVIRONMENT.items():
             os.environ.setdefault(name, text)
         import ray

@@ -1,7 +1,7 @@
 """`hydra/launcher=submitit_local` and `submitit_slurm`: workers on this machine or jobs of SLURM.
 
-Hydra's launchers of these names, except that a worker does many runs, that the study goes on where
-one is lost, and that with `hydra.launcher.detach=true` (`study submit`) the command does not wait.
+They differ from Hydra's launchers of these names: a worker does many runs, a lost worker does not
+end the study, and with `hydra.launcher.detach=true` (`study submit`) the command does not wait.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from hydra_plugins.hydra_submitit_launcher.submitit_launcher import (
     SlurmLauncher,
 )
 
-from framework.command import own_plugins
 from framework.command.launchers.sent import Arrivals, Origin, lead_to_this_code, origin
 from framework.command.launchers.submission import (
     Run,
@@ -34,7 +33,7 @@ from framework.command.launchers.submission import (
     read_submission,
     work,
 )
-from framework.command.program import program
+from framework.command.program import plugin_flags, program
 from framework.command.studies.study import Outcome
 
 ARRAY = 1000  # jobs of one array; SLURM's own limit is 1001 unless it was changed
@@ -161,4 +160,4 @@ def _command(overrides: Any) -> str:
     words = [*overrides.hydra, *overrides.task]
     left_out = ("hydra.launcher.detach=true", "hydra.mode=MULTIRUN")
     typed = shlex.join(word for word in words if word not in left_out)
-    return " ".join([*own_plugins.flags(), f"{program()} study submit {typed}"])
+    return " ".join([*plugin_flags(), f"{program()} study submit {typed}"])

@@ -30,9 +30,7 @@ class CoRegister(Regularizer):
     title: ClassVar[str] = "Co-regularization"
     paper: ClassVar[str] = "corgs"
     variants: ClassVar[dict[str, Variant]] = {
-        "co_register_drawn": Variant(
-            "second_drawn", True, "Co-regularization (2 draws)", "corgs"
-        ),
+        "co_register_drawn": Variant("second_drawn", True, "Co-regularization (2 draws)", "corgs"),
     }
 
     second_field: ClassVar[bool] = True

@@ -62,7 +62,7 @@ def trainer(rasterizer: Rasterizer, steps: int, **given: Any) -> Trainer:
     names = {group: given.pop(group, name) for group, name in IDLE.items()}
     plugins = Plugins({group: plugin(group, name) for group, name in names.items()})
     known = (training, depth, gaussians, options, plugins, 0, Silent())
-    return Trainer(*known, tells=False, rasterizer=rasterizer, **given)
+    return Trainer(*known, warns=False, rasterizer=rasterizer, **given)
 
 
 def image(trained: Trained) -> torch.Tensor:

@@ -135,11 +135,11 @@ def test_a_scene_of_one_colour_ends_with_a_handful_and_says_so(
         result = trained(with_images(lambda _, image: torch.full_like(image, 0.5)), 300)
     assert FEWEST <= len(result.gaussians) <= HANDFUL
     (message,) = [record.getMessage() for record in caplog.records]
-    assert "hardly a Gaussian pays for its description" in message and "\n" not in message
+    assert "almost no Gaussian raises the evidence" in message and "\n" not in message
 
 
 def test_the_warm_up_tells_nothing_of_its_plane() -> None:
-    """Neither while it compiles nor in its thread; elsewhere the same training is told of."""
+    """No warning while the warm-up compiles or in its thread; elsewhere the training warns."""
     config: dict[str, Any] = {group: {"name": "none"} for group in ("augment", "reg")}
     hasty = {"name": "evidence", "start": 0.0, "until": 0.1, "pace": 1.0}
     config |= {"capacity": hasty, "trainer": {}}

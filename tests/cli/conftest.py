@@ -13,7 +13,7 @@ import framework.report
 from framework.command import runner
 from framework.command.config.naming import plain
 from framework.command.config.schema import CONF_DIR, register_config
-from framework.command.job import Job
+from framework.command.runner import Job
 from framework.command.studies import estimate
 from framework.errors import UserError
 

@@ -250,7 +250,7 @@ def test_a_failing_run_is_recorded_and_the_others_go_on(
     folder = runs.folders[1]
     reason = "depth: expected two views, got one; add a view"
     first, head, row, again = told.err.splitlines()
-    assert first.startswith("error: 1 of 3 runs failed; the same command does them again")
+    assert first.startswith("error: 1 of 3 runs failed; the same command repeats them")
     assert head.split() == ["run", "kind", "reason"]
     assert row == f"  {folder}  bad input  {reason}"
     assert again == "    python run.py seed=1 -m"
@@ -277,7 +277,7 @@ def test_an_interrupt_is_one_line(runs: FakeRuns, capsys: pytest.CaptureFixture[
     assert main(["seed=0,1,2", "-m"]) == 130
     assert len(runs.seen) == 2
     assert capsys.readouterr().err.splitlines() == [
-        "error: interrupted; what is done is kept, go on with: python run.py seed=0,1,2 -m"
+        "error: interrupted; results are kept, continue with: python run.py seed=0,1,2 -m"
     ]
 
 

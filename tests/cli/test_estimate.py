@@ -1,4 +1,4 @@
-"""What a study tells about its time, before and after."""
+"""The time that a study prints before and after its runs."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ def test_the_parser_has_the_flags_that_are_read() -> None:
     flags = vars(argument_parser().parse_args(["a=1", "-m"]))
     assert flags["multirun"] and flags["overrides"] == ["a=1"]
     missing = [name for name in READ if name not in flags]
-    told = "framework/command/words.py reads it"
+    told = "framework/command/overrides.py reads it"
     assert not missing, f"Hydra's parser lost {missing}: {told}"
 
 

@@ -63,10 +63,10 @@ def _answer(tmp_path: Path, code: str, line: str) -> tuple[subprocess.CompletedP
 
 
 def test_an_import_is_kept_from_the_collector_once() -> None:
-    """What an import made is exempted, what came later is not; the collector is as it was."""
+    """Objects of the import are exempt, later ones are not; the collector is restored."""
     code = """
 import gc
-from framework.command.collector import import_uncollected
+from framework.command.runner import import_uncollected
 gc.callbacks.append(lambda phase, info: print("collected"))
 import_uncollected("decimal")
 frozen = gc.get_freeze_count()

@@ -107,7 +107,7 @@ def test_what_was_found_is_judged_with_all_that_was_fixed() -> None:
 
 
 class Fake:
-    """A slot whose runs take no time. done: the words of all that were asked for."""
+    """A slot whose runs take no time. done: the words of all requested runs."""
 
     done: list[list[str]]
     kill_after: int

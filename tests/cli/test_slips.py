@@ -1,4 +1,4 @@
-"""Slips of a newcomer: each ends in one line that says what to type instead."""
+"""Slips of a newcomer: each ends in one line with the correct words."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from framework.command.cli import main
-from framework.command.config.overrides import quoted
+from framework.command.overrides import quoted
 from tests.cli.conftest import FakeRuns
 
 
@@ -25,7 +25,7 @@ from tests.cli.conftest import FakeRuns
             ": python run.py scene.width=64 seed=0,1 study=x -m",
         ),
         (["method=safi,dba"], "method: expected one value, got several (safi,dba); add -m"),
-        (["estimate=true"], "estimate: expected a study, before which it tells how long that"),
+        (["estimate=true"], "estimate: expected a study, whose duration it estimates"),
         (["~reg"], "~reg: expected a choice of reg, got none; write reg=NAME"),
         (["reg="], "available: anchor_dropout, binocular, co_register"),
         (["reg="], "uar, uar_hard, uniform"),
@@ -57,9 +57,7 @@ def test_what_replaces_a_part_of_a_method_is_told(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["method=safi", "reg=uar"]) == 0
-    assert capsys.readouterr().err == (
-        "note: reg=uar takes the place of what method=safi has as reg\n"
-    )
+    assert capsys.readouterr().err == ("note: reg=uar replaces the reg of method=safi\n")
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def test_another_value_is_warmed_up_without_a_word(monkeypatch: pytest.MonkeyPat
 
 
 def test_what_is_compiled_already_is_loaded_beside(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a thread that says nothing, and a failure there is no failure here."""
+    """A silent thread does it, and its failure does not affect the run."""
     config, seen = composed(), list[tuple[str, bool]]()
 
     def loads(*_: object) -> None:

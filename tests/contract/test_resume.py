@@ -29,7 +29,7 @@ class Files:
     would read them."""
 
     def __init__(self, folder: Path, plugins: Plugins, sh_degree: int = 1) -> None:
-        chosen = [p.plugin for p in (plugins.augment, plugins.reg, plugins.capacity)]
+        chosen = [one.plugin for one in plugins.each.values()]
         self.folder, self.chosen, self.seen = folder, chosen, dict[int, str]()
         self.options = dataclasses.replace(OPTIONS, sh_degree=sh_degree)
 
@@ -98,11 +98,13 @@ def test_a_training_taken_up_again_ends_with_the_same_bits(
 def test_updates_of_pseudo_views_alone_are_taken_up_too(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A training has more updates than steps then, and Adam counts them; what is told in the end is
+    """A training has more updates than steps then, and Adam counts them; the final report is
     of the whole training."""
     chosen = plugins(**ACTING)
-    rare = dataclasses.replace(chosen.augment.plugin, min_coverage=0.98)
-    chosen = dataclasses.replace(chosen, augment=dataclasses.replace(chosen.augment, plugin=rare))
+    augment = chosen.each["augment"]
+    rare = dataclasses.replace(augment.plugin, min_coverage=0.98)
+    augment = dataclasses.replace(augment, plugin=rare)
+    chosen = Plugins({**chosen.each, "augment": augment})
     files = Files(tmp_path, chosen)
     own: dict[str, Any] = {"pseudo_steps": "own", "pseudo_mean": "covered"}
     whole = train(chosen, files, **own)

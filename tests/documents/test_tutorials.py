@@ -11,7 +11,7 @@ import pytest
 
 from framework.command.cli import main
 from framework.command.config.schema import ROOT
-from framework.command.own_plugins import take_flag
+from framework.command.program import take_flag
 from tests.documents.pages import Block, blocks, quick, tutorials, words_of
 from tests.documents.registered import as_before
 
@@ -39,8 +39,8 @@ def test_its_blocks_run(page: Path, folder: Path, capsys: pytest.CaptureFixture[
 
 
 def _filled(block: Block) -> Block:
-    """A block of the README with folders for its names; make says what it would do, and the viewer
-    writes its page, as nobody would close it."""
+    """A block of the README with folders for its names; make prints its commands, and the viewer
+    writes its page instead of waiting."""
     run = next(Path("reports/mine/runs").iterdir())
     text = block.text.replace("path=DIR", "path=photos").replace("make ", f"make -nC {ROOT} ")
     return replace(block, text=text.replace("view RUN", f"view --static -- {run}"))

@@ -1,4 +1,4 @@
-"""What a training tells of choices that change nothing, and limits that hold whatever is set."""
+"""Warnings about choices without effect, and limits that always hold."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_a_checkpoint_that_could_not_be_read_is_not_written(
     with caplog.at_level(logging.WARNING, "framework"):
         keeper.keep(trainer.state())
     assert not list((tmp_path / "checkpoints").glob("step-*")) and not keeper.due()
-    assert "begins anew" in caplog.text
+    assert "starts again" in caplog.text
 
 
 def test_a_pseudo_view_s_checkpoint_holds_no_photo() -> None:

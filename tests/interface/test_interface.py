@@ -10,6 +10,7 @@ import torch
 import fishersplat as fs
 
 SMALL = ("scene.width=96", "scene.height=72", "trainer.steps=6", "trainer.evaluations=1")
+COMMITTED = Path(__file__).parents[2] / "reports" / "committed"
 QUIET = ("metrics.lpips_weights=none", "study=interface")
 
 
@@ -69,3 +70,17 @@ def test_invalid_options_are_one_line(options: tuple[str, ...], message: str) ->
 def test_a_folder_without_a_run_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(fs.UserError):
         fs.load_run(tmp_path)
+
+
+def test_a_committed_study_is_compared_as_its_report_does() -> None:
+    study = fs.load_study(COMMITTED / "best_methods5")
+    assert len(study.runs) == 150
+    assert set(study.runs["method"]) == {"Baseline", "DropGaussian", "SAFI + UAR"}
+    rows = study.comparisons().set_index("method")
+    assert rows.loc["SAFI + UAR", "difference"] == pytest.approx(-0.03, abs=0.005)
+    assert rows.loc["SAFI + UAR", "low"] < rows.loc["SAFI + UAR", "high"] < 0
+    assert rows["significant"].all() and (rows["n"] == 5).all()
+    other = study.comparisons("dropgaussian").set_index("method")
+    assert other.loc["Baseline", "difference"] > 0
+    with pytest.raises(fs.UserError, match="expected a method of the report"):
+        study.comparisons("something")

@@ -12,7 +12,7 @@ from framework.fisher.information import fisher_information
 from framework.kernels import rasterize
 from framework.kernels.reference import cutoff_margin, project, rasterize_reference
 from framework.plugin import Edits
-from framework.train.edits import apply_edits
+from framework.train.field import apply_edits
 from framework.train.optim import Adam
 from framework.types import Gaussians, concatenate
 from tests.numerics.scenes import Case, random_case

@@ -80,11 +80,6 @@ def test_ssim_equals_its_definition_over_windows_inside_the_image() -> None:
     assert metrics.ssim(render, truth) == pytest.approx(np.mean(values), abs=1e-6)
 
 
-def test_psnr_of_a_constant_offset() -> None:
-    truth = torch.full((3, 16, 16), 100 / 255)
-    assert metrics.psnr(truth + 51 / 255, truth) == pytest.approx(20 * math.log10(5))
-
-
 def test_flip_is_that_of_the_authors_package() -> None:
     """On images alike, unlike, of one colour, and smaller than a filter."""
     truth, rng = image("truth"), stream(0, "flip")
@@ -107,13 +102,6 @@ def test_metrics_read_what_is_saved() -> None:
     assert metrics.quantise(torch.tensor([[[2.0]], [[-1.0]], [[float("nan")]]])).tolist() == [
         [[255, 0, 0]]
     ]
-
-
-def test_an_image_of_doubles_is_left_as_it_is() -> None:
-    truth = image("truth").double()
-    kept = truth.clone()
-    metrics.psnr(truth, similar(truth))
-    assert torch.equal(truth, kept)
 
 
 def test_mask_leaves_invalid_pixels_out() -> None:

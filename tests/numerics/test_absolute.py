@@ -62,7 +62,7 @@ def test_a_capacity_that_asks_sees_it_and_others_do_not(penalty: str) -> None:
         names["capacity"] = {"name": "adc", "absolute": asked} | {"every": 1000}
         plugins = Plugins.of(names)
         options = TrainerOptions(steps=3, evaluations=1, ssim_weight=0.2)
-        trainer = Trainer(training, depth, gaussians, options, plugins, 0, Silent(), tells=False)
+        trainer = Trainer(training, depth, gaussians, options, plugins, 0, Silent(), warns=False)
         edit = trainer._edit
         trainer._edit = lambda s, edit=edit, told=told: (told.append(s), edit(s))[1]  # type: ignore[method-assign,misc]
         trainer.run()

@@ -1,4 +1,4 @@
-"""A photo seen again from beside it: the gradient, where the camera is, and when."""
+"""Binocular consistency: the gradient, where the camera is, and when."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from framework.backends import build_rasterizer
 from framework.compute.parallel import set_threads
 from framework.geometry import moved_aside
 from framework.kernels.binocular import binocular_gradient
-from framework.train.binocular import AGREE, SHIFT, Beside, Binocular
+from framework.train.depth_priors import AGREE, SHIFT, Beside, Binocular
 from framework.train.epoch import Item
-from framework.train.gradient import view_gradient
+from framework.train.gradient import Rendering, view_gradient
 from framework.types import Camera, Render, View
 from tests.numerics.scenes import random_case
 
@@ -110,7 +110,7 @@ def test_where_a_mask_has_no_photo_nothing_is_asked(name: str) -> None:
 
 def test_the_step_s_gradient_is_that_of_both_renders() -> None:
     """What the term adds to the gradient in every parameter, with a penalty or without one, against
-    autograd through two renders; the loss that is told stays the photo's."""
+    autograd through two renders; the reported loss stays that of the photo."""
     case = random_case(6, n=60, margin=0.1)
     params = case.gaussians.map(lambda t: t.detach().requires_grad_())
     camera = case.camera
@@ -141,10 +141,11 @@ def test_the_step_s_gradient_is_that_of_both_renders() -> None:
         [torch.as_tensor(f) for f in found],
         materialize_grads=True,
     )
+    rendering = Rendering(rasterizer=who, **how)
     for asked in (None, penalty):
-        without = view_gradient(params, item, "here", 0.2, asked, who, **how)
+        without = view_gradient(params, item, "here", rendering, asked)
         plain = {name: gradient.clone() for name, gradient in without[1].items()}
-        loss, gradients, _ = view_gradient(params, watched, "here", 0.2, asked, who, **how)
+        loss, gradients, _ = view_gradient(params, watched, "here", rendering, asked)
         assert loss == without[0]
         for name, true in zip(names, exact, strict=True):
             error = (gradients[name] - plain[name] - true).norm()

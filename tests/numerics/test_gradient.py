@@ -13,11 +13,11 @@ import torch
 from framework.compute.parallel import set_threads
 from framework.errors import UserError
 from framework.kernels import ScreenGradient, render_gradient
+from framework.train.depth_priors import DepthSmoothness
 from framework.train.epoch import Items
-from framework.train.gradient import ViewGradient, view_gradient
+from framework.train.gradient import Rendering, ViewGradient, view_gradient
 from framework.train.guard import Diverged
 from framework.train.optim import Adam
-from framework.train.smoothness import DepthSmoothness
 from framework.types import Gaussians, View
 from tests.numerics.scenes import Case, crowded_case, random_case
 
@@ -50,15 +50,14 @@ def test_direct_is_autograd(seed: int, masked: bool, weight: float, smooth: floa
     view = View("v", case.camera, image, mask=mask, weight=weight)
     items = Items(smoothness=DepthSmoothness(smooth, 0.1) if smooth else None)
     item, params = items.get(view, 1), case.gaussians.map(lambda t: t.requires_grad_())
-    options: dict[str, Any] = {"background": case.background, "near": 0.2}
-    options |= {"sh_degree": case.sh_degree, "opacity_factors": case.factors}
-    direct = view_gradient(params, item, "here", 0.2, **options)
-    by_autograd = view_gradient(params, item, "here", 0.2, lambda view, render: 0.0, **options)
+    rendering = Rendering(case.background, case.sh_degree, 0.2, case.factors)
+    direct = view_gradient(params, item, "here", rendering)
+    by_autograd = view_gradient(params, item, "here", rendering, lambda view, render: 0.0)
     assert bits(direct) == bits(by_autograd)
     assert direct[1]["means"].abs().sum() > 0
-    rough = view_gradient(params, replace(item, smoothing=None), "here", 0.2, **options)
+    rough = view_gradient(params, replace(item, smoothing=None), "here", rendering)
     assert (bits(rough) == bits(direct)) == (smooth == 0)
-    assert rough[0] == direct[0]  # the loss that is told is the photo's
+    assert rough[0] == direct[0]  # the reported loss is that of the photo
     assert (direct[2].height, direct[2].width) == size
 
 
@@ -69,22 +68,22 @@ def test_a_loss_that_is_not_finite_is_told_and_the_next_is_as_ever(penalty: Any)
     item = Items().get(View("v", case.camera, image), 1)
     broken = Items().get(View("v", case.camera, torch.full_like(image, torch.nan)), 1)
     params = case.gaussians.map(lambda t: t.requires_grad_())
-    before = bits(view_gradient(params, item, "here", 0.2, penalty))
+    before = bits(view_gradient(params, item, "here", Rendering(), penalty))
     with pytest.raises(Diverged, match="here: expected a finite loss, got nan"):
-        view_gradient(params, broken, "here", 0.2, penalty)
-    assert bits(view_gradient(params, item, "here", 0.2, penalty)) == before
+        view_gradient(params, broken, "here", Rendering(), penalty)
+    assert bits(view_gradient(params, item, "here", Rendering(), penalty)) == before
 
 
 @pytest.mark.parametrize("change", [lambda rgb: rgb[:, :-1], lambda rgb: rgb.astype(np.float64)])
 def test_a_gradient_that_does_not_fit_is_refused(change: Any) -> None:
-    """Kernels check no bounds, and compile anew for another type."""
+    """Kernels do not check bounds, and compile again for another type."""
     case = random_case(1)
     with pytest.raises(UserError, match=r"expected a float32 gradient of shape \[3, 47, 33\]"):
         render_gradient(case.gaussians, case.camera, change)
 
 
 def on_screen(gaussians: Gaussians, case: Case, degree: int | None = None) -> ScreenGradient:
-    """Of a loss with another gradient in every pixel."""
+    """The gradient of a loss that differs in every pixel."""
     return render_gradient(
         gaussians,
         case.camera,
@@ -128,7 +127,7 @@ def test_an_update_from_the_screen_is_that_of_the_whole_gradient(degree: int, th
 
 def test_bands_that_open_late_have_the_bits_of_those_updated_all_along() -> None:
     """Bands without a gradient are passed over; once they had one they are not, whatever the degree
-    of the step is and whatever optimizer goes on."""
+    of the step is and whatever optimizer follows."""
     case = random_case(3, n=900, footprint=1.0)
     whole, pieces = case.gaussians.clone(), case.gaussians.clone()
     by_step, from_screen = Adam(whole), Adam(pieces)
@@ -152,7 +151,7 @@ def test_an_update_from_the_screen_names_what_is_not_finite() -> None:
     assert {"means", "opacity_logits", "sh0"} <= set(broken)
     still = torch.isfinite(params.opacity_logits)
     assert torch.isnan(params.opacity_logits[found.radii > 0]).any() and still.any()
-    assert torch.equal(params.opacity_logits[still], logits[still])  # nothing decayed beside it
+    assert torch.equal(params.opacity_logits[still], logits[still])  # nothing else decayed
 
 
 def test_a_gradient_is_used_once() -> None:

@@ -13,8 +13,8 @@ from framework.backends.torch_loss import roughness_gradient as in_torch
 from framework.compute.parallel import set_threads
 from framework.geometry import mean_neighbour_distance
 from framework.kernels.roughness import roughness_gradient
+from framework.train.depth_priors import DepthSmoothness
 from framework.train.epoch import Items
-from framework.train.smoothness import DepthSmoothness
 from framework.types import PSEUDO, Camera, View
 
 
@@ -106,7 +106,7 @@ def test_it_is_kornia_s_inverse_depth_smoothness() -> None:
 
 
 def test_it_means_the_same_at_another_size_and_scale() -> None:
-    """Of a slanted plane: photos twice as wide, and a scene ten times as large."""
+    """A slanted plane: photos twice as wide, and a scene ten times as large."""
 
     def rough(height: int, focal: float, scale: float) -> float:
         width = 2 * height

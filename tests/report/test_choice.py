@@ -86,7 +86,7 @@ def test_a_metric_that_some_seeds_lack_says_of_how_many_it_is(tmp_path: Path) ->
 
 
 def test_more_time_pays_is_corrected_for_all_others(tmp_path: Path) -> None:
-    """It is the data that tells who stands on the front, so being alone there is no single test."""
+    """The data choose who is on the front, so being alone there is no single test."""
     gains = (0.08, 0.28, 0.06, 0.2, 0.15)
     fast = [row("a", "none + none", k, 20.0, train_wall_s=5, train_cpu_s=5) for k in range(5)]
     slow = [row("a", "safi + none", k, 20.0 + gain) for k, gain in enumerate(gains)]
@@ -110,7 +110,7 @@ def test_advice_by_time_is_by_pairs(tmp_path: Path) -> None:
 
 
 def test_more_time_pays_by_pairs(tmp_path: Path) -> None:
-    """Not where it is the pairs that tell it to be worse, and so where only they tell that it is
+    """Not if the pairs show that it is worse, and so if only they show that it is
     better."""
     full = [row("a", "none + none", k, v) for k, v in enumerate(LEVELS)]
     for seconds, kept in ((5, ["safi + none"]), (20, ["none + none", "safi + none"])):
@@ -137,7 +137,7 @@ def test_what_gains_with_few_steps_is_not_advised_over_many(tmp_path: Path) -> N
     found = outcomes(collect(table(tmp_path, rows)))
     assert labelled(found.comparisons)["safi + none, steps=300"].significant
     assert found.best.label == "none + none, steps=300", (
-        "the first of its budgets stands for the family"
+        "the first of its budgets represents the family"
     )
 
 

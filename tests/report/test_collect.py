@@ -31,7 +31,7 @@ def test_runs_of_different_code_are_told(tmp_path: Path) -> None:
 
 
 def test_own_plugins_are_no_other_version_of_the_code(tmp_path: Path) -> None:
-    """Older records hash the user's plugins into `code`; newer ones beside it."""
+    """Older records hash the user's plugins into `code`; newer ones in a separate field."""
     for seed, old in ((0, False), (1, True), (2, False)):
         path = fake_run(tmp_path, seed=seed) / "record.json"
         record = json.loads(path.read_text())
@@ -120,7 +120,7 @@ def test_capacities_are_compared_all_else_equal(tmp_path: Path) -> None:
 
 
 def test_draws_of_one_scene_are_not_scenes_like_these(tmp_path: Path) -> None:
-    """Of capacities, as of every other comparison."""
+    """Comparisons of capacities, like all others."""
     for draw in range(3):
         for name, gain in (("fixed", 0.0), ("adc", 2.0)):
             capacity = {"name": name, "weight": 1.0}

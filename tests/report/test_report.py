@@ -209,7 +209,7 @@ def test_studies_are_merged_on_the_command_line(tmp_path: Path) -> None:
 
 
 def test_a_report_can_be_built_without_photos(tmp_path: Path) -> None:
-    """Of the embedded scene it keeps the pictures."""
+    """It keeps the pictures of the embedded scene."""
     for name in ("fern", "embedded"):
         loader = {"name": "embedded" if name == "embedded" else "llff"}
         for method in ("none", "safi"):

@@ -28,7 +28,7 @@ def test_a_worker_of_many_runs_watches_its_command_with_one_thread() -> None:
 KILLED = """
 import os, signal
 from joblib import Parallel, delayed
-from framework.command.launchers.workers import watch_workers
+from framework.command.launchers.supported import watch_workers
 
 watch_workers()
 watch_workers()  # as a second study of the same process does

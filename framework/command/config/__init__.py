@@ -1,1 +1,1 @@
-"""What may be asked for: groups, choices, options (`schema`), `check`, help, names and trust."""
+"""What may be chosen: groups, choices, options (`schema`), `check`, help, names and trust."""

@@ -1,5 +1,4 @@
-"""Whether a composed configuration describes a run that can start, and where an option is that
-somebody looked for in a wrong place."""
+"""Checks of a composed configuration, and suggestions for misplaced or misspelt options."""
 
 from __future__ import annotations
 
@@ -27,14 +26,14 @@ from framework.options import TrainerOptions
 from framework.run import trackers
 
 TRAINER = [option.name for option in fields(TrainerOptions)]
-FEW = 4  # choices that have an option, told by name
+FEW = 4  # choices with an option that a hint names
 
 
 def check(config: Mapping[str, Any]) -> None:
     """Raise UserError unless `config` (plain, resolved) describes a run that can start.
 
-    Every group needs a choice, every required option a value, and no key may be unknown (Hydra lets
-    `+key=value` through); then the chosen classes check their own options. Reads no scene.
+    Every group needs a choice, every required option a value, and no key may be unknown (Hydra
+    accepts `+key=value`). Then the chosen classes check their options. Reads no scene.
     """
     _known_keys("", config, [*SCALARS, "trainer", "metrics", *OBJECT_GROUPS])
     _known_keys("trainer.", config["trainer"], TRAINER)
@@ -84,7 +83,7 @@ def _check_scalars(seed: int, threads: int, study: str | None) -> None:
 
 
 def _check_choice(group: str, options: Any) -> None:
-    """A group needs a name (an empty choice must not be half-configured) and no missing option."""
+    """A group needs a name and all its required options."""
     if not isinstance(options, Mapping) or "name" not in options:
         raise UserError(
             f"{group}: expected a choice, got none; add {group}=NAME, available:"
@@ -111,12 +110,12 @@ def _check_choice(group: str, options: Any) -> None:
 
 
 def places_of(group: str, key: str, names: Iterable[str]) -> str:
-    """Which of several choices of a group have an option: `'reg.uar.p' or 'reg.uniform.p'`."""
+    """The choices of a group that have an option, as `'reg.uar.p' or 'reg.uniform.p'`."""
     return " or ".join(f"'{group}.{n}.{key}'" for n in names if key in _options(group, n))
 
 
 def _options(group: str, name: str) -> set[str]:
-    """The options of a choice, which may be a variant (`uar_hard`), or no choice at all."""
+    """The options of a choice or a variant (`uar_hard`); empty for an unknown name."""
     while group in OBJECT_GROUPS and name not in choices(group):
         file = CONF_DIR / group / f"{name}.yaml"
         read = read_yaml(file) if file.is_file() else {}
@@ -137,15 +136,20 @@ def _known_keys(prefix: str, given: Iterable[str], allowed: Iterable[str], owner
 
 
 def hint(section: str, key: str, allowed: Iterable[str]) -> str:
-    """What to write in place of the unknown option `section.key`: the same name elsewhere, or a
-    similar one of those that are known there. section: "" for the top level."""
+    """Suggest the same name in another section, or a similar one in this section.
+
+    Args:
+        section: "" for the top level.
+        key: the unknown option.
+        allowed: options of the section.
+    """
     offered = {*allowed} if section else {*allowed, *GROUPS}
     there = _places(section.partition(".")[0], key)
     return f"did you mean {there}? {_available(offered)}" if there else nearest_hint(key, offered)
 
 
 def _places(section: str, key: str) -> str:
-    """Where there is an option of this name: `trainer.steps`, `augment.eta of augment=safi`."""
+    """The places of an option with this name: `trainer.steps`, `augment.eta of augment=safi`."""
     sections = {"trainer": TRAINER, "metrics": [*METRICS]}
     places = [f"'{name}.{key}'" for name, options in sections.items() if key in options]
     groups = [section] if section in OBJECT_GROUPS else OBJECT_GROUPS

@@ -1,8 +1,8 @@
-"""The text of `--help`: every choice of every group in a line, and the options as composed; with
-nothing but parts of a run behind it, what these are, and their options.
+"""The text of `--help`: a line per choice of every group, and the options with their values.
 
-Hydra's own help composes the configuration once for each of its eighty groups, which takes longer
-than the promised 1.5 s; the names are read from the registry and the folders here.
+After `--help` with nothing but choices, such as `--help augment=safi`, their descriptions and
+options. Hydra's own help composes the configuration for each of its eighty groups, which takes too
+long; here the names come from the registry and the folders of the configuration.
 """
 
 from __future__ import annotations
@@ -54,18 +54,18 @@ def help_text(overrides: Sequence[str]) -> str:
     """The help for a command line with `overrides`, whose values it shows."""
     with initialize_config_dir(config_dir=str(CONF_DIR), version_base="1.3"):
         config: Any = OmegaConf.to_container(compose("config", list(overrides)))
-    asked = _asked(overrides)
-    if asked:
-        return _of_parts(asked, config)
+    typed = _choices_only(overrides)
+    if typed:
+        return _help_of(typed, config)
     options = "\n".join(_explained(config))
     chosen = "\n".join(line for group in GROUPS for line in _group_lines(group, _names(group)))
-    beside = [f"  {does:<13} {program()} {name} ..." for name, (_, does) in SUBCOMMANDS.items()]
-    header = HEADER.format(program=program(), subcommands="\n".join(beside))
+    others = [f"  {does:<13} {program()} {name} ..." for name, (_, does) in SUBCOMMANDS.items()]
+    header = HEADER.format(program=program(), subcommands="\n".join(others))
     return f"{header}\nChoices, GROUP=NAME:\n{chosen}\n\nOptions, KEY=VALUE:\n\n{options}\n"
 
 
-def _asked(overrides: Sequence[str]) -> dict[str, list[str]]:
-    """group -> the names typed, of a line that has choices of parts and nothing else; or empty."""
+def _choices_only(overrides: Sequence[str]) -> dict[str, list[str]]:
+    """group -> names, of a line with nothing but choices; else empty."""
     typed: dict[str, list[str]] = {}
     for word in overrides:
         group, _, value = word.lstrip("+").partition("=")
@@ -76,18 +76,18 @@ def _asked(overrides: Sequence[str]) -> dict[str, list[str]]:
     return typed
 
 
-def _of_parts(asked: Mapping[str, Sequence[str]], config: Mapping[str, Any]) -> str:
+def _help_of(typed: Mapping[str, Sequence[str]], config: Mapping[str, Any]) -> str:
     """The help of these choices alone."""
     descriptions = [
-        f"{group}={n}: {_description(group, n)}" for group, names in asked.items() for n in names
+        f"{group}={n}: {_description(group, n)}" for group, names in typed.items() for n in names
     ]
-    options = "\n".join(_explained({group: config[group] for group in asked}))
+    options = "\n".join(_explained({group: config[group] for group in typed}))
     rest = f"All choices, and the other options: {program()} --help"
     return "\n\n".join([*descriptions, "Options, KEY=VALUE:", options, rest]) + "\n"
 
 
 def _explained(plain: Mapping[str, Any]) -> Iterator[str]:
-    """The lines of the configuration, each with what it means."""
+    """The lines of the configuration, each with its meaning."""
     means = top = from_yaml((CONF_DIR / "config.yaml").read_text(encoding="utf-8"))
     for line in yaml.safe_dump(dict(plain), sort_keys=False, width=math.inf).splitlines():
         key = line.split(":")[0]
@@ -102,11 +102,11 @@ def _explained(plain: Mapping[str, Any]) -> Iterator[str]:
 
 
 def option_meanings(group: str, name: str) -> dict[str, str]:
-    """option -> its meaning, of the options of `group=name`. UserError for an unknown one."""
+    """option -> meaning, for `group=name`. Raises UserError for an unknown name."""
     cls: Any = registry.lookup(group, name)
     if group not in registry.GROUPS:
         return meanings(cls)
-    weight = {} if cls.weighted() else {"weight": "has no effect and is refused: no loss is added"}
+    weight = {} if cls.weighted() else {"weight": "has no effect and is refused: it adds no loss"}
     return registry.MEANINGS | weight | meanings(cls)
 
 
@@ -123,12 +123,12 @@ def _group_lines(group: str, names: Sequence[str]) -> Iterator[str]:
 
 
 def summary(group: str, name: str) -> str:
-    """What a choice is, in a line: from its source's docstring or its file's first comment."""
+    """Describe a choice in a line, by its docstring or its file's first comment."""
     return _first_sentence(_description(group, name))
 
 
 def _description(group: str, name: str) -> str:
-    """All that a choice's source says of it."""
+    """The description in a choice's source."""
     if group not in OBJECT_GROUPS or name not in choices(group):
         return _first_comment(group, name)
     cls = registry.lookup(group, name)

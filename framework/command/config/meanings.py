@@ -1,7 +1,7 @@
-"""What an option means, in a line, from where its class says it: for `--help`.
+"""The meaning of options in a line, for `--help`.
 
-Either the comment behind the field, `eta: float = 1.5  # ...`, or the class' docstring, as in
-`eta: what it is. every, until: what both are.` A class speaks for those that inherit from it.
+It is the comment behind the field, `eta: float = 1.5  # ...`, or in the docstring of the class,
+`eta: meaning. every, until: meaning of both.` Subclasses inherit meanings.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ WIDTH = 100  # characters of a meaning
 
 
 def meanings(cls: type) -> dict[str, str]:
-    """option -> meaning, of the options of a dataclass; without those that have none."""
+    """option -> meaning, of the options of a dataclass that have one."""
     texts: dict[str, str] = {}
     options = {option.name for option in dataclasses.fields(cls)}
     for base in reversed([b for b in cls.__mro__ if dataclasses.is_dataclass(b)]):
@@ -32,8 +32,8 @@ def from_yaml(text: str) -> dict[str, str]:
 
 
 def _source(cls: type) -> str:
-    """Of a class at the top of a module; "" where there is none. `inspect.getsource` would parse
-    the module, which is slow."""
+    """The source of a top-level class, or "". `inspect.getsource` would parse the module, which is
+    slow."""
     file = getattr(sys.modules.get(cls.__module__), "__file__", None) or ""
     try:
         text = Path(file).read_text(encoding="utf-8")

@@ -39,10 +39,11 @@ def _plain_value(config: DictConfig, key: str) -> Any:
 
 
 def study_name(config: Mapping[str, Any]) -> str:
-    """The study asked for, else the scene's name: `embedded`, `llff_fern_3v`, `colmap_door_allv`.
+    """Return the option `study`, else a name of the scene: `embedded`, `llff_fern_3v`.
 
-    One without test views is `llff_fern_allv_untested`: its figures stand beside no others, as do
-    those of `llff_fern_3v_held_out`. All draws of training views are one, `llff_fern_3v_drawn`.
+    Scenes without test views end with `_untested` and those judged on held-out training views with
+    `_held_out`, as their numbers cannot be compared with others. All draws of training views are
+    one study, `llff_fern_3v_drawn`.
     """
     if config["study"] is not None:
         return str(config["study"])

@@ -1,12 +1,12 @@
-"""The typed configuration: which groups there are, what each choice accepts, and its check.
+"""The typed configuration: the groups, and the options of each choice.
 
-Every choice of a group (a plugin or a built-in part) is a dataclass
-whose typed fields are its options. From each one a Hydra structured-config node is made: the key
-`name` and the options, so that Hydra refuses unknown keys and wrong types by itself. An option
-without a default is MISSING ("???") until the user gives it. `conf/config.yaml` has the top level.
+Every choice of a group (a plugin or a built-in part) is a dataclass whose typed fields are its
+options. Each becomes a Hydra structured-config node with the key `name` and the options, so Hydra
+refuses unknown keys and wrong types. An option without a default is MISSING ("???") until the user
+gives it. `conf/config.yaml` has the top level.
 
 `framework.command.config.check` checks a composed configuration. This module imports neither torch
-nor numba: `--help` and every configuration error stay instant.
+nor numba, so `--help` and errors of the configuration are quick.
 """
 
 from __future__ import annotations
@@ -110,6 +110,6 @@ def register_config() -> None:
             store.store(group=group, name=name, node=node(title, rows(group, name), name=name))
     for group in registry.JOINABLE:
         store.repo[group] = JoinedChoices(group, store.repo[group])
-    # `sweeps/` stands beside `conf/`, where a config group cannot be: each file becomes a node.
+    # `sweeps/` is outside of `conf/`, where Hydra looks for groups: each file becomes a node
     for path in sorted(SWEEPS_DIR.glob("*.yaml")):
         store.store(group="sweep", name=path.stem, package="_global_", node=OmegaConf.load(path))

@@ -2,7 +2,7 @@
 
 submit: checks the runs, starts workers (with `hydra/launcher=submitit_slurm` as jobs of SLURM, else
 on this machine) and returns. status: how far the newest submission is, or the one that is named.
-collect: builds the reports of the runs that have ended, also while others go on. cancel: stops the
+collect: builds the reports of the runs that have ended, even while others run. cancel: stops the
 workers; runs keep their checkpoints, and the same `submit` does only what is missing.
 """
 
@@ -13,9 +13,9 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from framework.command import own_plugins
 from framework.command.launchers.submission import Submission, read_submission, submissions
 from framework.command.launchers.supported import missing_extra
+from framework.command.program import plugin_flags
 from framework.command.studies.closing import short_path
 from framework.command.studies.failures import conclude
 from framework.command.studies.study import JOBS_VARIABLE, add_outcome, build_reports, ledger
@@ -63,7 +63,7 @@ def _submit(words: Sequence[str], prog: str) -> int:
     require(
         launcher in LAUNCHERS,
         f"{prog}: expected {LAUNCHER}{f' or {LAUNCHER}'.join(LAUNCHERS)}, got {launcher!r}; a Ray"
-        " cluster has a queue of its own for commands: ray job submit",
+        " cluster queues commands itself: ray job submit",
     )
     extra = missing_extra(launcher)
     require(
@@ -72,7 +72,7 @@ def _submit(words: Sequence[str], prog: str) -> int:
         f" 'fishersplat[{extra}]'",
     )
     flags += [] if chosen else [f"{LAUNCHER}{launcher}"]
-    code = command_line([*own_plugins.flags(), *flags, "hydra.launcher.detach=true", "-m"])
+    code = command_line([*plugin_flags(), *flags, "hydra.launcher.detach=true", "-m"])
     if code == 0:
         sweep_dirs = [word.removeprefix(SWEEP_DIR) for word in words if word.startswith(SWEEP_DIR)]
         _status(read_submission(_folder(Path((sweep_dirs or ["reports"])[-1]))))
@@ -115,7 +115,7 @@ def _collect(submission: Submission) -> int:
 def _cancel(submission: Submission) -> int:
     submission.cancel()
     say(
-        f"{submission.folder.name}: cancelled; runs keep their checkpoints, go on with:"
+        f"{submission.folder.name}: cancelled; runs keep their checkpoints, continue with:"
         f" {submission.command}"
     )
     return 0

@@ -1,8 +1,7 @@
-"""What a run takes along to another process, perhaps on another machine, and what comes back.
+"""Runs in other processes, perhaps on other machines: their environment and their outcomes.
 
-The command's folder and its variables `FISHERSPLAT_*` go with the run: relative paths mean the same
-there, a cache that was named is used, and the user's own plugins are found. The folder must be one
-that all machines share.
+A run gets the command's current folder and its variables `FISHERSPLAT_*`, so relative paths, the
+cache and the user's plugins are the same there. All machines must share that folder.
 """
 
 from __future__ import annotations
@@ -28,7 +27,11 @@ PATH = "PYTHONPATH"
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a run was asked for. command: host and process that it must not outlive, if any."""
+    """The environment of the command.
+
+    Attributes:
+        command: host and process that runs must not outlive, None if they may.
+    """
 
     folder: str
     variables: dict[str, str]
@@ -45,7 +48,7 @@ class Origin:
 
 
 def origin(outlives: bool) -> Origin:
-    """That of runs which this process sends out. outlives: they go on when it is gone."""
+    """The origin of runs that this process sends out; `outlives` lets them continue without it."""
     variables = {
         name: text
         for name, text in os.environ.items()
@@ -55,11 +58,16 @@ def origin(outlives: bool) -> Origin:
 
 
 def lead_to_this_code(root: Path | None = None) -> None:
-    """Let Pythons that are started from here import this code, as this one does: `python run.py`
-    of one folder may have another's installed beside, or none. root: where `framework` lies."""
+    """Make Python processes that start from here import this code.
+
+    For `python run.py` another version may be installed, or none.
+
+    Args:
+        root: the folder of `framework`.
+    """
     place = str(root or Path(__file__).resolve().parents[3])
     if place in map(os.path.realpath, site.getsitepackages()):
-        return  # already importable; in front it would hide modules of Python's own
+        return  # already importable; in front it would hide modules of Python
     others = [part for part in os.environ.get(PATH, "").split(os.pathsep) if part != place]
     os.environ[PATH] = os.pathsep.join(filter(None, [place, *others]))
 

@@ -6,8 +6,8 @@
                             cancelled        exists once the study was cancelled
 
 Each job is a worker that does one run after another. The lock of a run's folder keeps two workers
-from doing the same run, and the lock of a killed worker is free, so another worker resumes its run
-from the checkpoint. Complete runs are reused, so the same command again does what is missing.
+from doing the same run. The lock of a killed worker is free, so another worker resumes its run from
+the checkpoint. Complete runs are reused, so repeating the command does what is missing.
 """
 
 from __future__ import annotations
@@ -79,8 +79,10 @@ class Submission:
         write_whole(self.folder / FILE, json.dumps(content))
 
     def ended(self) -> dict[int, Outcome]:
-        """The outcomes so far, by the runs' numbers. A worker's `busy` only counts as long as the
-        worker that does the run has not written its outcome, which sorts behind."""
+        """The outcomes so far, by the runs' numbers.
+
+        A `busy` outcome is replaced by that of the worker that does the run, which sorts later.
+        """
         return {o.number: o for o in read_outcomes(self.ledger) if o.kind != REPORT}
 
     def complete(self) -> bool:
@@ -103,7 +105,7 @@ class Submission:
         return [kind(self.log, job) for job in self.jobs]
 
     def _state(self, job: Any) -> str:
-        """submitit knows of another command's local job only whether it has a result."""
+        """submitit only reports whether a local job of another command has a result."""
         state = str(job.state)
         if self.cluster == "slurm" or state == "FINISHED":
             return state.lower()
@@ -146,7 +148,7 @@ def submissions(sweep_dir: Path) -> list[Path]:
 
 
 def work(submission: Submission, do: Callable[[Run], Outcome], index: int = 0) -> None:
-    """Do the runs that nobody else has done or is doing, then build the reports if all have ended.
+    """Do the runs that no other worker has done or is doing, then build the reports if all ended.
 
     Args:
         do: does a run.

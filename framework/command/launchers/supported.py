@@ -1,8 +1,8 @@
 """Hydra's launchers that this project supports.
 
 `basic` and `joblib` are Hydra's own. With those of submitit and Ray one lost run ends the study,
-and their processes do not know the command's folder and environment. So a subclass replaces each,
-under the same name (`hydra_plugins/fishersplat_launchers`, where Hydra looks for launchers).
+and their processes lack the command's folder and environment. So a subclass replaces each, under
+the same name (`hydra_plugins/fishersplat_launchers`, where Hydra looks for launchers).
 """
 
 from __future__ import annotations
@@ -17,13 +17,15 @@ from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 from omegaconf import OmegaConf
 
+from framework.compute.orphans import end_with_parent
+
 OURS = "hydra_plugins.fishersplat_launchers"
 WEEK_MIN = 7 * 24 * 60
 
 
 @dataclass(frozen=True)
 class Launcher:
-    """A launcher and where it comes from.
+    """A launcher.
 
     Attributes:
         extra: this project's extra that installs it; "" for Hydra's own.
@@ -51,7 +53,7 @@ LAUNCHERS = {
         "slurm",
         "hydra_plugins.hydra_submitit_launcher",
         ("_submitit", "Slurm"),
-        # a worker that had no time left goes on from its run's checkpoint
+        # a worker that had no time left continues from its run's checkpoint
         {"max_num_timeout": 10, "detach": False},
     ),
     "ray": Launcher(
@@ -96,3 +98,19 @@ def _installed(module: str) -> bool:
         return importlib.util.find_spec(module) is not None
     except ModuleNotFoundError:  # of its parent
         return False
+
+
+def watch_workers() -> None:
+    """Make every joblib worker end with this process from its first moment on.
+
+    A run watches its command (`framework.compute.orphans`), but a worker without a run does not. If
+    the command is killed while it sends the first run, the worker would wait for the rest for ever.
+    """
+    from joblib.parallel import LokyBackend, register_parallel_backend
+
+    class Watching(LokyBackend):  # type: ignore[misc]
+        def configure(self, *args: Any, **options: Any) -> int:
+            workers: int = super().configure(*args, initializer=end_with_parent, **options)
+            return workers
+
+    register_parallel_backend("loky", Watching)

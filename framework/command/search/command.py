@@ -1,8 +1,8 @@
 """`search [--trials 30] [--jobs 1] [--metric psnr] [--name NAME] KEY=VALUE ...`
 
-Looks for the best values of the options that vary, judged on training views that are held out: the
-scene's test views are neither trained on nor looked at, whatever the words say. The same command
-goes on with a search that was interrupted.
+Searches the best values of the options that vary, judged on training views that are held out. The
+scene's test views are neither trained on nor read. The same command continues an interrupted
+search.
 
     fishersplat search --trials 30 --jobs 2 scene=llff scene.path=DIR threads=1 \\
         'trainer.lr_scale=tag(log,interval(1.0,20.0))' init=stereo,fused
@@ -20,18 +20,18 @@ from typing import Any
 
 from framework.command.config.naming import study_dir
 from framework.command.config.schema import register_config
+from framework.command.overrides import normalise
 from framework.command.program import program
 from framework.command.search.driver import JUDGES, Search, check_search, fixed_of, run_search
 from framework.command.search.space import space_of
 from framework.command.search.trial import job_of
 from framework.command.studies.study import short_path
-from framework.command.words import normalise
 from framework.errors import Arguments, UserError, require
 from framework.files.locks import locked
 from framework.records.progress import say
 from framework.scenes import HELD_OUT, UNTESTED, untested
 
-ALONE = ".search"  # holds the lock of who searches
+ALONE = ".search"  # holds the lock of the search
 
 
 def main(arguments: Sequence[str], prog: str) -> int:
@@ -114,14 +114,14 @@ def _conclude(search: Search, best: list[str] | None, prog: str) -> int:
         return 1
     say(f"best: {shlex.join(best)}")
     say(
-        "judge it once, on scenes that chose nothing, for instance:"
+        "evaluate it once, on scenes that the search did not use, for instance:"
         f" {program()} {shlex.join(to_judge(search.fixed, best))} -m"
     )
     return 0
 
 
 def to_judge(fixed: Sequence[str], best: Sequence[str]) -> list[str]:
-    """The words that try `best` elsewhere: with all that was fixed but the scene."""
+    """The words that evaluate `best` on another scene, with the other fixed words."""
     kept = [w for w in fixed if not w.lstrip("+").startswith(("scene", "study=", "threads="))]
     varies = any(word.startswith("seed=") for word in (*kept, *best))
     return [*kept, *best, "scene=...", *([] if varies else ["seed=0,1,2"])]

@@ -1,9 +1,9 @@
-"""The search itself: optuna suggests, processes train, a journal on disk remembers.
+"""The search: optuna suggests, processes train, and optuna's journal on disk keeps the trials.
 
-Every trial is written down before it begins and when it has ended, in optuna's own journal. After a
-kill the same command goes on: trials that ended count, those that were under way are done first,
-with the options they had, from their runs' checkpoints. A trial's figures have the bits of the same
-run by hand; which trial comes next, with several at a time, depends on which ended first.
+Every trial is written before it begins and when it has ended. After a kill the same command
+continues: trials that ended count, and interrupted ones are resumed first, with the same options,
+from their runs' checkpoints. A trial has the same bits as the same run by hand. With several trials
+at a time the next suggestion depends on which trial ended first.
 """
 
 from __future__ import annotations
@@ -33,7 +33,13 @@ WORDS, RUN, TRAIN_S, ERROR = "words", "run", "train_s", "error"  # of a trial's 
 
 @dataclass(frozen=True)
 class Search:
-    """folder: of the study. fixed: the words that stay. trials: that are to end well or badly."""
+    """A search.
+
+    Attributes:
+        folder: of the study.
+        fixed: the words that stay.
+        trials: number of trials, failed ones included.
+    """
 
     folder: Path
     fixed: tuple[str, ...]
@@ -44,13 +50,13 @@ class Search:
     seed: int
 
     def settings(self) -> dict[str, Any]:
-        """What must be the same when a search goes on."""
+        """The settings that a continued search must share."""
         space = [dimension.plain() for dimension in self.space]
         return {"fixed": list(self.fixed), "space": space, "metric": self.metric}
 
 
 class Trials:
-    """optuna's study on disk, and what of it is still to do."""
+    """optuna's study on disk."""
 
     def __init__(self, search: Search) -> None:
         import optuna
@@ -68,11 +74,11 @@ class Trials:
         before = self.study.user_attrs.get("search")
         require(
             before in (None, search.settings()),
-            f"{search.folder}: expected the search that was begun there, got another; give it a"
-            " name of its own by --name",
+            f"{search.folder}: expected the search that was begun there, got another; give it"
+            " another name by --name",
         )
         self.study.set_user_attr("search", search.settings())
-        # a sampler that began anew with its seed would repeat its first draws
+        # a sampler with the same seed would repeat its first draws
         begun = len(self.study.trials)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of what optuna calls experimental
@@ -89,7 +95,7 @@ class Trials:
                 if WORDS not in trial.user_attrs:  # killed while it was suggested
                     self.study.tell(trial.number, state=self._optuna.trial.TrialState.FAIL)
                     continue
-                say(f"trial {trial.number}: goes on")
+                say(f"trial {trial.number}: continues")
                 yield trial.number, list(trial.user_attrs[WORDS])
         while True:
             asked = self.study.ask()
@@ -98,7 +104,7 @@ class Trials:
             yield asked.number, words
 
     def ended(self, number: int, result: Result) -> None:
-        """Write down how a trial ended."""
+        """Write the result of a trial."""
         trial = self._trial(number)
         trial.set_user_attr(RUN, Path(result.run_dir).name)
         trial.set_user_attr(TRAIN_S, result.train_s)
@@ -120,7 +126,7 @@ class Trials:
         return self._optuna.trial.Trial(self.study, match._trial_id)
 
     def table(self) -> dict[str, Any]:
-        """What the report shows."""
+        """The table of the report."""
         rows = [
             {
                 "number": trial.number,

@@ -15,8 +15,7 @@ from typing import Any, Protocol
 
 from hydra.core.override_parser.types import IntervalSweep, Override
 
-from framework.command.config.overrides import parsed
-from framework.command.words import check_given_twice
+from framework.command.overrides import check_given_twice, parsed
 from framework.errors import require
 
 MOST_CHOICES = 1000

@@ -15,9 +15,9 @@ from framework.command.complaints import composing
 from framework.command.config.check import check
 from framework.command.config.naming import plain, register_resolvers
 from framework.command.config.schema import CONF_DIR, register_config
-from framework.command.job import Job
 from framework.command.program import program
-from framework.command.studies.failures import tell
+from framework.command.runner import Job
+from framework.command.studies.failures import record_failure
 from framework.compute.orphans import end_with_parent
 from framework.errors import UserError, printable_line
 from framework.metrics.values import Missing
@@ -27,7 +27,12 @@ from framework.records.record import RECORD, read_record
 
 @dataclass(frozen=True)
 class Result:
-    """Of one run. value: of the metric; None with the reason in error. train_s: CPU seconds."""
+    """Result of one run.
+
+    Attributes:
+        value: of the metric; None with the reason in `error`.
+        train_s: CPU seconds.
+    """
 
     run_dir: str
     value: float | None
@@ -70,24 +75,24 @@ def job_of(words: Sequence[str]) -> Job:
 
 
 def run(words: list[str], label: str, metric: str) -> Result:
-    """Do a run; what goes wrong is in its record, as a study's."""
+    """Do a run; a failure is written into its record."""
     from framework.run.experiment import run_experiment
 
     try:
         job = job_of(words)
-    except UserError as error:  # a value that others of the trial do not go with
+    except UserError as error:  # values of the trial that contradict each other
         say(printable_line(f"{label}: {error}"))
         return Result("", None, error=printable_line(str(error)))
     say(printable_line(label))
     try:
         run_experiment(job.config, Path(job.run_dir), Silent(), job.overrides)
     except Exception as error:
-        return Result(job.run_dir, None, error=str(tell(job, error).error))
+        return Result(job.run_dir, None, error=str(record_failure(job, error).error))
     return result(Path(job.run_dir), metric)
 
 
 def result(run_dir: Path, metric: str) -> Result:
-    """Of a complete run."""
+    """Read the result of a complete run."""
     record = read_record(run_dir / RECORD)
     value: Any = record.summary.get(metric, Missing("not measured"))
     train = record.timings.get("train")

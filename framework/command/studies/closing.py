@@ -25,7 +25,7 @@ def closing(report: Path) -> list[str]:
 
 
 def _verdict(lines: list[str]) -> list[str]:
-    """Of a report's lines those of its verdict, without Markdown."""
+    """The lines of a report's verdict, without Markdown."""
     bold = next((n for n, line in enumerate(lines) if line.startswith("**")), None)
     if bold is None or not lines[bold].endswith("**"):
         return []

@@ -83,7 +83,7 @@ def measure(config: Config) -> Cost:
 
 
 def _seconds(config: Config, cost: Cost) -> float:
-    """Of a run whose scene is loaded."""
+    """Seconds of a run whose scene is loaded."""
     trainer, views = config["trainer"], config["scene"].get("n_views")
     visits = int(trainer.get("visits") or 0) * (views if isinstance(views, int) else 0)
     steps = max(int(trainer["steps"]), visits)
@@ -91,7 +91,7 @@ def _seconds(config: Config, cost: Cost) -> float:
 
 
 def _method(config: Config) -> str:
-    """All that the cost of a step may depend on, but the number of steps."""
+    """The options that the cost of a step may depend on."""
     options = {key: value for key, value in config.items() if key not in ("seed", *NEUTRAL_KEYS)}
     trainer = {key: value for key, value in config["trainer"].items() if key != "steps"}
     return json.dumps({**options, "trainer": trainer}, sort_keys=True)

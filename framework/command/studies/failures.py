@@ -1,8 +1,7 @@
-"""What a command did not complete: each run in its record and the ledger as it fails; at the end a
-short table on stderr, and the exit code.
+"""Failed runs: written to the record and the ledger, listed at the end, turned into an exit code.
 
-One line per failed run: where it is, what kind of failure, the reason; below it the command that
-does this run alone. A command of a single run ends with the reason alone.
+The list on stderr has a line per failed run with its folder, the kind of failure and the reason,
+and below it the command that does this run alone. For a single run it is the reason alone.
 """
 
 from __future__ import annotations
@@ -16,10 +15,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from framework.command import own_plugins
 from framework.command.complaints import USER_ERRORS, one_line, with_variant
-from framework.command.job import Job
-from framework.command.program import program
+from framework.command.program import plugin_flags, program
+from framework.command.runner import Job
 from framework.command.studies.closing import short_path
 from framework.command.studies.study import (
     REPORT,
@@ -52,36 +50,42 @@ def kind_of(error: BaseException) -> str:
     return "machine" if isinstance(error, OSError) or out_of_memory(error) else "bug"
 
 
-def tell(job: Job, raised: Exception) -> Outcome:
-    """A run failed: into its record, unless it never began, and into the command's ledger, whose
-    entry it returns."""
+def record_failure(job: Job, raised: Exception) -> Outcome:
+    """Write a failure into the run's record, unless the run never began, and into the ledger.
+
+    Returns:
+        The entry of the ledger.
+    """
     error, run_dir = _as_bad_input(raised), Path(job.run_dir)
     message, kind = _shown(error, job.config["traceback"]), kind_of(error)
     message = with_variant(message, job.overrides)
     bad_input, busy = isinstance(error, USER_ERRORS), isinstance(error, Busy)
     if busy:
-        pass  # it is the other process's to tell
+        pass  # the other process writes the record
     elif job.multirun or not bad_input:
         message = _recorded(job, message, kind)
     else:  # a lone mistyped run is not worth a record, nor a folder
         _discard(run_dir)
-    theirs = bad_input or out_of_memory(error)  # to fix by whoever asked
-    outcome = Outcome(job.number, job.run_dir, message, kind, job.again, theirs, busy)
+    fixable = bad_input or out_of_memory(error)  # by the user
+    outcome = Outcome(job.number, job.run_dir, message, kind, job.again, fixable, busy)
     add_outcome(outcome)
     return outcome
 
 
 def again(job: Any) -> str:
-    """The command that does this run alone, in the same folder. job: Hydra's part of its
-    configuration."""
+    """Return the command that does this run alone, in the same folder.
+
+    Args:
+        job: Hydra's part of the configuration.
+    """
     flags = [str(o) for o in job.overrides.hydra if not str(o).lstrip("+").startswith(LAUNCHING)]
     words = [*flags, *(str(override) for override in job.overrides.task)]
     multirun = ["-m"] if job.mode.name == "MULTIRUN" else []
-    return f"{program()} {shlex.join([*words, *own_plugins.flags(), *multirun])}"
+    return f"{program()} {shlex.join([*words, *plugin_flags(), *multirun])}"
 
 
 def conclude() -> int:
-    """Tell what the command did not complete; returns the exit code."""
+    """Print which runs failed or are missing; returns the exit code."""
     ended = outcomes()
     failed = [outcome for outcome in ended if outcome.error is not None and not outcome.busy]
     busy = [outcome for outcome in ended if outcome.busy]
@@ -90,11 +94,11 @@ def conclude() -> int:
     if failed:
         print("\n".join(_failure_lines(failed, total)), file=sys.stderr)
     if lost > 0:
-        print(f"error: {lost} runs ended without telling how", file=sys.stderr)
+        print(f"error: {lost} runs ended without a result", file=sys.stderr)
     if busy:
         first = f"{busy[0].error}" if total == 1 else f"for instance {busy[0].error}"
-        count = "" if total == 1 else f"{len(busy)} of {total} runs are being done elsewhere, "
-        print(f"error: {count}{first}; then the same command again", file=sys.stderr)
+        count = "" if total == 1 else f"another process does {len(busy)} of {total} runs, "
+        print(f"error: {count}{first}; then repeat the same command", file=sys.stderr)
     if failed or lost > 0:
         return 2 if lost <= 0 and all(outcome.bad_input for outcome in failed) else 1
     return 3 if busy else 0
@@ -106,8 +110,8 @@ def _failure_lines(failed: Sequence[Outcome], total: int) -> list[str]:
     if total == 1 or not runs:
         return [f"error: {outcome.error}" for outcome in failed]
     lines = [
-        f"error: {len(runs)} of {total} runs failed; the same command does them again, the one"
-        " below each does it alone",
+        f"error: {len(runs)} of {total} runs failed; the same command repeats them, the command"
+        " below each repeats it alone",
         *_table(runs[:MOST_ROWS]),
         *_rest(len(runs) - MOST_ROWS),
     ]
@@ -128,8 +132,7 @@ def _rest(count: int) -> list[str]:
 
 
 def _as_bad_input(error: Exception) -> Exception:
-    """A file or folder that the system refuses is no bug; who opens it may leave it to be told
-    here."""
+    """Turn an error of the system about a file or folder into a UserError."""
     if not isinstance(error, OSError) or not mendable(error):
         return error
     refused = UserError(os_line(error))
@@ -153,7 +156,7 @@ def _shown(error: Exception, show: bool) -> str:
 
 
 def _recorded(job: Job, message: str, kind: str) -> str:
-    """Leave the error in the run's folder; returns it, with what kept it from being written."""
+    """Write the error into the run's folder; returns it, with the reason if that fails."""
     from framework.records.record import write_failed
 
     try:
@@ -166,7 +169,7 @@ def _recorded(job: Job, message: str, kind: str) -> str:
 
 
 def _discard(run_dir: Path) -> None:
-    """Remove what Hydra left of a run that never began, and a study of ours that is now empty."""
+    """Remove Hydra's files of a run that never began, and our study's folder if it is empty."""
     if not run_dir.is_dir() or [path.name for path in run_dir.iterdir()] != [".hydra"]:
         return  # or somebody removed it
     shutil.rmtree(run_dir / ".hydra")

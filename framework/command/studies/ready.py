@@ -1,5 +1,4 @@
-"""Whether this machine has what a run needs, as far as that is quick to see: told before the first
-run of a study, not after hours of the ones before."""
+"""Quick checks, before the first run of a study, that this machine has what its runs need."""
 
 from __future__ import annotations
 
@@ -17,8 +16,8 @@ WITH_PATH = ("scene", "depth")  # groups whose option `path` names files of this
 
 
 def check_ready(config: Mapping[str, Any]) -> None:
-    """Raise UserError where a checked configuration names a folder that is not there, or a part of
-    it says that it lacks something here. Reads no files."""
+    """Raise UserError if a folder of a checked configuration is missing, or a part is not ready on
+    this machine. Reads no files."""
     for group in WITH_PATH:
         path = config[group].get("path")
         require(
@@ -31,9 +30,11 @@ def check_ready(config: Mapping[str, Any]) -> None:
 
 
 def check_links(folder: Path) -> None:
-    """Raise UserError for a link below the folder of a study or a run, where a run writes: through
-    it, something elsewhere would be overwritten. What lies beside a study's `runs`, and where
-    `runs` itself leads, is the user's."""
+    """Raise UserError for a link in a folder where runs write, which would overwrite other files.
+
+    Args:
+        folder: of a study, of which only `runs` is checked, or of a run.
+    """
     runs = folder / RUN_FOLDERS
     top = runs if runs.is_dir() else folder
     for parent, folders, names in os.walk(top):

@@ -1,8 +1,8 @@
-"""What joins the runs of one command: their number, their outcomes, and the report at the end.
+"""The runs of one command: their number, their outcomes, and the report at the end.
 
-The runs may be processes of a launcher, so nothing is shared in memory: each run leaves a small
-file with its outcome in the ledger, a folder that the parent makes and the children know by an
-environment variable. A run without an outcome counts as failed.
+The runs may be processes of a launcher, so nothing is shared in memory. Each run writes its outcome
+into the ledger, a folder that the parent creates and names in an environment variable. A run
+without an outcome counts as failed.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from hydra.core.utils import JobReturn
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from framework.command.collector import import_uncollected
 from framework.command.complaints import USER_ERRORS, composing
 from framework.command.config.check import check
 from framework.command.config.naming import plain, study_dir
-from framework.command.config.overrides import check_method, check_run_count, parsed
 from framework.command.hydra_inside import jobs_of
-from framework.command.launchers.workers import watch_workers
+from framework.command.launchers.supported import watch_workers
+from framework.command.overrides import check_method, check_run_count, parsed
 from framework.command.program import program
+from framework.command.runner import import_uncollected
 from framework.command.studies.closing import closing, short_path
 from framework.command.studies.estimate import announce
 from framework.command.studies.ready import check_links, check_ready
@@ -53,9 +53,15 @@ class Refused(BaseException):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one run ended. error: one line, None if it went well. kind: of the error, a word or two.
-    again: the command that does this run alone. bad_input: the user's to fix. busy: not done, since
-    another process is at it."""
+    """The outcome of one run.
+
+    Attributes:
+        error: one line, None for success.
+        kind: of the error, a word or two.
+        again: the command that does this run alone.
+        bad_input: whether the user can fix it.
+        busy: whether another process is doing the run.
+    """
 
     number: int
     run_dir: str
@@ -68,7 +74,7 @@ class Outcome:
 
 @contextmanager
 def ledger() -> Iterator[Path]:
-    """An empty ledger folder, known to this process and its children, removed at the end."""
+    """Make an empty ledger for this process and its children; it is removed at the end."""
     with own_folder("ledger-") as folder:
         os.environ[LEDGER_VARIABLE] = str(folder)
         try:
@@ -79,8 +85,8 @@ def ledger() -> Iterator[Path]:
 
 
 def add_outcome(outcome: Outcome) -> None:
-    """Write `outcome` into the ledger of the command this run belongs to; not where the run is
-    sent elsewhere and hands its outcome back (`framework.command.launchers.sent`)."""
+    """Write `outcome` into the ledger of the command. A run that was sent to another machine
+    returns it instead (`framework.command.launchers.sent`)."""
     if LEDGER_VARIABLE not in os.environ:
         return
     path = Path(os.environ[LEDGER_VARIABLE]) / f"{outcome.number:06d}.json"
@@ -98,15 +104,17 @@ def read_outcomes(folder: Path) -> list[Outcome]:
 
 
 def job_count() -> int | None:
-    """The number of runs of this command; None in a process that was started before it was
-    known."""
+    """The number of runs of this command; None in a process that started before it was set."""
     text = os.environ.get(JOBS_VARIABLE)
     return None if text is None else int(text)
 
 
-def tell_jobs(jobs: Sequence[Sequence[str]]) -> None:
-    """Let this process and its children know how many runs the command has, and which of their
-    words change from one to another. jobs: the words of each."""
+def set_jobs(jobs: Sequence[Sequence[str]]) -> None:
+    """Store, for this process and its children, the number of runs and the words that vary.
+
+    Args:
+        jobs: the words of each run.
+    """
     values: dict[str, set[str]] = {}
     for word in (word for job in jobs for word in job):
         key, _, value = word.lstrip("+").partition("=")
@@ -116,7 +124,7 @@ def tell_jobs(jobs: Sequence[Sequence[str]]) -> None:
 
 
 def varied(words: Sequence[str]) -> list[str]:
-    """Those of a run's words that are others in other runs of its command."""
+    """Return the words of a run that vary between the runs of its command."""
     keys = os.environ.get(VARIED_VARIABLE, "").split()
     return [word for word in words if word.lstrip("+").partition("=")[0] in keys]
 
@@ -132,8 +140,8 @@ class StudyCallback(Callback):
         try:
             require(
                 not config.estimate,
-                "estimate: expected a study, before which it tells how long that takes, got a lone"
-                " run; add -m, or leave estimate=true out: a run tells the time that is left",
+                "estimate: expected a study, whose duration it estimates, got a single run; add -m,"
+                " or leave estimate=true out: a run shows the time that is left",
             )
             check_links(Path(config.hydra.run.dir))
             check_method(parsed(config.hydra.overrides.task), ())
@@ -154,7 +162,7 @@ class StudyCallback(Callback):
                     raise SystemExit(0)
         except (*USER_ERRORS, OSError) as error:
             raise Refused from error
-        tell_jobs(jobs)
+        set_jobs(jobs)
         if "joblib" in str(config.hydra.launcher.get("_target_")):
             watch_workers()
         self._watch = Stopwatch()
@@ -163,8 +171,7 @@ class StudyCallback(Callback):
         build_reports()
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
-        """Forget the run's two configurations, which Hydra keeps of every run until the end, and
-        nobody reads: 0.1 MB a run."""
+        """Drop the run's two configurations, which Hydra would keep to the end: 0.1 MB a run."""
         job_return.cfg = job_return.hydra_cfg = None
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
@@ -192,11 +199,15 @@ def sweep_jobs(config: DictConfig) -> list[list[str]]:
 
 
 def check_jobs(config: DictConfig, jobs: list[list[str]]) -> dict[Path, list[dict[str, Any]]]:
-    """Raise the error of the first bad run, before hours went into the good ones; otherwise the
-    configurations of each study's runs, the seed aside.
+    """Check all runs before the first one starts.
 
-    Runs that differ in the seed alone are composed once, which takes a tenth of a second; their
-    seeds are checked one by one.
+    Runs that differ only in the seed are composed once, as composing takes a tenth of a second.
+
+    Returns:
+        The configurations of the runs by the folder of their study.
+
+    Raises:
+        UserError: of the first bad run.
     """
     loader = GlobalHydra.instance().config_loader()
     parser = OverridesParser.create(config_loader=loader)
@@ -253,9 +264,9 @@ def _study_dir(composed: DictConfig) -> Path:
 
 
 def build_reports() -> None:
-    """Build the report of every study with a good run and tell where it is.
+    """Build the report of every study with a successful run and print where it is.
 
-    Hydra swallows a callback's exception, so a failed report becomes an outcome of its own.
+    Hydra swallows exceptions of callbacks, so a failed report becomes an outcome.
     """
     good = [outcome for outcome in outcomes() if outcome.error is None]
     for folder in sorted({study_dir(Path(outcome.run_dir)) for outcome in good}):
@@ -269,7 +280,7 @@ def build_reports() -> None:
             for line in closing(report):
                 say(line)
         except Exception as error:
-            # none of a run's, of which a killed one has told no outcome
+            # not the number of a run: a killed one has no outcome
             number = max(job_count() or 0, 1 + max(outcome.number for outcome in outcomes()))
             bad_input, again = isinstance(error, UserError), f"{program()} report {folder}"
             reason = f"{type(error).__name__}: {error}"

@@ -16,8 +16,8 @@ from framework.depth.itermvs.network import MULTIPLE, IterMvs, Posed
 from framework.depth.itermvs.weights import load
 from framework.depth.matching.bounds import depth_bounds
 from framework.depth.matching.neighbours import choose_neighbours
-from framework.depth.options import IterMvsOptions
-from framework.depth.plane_sweep import PlaneSweep
+from framework.depth.matching.sweep import sweep_views
+from framework.depth.options import IterMvsOptions, PlaneSweepOptions
 from framework.depth.read import resample
 from framework.errors import require
 from framework.types import DepthMap, TrainingSet, View
@@ -30,17 +30,17 @@ Estimate = tuple[NDArray[np.float32], NDArray[np.float32]]  # depth and confiden
 
 
 def measure_views(training: TrainingSet, options: IterMvsOptions) -> tuple[DepthMap, ...]:
-    """See `framework.depth.learned.IterMvsDepth.measure`."""
+    """See `framework.depth.providers.IterMvsDepth.measure`."""
     estimates = estimate_views(training, options)
     return _checked(training, estimates, options.least_confidence, options.tolerance)
 
 
 def fused_views(training: TrainingSet, options: IterMvsOptions) -> tuple[DepthMap, ...]:
-    """See `framework.depth.learned.FusedDepth.measure`."""
+    """See `framework.depth.providers.FusedDepth.measure`."""
     estimates = estimate_views(training, options)
     sources = (
         _checked(training, estimates, SURE_CONFIDENCE, SURE_TOLERANCE),
-        PlaneSweep().measure(training),
+        sweep_views(training, PlaneSweepOptions()),
         _checked(training, estimates, options.least_confidence, options.tolerance),
     )
     return tuple(fused(*maps) for maps in zip(*sources, strict=True))

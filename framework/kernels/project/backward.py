@@ -98,8 +98,11 @@ def _through_direction(vx: Any, vy: Any, vz: Any, way: Any) -> tuple[Any, Any, A
 
 @inlined
 def _to_ellipse(sums: Any, conic: Any, seen: Any) -> tuple[Any, ...]:
-    """Gradients in u, v, A, B, C from the sums of a = (d loss / d alpha) alpha, see
-    `project_backward`: log(alpha) falls by (A dx^2 + 2 B dx dy + C dy^2) / 2 from the mean."""
+    """Compute gradients in u, v, A, B, C from the sums of a = (d loss / d alpha) alpha, see
+    `project_backward`.
+
+    log(alpha) is lower than at the mean by (A dx^2 + 2 B dx dy + C dy^2) / 2.
+    """
     ca, cb, cc = conic
     gu = select(seen, ca * sums[1] + cb * sums[3], zeros())
     gv = select(seen, cb * sums[1] + cc * sums[3], zeros())
@@ -117,37 +120,25 @@ def _to_opacity(g_opacity: Any, logit: Any, factor: Any) -> tuple[Any, Any]:
 def project_backward(
     block: int,
     blocks: int,
-    means: Any,
-    quats: Any,
-    log_scales: Any,
-    logits: Any,
-    shN: Any,
-    factors: Any,
-    degree: int,
-    camera: Any,
-    rows: Any,
-    clipped: Any,
-    first: Any,
-    sums: Any,
-    g_means: Any,
-    g_quats: Any,
-    g_log_scales: Any,
-    g_logits: Any,
-    g_sh0: Any,
-    g_shN: Any,
-    g_factors: Any,
-    g_offset: Any,
+    gaussians: Any,
+    projected: Any,
+    gradients: Any,
 ) -> None:
     """Sum every Gaussian's parts in their order, then pull the sums back to the parameters.
 
-    Lanes of a part: sums over pixels of a = (d loss / d alpha) alpha times 1, dx, dx^2, dy, dx dy,
-    dy^2, then of weight times d loss / d (r, g, b, depth); see `blend.blend_backward`. All but shN
-    and g_shN [M, K, 3] are flat.
+    The lanes of a part are sums over pixels. Lanes 0 to 5 are of a = (d loss / d alpha) alpha times
+    1, dx, dx^2, dy, dx dy, dy^2, then follows weight times d loss / d (r, g, b, depth), see
+    `blend.blend_backward`.
+
+    gaussians: means, quats, log-scales, logits, shN and factors. projected: degree, camera, rows,
+    clipped, each Gaussian's first part, and the parts' sums. gradients: out, as `Arrays.flat`.
     """
+    means, quats, log_scales, logits, shN, factors = gaussians
+    degree, camera, rows, clipped, first, sums = projected
+    g_means, g_quats, g_log_scales, g_logits, g_sh0, g_shN, g_factors, g_offset = gradients
     n = len(logits)
     scratch, total = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)
     sh, flags = np.zeros((2, 256), np.float32), np.zeros((3, LANES), np.float32)
-    gradients = (g_means, g_quats, g_log_scales, g_logits, g_sh0, g_shN, g_factors, g_offset)
     terms = (degree + 1) * (degree + 1) - 1
     start, end = span(n, block, blocks)
     for base in range(start, end, LANES):

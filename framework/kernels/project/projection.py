@@ -1,14 +1,21 @@
-"""Gaussians -> screen: a kernel over blocks of Gaussians, 16 at a time.
+"""Projection of Gaussians to the screen: a kernel over blocks of Gaussians, 16 at a time.
 
-`backward` has the gradient.
+`backward` has the gradient, `ewa` and `harmonics` the mathematics, and `ewa` the camera row.
 
-A projected Gaussian is one row of 16 floats (a cache line): 0-1 mean u, v [px]; 2-4 -A/2, -B, -C/2
-times log2(e); 5 log2(opacity); 6-8 colour; 9 depth; 10-11 half-sides of the box that holds all
-alpha >= 1/255 [px]; 12 opacity; 13 2^(2 row[4]) and 14 the longest run of rows, see
-`tiles.first_alphas`; 15 B / C. A, B, C is the conic, the inverse of the 2D covariance.
-With it the blending kernels get alpha = 2^(row[5] + row[2] dx^2 + row[3] dx dy + row[4] dy^2).
+A projected Gaussian is one row of 16 floats (a cache line). A, B, C is the conic, the inverse of
+the 2D covariance.
 
-The mathematics is in `ewa` and `harmonics`, the camera row in `ewa`.
+    0-1    mean u, v, in pixels
+    2-4    -A/2, -B, -C/2 times log2(e)
+    5      log2(opacity)
+    6-8    colour
+    9      depth
+    10-11  half-sides of the box that contains all alpha >= 1/255, in pixels
+    12     opacity
+    13-14  2^(2 row[4]) and the longest run of rows, see `tiles.first_alphas`
+    15     B / C
+
+The blending kernels compute alpha = 2^(row[5] + row[2] dx^2 + row[3] dx dy + row[4] dy^2).
 """
 
 from __future__ import annotations
@@ -148,29 +155,23 @@ def _put_numbers(target: Any, base: int, count: int, values: Any, whole: Any) ->
 def project(
     block: int,
     blocks: int,
-    means: Any,
-    quats: Any,
-    log_scales: Any,
-    logits: Any,
-    sh0: Any,
-    shN: Any,
-    factors: Any,
-    offset: Any,
+    gaussians: Any,
     degree: int,
     camera: Any,
-    width: int,
-    height: int,
-    rows: Any,
-    clipped: Any,
-    bound: Any,
-    radii: Any,
+    size: Any,
+    out: Any,
 ) -> None:
-    """Fill `rows` (flat [N 16]); clipped [N] uint8: bit c set where colour c was clamped at 0;
-    bound [N] int32: the number of tiles the box covers (0 = culled), an upper bound on those
-    touched; radii [N]: the larger half-side of the box, 0 if culled. All but shN [M, K, 3] flat."""
+    """Project the Gaussians (`Arrays.flat`) to an image of size (width, height).
+
+    out: rows (flat [N 16]); clipped [N] uint8, where bit c is set if colour c was clamped at 0;
+    bound [N] int32, the number of tiles that the box covers (0 = culled); radii [N] float32, the
+    larger half-side of the box, 0 if culled.
+    """
+    means, quats, log_scales, logits, sh0, shN, factors, offset = gaussians
+    rows, clipped, bound, radii = out
     n = len(logits)
     scratch, sh = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)
-    w, h = f4(width), f4(height)
+    w, h = f4(size[0]), f4(size[1])
     whole, flags = np.empty(LANES, np.int32), np.empty(LANES, np.uint8)
     start, end = span(n, block, blocks)
     for base in range(start, end, LANES):

@@ -1,8 +1,8 @@
 """Front-to-back blending of a tile's list, and its gradient.
 
-Gradients (Kerbl et al. 2023, appendix; front to back): with w_i = T_i alpha_i and
-S = sum over what lies behind, background included, d C / d alpha_i = T_i c_i - S / (1 - alpha_i).
-The background enters as the initial value of S, which is the finished pixel itself.
+With w_i = T_i alpha_i and S = the sum over what lies behind, including the background, d C / d
+alpha_i = T_i c_i - S / (1 - alpha_i) (Kerbl et al. 2023, appendix; front to back). The background
+is part of the initial S, which is the finished pixel.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ from framework.kernels.tile.tiles import (
 
 f4 = np.float32
 ZERO, ONE = f4(0), f4(1)
+LN2 = f4(0.6931471805599453)
 
 
 @inlined
@@ -110,8 +111,11 @@ def blend(
     alpha: Any,
     depth: Any,
 ) -> None:
-    """Render a range of tiles, as neighbours share Gaussians; rgb flat [3 H W], alpha and depth
-    flat [H W]; depth may be empty: it is left out then, which saves a tenth of the time here."""
+    """Render a range of tiles, since neighbours share Gaussians.
+
+    rgb is flat [3 H W], alpha and depth flat [H W]. An empty depth is skipped, which saves a tenth
+    of the time.
+    """
     with_depth = len(depth) > 0
     columns = (width + 15) // 16
     state = aligned(5 * 256 + 16)
@@ -152,9 +156,13 @@ def _weigh(
 def read_gradients(
     x: int, y: int, size: Any, image: Any, gradient: Any, behind: Any, buffers: Any, held: Any
 ) -> None:
-    """The image's gradients into a tile's, and how the loss moves with all that a tile's pixels
-    hold into `behind`. image, gradient: colours, alpha, depth; the gradients of the last two may be
-    empty. held: scratch."""
+    """Read the image's gradients into a tile.
+
+    `behind` receives the derivative of the loss along what the tile's pixels contain.
+
+    image, gradient: colours, alpha, depth; the gradients of the last two may be empty. held:
+    scratch.
+    """
     width, height = size
     rgb, alpha, depth = image
     g_rgb, g_alpha, g_depth = gradient
@@ -212,35 +220,54 @@ def _slot_sums(
     return lane_sums((m0, m0x, m0x * dx, m1, m1 * dx, m2, sr, sg, sb, sz))
 
 
-@kernel
-def blend_backward(
-    block: int,
-    blocks: int,
-    slots: Any,
-    width: int,
-    height: int,
-    rows: Any,
-    offsets: Any,
-    lists: Any,
-    strips: Any,
-    bounds: Any,
-    parts: Any,
-    n_slots: Any,
-    rgb: Any,
-    depth: Any,
-    alpha: Any,
-    g_rgb: Any,
-    g_alpha: Any,
-    g_depth: Any,
-    sums: Any,
-) -> None:
-    """Fill every (Gaussian, strip) part of strip `block` (flat [parts 16]) with the sums described
-    in `project_backward`; see `binning`.
+@inlined
+def _slot_pulls(rows: Any, g: int, placed: Any, todo: int, limits: Any, tile: Any) -> Any:
+    """Sum the absolute gradient in the projected mean of Gaussian g over the rows `todo` of a tile.
 
-    slots: scratch, flat [at least n_slots[block] 16]. g_alpha, g_depth: flat [H W], or both empty,
-    for a loss of the colours alone.
+    AbsGS (Ye et al. 2024, section 3.2): gradients of opposite sign do not cancel. The sums are in
+    lanes 0 and 1.
     """
-    colour_alone = len(g_alpha) == 0
+    transmittance, behind, gr_, gg_, gb_, _, _ = tile
+    most, one = limits[2], splat(ONE)
+    dx, dy0 = placed[0], placed[1]
+    # the row has the coefficients of log2(alpha)
+    to_u, to_v = splat(f4(-2) * LN2 * rows[g, 2]), splat(f4(-2) * LN2 * rows[g, 4])
+    both_ways = splat(-LN2 * rows[g, 3])
+    cr, cg, cb = colour(rows, g)
+    bend, longest, lean = run_of(rows, g)
+    su, sv = zeros(), zeros()
+    while todo != 0:
+        row, count, todo = next_run(todo, longest)
+        raw, ratio = first_alphas(placed, lean, row, count)
+        dy = dy0 + splat(f4(row))
+        for at in range(row * 16, (row + count) * 16, 16):
+            t = load(transmittance, at)
+            a, weight, goes_on, left = meet(t, raw, limits)
+            store(transmittance, at, left)
+            own = fma(load(gr_, at), cr, fma(load(gg_, at), cg, load(gb_, at) * cb))
+            rest = fnma(weight, own, load(behind, at))
+            store(behind, at, rest)
+            slope = fma(t, own, neg(rest / (one - a)))
+            pull = select(but_not(goes_on, greater(raw, most)), slope * a, zeros())
+            su = su + absolute(pull * fma(to_u, dx, both_ways * dy))
+            sv = sv + absolute(pull * fma(both_ways, dx, to_v * dy))
+            raw, ratio, dy = raw * ratio, ratio * bend, dy + one
+    o = zeros()
+    return lane_sums((su, sv, o, o, o, o, o, o, o, o))
+
+
+@inlined
+def _differentiate(
+    strip: int, slots: Any, strips: Any, image: Any, gradient: Any, sums: Any, pulls: bool
+) -> None:
+    """Sum what the Gaussians of a strip get from its pixels: `_slot_pulls` or `_slot_sums`.
+
+    slots: scratch, flat [at least n_slots[strip] 16]. strips: see `Workspace._strips`. image,
+    gradient: colours flat [3 H W], alpha and depth flat [H W]. The gradients of the last two may be
+    empty. sums: out, of every (Gaussian, strip) part, flat [parts 16].
+    """
+    width, height, rows, offsets, lists, strip_of, bounds, parts, n_slots = strips
+    colour_alone = len(gradient[1]) == 0
     columns = (width + 15) // 16
     state = aligned(8 * 256)
     transmittance, behind, held = state[:256], state[256:512], state[1792:2048]
@@ -252,17 +279,16 @@ def blend_backward(
         state[1536:1792],
     )
     of_tile = (transmittance, behind, *buffers)
-    size, image, gradient = (width, height), (rgb, alpha, depth), (g_rgb, g_alpha, g_depth)
     limits = blend_limits()
     flat = rows.reshape(-1)
     last = len(lists) - 1
     for tile in range(len(offsets) - 1):
-        if strips[tile] != block:
+        if strip_of[tile] != strip:
             continue
         x, y = (tile % columns) * 16, (tile // columns) * 16
         clear_outside(transmittance, x, y, width, height)
         state[256:] = ZERO
-        read_gradients(x, y, size, image, gradient, behind, buffers, held)
+        read_gradients(x, y, (width, height), image, gradient, behind, buffers, held)
         alive = 1
         for k in range(offsets[tile], offsets[tile + 1]):
             if alive != 0 and (k - offsets[tile]) % CHECK == 0:
@@ -275,6 +301,25 @@ def blend_backward(
             prefetch(flat, (lists[min(k + AHEAD, last), 0] >> 8) * 16)
             g, todo = item >> 8, listed_rows(item) & alive
             placed = seen_from(rows, g, x, y)
-            own = _slot_sums(rows, g, placed, todo, limits, colour_alone, of_tile)
+            if pulls:
+                own = _slot_pulls(rows, g, placed, todo, limits, of_tile)
+            else:
+                own = _slot_sums(rows, g, placed, todo, limits, colour_alone, of_tile)
             store(slots, slot, own)
-    gather(block, bounds, parts, n_slots[block], slots, sums)
+    gather(strip, bounds, parts, n_slots[strip], slots, sums)
+
+
+@kernel
+def blend_backward(
+    strip: int, n_strips: int, slots: Any, strips: Any, image: Any, gradient: Any, sums: Any
+) -> None:
+    """Fill the sums described in `project_backward`; arguments as `_differentiate`."""
+    _differentiate(strip, slots, strips, image, gradient, sums, False)
+
+
+@kernel
+def blend_absolute(
+    strip: int, n_strips: int, slots: Any, strips: Any, image: Any, gradient: Any, sums: Any
+) -> None:
+    """Fill the sums of absolute gradients, in an extra pass; arguments as `_differentiate`."""
+    _differentiate(strip, slots, strips, image, gradient, sums, True)

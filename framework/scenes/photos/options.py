@@ -1,10 +1,10 @@
 """The steps of the search for poses, and pycolmap's options in each.
 
-The first step uses COLMAP's usual features. Later ones, if photos are left over, use fainter
-features, a second matching along the geometry of the first (guided), and descriptors that do not
-depend on the view's slant (affine shape, domain-size pooling: slow). Each step places photos with
-COLMAP's usual thresholds, and with lower ones if photos are left over: a few photos with few
-features cannot have the hundreds of matches that the usual thresholds require.
+The first step uses COLMAP's usual features. If photos are left over, later steps use fainter
+features and a second, guided matching along the geometry of the first. The last step also uses
+descriptors that do not depend on the view's slant (affine shape, domain-size pooling), which is
+slow. Each step tries COLMAP's usual thresholds, and lower ones if photos are left over: a few
+photos with few features cannot reach the hundreds of matches that the usual ones require.
 """
 
 from __future__ import annotations
@@ -38,10 +38,9 @@ STEPS = (
 def pairs(n: int) -> list[tuple[int, int]]:
     """The pairs to match among n photos sorted by name.
 
-    All pairs up to 60 photos. Above that the time would grow with the square, and a vocabulary
-    tree is a separate download. Cameras number their photos in the order of the walk, so each is
-    matched with the next 10, with those 16, 32, 64 ... later, and every tenth with every other
-    tenth, which closes loops.
+    All pairs up to 60 photos; above that the time would grow with the square. Cameras number their
+    photos in the order of the walk. So each is matched with the next 10 and with those 16, 32, 64
+    ... later, and every tenth with every other tenth, which closes loops.
     """
 
     def matched(i: int, j: int) -> bool:

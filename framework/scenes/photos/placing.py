@@ -1,10 +1,9 @@
 """Places photos with known matches by pycolmap's incremental mapping, and chooses a focal length.
 
-Few photos from one side often do not determine the focal length, and it diverges. EXIF may be wrong
-too, as of cropped or edited photos. If the estimated focal length is implausible or far from
-EXIF's, the photos are placed again with it fixed to EXIF's, else to 1.2 times the longer side (42
-mm on film), without lens distortion. A plausible estimate wins over EXIF's if it fits clearly
-better.
+Few photos from one side often do not determine the focal length, and the estimate diverges. EXIF
+may be wrong too, as of cropped photos. If the estimate is implausible or far from EXIF's value, the
+photos are placed again with a fixed focal length and no distortion. It is EXIF's, else 1.2 times
+the longer side (42 mm on film). A plausible estimate that fits clearly better wins over EXIF's.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""Prepares photos for the search and the training: upright, at most `side` pixels long, 8-bit RGB
-in JPEG or PNG (RGBA if they are partly transparent); and groups them by camera.
+"""Prepares photos for the search and the training, and groups them by camera.
 
-Focal length in pixels from EXIF (CIPA DC-008): the 35 mm equivalent compares diagonals, which is
-43.27 mm on film; else focal length in mm times the sensor's pixels per mm.
+Prepared photos are upright, at most `side` pixels long, and 8-bit RGB in JPEG or PNG (RGBA if they
+are partly transparent).
+
+The focal length in pixels is from EXIF (CIPA DC-008). The 35 mm equivalent compares diagonals,
+43.27 mm on film. Without it, it is the focal length in mm times the sensor's pixels per mm.
 """
 
 from __future__ import annotations

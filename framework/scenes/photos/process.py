@@ -1,4 +1,4 @@
-"""The search for poses in a process of its own, and its result in the user's cache.
+"""The search for poses in a child process, and its result in the user's cache.
 
 pycolmap writes to the screen, cannot be interrupted and may crash, hence the child process. It
 writes a JSON object per line to its standard output: {"say": text}, {"say": text, "passing": true}

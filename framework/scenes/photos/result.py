@@ -34,8 +34,11 @@ class Link:
 
 @dataclass(frozen=True)
 class Overruled:
-    """EXIF's focal length and the one used instead, in pixels of the prepared photo, and their mean
-    reprojection errors in pixels. exif_error_px: None if EXIF's placed fewer photos."""
+    """EXIF's focal length and the estimate that replaced it, in pixels of the prepared photo.
+
+    The errors are mean reprojection errors in pixels; exif_error_px is None if EXIF's focal length
+    placed fewer photos.
+    """
 
     exif_px: float
     found_px: float

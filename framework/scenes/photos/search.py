@@ -168,7 +168,7 @@ def store(chosen: Attempt, photos: Sequence[Photo], folder: Path) -> None:
 def upright(views: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Rotation [3, 3] and centre [3] of a world with +y down and +z along the mean view.
 
-    Structure from motion does not know what is up. Photos are mostly held level, so the mean of
+    The models have an arbitrary orientation. Photos are mostly held level, so the mean of
     their down axes is down; viewers that open the splat then show it upright.
 
     Args:

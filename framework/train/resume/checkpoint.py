@@ -1,13 +1,12 @@
 """Checkpoints of a run: `checkpoints/step-<finished steps>-<32 hex digits>.safetensors`.
 
 The digits are of the SHA-256 of the file's bytes, so one rename makes file and checksum appear
-together. safetensors holds tensors and texts and nothing that could be executed; the tree of values
-is JSON in its metadata, see `framework.files.tree`. Two are kept: a damaged one is noticed by its
-name and the one before it is used. A checkpoint is of one run identity and is of no use to another.
+together. safetensors files hold tensors and texts and nothing executable; the tree of values is
+JSON in their metadata, see `framework.files.tree`. Two are kept: a damaged one is detected by its
+name, and the previous one is used. A checkpoint belongs to one run identity.
 
-The next one is due when 75 times the cost of the last has passed, so they take less than 2 % of a
-long training; the cost of the first is guessed, and one that is dearer than the last is paid.
-When they happen changes no result.
+The next one is due after 75 times the cost of the last one, so they take less than 2 % of a long
+training. The cost of the first is estimated. Checkpoints change no result.
 """
 
 from __future__ import annotations
@@ -143,7 +142,7 @@ class Checkpoints:
             LOG.warning(
                 f"checkpoint: {len(data) / 2**30:.1f} GiB is more than the"
                 f" {CHECKPOINT_BYTES / 2**30:.0f} GiB that may be read again, so none is kept: a"
-                " training that is interrupted begins anew"
+                " training that is interrupted starts again"
             )
             self._next = math.inf
             return
@@ -159,7 +158,7 @@ class Checkpoints:
         return sorted(file for file in self.folder.glob("step-*") if NAME.fullmatch(file.name))
 
     def _read(self, path: Path, check: Check) -> TrainerState | None:
-        """The state in `path`; None if it is damaged, which is told, or another run's."""
+        """The state in `path`; None if it is damaged (with a warning) or another run's."""
         try:
             digest = hashlib.sha256(read_bytes(path, CHECKPOINT_BYTES)).hexdigest()[:32]
             if not path.stem.endswith(f"-{digest}"):

@@ -1,8 +1,7 @@
-"""Whether a training can go on from a `TrainerState`: its parts fit each other and the run.
+"""Checks that a training can continue from a `TrainerState`: its parts fit each other and the run.
 
-A checkpoint's checksum tells accidents, not intent. What a forged one could do is bounded here:
-every tensor is of the file, so no larger than it, and has the shape that the training takes for
-granted.
+A checkpoint's checksum detects accidents, not intent. These checks bound what a forged checkpoint
+could do: every tensor comes from the file, so it is no larger, and has the expected shape.
 """
 
 from __future__ import annotations

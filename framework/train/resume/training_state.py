@@ -1,7 +1,7 @@
-"""All that a training needs to go on: with it and the configuration every later bit is fixed.
+"""The state of a training: together with the configuration it determines every later bit.
 
-Random draws need nothing here: a stream is fixed by (seed, purpose, step). Real views are part of
-the scene and are not repeated; an epoch's pseudo views are, since they were made at its start.
+Random streams need no state, as (seed, purpose, step) determines them. Real views are part of the
+scene and are not stored; the pseudo views of an epoch are, since they were made at its start.
 """
 
 from __future__ import annotations
@@ -63,9 +63,14 @@ class Plugins:
 
 @dataclass(frozen=True)
 class Trained:
-    """What a training gives. background: [3], what renders for evaluation stand on. wall_s, cpu_s:
-    of the training without evaluations, all its parts together. resumed: how often it was taken up
-    again from a kept state. dose: see `framework.train.dose`."""
+    """The result of a training.
+
+    Attributes:
+        background: [3], of renders for evaluation.
+        wall_s, cpu_s: of the training without evaluations.
+        resumed: how often it was resumed.
+        dose: see `framework.train.dose`.
+    """
 
     gaussians: Gaussians
     background: Tensor
@@ -99,11 +104,13 @@ class FieldState:
 class TrainerState:
     """A training between two steps.
 
-    step: finished steps. left: how many of the epoch's real views are still to be trained on.
-    pseudo: the epoch's pseudo views. logged: since the last row of `history`. field: what is
-    trained; second: the field beside it, where a plugin wants one.
-    dose: of the methods so far. psnr: the last one measured. wall_s, cpu_s: of the training so far,
-    without evaluations. resumed: how often it was taken up again.
+    Attributes:
+        step: finished steps.
+        left: real views of the epoch that are not yet trained on.
+        logged: since the last row of `history`.
+        psnr: the last one measured.
+        wall_s, cpu_s: so far, without evaluations.
+        second: state of the second field, if there is one.
     """
 
     step: int
