@@ -1,10 +1,10 @@
-"""Write findings with the templates: as Markdown, as one offline page, and as LaTeX.
+"""Render findings with templates: as Markdown, as one offline page, and as LaTeX.
 
-`report.jinja`, `compare.jinja` and `leaderboard.jinja` say what stands where and `sentences.jinja`
-words the findings; `markdown.jinja` and `html.jinja` are the two forms of headings, paragraphs,
-tables and pictures. Texts are plain but for backticks, which mark code; each form escapes the rest,
-so a name from outside cannot become markup. The page's content security policy allows its own
-script and style by their hashes and nothing from elsewhere.
+`report.jinja`, `compare.jinja` and `leaderboard.jinja` order the sections. `sentences.jinja` words
+the findings. `markdown.jinja` and `html.jinja` format headings, paragraphs, tables and pictures.
+Texts are plain, except that backticks mark code. Both formats escape the rest, so a name from a
+record cannot become markup. The content security policy allows only the page's script and style,
+by their hashes.
 """
 
 from __future__ import annotations
@@ -165,8 +165,11 @@ def tex(template: str, **context: Any) -> str:
 
 @functools.cache
 def templates() -> Environment:
-    """The templates of reports. What is in `html.jinja` and `page.html.jinja` is escaped; the other
-    templates write plain text, which goes through their macros."""
+    """The templates of reports.
+
+    `html.jinja` and `page.html.jinja` escape their values. The other templates write plain text,
+    which passes through their macros.
+    """
     env = _environment(autoescape=lambda name: bool(name) and "html.jinja" in str(name))
     env.filters |= {"html_prose": _html_prose, "markdown_prose": _markdown_prose}
     env.filters |= {"cell": _html_cell, "pipe_table": _pipe_table, "columns": columns}
@@ -222,7 +225,7 @@ def _one_line(text: object) -> str:
 
 
 def _html_prose(text: object) -> Markup:
-    """One escaped line; what stands in backticks is code. Text of a macro is plain, too."""
+    """One escaped line; backticks become code. Macros pass plain text."""
     parts = re.split(r"`([^`]*)`", str(escape(str(text))))
     line = "".join(f"<code>{p}</code>" if k % 2 else p for k, p in enumerate(parts))
     return Markup(_one_line(line))

@@ -1,8 +1,7 @@
-"""Stress studies: PSNR and the gain over the baseline against the strength of a stress, and where
-each method stops helping.
+"""Stress studies: PSNR and gain against the strength, and where each method stops helping.
 
-A panel is a scene, with everything that distinguishes it from others of its name held fixed, along
-one stress with at least `FEWEST_LEVELS` tested strengths (two, if some run is in no such panel).
+A panel is a scene along one stress with at least `FEWEST_LEVELS` tested strengths; two strengths
+suffice if some run would be in no panel. All other conditions of the scene are fixed.
 """
 
 from __future__ import annotations

@@ -1,14 +1,13 @@
-"""Two methods over runs paired by (scene, seed): two questions, two answers.
+"""Two methods compared over runs paired by (scene, seed), with two intervals.
 
-*These scenes*: what another draw of the seeds would give on them. The same seed on several scenes
-shares its draws, so pairs of one seed are not independent: the differences of a seed are averaged
-over the scenes first, and the t interval is over the seeds, one value each. Seeds that lack a scene
-are left out; where fewer than two would stay, scenes with few seeds are (`block`).
+*These scenes*: the effect for other seeds on the same scenes. Pairs of one seed on several scenes
+are not independent. The differences of a seed are therefore averaged over the scenes, and the t
+interval is over the seeds. Seeds that lack a scene are left out. If fewer than two remain, scenes
+with few seeds are left out instead (`block`).
 
-*Scenes like these*: what other scenes of their kind would give. The differences of a scene are
-averaged over its seeds first, and the t interval is over the scenes, one value each: with few
-scenes it is wide, as it should be. Conditions of one scene, such as other photos of it or wrong
-poses, tell nothing of other scenes: they are averaged to one value too.
+*Scenes like these*: the effect for other scenes of the same kind. The differences of a scene are
+averaged over its seeds, and the t interval is over the scenes. Conditions of one scene, such as
+other training photos or wrong poses, are averaged to one value.
 """
 
 from __future__ import annotations
@@ -30,10 +29,14 @@ K = TypeVar("K", str, int)  # a scene, or the place of a strength among those of
 
 @dataclass(frozen=True)
 class Comparison:
-    """`method` minus `baseline` in dB. scenes: those that `these` is about. these: over the seeds,
-    of no seed where none is on all scenes. like: over all scenes of both, conditions of one scene
-    taken together; None for a single one. tests: how many comparisons `joint`, `p_joint` and
-    `significant` are corrected for."""
+    """`method` minus `baseline` in dB.
+
+    Attributes:
+        scenes: the scenes of `these`.
+        these: over the seeds; without values if no seed is on all scenes.
+        like: over all common scenes, conditions of one scene averaged; None for a single scene.
+        tests: number of comparisons that `joint`, `p_joint` and `significant` are corrected for.
+    """
 
     method: Method
     baseline: Method
@@ -57,7 +60,7 @@ class Comparison:
 
     @property
     def interval(self) -> Interval | None:
-        """Of this comparison alone."""
+        """The interval of this comparison alone."""
         return self.these.interval()
 
     @property
@@ -97,8 +100,11 @@ def compare(
     others: Pairs,
     names: Mapping[str, str] | None = None,
 ) -> Comparison | None:
-    """Over the pairs both have; None if there is none. names: of scenes that are conditions of one,
-    its name; without it each scene is one of its own."""
+    """Compare over common pairs; None if there is none.
+
+    Args:
+        names: scene of each condition; without it every scene counts by itself.
+    """
     keys = sorted(values.keys() & others.keys())
     if not keys:
         return None
@@ -118,9 +124,11 @@ def compare(
 
 
 def block(keys: Collection[tuple[K, int]]) -> tuple[list[K], list[int]]:
-    """Of pairs (place, seed): all places with the seeds that each has. Where these are fewer than
-    two, places that share two seeds or more, so that many pairs stay (found place by place, not by
-    trying all), if there are any."""
+    """Choose pairs (place, seed) so that every place has every seed.
+
+    All places with their common seeds; if these are fewer than two, a greedy choice of places that
+    share at least two seeds and keep many pairs.
+    """
     seeds: dict[K, set[int]] = defaultdict(set)
     for place, seed in keys:
         seeds[place].add(seed)
@@ -140,8 +148,7 @@ def block(keys: Collection[tuple[K, int]]) -> tuple[list[K], list[int]]:
 
 
 def corrected(comparisons: Mapping[M, Comparison]) -> dict[M, Comparison]:
-    """With intervals and p that hold for all of those that can be tested at once, over seeds or
-    over scenes."""
+    """Correct intervals and p for all comparisons that can be tested, over seeds or scenes."""
     testable = [
         c for c in comparisons.values() if c.p is not None or (c.like and c.like.p is not None)
     ]

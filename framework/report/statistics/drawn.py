@@ -1,10 +1,9 @@
-"""How far what a method gains depends on the photos that one happens to have.
+"""How much the gain of a method depends on the choice of training photos.
 
-Studies over draws of the training photos of a scene (`scene.split=NAME_drawn0,NAME_drawn1,...`; the
-test photos stay) tell that. A draw's gain is the mean over its seeds of method minus baseline, the
-same seed in both. Their mean has a t interval over the draws: what other photos of the same scene
-would give. Whether the draws differ by more than seeds do is a one-way analysis of variance of the
-seeds' differences.
+A study can draw other training photos of a scene (`scene.split=NAME_drawn0,NAME_drawn1,...`) for
+the same test photos. The gain of a draw is the mean over its seeds of method minus baseline. The
+mean gain has a t interval over the draws: the effect for other photos of the same scene. A one-way
+analysis of variance tests whether draws differ by more than seeds do.
 """
 
 from __future__ import annotations
@@ -25,9 +24,14 @@ from framework.scenes import DRAWN
 
 @dataclass(frozen=True)
 class Variance:
-    """One-way analysis of variance of groups. f: variance between over that within. between,
-    within: its degrees of freedom. sd: standard deviation within a group. p: of an f so large among
-    groups that do not differ; None where nothing varies."""
+    """One-way analysis of variance of groups.
+
+    Attributes:
+        f: variance between groups divided by that within.
+        between, within: degrees of freedom.
+        sd: standard deviation within a group.
+        p: probability of a larger f among groups that do not differ; None if nothing varies.
+    """
 
     f: float
     between: int
@@ -38,9 +42,15 @@ class Variance:
 
 @dataclass(frozen=True)
 class Draws:
-    """`method` minus `baseline` in dB on a scene, told with its conditions. differences: draw -> of
-    its seeds. plain: draw -> mean PSNR of the baseline. over: the mean over draws. alike: whether
-    draws differ, of those with two seeds or more; None where these are fewer than two."""
+    """`method` minus `baseline` in dB on a scene with its conditions.
+
+    Attributes:
+        differences: draw -> differences of its seeds.
+        plain: draw -> mean PSNR of the baseline.
+        over: the mean over draws.
+        alike: whether draws differ, from those with at least two seeds; None if these are fewer
+            than two.
+    """
 
     scene: str
     method: Method
@@ -52,13 +62,15 @@ class Draws:
 
     @property
     def gains(self) -> list[float]:
-        """Of each draw, the mean over its seeds."""
+        """Draw -> mean difference over its seeds."""
         return [float(np.mean(own)) for own in self.differences.values()]
 
 
 def draws(study: Study) -> list[Draws]:
-    """Of every scene with two draws or more, all its other conditions fixed, and every method with
-    a baseline on two of them."""
+    """The draws of every method with its baseline on at least two of them.
+
+    Scenes need two draws with all other conditions equal.
+    """
     groups: dict[tuple[str, str], list[ReportRun]] = defaultdict(list)
     for run in study.runs:
         if DRAWN in _draw(run):
@@ -106,7 +118,7 @@ def _draw(run: ReportRun) -> str:
 
 
 def variance(groups: Sequence[Sequence[float]]) -> Variance | None:
-    """Of groups of two values or more; None of fewer than two groups."""
+    """Analysis of variance of groups of at least two values; None for fewer than two groups."""
     if len(groups) < 2:
         return None
     every = np.concatenate([np.asarray(group, dtype=np.float64) for group in groups])

@@ -26,12 +26,18 @@ from framework.report.study.study import ReportRun, Study
 
 @dataclass(frozen=True)
 class Outcomes:
-    """By method. psnr, and by seed in seeds: of the mean over all scenes, without methods that have
-    no complete seed. scene_sigma: mean over the scenes of their standard deviations, of several
-    scenes. best: the method to use (`_best`). comparisons, sigmas: with the baseline of the same
-    budget, where they share a (scene, seed). by_scene: scene -> the same comparisons on it alone,
-    uncorrected, of several scenes. tested: on those scenes alone where no default was chosen, where
-    there are others too."""
+    """The numbers of a study.
+
+    Attributes:
+        psnr, seeds: per method, mean over all scenes, and by seed; without methods that lack a
+            complete seed.
+        scene_sigma: mean over several scenes of their standard deviations.
+        best: the recommended method (`_best`).
+        comparisons, sigmas: per method, compared with the baseline of the same budget over common
+            (scene, seed) pairs.
+        by_scene: scene -> the same comparisons on it alone, uncorrected; of several scenes.
+        tested: comparisons on scenes that chose no default, if the study has others too.
+    """
 
     best: Method
     psnr: dict[Method, Spread]
@@ -68,8 +74,11 @@ def outcomes(study: Study) -> Outcomes:
 
 
 def _best(study: Study, psnr: Collection[Method], found: Mapping[Method, Comparison]) -> Method:
-    """The highest of those that are shown to be better than their own baseline and than every other
-    method's, which may have another budget or other options; else the study's baseline."""
+    """The best method that is significantly better than its baseline and than all other methods.
+
+    The other methods may have another budget or other options. Without such a method it is the
+    study's baseline.
+    """
     better = [m for m, c in found.items() if c.significant and c.difference > 0 and m in psnr]
     if not better:
         return study.methods[0] if study.methods else PLAIN

@@ -1,8 +1,8 @@
-"""The worst case beside the mean: worst view and seed, 5th percentile, and how often a run fails.
+"""The worst case: worst view and seed, 5th percentile, and the share of failed runs.
 
-A run fails if it ended with an error, has no finite test PSNR, did not converge (its last
-evaluation lies at least `FAILURE_DB` below its own best), or lies at least `FAILURE_DB` below the
-run of `none + none` with the same scene, budget and seed. The interval of the share is Wilson's
+A run fails if it ended with an error, has no finite test PSNR, or did not converge: its last
+evaluation is at least `FAILURE_DB` below its best one. It also fails at least `FAILURE_DB` below
+the run of `none + none` with the same scene, budget and seed. The interval of the share is Wilson's
 (1927).
 """
 
@@ -26,8 +26,11 @@ PERCENTILE = 5.0
 
 @dataclass(frozen=True)
 class WorstCase:
-    """Over the test views of all runs of a method on a scene, in dB: the worst mean of a run with
-    its seed, the worst view with its name and seed, and the 5th percentile of views."""
+    """The lowest PSNR in dB over the test views of all runs of a method on a scene.
+
+    It holds the worst mean of a run with its seed, the worst view with its name and seed, and the
+    5th percentile of views.
+    """
 
     run_psnr: float
     run_seed: int
