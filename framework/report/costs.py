@@ -100,10 +100,11 @@ def front(found: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
 
 
 def paying(found: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
-    """Indices of the entries that are worth their cost, the cheapest first.
+    """Return the indices of the entries that are worth their time, the cheapest first.
 
-    The test is corrected for all others of the scene, because the data decide which are on the
-    front.
+    An entry is one if it is significantly better than all cheaper ones that are. Tests are
+    corrected for all others, because the data decide which of them are on the front. Without any
+    test the result is empty.
     """
     on_front = front(found, cost)
     kept = on_front[:1]

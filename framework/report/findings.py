@@ -194,10 +194,8 @@ class Findings:
 
     @cached_property
     def costs(self) -> list[Cost]:
-        """Costs of the recommended method and its baseline, or of the baseline and the best other
-        method.
-
-        Of several budgets, the cheapest and the most expensive one.
+        """Costs of the advised method and of its baseline, or of the best other method. With
+        several budgets these are the cheapest and the most expensive.
         """
         found = self.outcomes
         if not found.psnr:
@@ -225,7 +223,7 @@ class Findings:
 
     @property
     def least_power(self) -> SigmaComparison | None:
-        """The test of standard deviations with the least power."""
+        """The test of deviations with the least power."""
         tested = [c for c in self.outcomes.sigmas.values() if c.ratio is not None]
         return min(tested, key=lambda c: c.detectable or 0.0, default=None)
 
@@ -353,7 +351,7 @@ def _weakest(findings: Findings) -> Weakest | None:
 
 
 def _cheapest_good(study: Study, found: Outcomes) -> Method | None:
-    """The cheapest budget of the first method that is nearly as good as the best."""
+    """The cheapest budget of the first method that is nearly as good as its best."""
     means = {m: s.mean for m, s in found.psnr.items() if m.family == study.families[0]}
     good = [m for m, mean in means.items() if mean >= max(means.values()) - AS_GOOD_DB]
 
@@ -365,9 +363,9 @@ def _cheapest_good(study: Study, found: Outcomes) -> Method | None:
 
 
 def contests(study: Study) -> list[Contest]:
-    """For every method that ran with several capacities, compare each of them with the first one.
+    """Compare the capacities of every method that ran with several, each with the first one.
 
-    Runs are paired by scene and seed. Tests are corrected for all these comparisons.
+    Runs are paired by scene and seed, and tests are corrected for all of these comparisons.
     """
     groups: dict[Method, list[Method]] = {}
     for method in study.methods:

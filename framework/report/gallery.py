@@ -1,9 +1,10 @@
 """Pictures of the page's viewer: ground truth, renders and error maps as small WebP copies.
 
-A page holds at most `BYTES_PER_RUN` for each run, between `FEWEST_BYTES` and `MOST_BYTES`, and
-`MOST_IMAGES` pictures. They are taken in layers: the lowest seed and most informative view of every
-method, then its other views, then the next seeds. Copies are at most `LONGEST` pixels wide or high,
-error maps at most `LONGEST_ERROR`. All numbers of the report come from the originals.
+A page contains at most `BYTES_PER_RUN` of them for each run, within `FEWEST_BYTES` and
+`MOST_BYTES`, and at most `MOST_IMAGES`. The lowest seed and most informative view of every method
+come first, then its other views, then the next seeds. Copies are at most `LONGEST` pixels long.
+Error maps are mostly noise, so `LONGEST_ERROR` applies to them. Every number of the report is
+computed from the originals.
 """
 
 from __future__ import annotations
@@ -94,7 +95,7 @@ def gallery(study: Study, scenes: Sequence[str]) -> Gallery:
 
 
 def _videos(study: Study, scenes: Sequence[str]) -> Iterator[tuple[str, str, int, str]]:
-    """The video of each method and scene if it is small. Larger ones are linked."""
+    """The small videos of each method on each scene; larger ones are linked."""
     left = VIDEOS_BYTES
     for scene in scenes:
         for method in study.methods:
@@ -109,7 +110,7 @@ def _videos(study: Study, scenes: Sequence[str]) -> Iterator[tuple[str, str, int
 
 
 def _layers(study: Study, scenes: Sequence[str]) -> Iterator[list[tuple[ReportRun, str]]]:
-    """Pairs of run and view, in the order of the rank of the seed, then of the view."""
+    """Group the pairs of run and view by rank of the seed, then of the view."""
     ranked: dict[tuple[int, int], list[tuple[ReportRun, str]]] = {}
     for scene in scenes:
         first = [view for view, _ in choose_views(study, scene).views]

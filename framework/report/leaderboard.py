@@ -1,8 +1,8 @@
-"""`fishersplat leaderboard DIR`: compare the methods over all studies of a folder.
+"""`fishersplat leaderboard DIR`: the results of every method over all studies of a folder.
 
 Studies differ in scenes, resolution and budget, so their PSNRs are not ranked against each other.
-Every method is compared with the baseline of its study: significantly better, significantly worse,
-or neither, with the interval of that report.
+Instead, every method is compared with the baseline of the same study: significantly better,
+significantly worse, or neither, each with the interval of that report.
 """
 
 from __future__ import annotations
@@ -265,7 +265,7 @@ def _shared(entries: Sequence[Entry]) -> str:
 
 
 def _forest(matches: Sequence[Match], families: Sequence[Method], out_dir: Path) -> Picture | None:
-    """The comparisons by method and study. If there are very many, the significant ones."""
+    """One row per method and study; only the significant ones if there are very many."""
     shown = sorted(matches, key=lambda m: (m.family.order, natural(m.entry.name)))
     if len(shown) > MOST_ROWS:
         shown = [match for match in shown if match.sign][:MOST_ROWS]

@@ -1,10 +1,10 @@
 """Render findings with templates: as Markdown, as one offline page, and as LaTeX.
 
-`report.jinja`, `compare.jinja` and `leaderboard.jinja` order the sections. `sentences.jinja` words
-the findings. `markdown.jinja` and `html.jinja` format headings, paragraphs, tables and pictures.
-Texts are plain, except that backticks mark code. Both formats escape the rest, so a name from a
-record cannot become markup. The content security policy allows only the page's script and style,
-by their hashes.
+`report.jinja`, `compare.jinja` and `leaderboard.jinja` define the order, and `sentences.jinja`
+words the findings. `markdown.jinja` and `html.jinja` are the two forms of headings, paragraphs,
+tables and pictures. Texts are plain except for backticks, which mark code. Each form escapes the
+rest, so a name from outside cannot become markup. The page's content security policy allows its
+script and style by their hashes and nothing from elsewhere.
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ def _one_line(text: object) -> str:
 
 
 def _html_prose(text: object) -> Markup:
-    """One escaped line; backticks become code. Macros pass plain text."""
+    """One escaped line; text in backticks is code. Text of a macro is plain, too."""
     parts = re.split(r"`([^`]*)`", str(escape(str(text))))
     line = "".join(f"<code>{p}</code>" if k % 2 else p for k, p in enumerate(parts))
     return Markup(_one_line(line))

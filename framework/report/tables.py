@@ -93,7 +93,7 @@ Row = dict[str, Cell]
 
 
 def heading_of(metric: str, study: Study | None = None) -> str:
-    """Heading of a metric; LPIPS with the network, if the runs name it."""
+    """The heading of a metric's column; LPIPS with the network of the runs, if they name it."""
     if metric not in NAMES:  # a metric of a plugin
         return outside(metric)
     unit = UNITS.get(metric, "↓")

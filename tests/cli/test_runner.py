@@ -76,13 +76,6 @@ def test_a_run_and_its_report(tmp_path: Path) -> None:
     ]
 
 
-def test_several_runs_without_a_flag(tmp_path: Path) -> None:
-    """An experiment may be a multirun by itself."""
-    code, out, _ = _ended(GOOD, tmp_path, "hydra.mode=MULTIRUN", "seed=0,1")
-    assert code == 0
-    assert out.count("run by") == 2 and "[run 2 of 2] none+none seed 1 · finished" in out
-
-
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
@@ -98,15 +91,6 @@ def test_several_runs_without_a_flag(tmp_path: Path) -> None:
 def test_bad_input_is_one_line(error: str, code: int, told: str, tmp_path: Path) -> None:
     ended = _ended(_raising(error), tmp_path)
     assert ended[0] == code and ended[2] == told
-
-
-def test_a_bug_shows_its_traceback(tmp_path: Path) -> None:
-    code, _, err = _ended(_raising("{}[7]"), tmp_path)
-    assert code == 1
-    assert "in run_experiment" in err and "KeyError: 7" in err
-    assert err.endswith("error: KeyError: 7\n")
-    (record,) = tmp_path.glob("reports/*/runs/*/record.json")
-    assert "KeyError: 7" in record.read_text()
 
 
 SLOW = _raising("""

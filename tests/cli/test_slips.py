@@ -86,12 +86,6 @@ def test_a_path_may_have_any_letters(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert f"{folder}: expected photos" in capsys.readouterr().err
 
 
-def test_a_file_where_a_folder_goes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "notes").write_text("")
-    assert main(["trainer.steps=1", f"hydra.run.dir={tmp_path / 'notes'}"]) == 2
-    assert "notes: expected a folder or nothing yet, got a file" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("flag", ["-m", "--multirun"])
 @pytest.mark.parametrize("place", range(5))
 def test_the_flag_of_a_sweep_may_stand_anywhere(flag: str, place: int, runs: FakeRuns) -> None:

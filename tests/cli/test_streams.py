@@ -109,12 +109,6 @@ def test_a_slip_is_one_line(
     assert told in error and error.startswith("error: ") and error.count("\n") == 1
 
 
-@pytest.mark.parametrize("part", ["reg", "trainer.steps", "_global_"])
-def test_a_part_that_is_there_is_shown(part: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["-c", "job", "-p", part]) == 0
-    assert capsys.readouterr().out.strip()
-
-
 @pytest.mark.parametrize("make", [lambda path: path / "file" / "x", lambda path: Path("/proc/x")])
 def test_a_cache_that_cannot_be_made(
     tmp_path: Path,

@@ -54,9 +54,3 @@ def test_nothing_in_a_training_is_rounded_by_the_processor() -> None:
     assert len(found) > 100
     found = {path: lines for path, lines in found.items() if lines}
     assert not found, f"{found}: framework.compute.portable and tensors round alike everywhere"
-
-
-def test_what_would_be_found() -> None:
-    text = "a = x.sqrt() + torch.exp(y) + np.log(z) + u @ v + ctx.gaussians.scales\n"
-    assert len(rounded(text)) == 5
-    assert not rounded("a = np.sqrt(x) + math.exp(y) + portable.log(z) + ctx.log('n', 1)\n")

@@ -30,7 +30,7 @@ Evaluations = dict[int, tuple[float, float]]  # step -> seconds, test PSNR (dB)
 
 
 def evaluations(run: ReportRun) -> Evaluations:
-    """The tests of a run during training."""
+    """Return the evaluations of a run during training."""
     history = run.run.history.numbers
     rows = zip(history["step"], history["seconds"], history["test_psnr"], strict=True)
     return {int(step): (float(s), float(psnr)) for step, s, psnr in rows if not math.isnan(psnr)}
@@ -121,10 +121,11 @@ def _capacity(method: Method) -> str:
 
 
 def _panels(found: Sequence[Entry], scene: str) -> list[tuple[str, dict[int, str]]]:
-    """The title of each chart, and the names of its series by the indices of their entries.
+    """Return (title, names of the series by the index of their entries) of every chart.
 
-    If the colours suffice there is a series per method and capacity. Else there is a chart per
-    method with a series per capacity, or a series per method.
+    If there are enough colours, it is one chart with a series per method and capacity. Otherwise it
+    is a chart per method, with its capacities as series. If methods or capacities are too many for
+    that, it is a series per method.
     """
     families = {k: entry.method.family.name for k, entry in enumerate(found)}
     kinds = {k: _capacity(entry.method) for k, entry in enumerate(found)}
@@ -149,9 +150,8 @@ def _cost_chart(
     x_label: str,
     cost: Callable[[Entry], float],
 ) -> Chart:
-    """One chart of `panel`: a line through the undominated entries of each series.
-
-    Dominated entries are faint. Entries that are worth their cost on this scene are ringed.
+    """A series of `panel` connects its undominated entries; dominated ones are faint. Entries
+    that are worth their time among all of the scene are ringed.
     """
     ringed = set(paying(found, cost))
     title, shown = panel

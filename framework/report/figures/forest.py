@@ -123,9 +123,8 @@ def _row(study: Study, c: Comparison, label: str, interval: Interval | None, joi
 
 
 def limits(rows: Sequence[Row]) -> tuple[float, float]:
-    """Limits of the axis.
-
-    Zero and all thick bars are inside. Thin bars are cut at three times the span of the thick ones.
+    """Limits of the axis: zero and every thick bar are inside. A thin bar may be cut at three
+    times the range of the thick ones.
     """
 
     def ends(some: Sequence[Row]) -> list[float]:

@@ -1,10 +1,12 @@
 """Colours, markers and line styles of the methods.
 
-Colours differ in lightness by at least 25 of 255 (Rec. 601 luma), so they stay apart in greyscale.
-Markers and line styles repeat the distinction. On a dark page the order of lightness is reversed.
+Colours differ in lightness first (Rec. 601 luma at least 25 of 255 apart), so they remain distinct
+in greyscale and for colour-blind readers. Markers and line styles repeat the distinction. On a dark
+page the order of lightness is reversed.
 
-A look is an index of colour, marker and line style. `looks.csv` fixes the looks of the project's
-methods. Any other look is a hash of the name, moved on if another series of the figure has it.
+A look is a number that selects colour, marker and line style. A method keeps its look in every
+report. The looks of the project's methods are in `looks.csv`; any other follows from the method's
+name, unless another series of the same figures has it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""Pictures of a scene: all methods on one test view, and maps of the spread over seeds.
+"""Pictures of a scene: a close-up of all methods, and maps of where the runs of one method differ.
 
-The close-up shows the view of median PSNR. Its crop is the window with the largest variance over
-the methods. A map shows the standard deviation (n - 1) over seeds of each pixel of the 8-bit
-renders, as root mean square over the channels, in units of the full range.
+The close-up shows the median view by PSNR, not the one with the largest difference. The crop is the
+window with the largest variance over the methods, averaged over the window. A map shows the
+standard deviation (n - 1) over seeds of each pixel of the 8-bit renders. It is the root mean square
+over the channels, in units of the full range.
 """
 
 from __future__ import annotations
@@ -24,11 +25,7 @@ from framework.report.statistics.numbers import format_significant
 from framework.report.study.study import ReportRun, Study
 from framework.report.study.words import listed, outside
 
-KINDS = (
-    "closeup",
-    "sigma",
-    "images",
-)  # begin the names of pictures; the last one in reports of older versions
+KINDS = ("closeup", "sigma", "images")  # begin the names of pictures; older reports used the last
 SHARE = 4  # of the width and height that a crop takes: one part in so many
 FRAME = np.array([255, 215, 0], dtype=np.uint8)
 SIGMA_SCALE, SIGMA_COLORS = 0.1, "viridis"

@@ -48,10 +48,10 @@ def shown_methods(study: Study, scene: str) -> list[Method]:
 
 
 def choose_views(study: Study, scene: str) -> ShownViews:
-    """Choose a seed and up to three test views.
+    """Choose the lowest seed that every shown method has, and up to three test views by mean PSNR.
 
-    The seed is the lowest one that every shown method has. The views are the best, median and worst
-    by mean PSNR over those runs. If views have tags, they are the median of each tag and the worst.
+    If views are tagged, these are the median view of each tag and the worst of all. Otherwise they
+    are the best, the median and the worst.
     """
     present = [study.of(scene, method) for method in shown_methods(study, scene)]
     common = set.intersection(*({run.seed for run in runs} for runs in present))

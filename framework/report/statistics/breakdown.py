@@ -1,13 +1,14 @@
 """The break-down point: the strength of a stress at which a method stops helping.
 
-Every tested strength has differences `method - baseline` in dB, one per seed, with the same seeds
-at all strengths. Each seed's difference is interpolated linearly between neighbouring strengths.
-The break-down point is where their mean first falls to zero, from the weakest stress to the
-strongest.
+At every tested strength there is one difference `method - baseline` in dB per seed, with the same
+seeds at all strengths. Each seed's difference is interpolated linearly between neighbouring
+strengths. The break-down point is where the mean of these curves first falls to zero, from the
+weakest stress to the strongest.
 
-Its interval is the hull of all strengths at which a paired t test (n - 1 degrees of freedom) does
-not reject a mean difference of zero. With normal errors and a piecewise linear truth it covers a
-zero of the truth with the stated probability (Fieller 1954).
+Its interval contains every strength at which a paired t test (n - 1 degrees of freedom) does not
+reject a mean difference of zero. If errors are normal and the truth is linear between the tested
+strengths, it covers a zero of the truth with the stated probability (Fieller 1954). The interval is
+the hull of these strengths, so it is wider if they are not connected.
 """
 
 from __future__ import annotations
@@ -70,8 +71,15 @@ def break_down(strengths: np.ndarray, gains: np.ndarray, tests: int | None = Non
 def gains_of_levels(
     gains: np.ndarray, tests: int | None = None
 ) -> list[tuple[float, Interval | None]]:
-    """At every strength the mean of gains [L, n] and its interval; None with fewer than two seeds.
-    tests: how many comparisons the intervals hold for at once; None: these strengths alone."""
+    """Compute the mean gain at every strength, with its interval.
+
+    Args:
+        gains: [L, n], L strengths and n seeds.
+        tests: how many comparisons the intervals hold for simultaneously; None for these strengths.
+
+    Returns:
+        One estimate per strength; None with fewer than two seeds.
+    """
     found = [estimate(list(row)) for row in gains]
     return [(e.mean, e.interval(tests or len(found))) for e in found]
 
@@ -100,10 +108,10 @@ def _zeros(strengths: np.ndarray, mean: np.ndarray) -> tuple[float | None, float
 
 
 def _doubtful(strengths: np.ndarray, gains: np.ndarray) -> list[float]:
-    """Ends of the pieces where zero is not rejected.
+    """Compute the ends of the pieces in which zero is not rejected.
 
-    On a segment with seeds u + w v, w in [0, 1], these are the w with
-    mean(u + w v)^2 <= t^2 / n var(u + w v), which is quadratic in w.
+    On a segment with seeds u + w v, w in [0, 1], mean(u + w v)^2 <= t^2 / n var(u + w v) is
+    quadratic in w.
     """
     n = gains.shape[1]
     limit = t_quantile(n - 1) ** 2 / n

@@ -1,13 +1,14 @@
-"""Two methods compared over runs paired by (scene, seed), with two intervals.
+"""Compare two methods over runs paired by scene and seed, for two questions.
 
-*These scenes*: the effect for other seeds on the same scenes. Pairs of one seed on several scenes
-are not independent. The differences of a seed are therefore averaged over the scenes, and the t
-interval is over the seeds. Seeds that lack a scene are left out. If fewer than two remain, scenes
-with few seeds are left out instead (`block`).
+*These scenes*: what other seeds would give on the same scenes. The same seed on several scenes
+shares its random draws, so its pairs are not independent. The differences of a seed are averaged
+over the scenes first, and the t interval is over seeds. Seeds that lack a scene are left out. If
+fewer than two seeds would remain, scenes with few seeds are left out instead (`block`).
 
-*Scenes like these*: the effect for other scenes of the same kind. The differences of a scene are
-averaged over its seeds, and the t interval is over the scenes. Conditions of one scene, such as
-other training photos or wrong poses, are averaged to one value.
+*Scenes like these*: what other scenes of the same kind would give. The differences of a scene are
+averaged over its seeds first, and the t interval is over scenes, so it is wide with few scenes.
+Conditions of one scene, such as other photos of it or wrong poses, are not independent scenes, so
+they are averaged to one value too.
 """
 
 from __future__ import annotations
@@ -29,13 +30,14 @@ K = TypeVar("K", str, int)  # a scene, or the place of a strength among those of
 
 @dataclass(frozen=True)
 class Comparison:
-    """`method` minus `baseline` in dB.
+    """The difference of `method` to `baseline` in dB.
 
     Attributes:
         scenes: the scenes of `these`.
-        these: over the seeds; without values if no seed is on all scenes.
-        like: over all common scenes, conditions of one scene averaged; None for a single scene.
-        tests: number of comparisons that `joint`, `p_joint` and `significant` are corrected for.
+        these: estimate over the seeds; over no seed if no seed is on all scenes.
+        like: estimate over all scenes of both, conditions of one scene averaged; None for one
+            scene.
+        tests: how many comparisons `joint`, `p_joint` and `significant` are corrected for.
     """
 
     method: Method
@@ -60,7 +62,7 @@ class Comparison:
 
     @property
     def interval(self) -> Interval | None:
-        """The interval of this comparison alone."""
+        """The interval of this comparison alone, without correction."""
         return self.these.interval()
 
     @property
@@ -100,10 +102,10 @@ def compare(
     others: Pairs,
     names: Mapping[str, str] | None = None,
 ) -> Comparison | None:
-    """Compare over common pairs; None if there is none.
+    """Compare over the pairs that both methods have; None if there is none.
 
-    Args:
-        names: scene of each condition; without it every scene counts by itself.
+    names: the common name of scenes that are conditions of one scene. By default each scene is
+    separate.
     """
     keys = sorted(values.keys() & others.keys())
     if not keys:
@@ -124,10 +126,10 @@ def compare(
 
 
 def block(keys: Collection[tuple[K, int]]) -> tuple[list[K], list[int]]:
-    """Choose pairs (place, seed) so that every place has every seed.
+    """Choose pairs (place, seed) so that every place has the same seeds.
 
-    All places with their common seeds; if these are fewer than two, a greedy choice of places that
-    share at least two seeds and keep many pairs.
+    These are all places with their common seeds. If fewer than two seeds remain, they are places
+    that share two or more seeds, chosen greedily to keep many pairs, if there are any.
     """
     seeds: dict[K, set[int]] = defaultdict(set)
     for place, seed in keys:

@@ -1,9 +1,10 @@
-"""How much the gain of a method depends on the choice of training photos.
+"""How much a method's gain depends on the choice of training photos.
 
-A study can draw other training photos of a scene (`scene.split=NAME_drawn0,NAME_drawn1,...`) for
-the same test photos. The gain of a draw is the mean over its seeds of method minus baseline. The
-mean gain has a t interval over the draws: the effect for other photos of the same scene. A one-way
-analysis of variance tests whether draws differ by more than seeds do.
+The evidence comes from studies over draws of the training photos of a scene
+(`scene.split=NAME_drawn0,NAME_drawn1,...`) with fixed test photos. A draw's gain is the mean over
+its seeds of method minus baseline, with the same seed in both. The t interval of the mean gain over
+draws is what other photos of the same scene would give. A one-way analysis of variance tests
+whether draws differ by more than seeds do.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ class Variance:
     """One-way analysis of variance of groups.
 
     Attributes:
-        f: variance between groups divided by that within.
+        f: variance between groups over that within groups.
         between, within: degrees of freedom.
         sd: standard deviation within a group.
-        p: probability of a larger f among groups that do not differ; None if nothing varies.
+        p: probability of such an f for equal groups; None if nothing varies.
     """
 
     f: float
@@ -42,14 +43,13 @@ class Variance:
 
 @dataclass(frozen=True)
 class Draws:
-    """`method` minus `baseline` in dB on a scene with its conditions.
+    """`method` minus `baseline` in dB on a scene under fixed conditions.
 
     Attributes:
         differences: draw -> differences of its seeds.
         plain: draw -> mean PSNR of the baseline.
         over: the mean over draws.
-        alike: whether draws differ, from those with at least two seeds; None if these are fewer
-            than two.
+        alike: analysis of variance of the draws with two or more seeds; None for fewer than two.
     """
 
     scene: str
@@ -62,14 +62,14 @@ class Draws:
 
     @property
     def gains(self) -> list[float]:
-        """Draw -> mean difference over its seeds."""
+        """The mean over seeds of each draw."""
         return [float(np.mean(own)) for own in self.differences.values()]
 
 
 def draws(study: Study) -> list[Draws]:
-    """The draws of every method with its baseline on at least two of them.
+    """Compare every method with its baseline over the draws of every scene that has at least two.
 
-    Scenes need two draws with all other conditions equal.
+    All other conditions of the scene are fixed.
     """
     groups: dict[tuple[str, str], list[ReportRun]] = defaultdict(list)
     for run in study.runs:
@@ -118,7 +118,7 @@ def _draw(run: ReportRun) -> str:
 
 
 def variance(groups: Sequence[Sequence[float]]) -> Variance | None:
-    """Analysis of variance of groups of at least two values; None for fewer than two groups."""
+    """Analyse groups of two or more values; None for fewer than two groups."""
     if len(groups) < 2:
         return None
     every = np.concatenate([np.asarray(group, dtype=np.float64) for group in groups])

@@ -42,7 +42,7 @@ class Spread:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Ends of the bar at the mean: its interval, or the mean twice without one."""
+        """The ends of the bar around the mean: its interval, or the mean itself without one."""
         inside = self.mean_interval or Interval(self.mean, self.mean)
         return inside.low, inside.high
 

@@ -26,17 +26,15 @@ from framework.report.study.study import ReportRun, Study
 
 @dataclass(frozen=True)
 class Outcomes:
-    """The numbers of a study.
+    """Results by method.
 
     Attributes:
-        psnr, seeds: per method, mean over all scenes, and by seed; without methods that lack a
-            complete seed.
-        scene_sigma: mean over several scenes of their standard deviations.
-        best: the recommended method (`_best`).
-        comparisons, sigmas: per method, compared with the baseline of the same budget over common
-            (scene, seed) pairs.
-        by_scene: scene -> the same comparisons on it alone, uncorrected; of several scenes.
-        tested: comparisons on scenes that chose no default, if the study has others too.
+        psnr: mean over all scenes, for methods with a complete seed; `seeds`: by seed.
+        scene_sigma: mean over scenes of their standard deviations, with several scenes.
+        best: the method to use, see `_best`.
+        comparisons, sigmas: with the baseline of the same budget, where they share a (scene, seed).
+        by_scene: scene -> its comparisons, uncorrected, with several scenes.
+        tested: on those scenes that chose no default, if there are others too.
     """
 
     best: Method
@@ -74,9 +72,10 @@ def outcomes(study: Study) -> Outcomes:
 
 
 def _best(study: Study, psnr: Collection[Method], found: Mapping[Method, Comparison]) -> Method:
-    """The best method that is significantly better than its baseline and than all other methods.
+    """Choose the method to use.
 
-    The other methods may have another budget or other options. Without such a method it is the
+    It is the best of the methods that are significantly better than their baseline and than every
+    other method's baseline, which may have another budget or other options. Without one it is the
     study's baseline.
     """
     better = [m for m, c in found.items() if c.significant and c.difference > 0 and m in psnr]

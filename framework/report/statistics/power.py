@@ -33,9 +33,10 @@ NO_SPREAD = 1e-6  # as a ratio
 
 
 def power(ratio: float, n: int, other_n: int, tests: int = 1) -> float:
-    """How often the test detects this ratio of standard deviations.
+    """Simulate how often the test finds this ratio of standard deviations with n and other_n seeds.
 
-    The tests share a significance level of 5 %. For a ratio of 1 this is the size of the test.
+    The level of 5 % is shared by all tests. A ratio of 1 gives the rate of false positives (its
+    size).
     """
     draws = min(_draws(n), _draws(other_n))
     (a, within_a), (b, within_b) = _distances(n, 0), _distances(other_n, 1)
@@ -72,10 +73,14 @@ def heavy_size(n: int) -> float:
 
 
 def uncorrelated(differences: np.ndarray, sums: np.ndarray) -> np.ndarray:
-    """Two-sided p of no correlation, per row of the pairs' differences and sums [draws, n].
+    """Test pairs for correlation between differences and sums, for every row of [draws, n].
 
-    It is the larger p of the correlations of values and of ranks (Pitman and Morgan 1939; McCulloch
-    1987), each by t with n - 2 degrees of freedom.
+    Returns:
+        [draws], two-sided p of no correlation: the larger one of that of the values and that of the
+        ranks, each by t with n - 2 degrees of freedom.
+
+    Source:
+        Pitman 1939 and Morgan 1939; McCulloch 1987.
     """
     n = differences.shape[1]
     ranks = [x.argsort(axis=1).argsort(axis=1).astype(np.float64) for x in (differences, sums)]
@@ -113,9 +118,10 @@ def seeds_needed(ratio: float, tests: int = 1, rho: float | None = None) -> int 
 
 
 def _near(rho: float) -> float:
-    """A rounded correlation, so that similar questions share a simulation.
+    """Round a correlation so that questions can share a simulation.
 
-    Its steps are equal in the Fisher transform. It is never 1.
+    Steps are in its Fisher transform and become smaller near 1. They never reach 1, where pairs
+    would not differ by chance.
     """
     return math.tanh(round(min(max(math.atanh(rho), -LARGEST_Z), LARGEST_Z), 1))
 
@@ -152,9 +158,8 @@ def _draws(n: int) -> int:
 
 @functools.cache
 def _distances(n: int, sample: int) -> tuple[np.ndarray, np.ndarray]:
-    """Per simulated sample of n standard normal values, the mean distance from its median [draws].
-
-    The second array has the sums of squares of the distances about that mean [draws].
+    """For simulated samples of n standard normal values, compute the mean distance from the
+    median [draws] and the sum of squares of the distances about that mean [draws].
     """
     x = stream(0, f"brown-forsythe/{n}/{sample}").standard_normal((_draws(n), n))
     z = np.abs(x - np.median(x, axis=1, keepdims=True))

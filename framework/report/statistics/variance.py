@@ -1,15 +1,24 @@
-"""Compare the standard deviations of two methods over seeds.
+"""Stability: do the standard deviations over seeds of two methods differ, and how many seeds would
+show it?
 
-- Methods that share their seeds: the test of Pitman and Morgan (1939). Equal deviations imply that
-  the differences and sums of the pairs are not correlated. A t test checks this for the values and
-  for their ranks, because one outlier can create a correlation of values. p is the larger one.
-- Interval of the ratio q: q sqrt(k -+ sqrt(k^2 - 1)) with k = 1 + 2 (1 - r^2) t^2 / (n - 2) and the
-  correlation r within pairs. It holds the ratios that the test of values does not reject.
-- Methods that share fewer than three seeds: Brown and Forsythe (1974), an F test of the absolute
-  distances from the median. The interval is sd_a / sd_b over the quantiles of F(n_a - 1, n_b - 1).
-- Power, size and the number of seeds needed are simulated (`power`).
-- Mean of deviations over scenes: each s_k is divided by its bias c4(n_k). The interval treats the
-  mean as a scaled chi variate with matched variance (Satterthwaite) and independent scenes.
+Methods that share seeds are tested by Pitman and Morgan (1939). A seed changes both alike, so their
+values are pairs. If the deviations are equal, differences and sums of the pairs are uncorrelated. A
+t test checks this for the values and for their ranks, because one outlier can cause a correlation
+of values. p is the larger one.
+
+The interval of their ratio q is q sqrt(k -+ sqrt(k^2 - 1)), k = 1 + 2 (1 - r^2) t^2 / (n - 2), with
+the correlation r within pairs. It contains the ratios that the test of values does not reject, for
+normal errors.
+
+Methods that share fewer than three seeds are tested by Brown and Forsythe (1974), an F test on the
+absolute distances from the median. The interval is sd_a / sd_b over the quantiles of F(n_a - 1, n_b
+- 1).
+
+Power, size and the number of seeds needed are simulated (`power`).
+
+The mean of deviations over scenes divides each s_k by its bias c4(n_k) under normal errors. Its
+interval treats the mean as a scaled chi with as many degrees of freedom as give its variance
+(Satterthwaite), with independent scenes.
 """
 
 from __future__ import annotations
@@ -46,15 +55,15 @@ MOST_ALIKE = 1 - 1e-9  # a correlation of exactly 1 would leave no noise to test
 
 @dataclass(frozen=True)
 class SigmaComparison:
-    """The standard deviation of `method` compared with that of `baseline`.
+    """Ratio of two standard deviations.
 
     Attributes:
-        ratio: quotient of the deviations with its interval; None if one of them is 0.
-        steadier: the deviation of `method` is smaller.
+        ratio: sd of `method` / sd of `baseline` with its interval; None if one is 0.
+        steadier: whether the first is smaller.
         p: of the test.
         n, other_n: seeds of both.
-        rho: correlation of the pairs that share a seed; None for independent samples.
-        tests: number of comparisons that the corrected values account for (Bonferroni).
+        rho: correlation of the pairs that share a seed; None for samples compared as independent.
+        tests: how many comparisons `p_joint` and all that follows are corrected for (Bonferroni).
     """
 
     method: Method

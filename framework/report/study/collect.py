@@ -191,7 +191,7 @@ def _label(
 def _missing(
     runs: Sequence[ReportRun], failed: Sequence[FailedRun], origins: Sequence[Path]
 ) -> list[tuple[str, Method, int]]:
-    """The runs that each folder lacks of all its scenes, methods and seeds."""
+    """List what each folder lacks for the full cross of its scenes, methods and seeds."""
     present: set[tuple[object, ...]] = {(run.scene, run.method, run.seed) for run in runs}
     present |= {(run.scene, run.method, run.seed) for run in failed}
     by_folder: dict[Path, list[ReportRun]] = defaultdict(list)

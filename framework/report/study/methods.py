@@ -1,9 +1,10 @@
-"""Methods as values, from the options that differ between the runs of a study.
+"""Methods as values: what users compare, derived from what differs between the runs of a study.
 
-A method is an augmenter and a regularizer with every other option that differs: the capacity, a
-depth provider, an option of a plugin that differs between runs of this plugin, `trainer.steps` and
-so on. Default choices (`USUAL`) need no name. Seeds, the scene, the stresses of
-`framework.report.study.axes` and options that cannot change a result are not part of a method.
+A method is an augmenter and a regularizer, with every other option that differs between the runs.
+Such options are another capacity plugin, depth provider or initializer, an option of a plugin,
+`trainer.steps` and so on. Default choices (`USUAL`) need no name. A method does not include the
+seed, options that follow it (`depth.corruption_seed=${seed}`), the scene, the stresses of
+`framework.report.study.axes` and keys without effect on results.
 """
 
 from __future__ import annotations
@@ -264,10 +265,10 @@ def shortened(methods: Sequence[Method]) -> tuple[dict[Method, Method], list[str
 
 
 def _distinguishing(found: Sequence[Mapping[str, str]]) -> list[str]:
-    """The keys that distinguish the options, words before numbers.
+    """Return the keys that distinguish the options, words before numbers.
 
-    Keys whose values follow from another key are left out. All keys if capacities have different
-    ones.
+    A key that follows from another one is left out. All keys are returned if capacities have
+    different ones.
     """
     keys = list(dict.fromkeys(key for options in found for key in options))
     if len(found) < 2 or any(options.keys() != set(keys) for options in found):
@@ -295,17 +296,16 @@ class _Ways:
 
 
 def by_recipe(runs: Sequence[tuple[Method, Sequence[str], str]]) -> dict[Method, Method]:
-    """Methods named by their recipe.
+    """Name methods by their recipes, for runs (method, overrides, scene).
 
-    A recipe that ran in several ways on a scene gets the other words of the command line. A recipe
-    is one method on all scenes, even if `conf/for_scene` changes its options.
-
-    Args:
-        runs: method, overrides and scene of each run.
+    The name includes other words of the command line if one recipe was run in several ways on a
+    scene. A recipe may have other options on another scene (`conf/for_scene`) and remains the same
+    method.
 
     Returns:
-        Method -> method with its recipe. Empty unless every run has a recipe, every name is unique
-        on each scene, and the methods differ in more than plugins and words of the command line.
+        method -> named method. It is empty unless every run has a recipe, each name is one method
+        on each scene, and recipes are more than an augmenter, a regularizer and the words on the
+        command line.
     """
     ways: dict[Method, _Ways] = {}
     for method, overrides, scene in runs:

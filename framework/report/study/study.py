@@ -220,10 +220,11 @@ class Study:
         return replace(self, rival=None) if self.rival else self
 
     def baseline_of(self, method: Method) -> Method:
-        """The baseline with the budget and other options of `method`.
+        """Return what `method` is compared with.
 
-        If the chosen baseline has no run of that budget, it is training without a method. If that
-        has none either, it is `method`.
+        It is the baseline with the same budget and, if there is one, the same other options.
+        Without a run of the `rival` with that budget it is plain training, and without that
+        `method` itself.
         """
         return self._baselines.get(method, self.baseline)
 
