@@ -1,10 +1,10 @@
-"""Speed against accuracy: what every method and budget costs, and which of them pay.
+"""Accuracy against training time for every method and budget.
 
-A configuration is a method with its budget. It is on the Pareto front of a scene if no other has at
-least its mean PSNR at no more of the cost. As some may lack seeds, all are ranked by their
-difference to the configuration with the most seeds, over the seeds of both. A configuration *pays*
-if it is the cheapest of the front, or significantly better than the last cheaper one that pays
-(paired t test, corrected for all others there). Seconds are those of the training alone.
+A configuration is a method with its budget. It is on the Pareto front of a scene if no other one is
+at least as good at no higher cost. Configurations may lack seeds, so they are ranked by their
+difference to the configuration with the most seeds, over common seeds. A configuration is *worth
+its cost* if it is the cheapest of the front, or significantly better than the last cheaper one that
+is (paired t test, corrected for all others of the scene).
 """
 
 from __future__ import annotations

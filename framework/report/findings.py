@@ -38,14 +38,14 @@ METHOD_WORDS = ("method", "augment", "reg", "seed", "study")
 
 @dataclass(frozen=True)
 class Verdict:
-    """What to use.
+    """The recommendation.
 
     Attributes:
-        kind: one of the branches of the macro `verdict`.
-        method: the advised method, or the only one.
-        comparison: of the advised method with its baseline.
+        kind: a branch of the macro `verdict`.
+        method: the recommended method, or the only one.
+        comparison: the recommended method compared with its baseline.
         others: methods that the reason names.
-        spread: PSNR of the method, if it is named with it.
+        spread: PSNR of the method, if the sentence names it.
     """
 
     kind: str
@@ -82,8 +82,11 @@ class Weakest:
 
 @dataclass(frozen=True)
 class Contest:
-    """A capacity compared with another one of the same method; parameters, cpu: ratios of the sums
-    over the paired runs, None where one lacks them."""
+    """A capacity compared with another one of the same method.
+
+    Attributes:
+        parameters, cpu: ratios of the sums over the paired runs; None if one lacks them.
+    """
 
     method: Method
     comparison: Comparison
@@ -119,7 +122,7 @@ class Findings:
 
     @property
     def significant(self) -> list[Comparison]:
-        """Significant differences but that of the advised method, the largest loss first."""
+        """Significant differences except that of the recommended method, the largest loss first."""
         clear = [c for c in self.compared if c.significant and c.method != self.outcomes.best]
         return sorted(clear, key=_difference)
 
@@ -130,8 +133,11 @@ class Findings:
 
     @cached_property
     def as_good(self) -> list[Comparison]:
-        """Methods that are not significantly different from an advised one that is not the
-        baseline, corrected for all others."""
+        """Methods that do not differ significantly from a recommended method that is not the
+        baseline.
+
+        Tests are corrected for all other methods.
+        """
         best, found = self.outcomes.best, self.outcomes.comparisons
         if best not in found or self.study.has_budgets or self.panels:
             return []
@@ -212,7 +218,7 @@ class Findings:
 
     @property
     def steadiness(self) -> list[SigmaComparison]:
-        """Significant differences of the deviation over seeds."""
+        """Significant differences of the standard deviation over seeds."""
         return [c for c in self.outcomes.sigmas.values() if c.significant]
 
     @property

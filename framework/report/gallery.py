@@ -1,4 +1,4 @@
-"""The pictures of the page's viewer: ground truth, renders and error maps as small WebP copies.
+"""Pictures of the page's viewer: ground truth, renders and error maps as small WebP copies.
 
 A page contains at most `BYTES_PER_RUN` of them for each run, within `FEWEST_BYTES` and
 `MOST_BYTES`, and at most `MOST_IMAGES`. The lowest seed and most informative view of every method
@@ -42,10 +42,11 @@ class Gallery:
     Attributes:
         images: data URIs.
         shots: scene, method, seed, view, PSNR as text, indices of truth, render and error in
-            `images`, and the index of the method for the page's filter.
-        looks: scene, method, seed, text and target of a link to what else shows that run.
+            `images`, and index of the method.
+        looks: scene, method, seed, text and target of links to other views of that run.
         videos: scene, method, seed and data URI of the small video of a method's first run.
-        size: bytes before base64, without videos; left_out: how many shots did not fit.
+        size: bytes before base64, without videos.
+        left_out: number of shots that did not fit.
     """
 
     images: list[str] = field(default_factory=list)

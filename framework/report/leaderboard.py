@@ -193,7 +193,7 @@ def _counts(matches: Sequence[Match], sign: int) -> list[tuple[Method, int]]:
 
 
 def _ranks(matches: Sequence[Match]) -> list[Cells]:
-    """A row per method: by how much more often it is better than worse, then by its mean."""
+    """One row per method, sorted by wins minus losses, then by the mean difference."""
     rows = []
     for family in sorted({match.family for match in matches}, key=lambda m: m.order):
         own = [match for match in matches if match.family == family]

@@ -1,4 +1,4 @@
-"""Write findings with the templates: as Markdown, as one offline page, and as LaTeX.
+"""Render findings with templates: as Markdown, as one offline page, and as LaTeX.
 
 `report.jinja`, `compare.jinja` and `leaderboard.jinja` define the order, and `sentences.jinja`
 words the findings. `markdown.jinja` and `html.jinja` are the two forms of headings, paragraphs,
@@ -165,8 +165,11 @@ def tex(template: str, **context: Any) -> str:
 
 @functools.cache
 def templates() -> Environment:
-    """The templates of reports. What is in `html.jinja` and `page.html.jinja` is escaped; the other
-    templates write plain text, which goes through their macros."""
+    """The templates of reports.
+
+    `html.jinja` and `page.html.jinja` escape their values. The other templates write plain text,
+    which passes through their macros.
+    """
     env = _environment(autoescape=lambda name: bool(name) and "html.jinja" in str(name))
     env.filters |= {"html_prose": _html_prose, "markdown_prose": _markdown_prose}
     env.filters |= {"cell": _html_cell, "pipe_table": _pipe_table, "columns": columns}

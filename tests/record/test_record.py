@@ -162,7 +162,7 @@ def test_doses_are_read_and_flat(run_dir: Path) -> None:
     content = json.loads(path.read_text())
     assert read_record(path).dose == {}
     path.write_text(json.dumps({k: v for k, v in content.items() if k != "dose"}))
-    assert read_record(path).dose == {}  # older than doses
+    assert read_record(path).dose == {}  # written before doses
     dose = {"views_asked": 42, "coverage_mean": 0.4, "how": "text", "none": None}
     path.write_text(json.dumps(content | {"dose": dose}))
     assert read_record(path).dose == dose

@@ -193,7 +193,7 @@ def test_a_budget_without_the_baseline_has_no_comparison(tmp_path: Path) -> None
     )  # 6 dB below safi, which is no plain one
     assert rate is not None and rate.failed == 0
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert "No baseline has their budget, so compared with nothing: UAR, steps=400; SAFI," in text
+    assert "Not compared, because no baseline has the same budget: UAR, steps=400; SAFI," in text
 
 
 def test_failed_runs_have_the_name_of_their_method(tmp_path: Path) -> None:

@@ -215,7 +215,7 @@ def test_all_are_compared_with_the_method_that_was_named(study: Path, name: str)
         {m: psnr[m].mean - base for m in ("none + none", "safi + none")}
     )
     text = first_screen(study, rival=name)
-    assert "As `--baseline` asks, methods are compared with UAR." in text
+    assert "Chosen with `--baseline`: methods are compared with UAR." in text
     assert "**Use SAFI: it gains" in text and "compared with UAR on embedded" in text
 
 

@@ -199,8 +199,10 @@ def _cost_point(entry: Entry, cost: Callable[[Entry], float]) -> Point:
 def stress_charts(
     study: Study, panel: Panel, limits: Sequence[Limit], against: str
 ) -> tuple[Chart, ...]:
-    """PSNR and gain against the strength, with 95 % intervals over seeds; and the number of
-    Gaussians, where a capacity changes it."""
+    """PSNR and gain against the strength with 95 % intervals over seeds.
+
+    A third chart shows the number of Gaussians where a capacity changes it.
+    """
     numbers = looks(method.label for method in study.methods)
 
     def series(method: Method, points: Sequence[Point]) -> Series:

@@ -34,9 +34,11 @@ class Row:
     """A difference.
 
     Attributes:
-        method: what is compared, with its `look`; `label`: on what.
-        low, high: the interval, None of a single run.
-        joint: a thick bar. significant: a filled mark.
+        method: the compared method.
+        label: the scene or scenes.
+        low, high: the interval; None for a single run.
+        joint: draw a thick bar.
+        significant: fill the mark.
         method_index, scene_index: for the page's filter.
     """
 

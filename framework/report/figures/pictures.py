@@ -125,8 +125,10 @@ def draw_sigma_maps(study: Study, scene: str) -> Picture | None:
 
 
 def sigma_map(runs: Sequence[ReportRun], view: str) -> np.ndarray:
-    """[H, W] float64: standard deviation (n - 1) over the runs, root mean square over channels, of
-    the renders in [0, 1]."""
+    """Standard deviation (n - 1) over the runs [H, W], as root mean square over the channels.
+
+    The renders are in [0, 1].
+    """
     total = squares = np.zeros(1)
     for run in runs:
         pixels = picture(run, view, "render").astype(np.float64)
@@ -158,7 +160,7 @@ def _grid_picture(
 
 
 def remove_pictures(study: Study, scenes: Sequence[str]) -> None:
-    """Remove what an earlier report drew, perhaps under other names, but that of these scenes."""
+    """Remove the pictures of an earlier report, except those of these scenes."""
     kept = {f"{study.file_of(kind, scene)}.jpg" for kind in KINDS for scene in scenes}
     for kind in KINDS:
         for path in study.out_dir.glob(f"{kind}_*.jpg"):

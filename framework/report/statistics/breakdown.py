@@ -23,13 +23,17 @@ from framework.report.statistics.estimates import Interval, estimate, t_quantile
 
 @dataclass(frozen=True)
 class Breakdown:
-    """What the mean difference does from the weakest to the strongest tested stress.
+    """The mean difference from the weakest to the strongest tested stress.
 
-    helps: it is above zero at some tested strength. starts: where it first rises above zero, None
-    where it begins above or never does. stops: the break-down point, None where it does not fall
-    to zero. interval: hull of the strengths where a zero is not refuted, None where it is refuted
-    everywhere or with fewer than two seeds. n: seeds. signs: at every tested strength 1 or -1 where
-    the mean differs from zero, Bonferroni-corrected over all comparisons of a study, else 0.
+    Attributes:
+        helps: it is above zero at some tested strength.
+        starts: where it first rises above zero; None if it begins above or stays below.
+        stops: the break-down point; None if it does not fall to zero.
+        interval: hull of the strengths where zero is not rejected; None if it is rejected
+            everywhere or there are fewer than two seeds.
+        n: number of seeds.
+        signs: at every tested strength 1 or -1 if the mean differs significantly from zero
+            (Bonferroni-corrected over all comparisons of a study), else 0.
     """
 
     helps: bool

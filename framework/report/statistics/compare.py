@@ -150,8 +150,7 @@ def block(keys: Collection[tuple[K, int]]) -> tuple[list[K], list[int]]:
 
 
 def corrected(comparisons: Mapping[M, Comparison]) -> dict[M, Comparison]:
-    """With intervals and p that hold for all of those that can be tested at once, over seeds or
-    over scenes."""
+    """Correct intervals and p for all comparisons that can be tested, over seeds or scenes."""
     testable = [
         c for c in comparisons.values() if c.p is not None or (c.like and c.like.p is not None)
     ]

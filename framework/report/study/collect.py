@@ -36,14 +36,13 @@ def collect(
     """Read every record below the folders.
 
     Args:
-        study_dirs: a folder without runs is read from its archive (`framework.records.archive`).
-        out_dir: folder of the report, else the first folder.
-        broken: folders of runs that turned out damaged, and why.
-        rival: the method to compare the others with, by its display or registry name; "" compares
-            with plain training.
+        study_dirs: folders with runs, or with their archive (`framework.records.archive`).
+        out_dir: folder of the report; by default the first folder.
+        broken: folders of damaged runs with the reason.
+        rival: display or registry name of the baseline; "" for training without a method.
 
     Raises:
-        UserError: a folder has neither runs nor an archive, or no run is the rival's.
+        UserError: A folder has neither runs nor an archive, or no run is of that baseline.
     """
     folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
     runs, failed, origins, archived = _gathered(folders, broken)

@@ -47,14 +47,14 @@ RECIPE_NOTE = (
 
 @dataclass(frozen=True)
 class Method:
-    """What a study compares.
+    """A method of a study.
 
     Attributes:
-        augment, reg: the plugins; "none" without one.
-        recipe: name in `conf/method`, if it says more than the two plugins; "" otherwise.
-        options: every other option that differs between the runs of the study.
-        limits: steps and their like; with `capacity` the budget.
-        capacity: the capacity plugin and its options, as far as they differ.
+        augment, reg: names of the plugins; "none" without one.
+        recipe: name in `conf/method` if it means more than the two plugins; else "".
+        options: other options that differ between the runs.
+        limits: steps and other limits; together with `capacity` the budget.
+        capacity: the capacity plugin with its options that differ.
     """
 
     augment: str = "none"
@@ -112,8 +112,7 @@ class Method:
         return self != PLAIN, not self.label.startswith(BASELINE), natural(self.label)
 
     def is_called(self, text: str) -> bool:
-        """Whether `text` names it: by label or display name, or by its plugins alone (`uar`),
-        whatever its letters' case and blanks."""
+        """Whether `text` is the label, display name or plugins (`uar`); ignores case and spaces."""
         head = self.recipe or "+".join(self.plugins.values()) or PLAIN_RECIPE
         names = {self.label, self.name, self._with_options(head)}
         return _squeezed(text) in {*map(_squeezed, names), *self._underscored(head)}
@@ -217,8 +216,10 @@ def _without_idle_options(config: Flat) -> Flat:
 
 
 def _without_followers(keys: Sequence[str], configs: Sequence[Flat]) -> list[str]:
-    """Remove keys whose values are a function of another key, so that names stay short: rates set
-    by a preset follow `trainer.steps`; `${seed}` follows `seed`."""
+    """Remove keys whose values are a function of another key, so that names stay short.
+
+    Rates set by a preset follow `trainer.steps`; `${seed}` follows `seed`.
+    """
     followers = {key for key in WITH_STEPS if _follows(key, ["trainer.steps"], configs)}
     leaders = ["trainer.steps", *(key for key in WITH_STEPS if key not in followers)]
     followers |= {key for key in RATES if _follows(key, leaders, configs)}

@@ -109,8 +109,8 @@ class FailedRun:
     """A run that ended with an error.
 
     Attributes:
-        kind: of the error, a word or two; `again`: the command that repeats the run; "" if they
-            were not kept.
+        kind: of the error, a word or two; "" if unknown.
+        again: the command that repeats the run; "" if unknown.
         method, scene: None and "" if the run left no configuration.
     """
 
@@ -136,13 +136,14 @@ class Study:
     Attributes:
         out_dir: folder of the report.
         runs: complete runs, sorted by scene, method and seed.
-        notes: on the names of methods, and on repeated runs that are left out.
-        missing: (scene, method, seed) that the full cross of the study would have.
-        linked: whether the report may link to the folders of the runs.
-        archived: folders whose runs are in an archive alone.
-        searched: the trials, if the runs are those of a search.
-        rival: the method to compare the others with, with or without its budget, if one is given.
-        sources: the provenance of all complete runs; `begun`: folders of runs without a result.
+        notes: on the names of methods and on repeated runs that are left out.
+        missing: (scene, method, seed) that a full cross of the study would have.
+        linked: the report may link to the folders of the runs.
+        archived: folders whose runs exist only in an archive.
+        searched: the trials of a search.
+        rival: the chosen baseline, with or without its budget.
+        sources: provenance of all complete runs.
+        begun: folders of runs without a result.
     """
 
     out_dir: Path
