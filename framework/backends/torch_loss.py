@@ -94,9 +94,9 @@ def binocular_gradient(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """In alpha and depth [H, W], and in the colours of `beside`."""
     leaves = [t.detach().requires_grad_() for t in (alpha, depth, beside.rgb)]
-    own = _disparities(*leaves[:2])
-    width = own.shape[1]
-    there = torch.arange(width, device=own.device) - moves * own
+    disparity = _disparities(*leaves[:2])
+    width = disparity.shape[1]
+    there = torch.arange(width, device=disparity.device) - moves * disparity
     inside = (there >= 0) & (there <= width - 1)
     left = there.detach().clamp(0, max(width - 2, 0)).floor().long()
     share, right = there - left, (left + 1).clamp(max=width - 1)
@@ -108,8 +108,8 @@ def binocular_gradient(
     with torch.no_grad():
         depths = _disparities(beside.alpha, beside.depth)
         shown = (depths > 0).float()
-        counts = inside & (own > 0) & (moved_back(shown) == 1)
-        counts &= (moved_back(depths) - own).abs() < tolerance
+        counts = inside & (disparity > 0) & (moved_back(shown) == 1)
+        counts &= (moved_back(depths) - disparity).abs() < tolerance
         if target.mask is not None:
             counts &= target.mask > WHOLE
     loss = weight * ((moved_back(leaves[2]) - target.image).abs() * counts).sum()

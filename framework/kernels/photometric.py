@@ -155,7 +155,7 @@ def _partial_rows(
     blurred: Any,
     first: int,
     count: int,
-    own: Any,
+    counted: Any,
     target: Any,
     width: int,
     windows: Any,
@@ -179,7 +179,7 @@ def _partial_rows(
             partials[:, to + i] = ZERO
             continue
         _ssim_row(windows, i, mean[y], variance[y], values, derived, width)
-        if y >= own[0] and y < own[1]:
+        if y >= counted[0] and y < counted[1]:
             sums[y] = _sum(values)
         _across(derived, partials, to + i)
 

@@ -248,7 +248,7 @@ class Workspace:
             gradient.flat(),
             self.sums.reshape(-1),
             blocks=len(self.n_slots),
-            own=[(slots,) for slots in self._scratch(self.slots)],
+            scratch=[(slots,) for slots in self._scratch(self.slots)],
         )
 
     def blend_backward(self, image: Image, gradient: Image) -> None:
@@ -310,7 +310,7 @@ class Workspace:
             slopes.reshape(-1),
             cross.reshape(-1),
             blocks=len(self.n_slots),
-            own=list(zip(slots, mixed, strict=True)),
+            scratch=list(zip(slots, mixed, strict=True)),
         )
 
     def projected(self) -> tuple[Any, ...]:

@@ -43,14 +43,14 @@ BITS = "bits"  # of a run whose rasterizer does not keep them: why its repetitio
 
 def provenance() -> dict[str, Any]:
     """Versions, git state (None outside a checkout), CPU, threads: all JSON values."""
-    own = [place for place, _ in own_plugins()]
+    folders = [place for place, _ in own_plugins()]
     return {
         "fishersplat": framework.__version__,
         "python": platform.python_version(),
         "packages": package_versions(),
         "git": git_state(ROOT),
         "code": code_hash(),
-        **({"own_plugins": own} if own else {}),
+        **({"own_plugins": folders} if folders else {}),
         "cpu": cpu_model(),
         "cores": os.cpu_count(),
         "threads": threads(),
@@ -61,13 +61,13 @@ def provenance() -> dict[str, Any]:
 @functools.cache
 def package_versions() -> dict[str, str | None]:
     """Installed versions of the packages a result depends on; None for one not installed."""
-    found: dict[str, str | None] = {}
+    versions: dict[str, str | None] = {}
     for package in PACKAGES:
         try:
-            found[package] = version(package)
+            versions[package] = version(package)
         except PackageNotFoundError:
-            found[package] = None
-    return found
+            versions[package] = None
+    return versions
 
 
 def git_state(root: Path) -> dict[str, Any] | None:

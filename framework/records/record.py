@@ -263,8 +263,8 @@ def write_failed(
     is kept.
     """
     error = printable_line(" ".join(error.split()))
-    told = {"error": error, "kind": kind, "overrides": list(overrides), "again": again}
-    write_whole(run_dir / FAILED, strict_json(told, indent=2) + "\n")
+    content = {"error": error, "kind": kind, "overrides": list(overrides), "again": again}
+    write_whole(run_dir / FAILED, strict_json(content, indent=2) + "\n")
     record = RunRecord(
         identity="",
         config=config,
@@ -336,9 +336,9 @@ def damaged_file(run_dir: Path, identity: str) -> str:
     except UserError:
         return f"{RECORD} is damaged" if is_file(run_dir / RECORD) else ""
     for name, (size, digest) in record.files.items() if record.identity == identity else ():
-        found = difference(inside(run_dir, name), size, digest)
-        if found:
-            return f"{name}: expected the {size:,} bytes that the run wrote, got {found}"
+        problem = difference(inside(run_dir, name), size, digest)
+        if problem:
+            return f"{name}: expected the {size:,} bytes that the run wrote, got {problem}"
     return ""
 
 

@@ -197,8 +197,8 @@ def _context(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
 def _figures(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
     """All figures, by where the template shows them."""
     study = findings.study
-    beside = [] if findings.panels else stress.panels_beside(study)
-    limits = stress.limits(study, beside)
+    extra = [] if findings.panels else stress.panels_beside(study)
+    limits = stress.limits(study, extra)
     shown = stress.shown_scenes(study, findings.panels) if findings.panels else study.scenes
     seen = [scene for scene in shown if scene in visible]
     hidden = [scene for scene in study.scenes if scene not in visible]
@@ -213,11 +213,11 @@ def _figures(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
         "hidden": [] if study.archived else hidden,
         "missing": missing,
         "forest": _forest(findings),
-        "panels_beside": beside,
+        "panels_beside": extra,
         "limits_beside": limits,
         "against": _against(study),
         "stress_pictures": _stress_pictures(study, findings.panels, findings.limits)
-        | _stress_pictures(study, beside, limits),
+        | _stress_pictures(study, extra, limits),
         "closeups": _drawn(lambda scene: draw_closeup(study, scene), seen),
         "costs": [] if findings.panels else [_cost(study, scene) for scene in study.tested],
         "machines": sorted({outside(str(r.record.provenance.get("cpu"))) for r in study.runs}),
@@ -278,9 +278,9 @@ def _stress_pictures(
     return pictures
 
 
-def _error_rates(found: Sequence[SigmaComparison]) -> str:
+def _error_rates(comparisons: Sequence[SigmaComparison]) -> str:
     """How often the tests of deviations err, by their numbers of seeds."""
-    sizes = {(c.n, c.other_n): c.size for c in found}
+    sizes = {(c.n, c.other_n): c.size for c in comparisons}
     return ", ".join(
         f"{100 * share:.1f} % (with {n if n == m else f'{n} and {m}'} seeds)"
         for (n, m), share in sorted(sizes.items())

@@ -56,7 +56,7 @@ class Choice:
         )
 
     @property
-    def told(self) -> dict[str, Any]:
+    def record(self) -> dict[str, Any]:
         """For the record."""
         return {
             "seconds": self.seconds,
@@ -91,8 +91,8 @@ def chosen(
     if longer > steps:
         step_s = max(1e-5, trial(dataclasses.replace(one, steps=longer)) / longer)
     without = dataclasses.replace(one, steps=BESIDE, binocular_from=0.0, pace_steps=0)
-    beside = dataclasses.replace(without, binocular=options.binocular)
-    ratio = max(1.0, trial(beside) / trial(without)) if options.binocular > 0 else 1.0
+    extra = dataclasses.replace(without, binocular=options.binocular)
+    ratio = max(1.0, trial(extra) / trial(without)) if options.binocular > 0 else 1.0
     choice = choose(identity, options, n_views, step_s, ratio)
     write_whole(folder / FILE, json.dumps(dataclasses.asdict(choice)) + "\n")
     return choice

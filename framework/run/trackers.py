@@ -126,8 +126,11 @@ def ready(tracker: str | None) -> None:
     """Raise UserError unless the option `tracker` names one whose package is installed, or none."""
     if tracker is None or tracker == NONE:
         return
-    known = [NONE, *TRACKERS]
-    require(tracker in known, f"tracker={tracker}: unknown tracker; {nearest_hint(tracker, known)}")
+    available = [NONE, *TRACKERS]
+    require(
+        tracker in available,
+        f"tracker={tracker}: unknown tracker; {nearest_hint(tracker, available)}",
+    )
     spec = importlib.util.find_spec(tracker)
     require(
         spec is not None and spec.origin is not None,  # no origin: only a folder of that name

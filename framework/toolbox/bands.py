@@ -60,7 +60,7 @@ def bands_evidence(
     m, degree = len(gaussians.shN), gaussians.sh_degree
     coefficients = gaussians.shN.double().numpy()  # [M, K - 1, 3]
     basis = np.stack([_basis(gaussians.means[:m], center, degree) for center in centers], 1)
-    weights = np.stack([known[:m].double().numpy() for known in colours], 1) * 4 * np.pi
+    weights = np.stack([colour[:m].double().numpy() for colour in colours], 1) * 4 * np.pi
     spread, y0 = prior_variance(gaussians), np.sqrt(1 / (4 * np.pi))
     gain, cost = np.zeros(m), np.full(m, math.log(2))
     sh0 = gaussians.sh0[:m, 0].double().numpy().copy()

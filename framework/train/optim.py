@@ -92,7 +92,7 @@ class Adam(Optimizer):
             self._banded,
             broken,
             np.float32(opacity_decay),
-            own=self._own(CHUNK * (15 + 3 * params.shN.shape[1])),
+            scratch=self._own(CHUNK * (15 + 3 * params.shN.shape[1])),
         )
         give_back(work)
         return self._names(broken), torch.from_numpy(means2d)
@@ -139,13 +139,13 @@ def _flat(tensor: Tensor) -> np.ndarray:
     return tensor.detach().numpy().reshape(-1)
 
 
-def _check(name: str, given: Tensor, parameter: Tensor) -> None:
+def _check(name: str, tensor: Tensor, parameter: Tensor) -> None:
     """That a gradient or a moment fits its parameter."""
-    if given.shape != parameter.shape:
+    if tensor.shape != parameter.shape:
         raise ValueError(
             f"Adam.{name}: expected one shape for parameter, gradient and moments, got"
-            f" {tuple(parameter.shape)} and {tuple(given.shape)}; call edit() when the set of"
+            f" {tuple(parameter.shape)} and {tuple(tensor.shape)}; call edit() when the set of"
             " Gaussians changes"
         )
-    if parameter.dtype != torch.float32 or given.dtype != torch.float32:
-        raise ValueError(f"Adam.{name}: expected float32, got {parameter.dtype} and {given.dtype}")
+    if parameter.dtype != torch.float32 or tensor.dtype != torch.float32:
+        raise ValueError(f"Adam.{name}: expected float32, got {parameter.dtype} and {tensor.dtype}")

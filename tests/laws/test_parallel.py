@@ -36,7 +36,7 @@ def test_every_block_runs_once_and_no_two_threads_share_what_is_their_own(thread
         mine.add(threading.get_ident())
         seen.append(block)
 
-    run_blocks(kernel, "word", blocks=40, own=own)
+    run_blocks(kernel, "word", blocks=40, scratch=own)
     assert sorted(seen) == list(range(40))
     assert all(len(mine) <= 1 for (mine,) in own)
 
@@ -80,7 +80,7 @@ def test_fewer_blocks_than_threads_and_what_they_raise(blocks: int) -> None:
 
 def test_no_more_threads_take_part_than_there_is_scratch(threads: int) -> None:
     own: list[tuple[list[int]]] = [([],)]
-    run_blocks(lambda block, blocks, mine: mine.append(block), blocks=40, own=own)
+    run_blocks(lambda block, blocks, mine: mine.append(block), blocks=40, scratch=own)
     assert own == [(list(range(40)),)]
 
 

@@ -42,10 +42,10 @@ def _sum_parts(first: Any, sums: Any, base: int, count: int, total: Any) -> int:
     which counts them; returns the number of parts."""
     for lane in range(count):
         begin, end = first[base + lane], first[base + lane + 1]
-        own = zeros()
+        part = zeros()
         for j in range(begin, end):
-            own = own + load(sums, j * LANES)
-        store(total, lane * LANES, own)
+            part = part + load(sums, j * LANES)
+        store(total, lane * LANES, part)
         total[lane * LANES + 15] = f4(end - begin)
     return first[base + count] - first[base]
 

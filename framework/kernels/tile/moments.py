@@ -165,9 +165,13 @@ def blend_moments(
             line = fma(lean, dx, dy0)  # e in the first row
             m0, m1, m2, m3, m4, ww = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             if directional:
-                own = g * 16
-                vr, vg, vb = splat(slopes[own]), splat(slopes[own + 2]), splat(slopes[own + 4])
-                wr, wg, wb = splat(slopes[own + 1]), splat(slopes[own + 3]), splat(slopes[own + 5])
+                base = g * 16
+                vr, vg, vb = splat(slopes[base]), splat(slopes[base + 2]), splat(slopes[base + 4])
+                wr, wg, wb = (
+                    splat(slopes[base + 1]),
+                    splat(slopes[base + 3]),
+                    splat(slopes[base + 5]),
+                )
             else:
                 vr, vg, vb, wr, wg, wb = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             todo = listed_rows(item) & alive

@@ -91,9 +91,9 @@ def spread(values: Sequence[float]) -> Spread:
     """Mean and standard deviation with their intervals. Raises ValueError without values."""
     if len(values) == 0:
         raise ValueError("spread: expected at least one value")
-    found = estimate(values)
-    inside = None if found.sd is None else _sd_interval(found.sd, found.n)
-    return Spread(found.n, found.mean, found.interval(), found.sd, inside)
+    result = estimate(values)
+    inside = None if result.sd is None else _sd_interval(result.sd, result.n)
+    return Spread(result.n, result.mean, result.interval(), result.sd, inside)
 
 
 @functools.cache

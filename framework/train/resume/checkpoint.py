@@ -57,13 +57,13 @@ def state_classes(plugins: Iterable[Any]) -> list[type]:
     """The dataclasses that the states of these plugins may be built of: the framework's own, and
     those found in the modules of the plugins' classes and their bases."""
     modules = {cls.__module__ for plugin in plugins for cls in type(plugin).__mro__}
-    found = [
+    classes = [
         member
         for module in sorted(modules & sys.modules.keys())
         for member in vars(sys.modules[module]).values()
         if isinstance(member, type) and dataclasses.is_dataclass(member)
     ]
-    return [*FRAMEWORK_CLASSES, *found]
+    return [*FRAMEWORK_CLASSES, *classes]
 
 
 def pack(value: Any, classes: Iterable[type], identity: str, owner: str) -> bytes:
@@ -80,12 +80,12 @@ def unpack(path: Path, classes: Iterable[type], wanted: str | None = None) -> tu
     file_size(path, CHECKPOINT_BYTES)  # a file, before safetensors maps it
     try:
         with safe_open(path, framework="pt") as file:
-            told = json.loads((file.metadata() or {})[KEY])
-            identity = str(told["identity"])
+            header = json.loads((file.metadata() or {})[KEY])
+            identity = str(header["identity"])
             if wanted not in (None, identity):
                 return identity, None
             tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118
-        value = decode(told["tree"], tensors, classes)
+        value = decode(header["tree"], tensors, classes)
     except (SafetensorError, KeyError, TypeError, AttributeError, RuntimeError) as error:
         raise ValueError(f"{path}: not a checkpoint ({type(error).__name__}: {error})") from error
     return identity, value
