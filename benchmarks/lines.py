@@ -26,7 +26,7 @@ SCOPES = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 @dataclass
 class Count:
-    """Of one package: its code lines, the lengths of its functions and of its lines."""
+    """Counts of one package: code lines, and lengths of functions and lines."""
 
     files: int = 0
     lines: int = 0

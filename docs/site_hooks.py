@@ -134,6 +134,11 @@ def on_page_content(html: str, **_: Any) -> str:
     return MATHS.sub(mathml, html)
 
 
+def on_post_page(output: str, **_: Any) -> str:
+    """Name the search dialog for screen readers."""
+    return output.replace('role="dialog"', 'role="dialog" aria-label="Search"', 1)
+
+
 def api_page() -> str:
     """Generate the reference of plugin interfaces and types from their docstrings."""
     return "# Plugin interfaces and types\n\n" + "\n".join(f"::: {name}\n" for name in API)

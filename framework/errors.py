@@ -1,8 +1,8 @@
-"""The one exception a user meets.
+"""UserError, the exception for bad input, and what turns other errors into one line.
 
-Every bad input (file, option, data) is raised as `UserError` whose text says where, what was
-expected, what came and, unless that says it, how to fix it, in one line. `run.py` prints that line
-and exits with 2. It derives from `ValueError`, so library callers may catch either.
+Every bad input (file, option, data) is raised as `UserError`. Its text says in one line where, what
+was expected, what came, and how to fix it. `run.py` prints that line and exits with 2. It derives
+from `ValueError`, so library callers may catch either.
 """
 
 from __future__ import annotations
@@ -22,19 +22,20 @@ HERE, STDLIB = (re.escape(os.path.dirname(module)) for module in (__file__, os._
 NOT_A_PLUGIN = rf"<|{HERE}/|{STDLIB}/(?!(site|dist)-packages/)"  # files in a traceback
 LONGEST = 1000  # characters of a message
 FULL = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
-MEDIUM = FULL | {errno.EIO, errno.EROFS}  # what writing tells without naming the file
+MEDIUM = FULL | {errno.EIO, errno.EROFS}  # errors of writing that do not name the file
 # what the machine has too little of, whatever the path
 EXHAUSTED = frozenset((errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EAGAIN))
-NOWHERE = "results or cache (FISHERSPLAT_CACHE)"  # of an error that does not tell its file
-NO_MEMORY = (  # as libraries tell it
+NOWHERE = "results or cache (FISHERSPLAT_CACHE)"  # of an error without a file
+NO_MEMORY = (  # messages of libraries
     *("can't allocate memory", "can't start new thread", "failed to map segment"),
     *("cannot allocate memory", "insufficient memory", "bad_alloc"),
 )
 
 
 class UserError(ValueError):
-    """Bad input, told in one line: `where: expected ..., got ...; how to fix`. kind: a word or two
-    for tables of failures."""
+    """Bad input: `where: expected ..., got ...; how to fix`. kind: a word or two for tables of
+    failures.
+    """
 
     kind = "bad input"
 
@@ -52,7 +53,7 @@ class PluginError(UserError):
 def plugin_call(where: str, advice: str = "fix the plugin") -> Iterator[None]:
     """Turn whatever a plugin raises, `sys.exit` too, into one line that names it.
 
-    Lets through what has a line of its own: UserError, and what the machine lacks.
+    UserError and errors of the machine pass unchanged.
     """
     try:
         yield
@@ -101,7 +102,7 @@ def check_option(options: object, group: str, name: str, ok: bool, expected: str
 
 
 def mendable(error: OSError) -> bool:
-    """Whether the user can mend it: no room, or something is wrong with the path that it names."""
+    """Whether the user can fix it: no space, or a problem with the path that it names."""
     about_path = error.filename is not None and error.errno not in EXHAUSTED
     return error.errno in MEDIUM or (about_path and not isinstance(error, ConnectionError))
 
@@ -127,7 +128,7 @@ def os_line(error: OSError, path: Path | str | None = None) -> str:
 
 
 def out_of_memory(error: BaseException) -> bool:
-    """Whether the process may have no more memory or threads, whichever library tells it."""
+    """Whether an error of any library means that memory or threads are exhausted."""
     text = str(error).lower()
     known = isinstance(error, RuntimeError | ImportError | OSError)
     return isinstance(error, MemoryError) or (known and any(word in text for word in NO_MEMORY))
@@ -161,7 +162,7 @@ REWORDED = (  # argparse's words -> ours
 
 
 class Arguments(argparse.ArgumentParser):
-    """Raises UserError for arguments that it refuses, with the usage as the way to mend them."""
+    """Raises UserError for arguments that it refuses, and shows the usage."""
 
     def error(self, message: str) -> NoReturn:
         message = self._with_choices(message)
@@ -174,8 +175,7 @@ class Arguments(argparse.ArgumentParser):
         raise UserError(f"{self.prog}: {message}; {usage}")
 
     def _with_choices(self, message: str) -> str:
-        """`message` of missing words with the choices of those that have some, in place of a name
-        that nobody types."""
+        """Replace names of arguments in a message about missing words by their choices."""
         opening, required, names = message.partition("arguments are required: ")
         choices = {a.dest: " or ".join(map(str, a.choices)) for a in self._actions if a.choices}
         told = [choices.get(name, name) for name in names.split(", ")]

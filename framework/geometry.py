@@ -35,9 +35,9 @@ def rotation_matrices(quats: Tensor) -> Tensor:
 def quaternions(rotations: Tensor) -> Tensor:
     """[..., 4] unit quaternions wxyz, w >= 0, of rotation matrices [..., 3, 3].
 
-    With q = (w, x, y, z) the entries of R give all products 4 q_i q_j; the row of the largest
-    q_i^2 divided by its norm is q up to sign. Taking the largest keeps half turns exact
-    (Shepperd 1978, "Quaternion from rotation matrix").
+    With q = (w, x, y, z) the entries of R give all products 4 q_i q_j. The row of the largest
+    q_i^2, divided by its norm, is q up to sign. Taking the largest keeps half turns exact (Shepperd
+    1978, "Quaternion from rotation matrix").
     """
     (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in rotations.unbind(-2))
     products = torch.stack(
@@ -128,7 +128,7 @@ def moved_aside(camera: Camera, shift: float) -> Camera:
 
 
 def distance(a: Camera, b: Camera) -> float:
-    """Of two camera centres, in scene units."""
+    """The distance of two camera centres, in scene units."""
     x, y, z = (a.center - b.center).tolist()
     return math.sqrt(x * x + y * y + z * z)
 

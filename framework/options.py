@@ -17,11 +17,11 @@ PSEUDO_STEPS, PSEUDO_MEANS = ("joined", "own"), ("frame", "covered")
 
 @dataclass(frozen=True)
 class TrainerOptions:
-    """How the shared trainer optimises; every method of a study gets the same.
+    """Options of the shared trainer; every method of a study gets the same.
 
-    A few hundred steps want larger rates than the 30,000 of 3DGS (Kerbl et al. 2023,
-    `arguments/__init__.py`; `preset=paper` has its rates): those of the shapes 30 times as large,
-    of the colours 5 times, of the opacities 2.5 times, see benchmarks/results/held_out.md.
+    Trainings of a few hundred steps need larger rates than the 30,000 steps of 3DGS (Kerbl et al.
+    2023, `arguments/__init__.py`; `preset=paper` has its rates). Rates of shapes are 30 times as
+    large, of colours 5 times, of opacities 2.5 times, see docs/decisions.md.
     """
 
     steps: int = 300  # of training, each on one real view; of all members together if members=0
@@ -32,7 +32,7 @@ class TrainerOptions:
     exposure: bool = True  # photos that were exposed differently are made equal first
     ssim_weight: float = 0.4  # loss = (1 - w) L1 + w (1 - SSIM); 0.4 is sharper at the same PSNR
     depth_smoothness: float = 0.01  # weight of depth's steps where the photo has none; 0 = off
-    binocular: float = 1.0  # weight of a photo seen again from beside it, by its depth; 0 = off
+    binocular: float = 1.0  # weight of the second camera beside a photo; 0 = off
     binocular_from: float = 0.667  # share of the steps from which it is, and after `enough_steps`
     lr_scale: float = 5.0  # multiplies all learning rates
     lr_means: float = 9.6e-4  # in units of the scene extent
@@ -98,12 +98,11 @@ def enough_steps(n_views: int) -> int:
 
 
 def members_of(members: int, steps: int, n_views: int) -> int:
-    """How many trainings a run has: `members`, or where that is 0 as many as `steps` in all allow.
+    """Return the number of trainings: `members`, or if that is 0 as many as `steps` in all allow.
 
     One training takes `enough_steps`. Beyond them several trainings from different draws, whose
-    errors cancel, gain more in the same time. What is u times enough goes to sqrt(2 u) trainings,
-    so their number and their length grow alike: with four times the steps there are twice as many,
-    each twice as long, which is sharper than more short ones at the same PSNR
-    (benchmarks/results/presets.md).
+    errors cancel, gain more in the same time. A budget of u times enough is shared by sqrt(2 u)
+    trainings. So with four times the steps there are twice as many, each twice as long, which is
+    sharper than more short ones at the same PSNR (docs/decisions.md).
     """
     return members or min(SHARED_BY, max(1, math.isqrt(2 * steps // enough_steps(n_views))))

@@ -1,12 +1,12 @@
 """name -> plugin class, with discovery and checked construction.
 
-Two kinds of groups: of plugins that act on a training (`GROUPS`), built by `build` with framework
-keys beside their options, and of parts of a run (`PARTS`: scene loaders, depth providers,
-initializers, metrics), built by `part`, which join the table of the built-in ones in their room.
+There are two kinds of groups. Plugins that act on a training (`GROUPS`) are built by `build` and
+have framework keys besides their options. Parts of a run (`PARTS`: scene loaders, depth providers,
+initializers, metrics) are built by `part` and join the table of the built-in ones.
 
-Plugins are found in the `plugins/` folder, in installed packages that declare the entry point group
-`fishersplat.plugins`, and in the folder of the user's own that the command line asks for. Launchers
-start fresh processes, so `discover` is cheap to call again.
+Plugins are found in the `plugins/` folder and in installed packages with the entry point group
+`fishersplat.plugins`. A folder of the user's plugins is added by `--plugins`. Launchers start new
+processes, so `discover` is cheap to call again.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ PARTS = {
 }
 SWEPT = "_sweep"  # ends the name of a recipe with the plane sweep in place of a network
 OURS = ("framework", "plugins")  # packages of this project's classes
-REQUIRED = {  # the methods of which a class must have one of its own
+REQUIRED = {  # a class must override one of these methods
     "scene": ("load",),
     "depth": ("measure",),
     "init": ("build",),
@@ -52,9 +52,9 @@ YAML_WORDS = ("true", "false", "null")  # which no command line can choose
 FOLDER = Path(__file__).resolve().parent.parent / "plugins"
 FRAMEWORK_KEYS = {"weight": 1.0, "start": 0.0, "stop": 1.0}
 MEANINGS = {
-    "weight": "factor of the loss it adds",
-    "start": "share of the training before which it rests",
-    "stop": "share of the training after which it rests",
+    "weight": "factor of its loss",
+    "start": "share of the training before it acts",
+    "stop": "share of the training until which it acts",
 }
 JOINABLE = ("reg", "capacity")  # several of these may work in one run, as `reg=[uar,depth_rank]`
 JOINED_BY = "+"  # their names are one choice: `uar+depth_rank`

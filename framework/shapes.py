@@ -1,8 +1,7 @@
-"""Whether a value from a file has the type, shape and numbers that it must have; each check raises
-ValueError with `where`, what was expected and what came.
+"""Checks of type, shape and numbers of values from files and plugins.
 
-For states that come back from a checkpoint, which may be forged: kernels take lengths and indices
-as they are told.
+Each raises ValueError with `where`, what was expected and what came. Checkpoints may be forged, and
+kernels do not check lengths and indices.
 """
 
 from __future__ import annotations

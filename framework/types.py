@@ -1,11 +1,11 @@
-"""The values that cross module borders: frozen, shape-documented.
+"""The values that cross module borders: frozen, with documented shapes.
 
-Conventions, everywhere in the project:
-- images are planar, `[3, H, W]` float32 in [0, 1]; maps are `[H, W]`.
-- `viewmat` is world-to-camera with OpenCV axes (x right, y down, z forward); `K` is in pixels;
-  the centre of pixel (0, 0) is at (0.5, 0.5).
-- quaternions are wxyz and need not be normalised.
-- depth is the camera-space z coordinate, in scene units (not the distance along the ray).
+Conventions of the whole project:
+- Images are planar, `[3, H, W]` float32 in [0, 1]; maps are `[H, W]`.
+- `viewmat` is world-to-camera with OpenCV axes (x right, y down, z forward).
+- `K` is in pixels; the centre of pixel (0, 0) is at (0.5, 0.5).
+- Quaternions are wxyz and need not be normalised.
+- Depth is the camera-space z coordinate, in scene units (not the distance along the ray).
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class View:
 
     @property
     def pseudo(self) -> bool:
-        """Whether an augmenter made it; told to whoever trains on it."""
+        """Whether an augmenter made it."""
         return PSEUDO in self.tags
 
 
@@ -116,8 +116,8 @@ class SparsePoints:
 
 @dataclass(frozen=True)
 class TrainingSet:
-    """All that training may know of a scene: no test view can be reached from here. paper: the
-    grey in [0, 1] that transparent photos were laid on, None where all are opaque."""
+    """The training part of a scene, without test views. paper: the grey in [0, 1] behind
+    transparent photos, None where all are opaque."""
 
     scene: str
     views: tuple[View, ...]
@@ -126,7 +126,7 @@ class TrainingSet:
     far: float
     paper: float | None = None
 
-    @cached_property  # asked for in every step
+    @cached_property  # used in every step
     def extent(self) -> float:
         """1.1 x the largest distance of a training camera to their centroid (3DGS); for a single
         camera, where that is zero, a tenth of the near bound."""
@@ -173,7 +173,7 @@ class Gaussians:
         return degree_of(self.shN.shape[1]) if len(self.shN) else 0
 
     def active_degree(self, asked: int | None) -> int:
-        """The degree of a render that asks for this one, None for the highest."""
+        """The degree of a render with this option, None for the highest."""
         return self.sh_degree if asked is None else min(asked, self.sh_degree)
 
     @property

@@ -39,8 +39,9 @@ class Steps:
 
 @dataclass(frozen=True)
 class Turn:
-    """Steps that followed one another: with one thread, with two, with one again, and in two
-    processes of one thread each at the same time. Each ratio has one thread's steps of its own."""
+    """Consecutive steps: with one thread, with two, with one again, and in two processes of one
+    thread each at the same time. Each ratio uses separate steps of one thread.
+    """
 
     one: Steps
     two: Steps

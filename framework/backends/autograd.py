@@ -64,7 +64,7 @@ class ByAutograd(Rasterizer):
             outputs,
             [*tensors.values(), offset],
             pulls,
-            materialize_grads=True,  # of an image that nobody is in
+            materialize_grads=True,  # of an empty image
         )
         return TakenGradient(
             gaussians, render.radii, dict(zip(tensors, gradients, strict=True)), means2d

@@ -1,7 +1,7 @@
-"""What a training asks of whoever draws Gaussians and takes gradients of what it drew.
+"""The contract of rasterizers, which render Gaussians and take gradients.
 
-The trainer, its gradient, the plugins' context and the evaluation know this contract and no
-rasterizer. Importing it loads neither torch nor numba: `--help` reads the choices.
+The trainer, the plugins' context and the evaluation use this contract and no particular rasterizer.
+Importing it loads neither torch nor numba, as `--help` lists the choices.
 """
 
 from __future__ import annotations
@@ -23,9 +23,12 @@ DepthGradient = Callable[[Any, Any], tuple[Any, Any]]
 
 
 class RenderGradient(Protocol):
-    """The gradient of a loss on one render. gaussians: what was rendered. radii [N]: in pixels,
-    0 = culled. absolute: [N, 2], sums over pixels of the absolute gradient in the projected means,
-    where that was asked for."""
+    """The gradient of a loss on one render.
+
+    Attributes:
+        radii: [N] in pixels, 0 = culled.
+        absolute: [N, 2], absolute gradient in the projected means, if requested.
+    """
 
     @property
     def gaussians(self) -> Gaussians: ...
@@ -45,13 +48,14 @@ class RenderGradient(Protocol):
 
 
 class Rasterizer(ABC):
-    """A way to draw; frozen dataclasses, whose fields are options of `rasterizer=NAME`.
+    """A rasterizer: a frozen dataclass whose fields are options of `rasterizer=NAME`.
 
-    Gaussians may be given on any device; what comes back is on `device`, but Fisher information,
-    which is on the CPU. keeps_bits: whether the same seed gives the same bits. fused: its gradients
-    are `framework.kernels.ScreenGradient`s, which Adam's kernel takes; other rasterizers have
-    torch's arithmetic in Adam as in the loss. single_pixels: whether `render_gradient` can give the
-    absolute gradient, for which it must know that of every pixel.
+    Gaussians may be on any device. Results are on `device`, Fisher information on the CPU.
+
+    Attributes:
+        keeps_bits: whether the same seed gives the same bits.
+        fused: gradients are `framework.kernels.ScreenGradient`s for Adam's kernel.
+        single_pixels: whether `render_gradient` can give absolute gradients.
     """
 
     name: ClassVar[str]
@@ -101,10 +105,12 @@ class Rasterizer(ABC):
         absolute: bool = False,
         depth_gradient: DepthGradient | None = None,
     ) -> RenderGradient:
-        """Render, and the gradient of a loss of the colours: `image_gradient` gets rgb [3, H, W]
-        and returns the loss's gradient in it, both as `loss_gradient` has them. absolute: also
-        `RenderGradient.absolute`; asked for only where `single_pixels` is true. depth_gradient:
-        gets alpha and depth [H, W] and returns the gradients in them that are added."""
+        """Render, and take the gradient of a loss of the colours.
+
+        image_gradient: gets rgb [3, H, W] and returns the loss's gradient in it. absolute: also sum
+        absolute gradients; only if `single_pixels`. depth_gradient: gets alpha and depth [H, W] and
+        returns gradients in them, which are added.
+        """
 
     @abstractmethod
     def fisher(

@@ -89,9 +89,7 @@ def main(argv: Sequence[str]) -> int:
                 return conclude()
     except KeyboardInterrupt:
         again = f"{program()} {shlex.join(argv)}"
-        print(
-            f"error: interrupted; results so far are kept, continue with: {again}", file=sys.stderr
-        )
+        print(f"error: interrupted; results are kept, continue with: {again}", file=sys.stderr)
         return 130
     except (Refused, *USER_ERRORS) as error:
         if "traceback=true" in argv:

@@ -1,7 +1,9 @@
-"""How kernels run: compiled (`jit`; `compiling` notices it), on vectors (`simd`, `chunks`), on
-threads (`parallel`), with draws of their own (`rng`), on the clock (`stopwatch`), no longer than
-who asked (`orphans`); and arithmetic that is the same bits on every processor (`portable`,
-of tensors `tensors`)."""
+"""How kernels run.
+
+`jit`: compilation; `compiling`: its detection; `simd`, `chunks`: vectors; `parallel`: threads;
+`rng`: random streams; `stopwatch`: times; `orphans`: the end with the parent process. `portable`
+and `tensors`: arithmetic with the same bits on every processor.
+"""
 
 __all__ = [
     "chunks",

@@ -15,18 +15,18 @@ COMPILE = "numba:compile"
 class Compilations(event.Listener):  # type: ignore[misc]  # numba has no types
     """Kernels compiled, and wall seconds from the start of the first to the end of the last one.
 
-    tell: called once, as the first begins.
+    on_first: called once, as the first begins.
     """
 
-    def __init__(self, tell: Callable[[], None]) -> None:
-        self._tell = tell
+    def __init__(self, on_first: Callable[[], None]) -> None:
+        self._on_first = on_first
         self._began: float | None = None
         self.kernels, self.seconds = 0, 0.0
 
     def on_start(self, _: Any) -> None:
         if self._began is None:
             self._began = time.perf_counter()
-            self._tell()
+            self._on_first()
 
     def on_end(self, _: Any) -> None:
         assert self._began is not None, "an end without a start"
@@ -35,7 +35,7 @@ class Compilations(event.Listener):  # type: ignore[misc]  # numba has no types
 
 
 @contextlib.contextmanager
-def noticed(tell: Callable[[], None]) -> Iterator[Compilations]:
-    """What is compiled within, by whatever thread of this process."""
-    with event.install_listener(COMPILE, Compilations(tell)) as listener:
+def noticed(on_first: Callable[[], None]) -> Iterator[Compilations]:
+    """Count what any thread of this process compiles inside."""
+    with event.install_listener(COMPILE, Compilations(on_first)) as listener:
         yield listener

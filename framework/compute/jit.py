@@ -5,8 +5,8 @@ numba's own cache notices a change of a kernel's file but not of a helper it imp
 So the cache is a folder of the user's cache named by a hash of all of the framework's sources that
 hold kernels (`NUMBA_CACHE_DIR` overrides it). Import `kernel` before decorating anything else.
 
-Where a CPU has AVX-512, LLVM still takes vectors of 256 bits unless it is told not to, as the first
-CPUs that had it slowed down. With all 512 the loops that it vectorises by itself take less time,
+Where a CPU has AVX-512, LLVM still takes vectors of 256 bits by default, as the first such CPUs
+slowed down. With all 512 the loops that it vectorises by itself take less time,
 those of stereo above all; no bit depends on it.
 """
 
@@ -35,9 +35,10 @@ _CONSTANT = re.compile(rb"\b[A-Z][A-Z0-9_]+\b")
 
 
 def _sources_hash() -> str:
-    """Of every source that defines kernels or vector operations, of those that they have constants
-    from, which are compiled into them, and of numba's version; a file that only speaks of them does
-    not count."""
+    """Hash the sources that define kernels or vector operations, and numba's version.
+
+    Sources of constants that are compiled into kernels count too.
+    """
     root = Path(__file__).parents[1]
     sources = {path: path.read_bytes() for path in root.rglob("*.py")}
     compiled = {path for path, source in sources.items() if _COMPILED.search(source)}

@@ -33,8 +33,9 @@ def watch(parent: int | None) -> None:
 
 
 def end_with(process: int) -> None:
-    """End this process soon after another one of this machine, which is no relative of it. A worker
-    asks for it with every run that it does; one thread watches, however many ask."""
+    """End this process soon after another one of this machine that is not its parent. A worker
+    calls it for every run; one thread watches each process.
+    """
     if process in _others:
         return
     _others.add(process)

@@ -24,7 +24,7 @@ _local = threading.local()  # in_task: this thread is at a task of `run_tasks`
 
 
 class Abandoned(Exception):
-    """Another of the tasks that run together failed; nobody waits for this one's result."""
+    """Another of the tasks that run together failed; this one's result is not needed."""
 
 
 def set_threads(n: int) -> None:
@@ -52,11 +52,12 @@ def run_blocks(
 ) -> None:
     """Call `kernel(block, blocks, *own[thread], *args)` for every block; returns when all are done.
 
-    Every thread, the caller is one, has a range of blocks of its own, as neighbours share cache
-    lines, and then helps others with theirs. own: scratch that a thread has for itself, of which
-    nothing is left after a block; as many threads as there are of it take part, at most. None: no
-    such arguments.
-    Raises whatever a block raised.
+    Every thread, including the caller, has a range of blocks, as neighbours share cache lines. Then
+    it helps others with theirs. Raises whatever a block raised.
+
+    own: scratch of each thread, whose content is lost after a block. It limits the number of
+        threads.
+    Empty: no such arguments.
     """
     pool = threads()
     n = min(pool, len(own)) if own else pool
@@ -89,7 +90,7 @@ def run_blocks(
         jobs.put(functools.partial(help_with, thread))
     try:
         work(0)
-    finally:  # nobody may still write when the caller's buffers are reused
+    finally:  # no thread may write when the caller's buffers are reused
         failed = [ended.get() for _ in range(1, n)]
     for error in failed:
         if error is not None:

@@ -1,10 +1,9 @@
-"""Functions whose bits depend on no processor, for what NumPy, PyTorch, BLAS and the C library
-compute in ways that differ between processors.
+"""Functions whose bits are the same on every processor, unlike those of NumPy, PyTorch and BLAS.
 
-Sums, products, quotients and square roots are rounded as IEEE 754 says everywhere; exponentials,
-logarithms, powers and products of matrices come out in the last bit as the vector units allow:
-each library has code of its own for SSE, FMA, AVX2 and AVX-512. Here they are made of the former,
-in one order. Errors are a few units in the last place of float64.
+IEEE 754 defines the rounding of sums, products, quotients and square roots. Exponentials,
+logarithms, powers and products of matrices differ in the last bit, since each library has separate
+code for SSE, FMA, AVX2 and AVX-512. Here they are made of the former, in one order. Errors are a
+few units in the last place of float64.
 """
 
 from __future__ import annotations

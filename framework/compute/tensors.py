@@ -50,9 +50,10 @@ def _computed(
 
 
 class _Computed(Function):
-    """function: of NumPy's arrays, each number by itself, so that its derivative is diagonal and
-    takes a gradient back as it takes a tangent forward. pull_back: (gradient in the value, value)
-    -> gradient in x."""
+    """An elementwise function of NumPy's arrays, so its derivative is diagonal.
+
+    pull_back: (gradient in the value, value) -> gradient in x; also takes tangents forward.
+    """
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, function: Any, pull_back: Any) -> Tensor:

@@ -1,10 +1,10 @@
-"""A photo seen again through a render from beside it: the loss's gradient in both renders.
+"""Gradients of a consistency loss between a photo and a render from a shifted camera.
 
 Binocular-Guided 3DGS (Han et al. 2024, arXiv 2410.18822, section 3.1): the camera moves by t along
-its own x axis, so a pixel at depth D moves along its row by -f t / D. What the moved camera sees
-there should be what the photo shows: mean over pixels and channels of |warped - photo|. A pixel
-counts (ours) where its depth is that of the render beside it, as elsewhere one hides the other, or
-one of the two depths is wrong and its colour would be painted on what lies behind.
+its x axis, so a pixel at depth D moves along its row by -f t / D. The loss is the mean over pixels
+and channels of |warped - photo|. Here, unlike in the paper, a pixel counts only where its depth
+agrees with that of the shifted render. Elsewhere one surface hides the other, or one of the two
+depths is wrong.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ def _disparities(alpha: Any, depth: Any, into: Any) -> None:
 
 @inlined
 def _places(own: Any, beside: Any, mask: Any, numbers: Any, left: Any, share: Any) -> None:
-    """Of every pixel of a row: the pixel to the left of where it is seen from beside, how far it is
-    from there to the next, and into `own` its weight, 0 where it does not count."""
+    """Fill, for every pixel of a row, the pixel to its left in the shifted render, the fraction
+    to the next one, and into `own` its weight (0 if it does not count).
+    """
     moves, tolerance, weight = numbers
     width = len(own)
     last, most = np.float32(width - 1), np.float32(max(width - 2, 0))
@@ -83,8 +84,7 @@ def binocular_rows(
     in_depth: Any,
     in_rgb: Any,
 ) -> None:
-    """A range of rows of the gradients: in alpha and depth [H, W] of the photo's camera, and in the
-    colours [3, H, W] that the camera beside it sees. The other arguments: `binocular_gradient`."""
+    """Compute a range of rows of the gradients; the arguments are those of `binocular_gradient`."""
     height, width = alpha.shape
     own, beside = np.empty(width, np.float32), np.empty(width, np.float32)
     share, slope = np.empty(width, np.float32), np.empty(width, np.float32)
@@ -118,12 +118,18 @@ def binocular_gradient(
     tolerance: float,
     weight: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The gradients in alpha and depth [H, W] of the photo's camera and in the colours [3, H, W] of
-    the camera beside it, all float32, in memory that is lent again once nobody holds it.
+    """Compute the gradients of the consistency loss.
 
-    beside: colours, alpha and depth that the moved camera sees. photo [3, H, W]: multiplied by mask
-    [H, W]. moves: f t, pixels that a point at depth 1 moves to the left. tolerance: by which the
-    inverse depths of a pixel may differ. weight: of a pixel and channel.
+    Args:
+        beside: colours, alpha and depth of the shifted render.
+        photo: [3, H, W], multiplied by its mask [H, W].
+        moves: f t, the shift in pixels of a point at depth 1.
+        tolerance: largest difference of the inverse depths of a pixel.
+        weight: of one pixel and channel.
+
+    Returns:
+        Gradients in alpha and depth [H, W] of the photo's camera and in the colours [3, H, W] of
+        the shifted one, float32, in a buffer that is reused once unreferenced.
     """
     found = _lender.lend([alpha.shape, alpha.shape, photo.shape])
     numbers = np.float32(moves), np.float32(tolerance), np.float32(weight)

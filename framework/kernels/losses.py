@@ -24,8 +24,9 @@ from framework.kernels.lending import ThreadsLender
 class Target:
     """What the loss needs of a target image, computed once per view.
 
-    image: [3, H, W], multiplied by mask [H, W]. mean, variance: [3, H, S], its window's statistics
-    in rows of whole vectors.
+    Attributes:
+        image: [3, H, W], multiplied by mask [H, W].
+        mean, variance: [3, H, S], statistics of its windows, in rows of whole vectors.
     """
 
     image: np.ndarray
@@ -60,8 +61,13 @@ _lender = ThreadsLender()
 def photometric_gradient(
     rgb: np.ndarray, target: Target, ssim_weight: float = 0.2, weight: float = 1.0
 ) -> tuple[float, np.ndarray]:
-    """`photometric_loss` times `weight` of a render [3, H, W] float32, and its gradient in it, in
-    memory that is lent again once nobody holds it. Raises ValueError for another shape or dtype."""
+    """Compute `photometric_loss` times `weight` of a render [3, H, W] float32, and its gradient.
+
+    The gradient is in a buffer that is reused once unreferenced.
+
+    Raises:
+        ValueError: for another shape or dtype.
+    """
     if rgb.dtype != np.float32 or rgb.shape != target.image.shape:
         raise ValueError(
             f"photometric_loss: expected float32 {target.image.shape}, got {rgb.dtype} {rgb.shape}"

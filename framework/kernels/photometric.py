@@ -1,15 +1,18 @@
 """L1 + SSIM and its gradient, in one pass over bands of rows that stay in the cache.
 
-SSIM (Wang et al. 2004) as 3DGS trains with it: 11x11 Gaussian window, sigma 1.5, zero padding,
-C1 = 0.01^2, C2 = 0.03^2, variance E[x^2] - mu^2. With mu, q = E[a^2], r = E[ab] the window's blurs,
-SSIM = (2 mu mu' + C1)(2 (r - mu mu') + C2) / ((mu^2 + mu'^2 + C1)(q - mu^2 + var' + C2)); the
-gradient in the image is the blur (self-adjoint) of the partial derivatives in mu, q and r.
+SSIM (Wang et al. 2004) as in 3DGS training: 11x11 Gaussian window, sigma 1.5, zero padding, C1 =
+0.01^2, C2 = 0.03^2, variance E[x^2] - mu^2. With the window's blurs mu, q = E[a^2], r = E[ab]:
 
-Both blurs are horizontal, then vertical. A band goes down the image by CHUNK rows at a time with
-two buffers [3, CHUNK + 10, S] of horizontally blurred rows, one of a, a^2, ab and one of the three
-partials: new rows join the last ten, which a vertical window of the next rows still reaches. Rows
-outside the image are zero. S is a whole number of vectors; what lies beyond W is finite and enters
-nothing.
+    SSIM = (2 mu mu' + C1) (2 (r - mu mu') + C2)
+         / ((mu^2 + mu'^2 + C1) (q - mu^2 + var' + C2))
+
+The gradient in the image is the blur (self-adjoint) of the partial derivatives in mu, q and r.
+
+Both blurs are horizontal first, then vertical. A band goes down the image by CHUNK rows at a time.
+It has two buffers [3, CHUNK + 10, S] of horizontally blurred rows, one of a, a^2, ab and one of the
+three partial derivatives. New rows join the last ten, which the vertical windows of the next rows
+still need. Rows outside the image are zero. S is a whole number of vectors; values beyond W are
+finite and unused.
 """
 
 from __future__ import annotations
@@ -162,9 +165,12 @@ def _partial_rows(
     to: int,
     sums: Any,
 ) -> None:
-    """Partial derivatives of rows first ... first + count - 1, horizontally blurred into `partials`
-    from row `to` on, and SSIM summed per row, of the band's own rows alone. target: its mean and
-    variance [H, S]. windows, derived, values: scratch."""
+    """Blur the partial derivatives of a range of rows horizontally, and sum SSIM for each row.
+
+    Rows first ... first + count - 1 of the band go into `partials` from row `to` on.
+
+    target: mean and variance [H, S] of the target. windows, derived, values: scratch.
+    """
     mean, variance = target
     _down(blurred, count, windows)
     for i in range(count):
@@ -180,8 +186,11 @@ def _partial_rows(
 
 @kernel
 def _gradient_row(windows: Any, i: int, near: Any, pulls: Any, values: Any, gradient: Any) -> None:
-    """|mask a - b| of a row into `values`, and its gradient; row i of `windows` are the blurs of
-    its partial derivatives. near: the row of a, b and mask; pulls: of L1 and of SSIM."""
+    """Write |mask a - b| of a row into `values`, and compute its gradient.
+
+    Row i of `windows` has the blurs of its partial derivatives. near: the row of a, b and mask.
+    pulls: weights of L1 and of SSIM.
+    """
     a, b, mask = near
     keep, pull = pulls
     mu, q, r = windows[0, i], windows[1, i], windows[2, i]
@@ -196,9 +205,10 @@ def _gradient_row(windows: Any, i: int, near: Any, pulls: Any, values: Any, grad
 
 @kernel
 def statistics(block: int, blocks: int, b: Any, mask: Any, mean: Any, variance: Any) -> None:
-    """Of a target b [C, H, W]: its window's mean and variance [C, H, S]. mask: ones [H, W].
+    """Compute mean and variance [C, H, S] of the windows of a target b [C, H, W].
 
-    The third blur, of b b once more, is not needed; a target is made once.
+    mask: ones [H, W]. The third blur, of the render times b, is not needed here; a target is
+    prepared once.
     """
     channels, height, _ = b.shape
     wide = mean.shape[2]
@@ -238,9 +248,11 @@ def loss_and_gradient(
     l1_sums: Any,
     gradient: Any,
 ) -> None:
-    """Of an image a [C, H, W] and a masked target b with its `statistics`: SSIM and |mask a - b|
-    summed per row, [C, H] each; gradient [C, H, W] of
-    scale x ((1 - w) sum |mask a - b| - w sum SSIM) in a."""
+    """Compute the loss of an image a [C, H, W] against a masked target b with its `statistics`.
+
+    SSIM and |mask a - b| are summed per row, [C, H] each. The gradient [C, H, W] in a is that of
+    scale x ((1 - w) sum |mask a - b| - w sum SSIM).
+    """
     channels, height, width = a.shape
     wide = mean.shape[2]
     blurred = np.empty((3, CHUNK + REACH, wide), np.float32)

@@ -71,22 +71,23 @@ def build_report(
     photos: bool = True,
     rival: str = "",
 ) -> Path:
-    """Write the report of all runs below the folders; returns the path of `report.md`.
+    """Write the report of all runs below the folders.
+
+    A run whose files are damaged counts as failed. Pictures of an earlier report are removed.
 
     Args:
-        study_dirs: folders with runs, or with the archive of runs.
-        title: the heading, else the name of the report's folder.
-        out_dir: folder of the report, else the first folder.
-        photos: show scenes and link to the runs; without, only the embedded scene and no links, for
-            a report that is passed on where photos may not be. Pictures of an earlier report in
-            that folder are removed.
-        rival: the method that the others are compared with, by display or registry name; "" for
-            plain training.
+        study_dirs: folders with runs or with an archive of runs.
+        title: the heading; by default the name of the report's folder.
+        out_dir: folder of the report; by default the first study.
+        photos: show all scenes and link to the runs. If False, the report shows only the embedded
+            scene and has no links, so that it can be published without the photos.
+        rival: display or registry name of the baseline; "" for training without a method.
 
-    A run whose files are not what a run writes counts as failed.
+    Returns:
+        The path of `report.md`.
 
     Raises:
-        UserError: there is no run, or none of the rival.
+        UserError: There is no run, or none of the baseline.
     """
     return built(study_dirs, title, out_dir, photos, rival).path
 

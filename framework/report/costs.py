@@ -1,10 +1,10 @@
-"""Speed against accuracy: what every method and budget costs, and which of them pay.
+"""Accuracy against training time for every method and budget.
 
-A configuration is a method with its budget. It is on the Pareto front of a scene if no other has at
-least its mean PSNR at no more of the cost. As some may lack seeds, all are ranked by their
-difference to the configuration with the most seeds, over the seeds of both. A configuration *pays*
-if it is the cheapest of the front, or significantly better than the last cheaper one that pays
-(paired t test, corrected for all others there). Seconds are those of the training alone.
+A configuration is a method with its budget. It is on the Pareto front of a scene if no other one is
+at least as good at no higher cost. Configurations may lack seeds, so they are ranked by their
+difference to the configuration with the most seeds, over common seeds. A configuration is *worth
+its cost* if it is the cheapest of the front, or significantly better than the last cheaper one that
+is (paired t test, corrected for all others of the scene).
 """
 
 from __future__ import annotations
@@ -100,9 +100,11 @@ def front(found: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
 
 
 def paying(found: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
-    """Indices of the entries that pay, the cheapest first; none if nothing can be tested.
+    """Return the indices of the entries that are worth their time, the cheapest first.
 
-    Corrected for all others, as the data decide which of them are on the front.
+    An entry is one if it is significantly better than all cheaper ones that are. Tests are
+    corrected for all others, because the data decide which of them are on the front. Without any
+    test the result is empty.
     """
     on_front = front(found, cost)
     kept = on_front[:1]
@@ -142,29 +144,12 @@ def one_machine(study: Study, scene: str) -> bool:
 
 @dataclass(frozen=True)
 class Choice:
-    """Which configuration to take within a time.
-
-    Attributes:
-        limits_s: the times with this answer.
-        entry: the answer; None if nothing tested fits, with the `quickest` of all.
-        better: a configuration within the time that is significantly better; the answer is as good
-            within `AS_GOOD_DB`, and quicker.
-        quicker: the quickest one within the time that is not significantly worse.
-        n_others: the other configurations within the time.
-    """
+    """Which configuration to take within a time: the times with this answer, the answer, and the
+    quickest configuration of all, if none fits."""
 
     limits_s: tuple[float, ...]
     entry: Entry | None
     quickest: Entry
-    better: Entry | None = None
-    quicker: Entry | None = None
-    n_others: int = 0
-
-    @property
-    def loss(self) -> float:
-        """What the quicker, or the better, one is below or above the answer, in dB."""
-        other = self.better or self.quicker
-        return 0.0 if other is None or self.entry is None else above(other, self.entry)
 
 
 def choices(study: Study, scene: str) -> list[Choice]:
@@ -173,31 +158,12 @@ def choices(study: Study, scene: str) -> list[Choice]:
     found = entries(study, scene)
     if len(found) < 2 or not one_machine(study, scene):
         return []
-    choices: dict[Choice, list[float]] = {}
+    answers: dict[Entry | None, list[float]] = {}
     for limit in LIMITS_S:
-        choices.setdefault(_choice(study, found, limit), []).append(limit)
-    return [replace(choice, limits_s=tuple(limits)) for choice, limits in choices.items()]
-
-
-def _choice(study: Study, found: Sequence[Entry], limit_s: float) -> Choice:
+        within = [entry for entry in found if entry.train_s <= limit]
+        answers.setdefault(_best_within(study, within) if within else None, []).append(limit)
     quickest = min(found, key=train_s)
-    within = [entry for entry in found if entry.train_s <= limit_s]
-    if not within:
-        return Choice((), None, quickest)
-    best = _best_within(study, within)
-    others = [entry for entry in within if entry is not best]
-    if best.psnr.n < 2 or not others:
-        return Choice((), best, quickest, n_others=len(others))
-    ahead = [entry for entry in others if better(entry, best, len(others))]
-    alike = [entry for entry in others if not better(best, entry, len(others))]
-    return Choice(
-        (),
-        best,
-        quickest,
-        max(ahead, key=lambda entry: above(entry, best), default=None),
-        min((e for e in alike if e.train_s < best.train_s), key=train_s, default=None),
-        len(others),
-    )
+    return [Choice(tuple(limits), entry, quickest) for entry, limits in answers.items()]
 
 
 def _best_within(study: Study, within: Sequence[Entry]) -> Entry:

@@ -57,9 +57,11 @@ def _failed_entry(run: FailedRun) -> Entry:
 
 
 def runs_csv(study: Study) -> str:
-    """The study as a tidy table, in the report's order: labels, seed, every option that differs
-    between its runs (by its full name), mean metrics over the test views, size and seconds. A
-    missing value is an empty cell."""
+    """The study as a tidy table, in the report's order.
+
+    Columns are labels, seed, every option that differs between its runs (by its full name), mean
+    metrics over the test views, size and seconds. A missing value is an empty cell.
+    """
     measured = [_measured(run) for run in study.runs]
     options = [dict(c) for c in with_defaults([flatten(run.record.config) for run in study.runs])]
     for run, chosen in zip(study.runs, options, strict=True):

@@ -38,14 +38,14 @@ METHOD_WORDS = ("method", "augment", "reg", "seed", "study")
 
 @dataclass(frozen=True)
 class Verdict:
-    """What to use.
+    """The recommendation.
 
     Attributes:
-        kind: one of the branches of the macro `verdict`.
-        method: the advised method, or the only one.
-        comparison: of the advised method with its baseline.
+        kind: a branch of the macro `verdict`.
+        method: the recommended method, or the only one.
+        comparison: the recommended method compared with its baseline.
         others: methods that the reason names.
-        spread: PSNR of the method, if it is named with it.
+        spread: PSNR of the method, if the sentence names it.
     """
 
     kind: str
@@ -82,8 +82,11 @@ class Weakest:
 
 @dataclass(frozen=True)
 class Contest:
-    """A capacity compared with another one of the same method; parameters, cpu: ratios of the sums
-    over the paired runs, None where one lacks them."""
+    """A capacity compared with another one of the same method.
+
+    Attributes:
+        parameters, cpu: ratios of the sums over the paired runs; None if one lacks them.
+    """
 
     method: Method
     comparison: Comparison
@@ -119,7 +122,7 @@ class Findings:
 
     @property
     def significant(self) -> list[Comparison]:
-        """Significant differences but that of the advised method, the largest loss first."""
+        """Significant differences except that of the recommended method, the largest loss first."""
         clear = [c for c in self.compared if c.significant and c.method != self.outcomes.best]
         return sorted(clear, key=_difference)
 
@@ -130,8 +133,11 @@ class Findings:
 
     @cached_property
     def as_good(self) -> list[Comparison]:
-        """Methods that are not significantly different from an advised one that is not the
-        baseline, corrected for all others."""
+        """Methods that do not differ significantly from a recommended method that is not the
+        baseline.
+
+        Tests are corrected for all other methods.
+        """
         best, found = self.outcomes.best, self.outcomes.comparisons
         if best not in found or self.study.has_budgets or self.panels:
             return []
@@ -188,8 +194,9 @@ class Findings:
 
     @cached_property
     def costs(self) -> list[Cost]:
-        """Of the advised method and its baseline, or the best of the others; of several budgets the
-        cheapest and the most expensive one."""
+        """Costs of the advised method and of its baseline, or of the best other method. With
+        several budgets these are the cheapest and the most expensive.
+        """
         found = self.outcomes
         if not found.psnr:
             return []
@@ -211,18 +218,18 @@ class Findings:
 
     @property
     def steadiness(self) -> list[SigmaComparison]:
-        """Significant differences of the deviation over seeds."""
+        """Significant differences of the standard deviation over seeds."""
         return [c for c in self.outcomes.sigmas.values() if c.significant]
 
     @property
     def least_power(self) -> SigmaComparison | None:
-        """Of the tests of deviations the one with the least power."""
+        """The test of deviations with the least power."""
         tested = [c for c in self.outcomes.sigmas.values() if c.ratio is not None]
         return min(tested, key=lambda c: c.detectable or 0.0, default=None)
 
     @property
     def untuned_scenes(self) -> list[str]:
-        """Tested scenes that chose no default."""
+        """Tested scenes whose test photos chose no default."""
         return [s for s in self.study.tested if role(self.study.name_of(s)) != CHOSE]
 
     @property
@@ -344,7 +351,7 @@ def _weakest(findings: Findings) -> Weakest | None:
 
 
 def _cheapest_good(study: Study, found: Outcomes) -> Method | None:
-    """Of the first method the cheapest budget that is nearly as good as the best."""
+    """The cheapest budget of the first method that is nearly as good as its best."""
     means = {m: s.mean for m, s in found.psnr.items() if m.family == study.families[0]}
     good = [m for m, mean in means.items() if mean >= max(means.values()) - AS_GOOD_DB]
 
@@ -356,8 +363,10 @@ def _cheapest_good(study: Study, found: Outcomes) -> Method | None:
 
 
 def contests(study: Study) -> list[Contest]:
-    """Of every method that ran with several capacities, each of them compared with the first one,
-    over runs paired by scene and seed; corrected for all of them together."""
+    """Compare the capacities of every method that ran with several, each with the first one.
+
+    Runs are paired by scene and seed, and tests are corrected for all of these comparisons.
+    """
     groups: dict[Method, list[Method]] = {}
     for method in study.methods:
         groups.setdefault(method.without_capacity, []).append(method)

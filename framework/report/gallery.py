@@ -1,9 +1,10 @@
-"""The pictures of the page's viewer: ground truth, renders and error maps as small WebP copies.
+"""Pictures of the page's viewer: ground truth, renders and error maps as small WebP copies.
 
-A page holds at most `BYTES_PER_RUN` of them for each run, within `FEWEST_BYTES` and `MOST_BYTES`,
-and `MOST_IMAGES` in number, taken in layers: the lowest seed and most informative view of every
-method first, then its other views, then the next seeds. Copies are at most `LONGEST` pixels long,
-error maps, which are mostly noise, `LONGEST_ERROR`. Every number of the report is of the originals.
+A page contains at most `BYTES_PER_RUN` of them for each run, within `FEWEST_BYTES` and
+`MOST_BYTES`, and at most `MOST_IMAGES`. The lowest seed and most informative view of every method
+come first, then its other views, then the next seeds. Copies are at most `LONGEST` pixels long.
+Error maps are mostly noise, so `LONGEST_ERROR` applies to them. Every number of the report is
+computed from the originals.
 """
 
 from __future__ import annotations
@@ -41,10 +42,11 @@ class Gallery:
     Attributes:
         images: data URIs.
         shots: scene, method, seed, view, PSNR as text, indices of truth, render and error in
-            `images`, and the index of the method for the page's filter.
-        looks: scene, method, seed, text and target of a link to what else shows that run.
+            `images`, and index of the method.
+        looks: scene, method, seed, text and target of links to other views of that run.
         videos: scene, method, seed and data URI of the small video of a method's first run.
-        size: bytes before base64, without videos; left_out: how many shots did not fit.
+        size: bytes before base64, without videos.
+        left_out: number of shots that did not fit.
     """
 
     images: list[str] = field(default_factory=list)
@@ -93,7 +95,7 @@ def gallery(study: Study, scenes: Sequence[str]) -> Gallery:
 
 
 def _videos(study: Study, scenes: Sequence[str]) -> Iterator[tuple[str, str, int, str]]:
-    """Of each method on each scene, as far as they are small; the rest is linked."""
+    """The small videos of each method on each scene; larger ones are linked."""
     left = VIDEOS_BYTES
     for scene in scenes:
         for method in study.methods:
@@ -108,7 +110,7 @@ def _videos(study: Study, scenes: Sequence[str]) -> Iterator[tuple[str, str, int
 
 
 def _layers(study: Study, scenes: Sequence[str]) -> Iterator[list[tuple[ReportRun, str]]]:
-    """By rank of the seed, then of the view: the pairs of run and view of that rank."""
+    """Group the pairs of run and view by rank of the seed, then of the view."""
     ranked: dict[tuple[int, int], list[tuple[ReportRun, str]]] = {}
     for scene in scenes:
         first = [view for view, _ in choose_views(study, scene).views]

@@ -1,8 +1,8 @@
-"""`fishersplat leaderboard DIR`: what all studies of a folder say about every method.
+"""`fishersplat leaderboard DIR`: the results of every method over all studies of a folder.
 
 Studies differ in scenes, resolution and budget, so their PSNRs are not ranked against each other.
-What adds up is every method compared with the baseline of its own study: significantly better,
-significantly worse, or neither, each with the interval of its own report.
+Instead, every method is compared with the baseline of the same study: significantly better,
+significantly worse, or neither, each with the interval of that report.
 """
 
 from __future__ import annotations
@@ -193,7 +193,7 @@ def _counts(matches: Sequence[Match], sign: int) -> list[tuple[Method, int]]:
 
 
 def _ranks(matches: Sequence[Match]) -> list[Cells]:
-    """A row per method: by how much more often it is better than worse, then by its mean."""
+    """One row per method, sorted by wins minus losses, then by the mean difference."""
     rows = []
     for family in sorted({match.family for match in matches}, key=lambda m: m.order):
         own = [match for match in matches if match.family == family]
@@ -265,7 +265,7 @@ def _shared(entries: Sequence[Entry]) -> str:
 
 
 def _forest(matches: Sequence[Match], families: Sequence[Method], out_dir: Path) -> Picture | None:
-    """By method and study; of very many, the significant ones."""
+    """One row per method and study; only the significant ones if there are very many."""
     shown = sorted(matches, key=lambda m: (m.family.order, natural(m.entry.name)))
     if len(shown) > MOST_ROWS:
         shown = [match for match in shown if match.sign][:MOST_ROWS]

@@ -1,9 +1,9 @@
-"""Recipes of the literature next to what their papers and others' repeats reported.
+"""Recipes of the literature next to published figures.
 
-A recipe is a run with `method=NAME` on its command line, or `method=NAME_sweep`, which uses the
-plane sweep in place of a network. Published figures are means of a data set on a GPU, so they only
-stand next to scenes of that data set, and no difference to them is tested. What may be compared is
-the order of the recipes: the pairs in the opposite order are listed.
+A recipe is a run with `method=NAME` on its command line, or `method=NAME_sweep`, which replaces a
+depth network by the plane sweep. Published figures are means over a data set, measured on a GPU.
+They appear only next to scenes of that data set, and no difference to them is tested. The order of
+the recipes can be compared: pairs in the opposite order are listed.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def recipes(study: Study) -> list[Recipes]:
 
 
 def recipe_sources() -> str:
-    """Where the figures of recipes come from."""
+    """The sources of the figures of recipes."""
     return "; ".join(f"{entry.title}: {entry.note}" for entry in literature() if entry.note)
 
 
@@ -115,10 +115,10 @@ def _joined(rows: Sequence[Mapping[str, str]], key: str) -> str:
 def _reversals(
     entries: Sequence[Published], runs: Mapping[str, Sequence[ReportRun]], on: str
 ) -> list[Row]:
-    """For every recipe those that are above it here and below it as published."""
-    measured = {recipe: by_pair(own) for recipe, own in runs.items()}
-    # of a recipe that was run in several ways, nobody can say which one was published
-    once = {recipe for recipe, own in runs.items() if len(measured[recipe]) == len(own)}
+    """For each recipe, the recipes above it in this study and below it as published."""
+    measured = {recipe: by_pair(repeats) for recipe, repeats in runs.items()}
+    # a recipe that ran in several ways has no single published value
+    once = {recipe for recipe, repeats in runs.items() if len(measured[recipe]) == len(repeats)}
     printed = {
         e.recipe: float(p)
         for e in entries
@@ -176,14 +176,14 @@ def _figures(row: Mapping[str, str]) -> str:
 
 
 def scene_rows(names: set[str]) -> list[dict[str, str]]:
-    """Figures of others on scenes of these names, by scene."""
+    """Published figures of scenes with these names, by scene."""
     rows = [row for entry in literature() for row in entry.rows("scenes")]
     found = [r for r in rows if r["scene"] in names or r["scene"].removeprefix("llff_") in names]
     return sorted(found, key=lambda row: row["scene"])
 
 
 def published_sources(study: Study) -> str:
-    """Where the published figures of a study come from."""
+    """The sources of the published figures of a study."""
     sets = {data_set(study, scene) for scene in study.scenes}
     names = {study.name_of(scene) for scene in study.scenes if study.split_as_published(scene)}
     rows = [row for e in literature() for row in e.rows("means") if row["dataset"] in sets]

@@ -5,17 +5,9 @@ Several folders are reported as one study; `--out` says where that report goes.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
-from framework.errors import (
-    Arguments,
-    UserError,
-    machine_line,
-    printable_line,
-    require,
-)
+from framework.errors import Arguments, UserError, printable_line, require
 from framework.files.limits import check_address_space
 
 BASELINE_HELP = (
@@ -25,7 +17,7 @@ BASELINE_HELP = (
 
 
 def main(arguments: list[str], prog: str) -> int:
-    """Exit status: 0, or 2 with one line on stderr for bad input, or if no run has finished."""
+    """The subcommand; exit status 0. Raises UserError for bad input, and if no run has finished."""
     parser = Arguments(prog=prog, description=__doc__)
     parser.add_argument(
         "study_dirs", type=Path, nargs="+", metavar="DIR", help="folder of a study, as reports/demo"
@@ -40,28 +32,25 @@ def main(arguments: list[str], prog: str) -> int:
     )
     parser.add_argument("--baseline", default="", metavar="METHOD", help=BASELINE_HELP)
 
-    def report() -> int:
-        options = parser.parse_args(arguments)
-        require(
-            options.out is not None or len(options.study_dirs) == 1,
-            f"--out: expected a folder for the report of {len(options.study_dirs)} studies, got"
-            " none; add --out DIR",
-        )
-        check_address_space()
-        _check_place(options.out or options.study_dirs[0])
-        from framework.report.build import built
+    options = parser.parse_args(arguments)
+    require(
+        options.out is not None or len(options.study_dirs) == 1,
+        f"--out: expected a folder for the report of {len(options.study_dirs)} studies, got none;"
+        " add --out DIR",
+    )
+    check_address_space()
+    _check_place(options.out or options.study_dirs[0])
+    from framework.report.build import built
 
-        photos = not options.without_photos
-        made = built(options.study_dirs, options.title, options.out, photos, options.baseline)
-        tell("report", made.path, made.verdict)
-        require(
-            len(made.study.runs) > 0,
-            f"{made.path.parent}: expected a finished run, got {len(made.study.failed)} failed or"
-            " damaged; the report says why",
-        )
-        return 0
-
-    return exit_code(report)
+    photos = not options.without_photos
+    report = built(options.study_dirs, options.title, options.out, photos, options.baseline)
+    tell("report", report.path, report.verdict)
+    require(
+        len(report.study.runs) > 0,
+        f"{report.path.parent}: expected a finished run, got {len(report.study.failed)} failed or"
+        " damaged; the report says why",
+    )
+    return 0
 
 
 def tell(kind: str, path: Path, verdict: str) -> None:
@@ -70,20 +59,6 @@ def tell(kind: str, path: Path, verdict: str) -> None:
         print(printable_line(verdict))
     print(f"page: {printable_line(str(path.with_suffix('.html')))}")
     print(f"{kind}: {printable_line(str(path))}")
-
-
-def exit_code(command: Callable[[], int]) -> int:
-    """What `command` returns; 2 with one line on stderr for bad input or a machine's error."""
-    try:
-        return command()
-    except UserError as error:
-        print(f"error: {error}", file=sys.stderr)
-    except Exception as error:
-        line = machine_line(error)
-        if line is None:
-            raise
-        print(f"error: {line}", file=sys.stderr)
-    return 2
 
 
 def _check_place(out_dir: Path) -> None:

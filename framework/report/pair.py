@@ -135,7 +135,7 @@ def _labelled(runs: Sequence[Run]) -> tuple[ReportRun, ...]:
 
 
 def _flat(method: Method) -> Method:
-    """The budget as options, so that each run is a family of its own."""
+    """Add the budget to the options, so that every run is a separate family."""
     return replace(method, options=(*method.options, *method.budget), limits=(), capacity=())
 
 

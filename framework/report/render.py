@@ -1,9 +1,9 @@
-"""Write findings with the templates: as Markdown, as one offline page, and as LaTeX.
+"""Render findings with templates: as Markdown, as one offline page, and as LaTeX.
 
-`report.jinja`, `compare.jinja` and `leaderboard.jinja` say what stands where and `sentences.jinja`
-words the findings; `markdown.jinja` and `html.jinja` are the two forms of headings, paragraphs,
-tables and pictures. Texts are plain but for backticks, which mark code; each form escapes the rest,
-so a name from outside cannot become markup. The page's content security policy allows its own
+`report.jinja`, `compare.jinja` and `leaderboard.jinja` define the order, and `sentences.jinja`
+words the findings. `markdown.jinja` and `html.jinja` are the two forms of headings, paragraphs,
+tables and pictures. Texts are plain except for backticks, which mark code. Each form escapes the
+rest, so a name from outside cannot become markup. The page's content security policy allows its
 script and style by their hashes and nothing from elsewhere.
 """
 
@@ -57,15 +57,6 @@ class Heading:
     anchor: str
 
 
-@dataclass(frozen=True)
-class TableRow:
-    """method, scene: indices for the page's filter."""
-
-    method: int | None
-    scene: int | None
-    cells: list[Cell]
-
-
 @dataclass
 class Page:
     """What a template needs beside the findings.
@@ -73,7 +64,7 @@ class Page:
     Attributes:
         methods, scenes: what the page can be filtered by.
         folder: of the pictures, which the page takes in.
-        viewer: whether the page has pictures of runs; `left_out`: those that do not fit.
+        data: for the page's script.
         headings: filled while the template is rendered.
     """
 
@@ -101,17 +92,6 @@ class Page:
     def scene_index(self, cell: object) -> int | None:
         name = str(cell).removesuffix(f" {MARK}")
         return list(self.scenes).index(name) if name in self.scenes else None
-
-    def table_rows(self, rows: Sequence[Row]) -> list[TableRow]:
-        """The cells of each row, in the order of `columns`."""
-        return [
-            TableRow(
-                self.method_index(row.get("Method")),
-                self.scene_index(row.get("Scene")),
-                [row.get(name, "") for name in columns(rows)],
-            )
-            for row in rows
-        ]
 
     def copy_of(self, name: str) -> str:
         """A picture of the report as a data URI, at its own size."""
@@ -185,8 +165,11 @@ def tex(template: str, **context: Any) -> str:
 
 @functools.cache
 def templates() -> Environment:
-    """The templates of reports. What is in `html.jinja` and `page.html.jinja` is escaped; the other
-    templates write plain text, which goes through their macros."""
+    """The templates of reports.
+
+    `html.jinja` and `page.html.jinja` escape their values. The other templates write plain text,
+    which passes through their macros.
+    """
     env = _environment(autoescape=lambda name: bool(name) and "html.jinja" in str(name))
     env.filters |= {"html_prose": _html_prose, "markdown_prose": _markdown_prose}
     env.filters |= {"cell": _html_cell, "pipe_table": _pipe_table, "columns": columns}
@@ -242,7 +225,7 @@ def _one_line(text: object) -> str:
 
 
 def _html_prose(text: object) -> Markup:
-    """One escaped line; what stands in backticks is code. Text of a macro is plain, too."""
+    """One escaped line; text in backticks is code. Text of a macro is plain, too."""
     parts = re.split(r"`([^`]*)`", str(escape(str(text))))
     line = "".join(f"<code>{p}</code>" if k % 2 else p for k, p in enumerate(parts))
     return Markup(_one_line(line))

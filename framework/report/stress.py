@@ -1,8 +1,8 @@
-"""Stress studies: PSNR and the gain over the baseline against the strength of a stress, and where
-each method stops helping.
+"""Stress studies: PSNR and gain against the strength of a stress, and the break-down point of each
+method.
 
-A panel is a scene, with everything that distinguishes it from others of its name held fixed, along
-one stress with at least `FEWEST_LEVELS` tested strengths (two, if some run is in no such panel).
+A panel is a scene under one stress with at least `FEWEST_LEVELS` tested strengths, or two if some
+run would be in no panel. Everything else that distinguishes it from others of its name is fixed.
 """
 
 from __future__ import annotations

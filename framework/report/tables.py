@@ -1,7 +1,7 @@
-"""The tables of a report, as rows of cells by heading.
+"""Tables of a report, as rows of cells by heading.
 
-A missing value is `–`; the reason is listed under "Missing metrics". A mean carries ± half the
-width of its 95 % interval. A cell of a method is the method; the page's filter knows it.
+A missing value is `–`; "Missing metrics" lists the reason. A mean carries ± half the width of its
+95 % interval. Cells of a method hold the method, for the page's filter.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ Row = dict[str, Cell]
 
 def heading_of(metric: str, study: Study | None = None) -> str:
     """The heading of a metric's column; LPIPS with the network of the runs, if they name it."""
-    if metric not in NAMES:  # of a plugin, whose name says what is better
+    if metric not in NAMES:  # a metric of a plugin
         return outside(metric)
     unit = UNITS.get(metric, "↓")
     networks = study.lpips_networks if study is not None and metric in LPIPS else []
@@ -104,7 +104,7 @@ def heading_of(metric: str, study: Study | None = None) -> str:
 
 
 def measured(study: Study) -> list[str]:
-    """The metrics of the main table: LPIPS only if some run has it, none if nothing was tested."""
+    """Metrics of the main table: LPIPS if some run has it, none if nothing was tested."""
     if study.runs and not study.tested:
         return []
     lpips = [m for m in LPIPS if any(run.mean(m) is not None for run in study.runs)]

@@ -1,5 +1,7 @@
-"""Common parts of method families, which plugins inherit or call: warping augmenters, dropout,
-capacities that measure the pull or work in rounds, what SH bands are worth, losses that look from
-elsewhere and which Gaussians are neighbours."""
+"""Common parts that plugins inherit or call.
+
+`warping`: augmenters; `dropout`: dropout regularizers; `pull`, `rounds` and `bands`: capacities;
+`elsewhere`: losses from other cameras; `neighbours`: nearest Gaussians.
+"""
 
 __all__ = ["bands", "dropout", "elsewhere", "neighbours", "pull", "rounds", "warping"]

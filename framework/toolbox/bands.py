@@ -1,4 +1,4 @@
-"""What view-dependent colour gains and what its description costs, per Gaussian.
+"""The evidence of view-dependent colour, per Gaussian: its gain and its cost.
 
 A pixel is linear in a Gaussian's colour: with a_v the sum over view v's pixels of its squared
 weight, y_v the SH basis above degree 0 in the direction of v and b a channel's coefficients, a
@@ -11,7 +11,7 @@ and costs, with b a priori from N(0, q I) and s from a flat prior, both sums ove
 
     C = 1/2 log det(I + q / s2 sum_v a_v (y_v - y)^T (y_v - y)) + log 2.
 
-So what three views can tell costs two directions at most, however many coefficients there are.
+So with three views the cost is of at most two directions, for any number of coefficients.
 Gains hold one at a time: many Gaussians that lose their bands together lose more.
 """
 
@@ -35,8 +35,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BandsEvidence:
-    """gain, cost: [M] nats. sh0: [M, 3], the coefficients that stand for the colours without bands
-    best."""
+    """gain, cost: [M] nats. sh0: [M, 3], the best coefficients
+    without bands."""
 
     gain: Array
     cost: Array
@@ -51,7 +51,7 @@ def prior_variance(gaussians: Gaussians) -> float:
 def bands_evidence(
     gaussians: Gaussians, centers: Sequence[Tensor], colours: Sequence[Tensor], noise: float
 ) -> BandsEvidence:
-    """Of the M > 0 Gaussians that have SH bands above 0.
+    """Compute the evidence of the M > 0 Gaussians that have SH bands above 0.
 
     centers: [3] of every view's camera. colours: [N, 3], every view's information on the three
     coefficients of sh0, at unit noise: a_v / (4 pi), 0 where the colour is clamped. noise: the

@@ -26,9 +26,9 @@ class DropoutRegularizer(Regularizer, ABC):
     """p: the paper's drop rate, the expected share of Gaussians dropped in a step. schedule:
     "linear" gives p(t) = p x progress of the whole training (as DropGaussian's), "constant" keeps
     p. compensate: scale up what is kept, so that every opacity keeps its expectation. scale_tested:
-    evaluate every opacity times what the last step multiplied it by in expectation, the other way
-    for both to absorb alike (weight scaling, Srivastava et al. 2014); only where the method acts to
-    the end. The warm-up is the framework key `start`.
+    evaluate every opacity times its expected factor in the last step. It is weight scaling
+    (Srivastava et al. 2014), the other way for both to absorb alike, and needs a method that acts
+    to the end. The framework key `start` sets the warm-up.
     """
 
     p: float = 0.1

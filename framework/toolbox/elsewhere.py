@@ -1,6 +1,7 @@
-"""What terms of a loss share that look at a scene from elsewhere, or at its depth: the depth that
-is known of a photo, cameras without a photo, an image seen through another camera's depth, and the
-loss between two renders. Light to import.
+"""Common parts of losses at other cameras or on depth. Light to import.
+
+Known depth of a photo, cameras without a photo, an image seen through another camera's depth, and
+the loss between two renders.
 """
 
 from __future__ import annotations
@@ -21,9 +22,11 @@ SEEN = 1e-6  # alpha from which a pixel shows something
 
 
 def known_depth(ctx: StepContext, view: View) -> tuple[Tensor, Tensor] | None:
-    """(depth [h, w], valid [h, w] bool) of a training view, as large as it is trained on: the mean
-    over a coarse pixel where all it covers is known and within the photo's mask. None for a pseudo
-    view."""
+    """Return (depth [h, w], valid [h, w] bool) of a training view at the size of the training.
+
+    A coarse pixel is the mean of its pixels, valid if all of them are known and within the photo's
+    mask. None for a pseudo view.
+    """
     if view.pseudo:
         return None
     size = view.camera.height, view.camera.width
@@ -39,7 +42,7 @@ def known_depth(ctx: StepContext, view: View) -> tuple[Tensor, Tensor] | None:
 
 def _known(photo: View, found: DepthMap, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
     known = (found.depth > 0) & (found.confidence > 0)
-    if photo.mask is not None:  # a depth from elsewhere may know what lies behind it
+    if photo.mask is not None:  # other depth may include what is masked
         known &= photo.mask > 0.5
     factor = photo.camera.height // size[0]
     depth, share = (_boxes(t.float(), factor, size) for t in (found.depth, known))
@@ -56,9 +59,11 @@ def _boxes(values: Tensor, factor: int, size: tuple[int, int]) -> Tensor:
 
 
 def unseen_camera(ctx: StepContext, rng: np.random.Generator, size_of: Camera) -> Camera:
-    """A camera without a photo, on the way from a training camera to its nearest other one, looking
-    as that way turns, with the intrinsics of `size_of` (FSGS's text, section 3.3; its code draws
-    from a box around all). Of a single training camera: up to a tenth of the extent beside it.
+    """Return a camera between a training camera and its nearest other one, without a photo.
+
+    Its orientation is interpolated too, its intrinsics are those of `size_of` (FSGS's text, section
+    3.3; its code draws from a box around all). With a single training camera it is moved by up to a
+    tenth of the extent.
     """
     import numpy as np
     import torch
@@ -88,11 +93,13 @@ def unseen_camera(ctx: StepContext, rng: np.random.Generator, size_of: Camera) -
 def seen_through(
     image: Tensor, depth: Tensor, camera: Camera, source: Camera
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """What `camera` sees if every pixel of it shows the point at its `depth` [H, W], in the colours
-    that `source` has of that point in its image [C, H', W'], bilinearly.
+    """Warp `source`'s image [C, H', W'] into `camera` by the depth [H, W] of `camera`, bilinearly.
 
-    Returns ([C, H, W], valid [H, W] bool: in front of the source and within its image, depth there
-    [H, W], as the source measures it). Differentiable in image and depth.
+    Differentiable in image and depth.
+
+    Returns:
+        [C, H, W]; valid [H, W] bool, in front of the source and within its image; depth [H, W] as
+        the source measures it.
     """
     import torch
 
@@ -104,7 +111,7 @@ def seen_through(
     relative = product(source.viewmat, inverse(camera.viewmat))
     shift = product(source.K, relative[:3, 3]).tolist()
     turn = product(product(source.K, relative[:3, :3]), inverse(camera.K)).tolist()
-    # a plane each of u z, v z, z: rows of the homography, told once and in float64
+    # a plane each of u z, v z, z: rows of the homography, computed once in float64
     u, v, z = (
         (row[0] * x + (row[1] * y + row[2])).float() * depth + by
         for row, by in zip(turn, shift, strict=True)
@@ -140,9 +147,11 @@ def bilinear(image: Tensor, u: Tensor, v: Tensor) -> Tensor:
 
 
 def difference(first: Tensor, second: Tensor, ssim_weight: float) -> Tensor:
-    """Photometric loss between two renders [3, H, W], (1 - w) L1 + w (1 - SSIM), with a gradient in
-    those of them that have one: in each as if the other were a photo, which is the whole gradient,
-    as the loss takes both alike."""
+    """Photometric loss between two renders [3, H, W], (1 - w) L1 + w (1 - SSIM).
+
+    It has a gradient in each render that has one. Each is computed as if the other were a photo,
+    which gives the whole gradient, since the loss is symmetric.
+    """
     from framework.kernels.losses import Target, photometric_loss
 
     total = first.new_zeros(())

@@ -1,10 +1,9 @@
-"""How hard the loss pulls at the projected mean of every Gaussian: what asks for more of them.
+"""The pull of Gaussians: the loss's gradient in the projected mean, the criterion of densification.
 
-The pull is the gradient of the loss with respect to the mean in normalised device coordinates
-(x_ndc = 2 u / width - 1, so d/dx_ndc = width / 2 d/du), averaged over the steps that saw the
-Gaussian (3DGS, Kerbl et al. 2023, section 5.2); unlike one in pixels it does not depend on the
-resolution trained at. Where absolute gradients are measured (`Capacity.wants_absolute`) it is of
-these (AbsGS, Ye et al. 2024). Light to import.
+The mean is in normalised device coordinates (x_ndc = 2 u / width - 1, so d/dx_ndc = width / 2
+d/du). The pull is averaged over the steps that saw the Gaussian (3DGS, Kerbl et al. 2023, section
+5.2). Unlike a gradient in pixels it does not depend on the resolution. With
+`Capacity.wants_absolute` it is of absolute gradients (AbsGS, Ye et al. 2024). Light to import.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
-"""The common part of capacities that change the set in rounds: split what is pulled, then keep what
-is worth it.
+"""Common part of capacities that change the set in rounds of pruning and splitting.
 
-Such a method is a subclass that decides, from the Fisher information of all training views, which
-Gaussians stay and how many of them are split. When a round is due and how a Gaussian is split are
-here. A split replaces a Gaussian by two along its longest axis, of its colour, opacity and second
-moment: standard deviations 0.6, offsets 0.8 of the parent's (0.6^2 + 0.8^2 = 1). Light to import.
+A subclass decides, from the Fisher information of all training views, which Gaussians stay and how
+many are split. When a round is due and how a Gaussian is split are shared. A split replaces a
+Gaussian by two along its longest axis, with its colour, opacity and second moment. Standard
+deviations are 0.6 and offsets 0.8 of the parent's (0.6^2 + 0.8^2 = 1). Light to import.
 """
 
 from __future__ import annotations
@@ -106,8 +105,8 @@ class RoundsCapacity(PullCapacity):
         return max(0, last - math.ceil((ctx.step + 1) / interval) + 1)
 
     def settled(self, ctx: StepContext) -> float:
-        """Epochs from one round to the next in units of `SETTLED`, at most 1: with many views, or
-        few steps, training has not yet taken in what the last round changed."""
+        """Epochs from one round to the next in units of `SETTLED`, at most 1. With many views, or
+        few steps, training has not yet adapted to the last round."""
         return min(1.0, self._interval(ctx) / (SETTLED * len(ctx.views)))
 
     def _interval(self, ctx: StepContext) -> int:
@@ -116,8 +115,8 @@ class RoundsCapacity(PullCapacity):
 
 
 def training_information(ctx: StepContext) -> TrainingInformation:
-    """What the training views know about the current Gaussians, of all pixels: a surface goes on
-    where a photo's mask ends, and other views look at it (benchmarks/results/presets.md)."""
+    """Information of the training views on the current Gaussians, of all pixels: surfaces continue
+    where a photo's mask ends, and other views see them (docs/decisions.md)."""
     from framework.fisher.information import FisherInformation
 
     total, colours = None, []

@@ -221,12 +221,9 @@ def perturbed(
     Always draws the same count of numbers, so a standard deviation of 0 shifts no other draw.
 
     Args:
-        camera: the camera to start from.
-        rng: source of the draws.
         sigma_center: standard deviation of the move per axis, in scene units.
-        sigma_degrees: standard deviation of the turn about a random axis, in degrees.
-        roll: True for an axis uniform on the sphere, False for one uniform on the circle
-            perpendicular to the viewing direction.
+        sigma_degrees: standard deviation of the turn, in degrees.
+        roll: whether its axis may be the viewing direction.
     """
     import torch
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from framework.backends import NUMBA, Rasterizer
 from framework.kernels.reference import cutoff_margin, project
-from framework.types import Gaussians, Render
+from framework.types import Render
 from tests.backends.choices import NAMES, opened
 from tests.numerics.scenes import Case, random_case
 
@@ -68,7 +67,7 @@ def test_a_render_without_depth_has_none(rasterizer: Rasterizer) -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("degree", [0, None])
 def test_gradients(rasterizer: Rasterizer, seed: int, degree: int | None) -> None:
-    """Of the photometric loss, with a mask, in every parameter and the projected means."""
+    """The photometric loss with a mask, in every parameter and the projected means."""
     case = scene(seed)
     photo = torch.rand(3, case.camera.height, case.camera.width, generator=_draws(seed))
     mask = sure(case).float()
@@ -100,7 +99,7 @@ def test_gradients(rasterizer: Rasterizer, seed: int, degree: int | None) -> Non
 
 
 def test_a_loss_of_all_that_is_rendered(rasterizer: Rasterizer) -> None:
-    """By autograd through the colours, alpha and depth, as a regularizer's term is."""
+    """Autograd through colours, alpha and depth, as for a regularizer's term."""
     case = scene(3)
 
     def taken(who: Rasterizer) -> list[Tensor]:
@@ -147,26 +146,6 @@ def test_nobody_in_view(rasterizer: Rasterizer) -> None:
     assert not any(gradient.any() for gradient in found.pull_back()[0].values())
     information = rasterizer.fisher(away, case.camera)
     assert not information.visible.any() and not information.block.any()
-
-
-def test_the_same_twice(rasterizer: Rasterizer) -> None:
-    """What `keeps_bits` says."""
-    if not rasterizer.keeps_bits:
-        pytest.skip(f"{rasterizer.name} does not promise the same bits")
-    case = scene(6)
-    first, second = (rasterizer.render(case.gaussians, case.camera) for _ in range(2))
-    assert torch.equal(first.rgb, second.rgb)
-    blocks = [rasterizer.fisher(case.gaussians, case.camera).block for _ in range(2)]
-    assert np.array_equal(*(block.numpy() for block in blocks))
-
-
-def test_the_gaussians_are_left_as_they_were(rasterizer: Rasterizer) -> None:
-    case = scene(1)
-    before: Gaussians = case.gaussians.clone()
-    rasterizer.fisher(case.gaussians, case.camera)
-    rasterizer.render(case.gaussians, case.camera)
-    for (_, a), (_, b) in zip(before.items(), case.gaussians.items(), strict=True):
-        assert torch.equal(a, b)
 
 
 def _draws(seed: int) -> torch.Generator:

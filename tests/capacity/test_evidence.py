@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import logging
 import math
-import threading
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,14 +16,11 @@ from framework import registry
 from framework.compute.rng import stream
 from framework.errors import UserError
 from framework.options import TrainerOptions
-from framework.records.notices import QUIET, noted
-from framework.records.progress import Silent, unwarned
-from framework.records.record import parameters_sha256
+from framework.records.progress import Silent
 from framework.run.plane import textured_plane
-from framework.run.warmup import STEPS, _train
 from framework.toolbox.rounds import training_information
 from framework.train.trainer import Evaluate, Plugins, Trained, Trainer
-from framework.types import Gaussians, TrainingSet
+from framework.types import TrainingSet
 from plugins.capacity.evidence import (
     FEWEST,
     HANDFUL,
@@ -135,27 +130,7 @@ def test_a_scene_of_one_colour_ends_with_a_handful_and_says_so(
         result = trained(with_images(lambda _, image: torch.full_like(image, 0.5)), 300)
     assert FEWEST <= len(result.gaussians) <= HANDFUL
     (message,) = [record.getMessage() for record in caplog.records]
-    assert "hardly a Gaussian pays for its description" in message and "\n" not in message
-
-
-def test_the_warm_up_tells_nothing_of_its_plane() -> None:
-    """Neither while it compiles nor in its thread; elsewhere the same training is told of."""
-    config: dict[str, Any] = {group: {"name": "none"} for group in ("augment", "reg")}
-    hasty = {"name": "evidence", "start": 0.0, "until": 0.1, "pace": 1.0}
-    config |= {"capacity": hasty, "trainer": {}}
-    notes = list[str]()
-    progress = Silent()
-    progress.note = notes.append  # type: ignore[method-assign]
-    train = partial(_train, config, *textured_plane(0), STEPS)
-    with noted(progress):
-        with unwarned():
-            train()
-        for name in (QUIET, "another"):
-            assert notes == []
-            thread = threading.Thread(target=train, name=name)
-            thread.start()
-            thread.join()
-    assert notes
+    assert "almost no Gaussian raises the evidence" in message and "\n" not in message
 
 
 def test_the_size_follows_the_content() -> None:
@@ -195,19 +170,6 @@ def test_rounds_of_few_epochs_remove_less(monkeypatch: pytest.MonkeyPatch) -> No
         seen = replace(ctx, views=ctx.views[:1] * n, n_steps=steps, step=last)
         evidence.update(seen, evidence.init_state(seen), pulls(torch.ones(len(ctx.gaussians))))
     assert paces == pytest.approx([0.4, 0.1, 0.4 * 0.15**0.5, 0.4, 0.08])
-
-
-def test_the_test_views_have_no_say() -> None:
-    """Whatever an evaluation measures, and even if it spoils what it is given."""
-
-    def spoiling(gaussians: Gaussians, background: torch.Tensor, degree: int) -> float:
-        for _, tensor in gaussians.items():
-            tensor.zero_()
-        return 99.0
-
-    plain, spoilt = (trained(textured_plane(0)[0], 20, evaluate) for evaluate in (None, spoiling))
-    assert len(plain.gaussians) < 1200
-    assert parameters_sha256(plain.gaussians) == parameters_sha256(spoilt.gaussians)
 
 
 def test_options_are_checked() -> None:

@@ -46,10 +46,3 @@ def test_a_long_verdict_is_cut(tmp_path: Path) -> None:
     lines = closing(report)
     assert len(lines) == SHOWN + 3
     assert lines[SHOWN] == "- ... and 30 more in the report"
-
-
-@pytest.mark.parametrize("text", ["", "# a heading\n", "**Note.** of something\n"])
-def test_a_report_without_a_verdict_leaves_its_path(tmp_path: Path, text: str) -> None:
-    report = tmp_path / "report.md"
-    report.write_text(text, encoding="utf-8")
-    assert closing(report) == [f"report: {report}"]

@@ -47,14 +47,6 @@ def test_progress_lines_say_what_changes_from_run_to_run(
     assert runs.labels[3] == "[4/4] none+uar evidence s0"
 
 
-def test_a_method_is_named_once(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["preset=paper", "method=baseline,safi_uar,fsgs_sweep", "-m"]) == 0
-    told = [text for text in capsys.readouterr().out.splitlines() if "finished" in text]
-    assert told[0] == "[run 1 of 3] none+none seed 0 · finished"
-    assert told[1] == "[run 2 of 3] safi+uar seed 0 · finished"
-    assert " method=fsgs_sweep seed 0 · finished" in told[2]
-
-
 def test_of_a_path_progress_lines_have_the_end(
     runs: FakeRuns, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -84,32 +76,6 @@ def test_spelling_does_not_change_the_folder(runs: FakeRuns) -> None:
         assert (folder / ".hydra" / "config.yaml").is_file()
         assert folder.parent == Path("reports/embedded/runs")
         assert folder.name.startswith("safi-uar-s")
-
-
-@pytest.mark.filterwarnings("error")  # Hydra turns what a callback raises into a warning
-@pytest.mark.parametrize(
-    ("subdir", "names"),
-    [
-        ("${seed}", ["0", "1"]),
-        ("${hydra.job.override_dirname}", ["reg=uar,seed=0", "reg=uar,seed=1"]),
-        ("run-${hydra.job.num}", ["run-0", "run-1"]),
-    ],
-)
-def test_the_folder_may_be_named_by_the_run(
-    runs: FakeRuns, capsys: pytest.CaptureFixture[str], subdir: str, names: list[str]
-) -> None:
-    line = ["hydra.sweep.dir=own", f"hydra.sweep.subdir={subdir}", "reg=uar", "seed=0,1", "-m"]
-    assert main(line) == 0
-    assert runs.folders == [Path("own") / name for name in names]
-    told = capsys.readouterr()
-    assert told.out.splitlines()[-1] == f"report: own/{names[1]}/report.md"
-    assert told.err == ""
-
-
-def test_an_option_changes_the_folder(runs: FakeRuns) -> None:
-    main([])
-    main(["trainer.steps=301"])
-    assert runs.folders[0] != runs.folders[1]
 
 
 def test_the_defaults(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
@@ -163,14 +129,6 @@ def test_the_study_is_named_after_the_scene(runs: FakeRuns, line: str, study: st
     assert runs.seen[0]["study"] == study
 
 
-def test_views_by_number_and_all_of_them_in_one_study(runs: FakeRuns) -> None:
-    line = "scene=colmap scene.path=. scene.n_views=3,12,all scene.split=llff,none study=views -m"
-    assert main(line.split()) == 0
-    found = {(c["scene"]["n_views"], c["scene"]["split"]) for c in runs.seen}
-    assert found == {(n, split) for n in (3, 12, "all") for split in ("llff", "none")}
-    assert len(set(runs.folders)) == 6
-
-
 def test_a_folder_given_by_hand_gets_everything(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -179,25 +137,6 @@ def test_a_folder_given_by_hand_gets_everything(
     assert sorted(path.name for path in Path("here").iterdir()) == [".hydra", "report.md"]
     assert not Path("reports").exists()
     assert "report: here/report.md" in capsys.readouterr().out
-
-
-def test_a_variant_is_a_yaml_file(runs: FakeRuns) -> None:
-    assert main(["reg=uar_hard"]) == 0
-    assert (runs.seen[0]["reg"]["name"], runs.seen[0]["reg"]["mode"]) == ("uar", "hard")
-    assert runs.folders[0].name.startswith("none-uar_hard-s0-")
-
-
-def test_a_named_study(runs: FakeRuns) -> None:
-    assert main(["+sweep=demo", "-m"]) == 0
-    assert len(runs.seen) == len(set(runs.folders)) == 12
-    assert len(set(runs.methods)) == 12
-    assert {config["study"] for config in runs.seen} == {"demo"}
-
-
-def test_a_named_study_can_be_changed(runs: FakeRuns) -> None:
-    assert main(["+sweep=demo", "seed=5", "augment=safi", "study=other"]) == 0
-    assert runs.methods == [("safi", "none", 5), ("safi", "uar", 5)]
-    assert runs.folders[0].parent == Path("reports/other/runs")
 
 
 @pytest.mark.parametrize("end", [0, -1])
@@ -250,7 +189,7 @@ def test_a_failing_run_is_recorded_and_the_others_go_on(
     folder = runs.folders[1]
     reason = "depth: expected two views, got one; add a view"
     first, head, row, again = told.err.splitlines()
-    assert first.startswith("error: 1 of 3 runs failed; the same command does them again")
+    assert first.startswith("error: 1 of 3 runs failed; the same command repeats them")
     assert head.split() == ["run", "kind", "reason"]
     assert row == f"  {folder}  bad input  {reason}"
     assert again == "    python run.py seed=1 -m"
@@ -277,7 +216,7 @@ def test_an_interrupt_is_one_line(runs: FakeRuns, capsys: pytest.CaptureFixture[
     assert main(["seed=0,1,2", "-m"]) == 130
     assert len(runs.seen) == 2
     assert capsys.readouterr().err.splitlines() == [
-        "error: interrupted; what is done is kept, go on with: python run.py seed=0,1,2 -m"
+        "error: interrupted; results are kept, continue with: python run.py seed=0,1,2 -m"
     ]
 
 

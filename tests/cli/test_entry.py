@@ -32,7 +32,7 @@ class OfMine(Regularizer):
 
 
 def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """The command line in a process and an empty folder of its own."""
+    """The command line in a separate process and an empty folder."""
     return subprocess.run(
         [sys.executable, str(ROOT / "run.py"), *words],
         cwd=folder,
@@ -76,11 +76,6 @@ def test_an_unknown_subcommand_is_told_with_the_nearest(capsys: pytest.CaptureFi
     assert "got 'repot'; did you mean 'report'?" in told and told.count("\n") == 1
 
 
-def test_report_is_a_subcommand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["report", str(tmp_path / "none")]) == 2
-    assert capsys.readouterr().err.startswith("error: ")
-
-
 def test_own_plugins_are_found_when_the_command_line_asks(tmp_path: Path) -> None:
     (tmp_path / "mine" / "regularize").mkdir(parents=True)
     (tmp_path / "mine" / "regularize" / "of_mine.py").write_text(OWN)
@@ -89,15 +84,6 @@ def test_own_plugins_are_found_when_the_command_line_asks(tmp_path: Path) -> Non
     unasked = run(tmp_path, "reg=of_mine", "--cfg", "job")
     assert unasked.returncode != 0 and "of_mine" in unasked.stderr
     assert "Traceback" not in unasked.stderr
-
-
-def test_a_search_takes_own_plugins_too(tmp_path: Path) -> None:
-    (tmp_path / "of_mine.py").write_text(OWN)
-    words = ["reg=of_mine", "reg.strength=0.1,0.2", "trainer.steps=x"]
-    for line in (["--plugins", ".", "search", *words], ["search", "--plugins", ".", *words]):
-        told = run(tmp_path, *line).stderr
-        assert told.startswith("error: trainer.steps: ") and told.count("\n") == 1, told
-    assert "of_mine: unknown reg" in run(tmp_path, "search", *words).stderr
 
 
 def test_helpers_count_as_code_and_are_no_plugins(tmp_path: Path) -> None:
@@ -110,15 +96,6 @@ def test_helpers_count_as_code_and_are_no_plugins(tmp_path: Path) -> None:
         assert [place for place, _ in own_plugins()] == ["_helper.py", "of_mine.py"]
         assert provenance()["own_plugins"] == ["_helper.py", "of_mine.py"]
     assert "own_plugins" not in provenance()
-
-
-def test_own_plugins_of_one_name_in_two_folders_are_both_found(tmp_path: Path) -> None:
-    for folder, name in (("reg", "of_mine"), ("more", "of_yours")):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "same.py").write_text(OWN.replace("of_mine", name))
-    for name in ("of_mine", "of_yours"):
-        found = run(tmp_path, "--plugins", ".", f"reg={name}", "--cfg", "job")
-        assert found.returncode == 0 and f"name: {name}" in found.stdout, found.stderr
 
 
 @pytest.mark.parametrize("words", [["--plugins"], ["--plugins", "none"], ["--plugins=a=b"]])

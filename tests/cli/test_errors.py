@@ -16,9 +16,13 @@ CASES = {
     "reg=none,uarr -m": ["reg=uarr: unknown reg", "did you mean 'uar'?"],
     "scene=lff": ["scene=lff: unknown scene", "did you mean 'llff'?"],
     "depth=planesweep": ["depth=planesweep", "did you mean 'plane_sweep'?"],
-    "sweep=demo method=safi": ["method=safi: expected no method where augment and reg are chosen"],
-    "sweep=demo method=safi augment=dba": ["method=safi: expected no method where"],
-    "method=safi,uar augment=dba reg=uar -m": ["method=safi,uar: expected no method where"],
+    "sweep=demo method=safi": ["method=safi: expected no method together with augment and reg"],
+    "sweep=demo method=safi augment=dba": [
+        "method=safi: expected no method together with augment and reg"
+    ],
+    "method=safi,uar augment=dba reg=uar -m": [
+        "method=safi,uar: expected no method together with augment and reg"
+    ],
     "sweep=dem": ["sweep=dem", "did you mean 'demo'?"],
     "trainer.stepz=3": ["trainer.stepz: unknown option", "did you mean 'steps'?"],
     "+trainer.stepz=3": ["trainer.stepz: unknown option", "did you mean 'steps'?"],
@@ -107,7 +111,7 @@ CASES = {
     ],
     "--nonsense": ["command line: unrecognized arguments: --nonsense"],
     "--cfg job -m": ["command line: expected -m or a flag that only informs"],
-    "--resolve": ["command line: expected --cfg beside --resolve"],
+    "--resolve": ["command line: expected --cfg with --resolve"],
     "seed": ["command line: expected KEY=VALUE or a subcommand, got 'seed'"],
     "trainer.lr_scale=${nowhere}": ["nowhere"],
 }

@@ -64,8 +64,14 @@ def test_a_list_is_a_choice_that_names_the_folder(runs: FakeRuns) -> None:
             "reg=[uar,uniform] +reg.p=0.3",
             "error: reg.p: unknown option of reg=uar+uniform; did you",
         ),
-        ("reg=[uar,uniform] reg.no=0.3", "error: reg.no: unknown option of reg; several plugins"),
-        ("method=coadapt_sweep reg.p=0.3", "error: reg.p: unknown option of reg; several plugins"),
+        (
+            "reg=[uar,uniform] reg.no=0.3",
+            "error: reg.no: unknown option of reg; with several plugins",
+        ),
+        (
+            "method=coadapt_sweep reg.p=0.3",
+            "error: reg.p: unknown option of reg; with several plugins",
+        ),
         ("reg=[uar,]", "error: reg=[uar,]: expected different names, got 'uar', ''"),
     ],
 )

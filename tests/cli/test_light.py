@@ -60,24 +60,3 @@ def _answer(tmp_path: Path, code: str, line: str) -> tuple[subprocess.CompletedP
     )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return done, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-
-def test_an_import_is_kept_from_the_collector_once() -> None:
-    """What an import made is exempted, what came later is not; the collector is as it was."""
-    code = """
-import gc
-from framework.command.runner import import_uncollected
-gc.callbacks.append(lambda phase, info: print("collected"))
-import_uncollected("decimal")
-frozen = gc.get_freeze_count()
-kept = [[] for _ in range(100)]
-import_uncollected("decimal")
-print(frozen > 1000, gc.get_freeze_count() - frozen, gc.isenabled())
-gc.disable()
-import_uncollected("fractions")
-print(gc.get_freeze_count() >= frozen + 100, gc.isenabled())
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", code], env={"PYTHONPATH": str(ROOT)}, capture_output=True, text=True
-    )
-    assert done.stdout.split("\n")[:2] == ["True 0 True", "True False"], done.stderr

@@ -50,12 +50,6 @@ def test_a_pipe_gets_a_line_every_tenth() -> None:
     assert "test" not in lines[0]
 
 
-def test_a_slow_run_speaks_every_ten_seconds() -> None:
-    lines = told(4.0, in_place=False, steps=100).splitlines()
-    assert len(lines) == 35
-    assert "0.2 steps/s" in lines[2]
-
-
 def test_a_terminal_gets_one_line_in_place(columns: pytest.MonkeyPatch) -> None:
     text = told(1 / 41, in_place=True)
     assert text.count("\n") == 1
@@ -68,15 +62,6 @@ def test_a_narrow_terminal_still_shows_the_time_left(columns: pytest.MonkeyPatch
     assert max(len(line) for line in shown) <= 80
     last = "[4/12] safi+uar s1 · 800/800 · loss 0.041 · 22.3 dB · 39957 G · 41/s · 0 s"
     assert last in shown
-
-
-def test_a_pause_does_not_stretch_the_time_left() -> None:
-    stream, clock = io.StringIO(), Clock(0.05)
-    line = Terminal(LABEL, stream=stream, in_place=False, clock=clock)
-    for step in range(1, 101):
-        clock.now += 60.0 if step == 2 else 0.0  # compilation
-        line.step(step, 100, 0.1, 10)
-    assert "20 steps/s" in stream.getvalue().splitlines()[-1]
 
 
 def test_a_training_without_test_views_says_so(columns: pytest.MonkeyPatch) -> None:

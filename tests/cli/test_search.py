@@ -11,10 +11,9 @@ import pytest
 
 from framework.command import cli
 from framework.command.search import driver
-from framework.command.search.command import to_judge
 from framework.command.search.driver import Search, run_search
 from framework.command.search.space import Dimension, space_of
-from framework.command.search.trial import Result, run
+from framework.command.search.trial import Result
 from framework.errors import UserError
 from framework.records.search import SEARCH, read_search
 from framework.scenes.splits import HELD_OUT, PROTOCOLS, UNTESTED, protocol
@@ -99,15 +98,8 @@ def test_it_refuses_in_one_line(
     assert not list(tmp_path.iterdir())
 
 
-def test_what_was_found_is_judged_with_all_that_was_fixed() -> None:
-    fixed = ["scene=llff", "scene.split=llff_held_out", "augment=safi", "study=s", "threads=1"]
-    found = to_judge([*fixed, "trainer.steps=90"], ["reg=uar"])
-    assert found == ["augment=safi", "trainer.steps=90", "reg=uar", "scene=...", "seed=0,1,2"]
-    assert to_judge(fixed, ["seed=1"]) == ["augment=safi", "seed=1", "scene=..."]
-
-
 class Fake:
-    """A slot whose runs take no time. done: the words of all that were asked for."""
+    """A slot whose runs take no time. done: the words of all requested runs."""
 
     done: list[list[str]]
     kill_after: int
@@ -209,8 +201,3 @@ def test_the_report_of_a_search_says_what_judged(tmp_path: Path) -> None:
     (tmp_path / SEARCH).write_text(json.dumps(table))
     text = build_report(tmp_path).read_text()
     assert "Best of 3 trials by PSNR (21.00): `x=1`" in text and "broken" in text
-
-
-def test_a_trial_with_values_that_do_not_go_together_is_a_failed_one() -> None:
-    found = run(["trainer.opacity_decay=20.0"], "[trial 0]", "psnr")
-    assert found.value is None and "opacity_decay" in found.error

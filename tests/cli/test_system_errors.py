@@ -17,7 +17,6 @@ from framework.command.config.schema import ROOT
 from framework.command.studies.failures import kind_of
 from framework.errors import mendable, os_line, out_of_memory
 from framework.files import cache
-from framework.report.main import main as report
 from tests.cli.conftest import FakeRuns, runs
 
 __all__ = ["runs"]  # the fixture
@@ -29,7 +28,7 @@ LINES = {
     "=3": "cannot read '=3'; write KEY=VALUE",
     "=3 -m": "cannot read '=3'",
     "experiment=3": "expected options of the configuration, got what Hydra refuses (Config group",
-    "-m reg.start=interval(0,1)": "reg.start=interval(0,1): expected values to sweep over, as",
+    "-m reg.start=interval(0,1)": "reg.start=interval(0,1): expected a list of values, such as",
     "-m seed=range(0,nan)": "expected finite bounds and step",
     "-m seed=range(0,inf)": "expected finite bounds and step",
     "scene.path=\udcff scene=colmap": "command line: expected UTF-8",
@@ -157,7 +156,7 @@ def test_a_report_without_memory(
         raise MemoryError("Unable to allocate 9 GiB")
 
     monkeypatch.setattr("framework.report.build.built", fail)
-    assert report([str(tmp_path)], "report") == 2
+    assert main(["report", str(tmp_path)]) == 2
     assert capsys.readouterr().err.startswith("error: memory: expected room")
 
 

@@ -1,4 +1,4 @@
-"""docs/architecture.md says what is so: its files and names exist, its rooms are the rooms. The
+"""docs/architecture.md is correct: its files and names exist, its packages are complete. The
 files and names in CONTRIBUTING.md and README.md exist, too."""
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from tests.contract.test_imports import ROOMS
 
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 FILE = r"[\w./]+\.(?:py|yaml|md|png|svg)"
-MOST_LINES = 130
 
 
 OURS = ("framework/", "tests/", "benchmarks/", "docs/", "conf/", "sweeps/")
@@ -73,19 +72,9 @@ def test_what_other_pages_name_exists() -> None:
         assert not [path for path in gone if path.startswith(OURS)], page
 
 
-def test_a_name_that_is_gone_is_found() -> None:
-    file = ROOT / "framework" / "train" / "trainer.py"
-    assert holds(file, "Trainer._pick") and not holds(file, "Trainer.pick")
-    assert named("`a/b.py:c` and `:d.e`") == [("a/b.py", "c"), ("a/b.py", "d.e")]
-
-
 def test_the_table_has_the_rooms_in_their_order() -> None:
     rows = re.findall(r"^\| `(\w+)/?` \|", PAGE, re.MULTILINE)
     assert [row for row in rows if row != "plugins"] == list(ROOMS)
-
-
-def test_it_is_a_page() -> None:
-    assert len(PAGE.splitlines()) <= MOST_LINES
 
 
 @pytest.mark.slow

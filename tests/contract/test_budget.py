@@ -27,11 +27,6 @@ def test_the_time_is_spent_and_not_more(
     assert choice.steps * choice.members * step_s * tuned <= max(60, step_s)
 
 
-def test_a_short_training_takes_more_steps_at_half_size() -> None:
-    assert choose("a", MINUTE, 3, 1.0).coarse_until == 0.5
-    assert choose("a", MINUTE, 3, 0.1).coarse_until == TrainerOptions.coarse_until
-
-
 @pytest.mark.parametrize("step_s", [0.05, 0.01])
 def test_the_second_camera_is_in_the_time(tmp_path: Path, step_s: float) -> None:
     """It acts in the last third of a long training, also of a trial that is as long."""
@@ -60,21 +55,6 @@ def test_a_choice_is_kept_for_the_same_run_alone(tmp_path: Path) -> None:
     assert asked == [8, 60, 12, 12] and first.step_s == pytest.approx(0.2)
     assert chosen(tmp_path, "mine", MINUTE, 30, trial) == first and len(asked) == 4
     assert chosen(tmp_path, "other", MINUTE, 30, trial) != first and len(asked) == 8
-
-
-def test_a_long_training_is_tried_for_longer_but_not_for_long(tmp_path: Path) -> None:
-    """Steps that get cheaper, as those of a start with many Gaussians do."""
-    asked: list[int] = []
-
-    def trial(options: TrainerOptions) -> float:
-        asked.append(options.steps)
-        return 0.02 * options.steps + 1.0
-
-    hour = TrainerOptions(seconds=3600.0)
-    choice = chosen(tmp_path, "mine", hour, 3, trial)
-    assert asked[:2] == [8, 40] and len(asked) == 5
-    assert 3 * 40 < asked[2] <= 20 / 0.02  # at most LONGEST_S at the cost of a step
-    assert choice.step_s == pytest.approx(trial(TrainerOptions(steps=asked[2])) / asked[2])
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"steps": "many"}', "[" * 10_000])

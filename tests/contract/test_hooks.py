@@ -14,7 +14,6 @@ from framework.errors import PluginError, UserError
 from framework.plugin import Augmenter, Capacity, Edits, Regularizer, register
 from framework.run.plane import textured_plane
 from framework.train import hooks
-from framework.types import View
 from tests.documents.registered import as_before
 
 VIEW = textured_plane(0)[0].views[0]
@@ -155,16 +154,6 @@ def test_a_step_of_its_own_and_another_gradient() -> None:
     assert hooks.evaluated(mine, THREE, THREE.shN.shape[1]) is THREE
     with pytest.raises(UserError, match="evaluated: the Gaussians: expected Gaussians, got int"):
         hooks.evaluated(mine, 3, 0)
-
-
-def test_what_is_right_passes() -> None:
-    views: list[View] = [VIEW]
-    assert hooks.pseudo_views(plugin(Augmenter, "augment"), (views, 1)) == (views, 1)
-    factors = torch.ones(3)
-    assert hooks.opacity_factors(plugin(Regularizer, "reg"), (factors, 2), 3) == (factors, 2)
-    assert hooks.loss_term(plugin(Regularizer, "reg"), GRADIENT) is GRADIENT
-    assert hooks.loss_term(plugin(Regularizer, "reg"), None) is None
-    assert hooks.edits(plugin(Capacity, "capacity"), (None, 3), THREE) == (None, 3)
 
 
 def test_a_class_that_is_no_plugin_is_told_at_its_definition() -> None:

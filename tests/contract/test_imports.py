@@ -129,7 +129,7 @@ def room(module: str) -> str:
 
 
 def climbs(path: Path, module: str = "") -> list[str]:
-    """The imports of a file, or of a text that stands for `module`, that go up or to a room that
+    """The imports of a file, or of a text in place of `module`, that go up or to a room that
     the list lacks."""
     own, found = room(module or module_of(path)), []
     for other_module, _ in taken(path):

@@ -38,14 +38,9 @@ def test_no_dependency_is_copyleft(name: str) -> None:
         told = licence(name)
     except PackageNotFoundError:
         pytest.skip(f"{name}: not installed here, an extra")
-    assert told, f"{name}: its licence is not told"
+    assert told, f"{name}: no licence in its metadata"
     # "or" leaves the choice, as of packages under BSD or GPL
     assert not all(COPYLEFT.search(part) for part in re.split(r"\s+OR\s+|; ", told)), told
-
-
-@pytest.mark.parametrize("told", ["GPL-3.0-or-later", "License :: OSI Approved :: GNU GPL v3"])
-def test_a_copyleft_licence_is_known(told: str) -> None:
-    assert COPYLEFT.search(told)
 
 
 def test_the_project_states_its_own() -> None:

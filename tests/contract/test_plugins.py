@@ -45,12 +45,6 @@ def test_an_unknown_name_is_refused(group: str) -> None:
         registry.build(group, {"name": "nothing_like_it"})
 
 
-def test_discovery_can_be_repeated() -> None:
-    before = {group: list(registry.table(group)) for group in registry.GROUPS}
-    registry.discover()
-    assert {group: list(registry.table(group)) for group in registry.GROUPS} == before
-
-
 def test_an_option_of_another_type_is_told_by_its_plugin() -> None:
     @dataclass(frozen=True)
     class Chosen(Regularizer):

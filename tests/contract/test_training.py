@@ -39,7 +39,7 @@ ALL = [(group, name) for group in registry.GROUPS for name in sorted(registry.ta
 NEUTRAL = {"augment": "none", "reg": "none", "capacity": "fixed"}
 ACTING = {"augment": "safi", "reg": "uar", "capacity": "adc"}
 SEEN_ELSEWHERE = (  # a second field is the first one's twin here
-    "co_prune",  # of twins nobody is far from the other
+    "co_prune",  # identical twins are never far apart
     "self_ensemble",  # moves the second alone
 )
 EAGER: dict[str, dict[str, Any]] = {
@@ -96,20 +96,6 @@ def bits(**names: str) -> str:
     return parameters_sha256(train(**names)[0].gaussians)
 
 
-def test_the_digest_sees_every_tensor() -> None:
-    given = textured_plane(0)
-    whole = content_sha256(given)
-    assert content_sha256(textured_plane(0)) == whole
-    for tensor in (
-        *(given[0].views[1].image, given[0].views[2].camera.K, given[0].points.rgb),
-        *(given[1][2].confidence, given[2].quats),
-    ):
-        tensor[0] += 1
-        changed = content_sha256(given)
-        assert changed != whole
-        whole = changed
-
-
 @pytest.mark.parametrize(("group", "name"), ALL)
 def test_the_result_is_finite_and_the_input_untouched(group: str, name: str) -> None:
     trained, intact = train(**{group: name})
@@ -127,7 +113,7 @@ def test_the_same_training_has_the_same_bits(group: str, name: str) -> None:
 
 @pytest.mark.parametrize(("group", "name"), ALL)
 def test_these_trainings_are_long_enough_to_act(group: str, name: str) -> None:
-    """Otherwise the tests here would pass for want of anything to test. A plugin that fails here
+    """Otherwise the tests here would pass without testing anything. A plugin that fails here
     needs options in `EAGER` that make it act within 20 steps of SH degree 1."""
     plugin = registry.lookup(group, name)
     if not getattr(plugin, "idle", False) and name not in SEEN_ELSEWHERE:
@@ -232,7 +218,7 @@ def test_a_regularizer_that_ended_has_no_word_in_what_is_evaluated() -> None:
     thinned = {}
     for stop in (0.5, 1.0):
         reg = registry.build("reg", {"name": "removal", "start": 0.0, "stop": stop, "p": 0.5})
-        plugins = dataclasses.replace(Plugins.of(IDLE), reg=reg)
+        plugins = Plugins({**Plugins.of(IDLE).each, "reg": reg})
         trainer = Trainer(
             *textured_plane(1), TrainerOptions(steps=4, evaluations=1), plugins, 0, Silent()
         )

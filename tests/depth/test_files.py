@@ -78,7 +78,7 @@ def test_maps_of_stored_photos_lose_the_lens_too(tmp_path: Path) -> None:
     for view in scene.views:
         height, width = view.image.shape[1:]
         rows, columns = np.mgrid[:height, :width]
-        maps.append(1.0 + columns + 1000.0 * rows)  # a value tells where it was stored
+        maps.append(1.0 + columns + 1000.0 * rows)  # a value encodes its position
     write(tmp_path, scene, maps, ".npy")
     options = {"path": str(tmp_path), "align": "none"}
     view, found = bent.views[0], build_provider("file", options).estimate(bent)[0].depth.numpy()
@@ -260,7 +260,7 @@ def test_bad_names_and_options(name: str, options: dict[str, object], message: s
 
 
 def test_a_map_is_cut_as_reducing_its_photo_did() -> None:
-    """Of 1007x500 pixels eighths are 125x62: the last seven columns and four rows are in none."""
+    """An eighth of 1007x500 is 125x62: seven columns and four rows are left out."""
     columns = np.tile(np.arange(1007.0), (500, 1))
     assert _as_cut(columns, 125, 62).shape == (496, 1000)
     for height, width in (

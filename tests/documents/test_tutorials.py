@@ -39,8 +39,8 @@ def test_its_blocks_run(page: Path, folder: Path, capsys: pytest.CaptureFixture[
 
 
 def _filled(block: Block) -> Block:
-    """A block of the README with folders for its names; make says what it would do, and the viewer
-    writes its page, as nobody would close it."""
+    """A block of the README with folders for its names; make prints its commands, and the viewer
+    writes its page instead of waiting."""
     run = next(Path("reports/mine/runs").iterdir())
     text = block.text.replace("path=DIR", "path=photos").replace("make ", f"make -nC {ROOT} ")
     return replace(block, text=text.replace("view RUN", f"view --static -- {run}"))

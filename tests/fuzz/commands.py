@@ -41,7 +41,7 @@ def commanded(main: Callable[[list[str], str], int], *words: str) -> Callable[[P
 
 
 def photo(folder: Path, kind: str) -> None:
-    """A photo; unless it is a PNG, it lies on its side and a lens is told."""
+    """A photo; unless it is a PNG, it is rotated and has a lens."""
     pixels = np.arange(48 * 96 * 3, dtype=np.uint32).reshape(48, 96, 3).astype(np.uint8)
     image = Image.fromarray(pixels)
     exif = image.getexif()

@@ -1,4 +1,4 @@
-"""Reads mutated files of one reader in a process of its own, with limits of memory and time.
+"""Reads mutated files of one reader in a separate process, with limits of memory and time.
 
     python -m tests.fuzz.worker RESULTS READER CASES SEED
 

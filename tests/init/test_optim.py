@@ -45,7 +45,7 @@ def gaussians(n: int, purpose: str, step: int = 0, n_rest: int = 3) -> Gaussians
 
 
 def gradient(n: int, step: int, n_rest: int = 3) -> Gaussians:
-    """Of widely different sizes, as in training."""
+    """Gradients of widely different sizes, as in training."""
     scale = 10.0 ** (-3 * (step % 3))
     return gaussians(n, "test/gradient", step, n_rest).map(lambda t: t * scale)
 

@@ -165,32 +165,10 @@ def test_depth_lies_between_the_nearest_and_the_farthest(render: Rasterizer, see
         assert (seen.depth >= seen.alpha * float(z.min()) - render.tolerance * 10).all()
 
 
-@either
-@given(seed=seeds)
-@few
-def test_the_background_shines_through_by_the_transmittance(render: Rasterizer, seed: int) -> None:
-    case = random_case(seed)
-    black = render(case.gaussians, case.camera)
-    seen = render(case.gaussians, case.camera, background=case.background)
-    light = case.background.to(black.alpha.dtype)[:, None, None] * (1 - black.alpha)
-    render.close(seen.rgb, black.rgb + light)
-    assert torch.equal(seen.alpha, black.alpha) and torch.equal(seen.depth, black.depth)
-
-
 def _is_background(seen: Render, case: Case) -> bool:
     expected = case.background[:, None, None].to(seen.rgb.dtype).expand_as(seen.rgb)
     empty = not (seen.alpha.any() or seen.depth.any() or seen.radii.any())
     return empty and torch.equal(seen.rgb, expected)
-
-
-@either
-@given(seed=seeds)
-@few
-def test_without_opacity_there_is_only_background(render: Rasterizer, seed: int) -> None:
-    case = random_case(seed)
-    none = torch.zeros(len(case.gaussians), dtype=render.dtype)
-    seen = render(case.gaussians, case.camera, background=case.background, opacity_factors=none)
-    assert _is_background(seen, case)
 
 
 @either
@@ -209,19 +187,6 @@ def test_what_lies_behind_the_camera_is_not_seen(render: Rasterizer, seed: int) 
     (seen.rgb.sum() + seen.depth.sum()).backward()
     for name, tensor in behind.items():
         assert tensor.grad is None or not tensor.grad.any(), name
-
-
-@either
-def test_no_gaussians_give_the_background(render: Rasterizer) -> None:
-    case = random_case(3)
-    none = case.gaussians[torch.zeros(0, dtype=torch.long)].map(
-        lambda t: t.to(render.dtype).requires_grad_()
-    )
-    seen = render.call(none, case.camera, background=case.background)
-    assert _is_background(seen, case)
-    assert seen.radii.shape == (0,)
-    seen.rgb.sum().backward()
-    assert none.means.grad is None or none.means.grad.shape == (0, 3)
 
 
 def test_needles_near_the_camera_stay_finite() -> None:

@@ -7,7 +7,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from framework.errors import UserError
 from framework.fisher.information import fisher_information
 from framework.kernels import rasterize
 from framework.kernels.reference import cutoff_margin, project, rasterize_reference
@@ -57,19 +56,6 @@ def test_kernels_and_reference_agree(seed: int) -> None:
         ours = rasterize(mixed, case.camera, sh_degree=degree).rgb[:, off]
         theirs = rasterize_reference(mixed, case.camera, sh_degree=degree).rgb[:, off]
         torch.testing.assert_close(ours, theirs, rtol=0, atol=2e-5)
-
-
-def test_nobody_left_with_bands_is_degree_zero() -> None:
-    case, none, _ = mixed_case(2, 0)
-    assert none.sh_degree == 0
-    flat = none.replace(shN=torch.zeros(len(none), 0, 3))
-    assert torch.equal(rasterize(none, case.camera).rgb, rasterize(flat, case.camera).rgb)
-
-
-def test_more_bands_than_gaussians_are_refused() -> None:
-    case, mixed, _ = mixed_case(1, 80)
-    with pytest.raises(UserError, match="expected shN of shape"):
-        rasterize(mixed.replace(shN=torch.zeros(81, 3, 3)), case.camera)
 
 
 def _mixed(n: int, banded: int) -> Gaussians:

@@ -34,7 +34,7 @@ def network(tmp_path: Path) -> lpips.Lpips:
 
 
 class Broken:
-    """A network that gives what it is told to."""
+    """A network that returns given values."""
 
     name = "VGG"
 

@@ -105,21 +105,6 @@ def test_it_is_kornia_s_inverse_depth_smoothness() -> None:
     assert means == pytest.approx(float(theirs), rel=1e-4)
 
 
-def test_it_means_the_same_at_another_size_and_scale() -> None:
-    """Of a slanted plane: photos twice as wide, and a scene ten times as large."""
-
-    def rough(height: int, focal: float, scale: float) -> float:
-        width = 2 * height
-        seen = camera(0, focal, (width, height))
-        depth = scale / torch.linspace(1, 2, width).expand(height, width).clone()
-        view = View("v", seen, torch.zeros(3, height, width))
-        weights = DepthSmoothness(1.0, 0.1 * scale).weights(view)
-        return float(roughness(torch.ones_like(depth), depth, weights)) * width
-
-    assert rough(40, 80, 1.0) == pytest.approx(rough(40, 80, 10.0), rel=1e-5)
-    assert rough(40, 80, 1.0) == pytest.approx(rough(80, 160, 1.0) / 2, rel=0.02)
-
-
 def test_photos_are_smoothed_behind_and_pseudo_views_are_not() -> None:
     items = Items(smoothness=DepthSmoothness(0.01, 0.1))
     photo = View("v", camera(0), torch.rand(3, 3, 4))

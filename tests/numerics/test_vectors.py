@@ -30,11 +30,6 @@ match_costs(
 )
 print(len(np.unique(cost)), hashlib.sha256(cost.tobytes()).hexdigest())
 """
-SHOW = "from framework.compute import jit; print(jit._config.CPU_FEATURES)"
-
-
-def _features(**variables: str) -> str:
-    return _printed(SHOW, **variables)
 
 
 def _printed(code: str, **variables: str) -> str:
@@ -47,19 +42,6 @@ def _printed(code: str, **variables: str) -> str:
         check=True,
     )
     return done.stdout.strip()
-
-
-def test_all_512_bits_where_there_are_so_many() -> None:
-    host = get_host_cpu_features()
-    if "+avx512f" in host.split(","):
-        assert _features() == f"{host},-prefer-256-bit"
-    else:
-        assert _features() == "None"
-
-
-@pytest.mark.parametrize("chosen", [{"NUMBA_CPU_FEATURES": "+sse2"}, {"NUMBA_CPU_NAME": "generic"}])
-def test_the_user_may_choose(chosen: dict[str, str]) -> None:
-    assert "prefer" not in _features(**chosen)
 
 
 def test_bits_do_not_depend_on_the_width(tmp_path: Path) -> None:

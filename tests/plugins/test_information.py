@@ -11,7 +11,6 @@ import torch
 from framework.compute.rng import stream
 from framework.fisher.scores import (
     NOISE,
-    _log_det,
     block_prior,
     information_gains,
     shared_prior,
@@ -22,7 +21,7 @@ from framework.fisher.scores import (
 def information_gain(
     candidate: torch.Tensor, reference: torch.Tensor, regulariser: float, form: str = "trace"
 ) -> float:
-    """Of one view over another, under the prior of the candidate alone."""
+    """Gain of one view over another, under the prior of the candidate alone."""
     prior = shared_prior([candidate], regulariser)
     return information_gains(candidate, [reference], prior, form)[0]
 
@@ -44,22 +43,6 @@ def test_gain_by_hand() -> None:
     assert information_gain(candidate, reference, 0.1) == pytest.approx(0.5 * sum(ratios))
     entropy = 0.5 * sum(math.log(1 + r) for r in ratios)
     assert information_gain(candidate, reference, 0.1, "log") == pytest.approx(entropy)
-
-
-def test_log_form_is_below_the_trace_bound_and_near_it_for_small_gains() -> None:
-    candidate, reference = diagonals(0), diagonals(1)
-    trace, log = (information_gain(candidate, reference, 0.1, f) for f in ("trace", "log"))
-    assert 0 < log < trace
-    trace, log = (
-        information_gain(candidate, 1e6 * reference + 1e6, 0.1, f) for f in ("trace", "log")
-    )
-    assert log == pytest.approx(trace, rel=0.05)
-
-
-def test_gain_falls_with_what_is_known() -> None:
-    candidate, reference = diagonals(0), diagonals(1)
-    gains = [information_gain(candidate, k * reference, 0.1) for k in (0.0, 0.5, 1.0, 2.0)]
-    assert gains == sorted(gains, reverse=True)
 
 
 @pytest.mark.parametrize("form", ["trace", "log"])
@@ -100,16 +83,6 @@ def test_uncertainty_is_minus_the_log_determinant() -> None:
     total += NOISE * torch.diag_embed(normalised.diagonal(dim1=1, dim2=2))
     expected = -torch.linalg.slogdet(total).logabsdet
     torch.testing.assert_close(uncertainty(f, seen, 2.0, 1e-3), expected, rtol=1e-6, atol=1e-6)
-
-
-@pytest.mark.parametrize("form", ["trace", "log"])
-def test_gain_of_diagonal_blocks_is_that_of_their_diagonals(form: str) -> None:
-    ours, known = (torch.diag_embed(diagonals(seed, p=6) ** 0.3) for seed in (0, 1))
-    prior = block_prior([ours, known], 0.1)
-    (gain,) = information_gains(ours, [known], prior, form)
-    diagonal = [x.diagonal(dim1=1, dim2=2) for x in (ours, known)]
-    (expected,) = information_gains(diagonal[0], [diagonal[1]], prior, form)
-    assert gain == pytest.approx(expected, rel=1e-3)
 
 
 def test_block_gains_by_linear_algebra() -> None:
@@ -165,15 +138,6 @@ def test_unseen_is_infinite_and_rank_deficient_is_finite_but_worse() -> None:
     assert scores[100:].median() > scores[10:100].median()
 
 
-def test_two_views_know_more_than_one() -> None:
-    seen = torch.ones(100, dtype=torch.bool)
-    one = blocks(0, rank=5)
-    both = one + blocks(1, rank=5)
-    # One common prior: concatenate, so that the medians agree.
-    scores = uncertainty(torch.cat([one, both]), torch.cat([seen, seen]), 1.0, 1e-4)
-    assert bool((scores[100:] < scores[:100]).all())
-
-
 def test_uncertainty_is_free_of_units_and_of_rigid_motion() -> None:
     f, seen = blocks(0), torch.ones(100, dtype=torch.bool)
     base = uncertainty(f, seen, 2.0, 1e-3)
@@ -184,13 +148,6 @@ def test_uncertainty_is_free_of_units_and_of_rigid_motion() -> None:
     turned = uncertainty(turn @ f @ turn.T, seen, 2.0, 1e-3)
     # The median of the rotated diagonals moves a little; the order must not.
     assert torch.corrcoef(torch.stack([base, turned]))[0, 1] > 0.9999
-
-
-def test_input_is_left_alone() -> None:
-    f, seen = blocks(0), torch.ones(100, dtype=torch.bool)
-    before = f.clone()
-    uncertainty(f, seen, 2.0, 1e-3)
-    assert torch.equal(f, before)
 
 
 def test_bad_input_is_refused() -> None:
@@ -205,11 +162,3 @@ def test_bad_input_is_refused() -> None:
         information_gain(a * math.nan, a, 0.1)
     with pytest.raises(ValueError, match="extent"):
         uncertainty(blocks(0), torch.ones(100, dtype=torch.bool), 0.0, 1e-3)
-
-
-def test_the_blocks_of_a_single_gaussian_stay_as_they_are() -> None:
-    draws = torch.from_numpy(stream(1, "blocks").standard_normal((2, 1, 11, 11)))
-    known = draws @ draws.mT
-    before, prior = known.clone(), np.ones((1, 11))
-    found = [_log_det(known[0].numpy(), prior) for _ in range(2)]
-    assert torch.equal(known, before) and float(found[0][0]) == float(found[1][0])

@@ -17,7 +17,7 @@ from plugins.capacity.edge_split import EdgeSplit, edge_scores, sobel
 from plugins.capacity.proximity_unpool import ProximityUnpool, between
 from plugins.capacity.self_ensemble import SelfEnsemble, Watched, in_uncertain_pixels
 from tests.plugins.at_work import at_work
-from tests.plugins.fakes import Log, context, wall_of_gaussians
+from tests.plugins.fakes import context, wall_of_gaussians
 
 
 def stats(ctx: StepContext, view: View | None = None) -> StepStats:
@@ -148,10 +148,3 @@ def test_the_noise_falls_exponentially_and_has_the_size_of_what_it_shakes() -> N
         shaken = old + 0.04 * size * draws.standard_normal(old.shape)
         expected = np.where(chosen if old.ndim == 1 else chosen[:, None], shaken, old)
         assert np.allclose(edits.values[name].numpy(), expected, atol=1e-5)
-
-
-def test_what_is_logged_begins_with_the_plugin() -> None:
-    log = Log({})
-    ctx = replace(context(step=4, log=log), other=wall_of_gaussians(seed=5))
-    CoPrune(distance=1e5).update(ctx, None, stats(ctx))
-    assert list(log.values) == ["co_prune_removed"]

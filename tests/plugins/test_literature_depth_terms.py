@@ -72,16 +72,6 @@ def test_rank_asks_for_the_order_alone() -> None:
     assert plugin.loss(ctx, None, replace(view, tags=(PSEUDO,)), shown(depth)) is None
 
 
-def test_continuity_counts_steps_where_none_should_be() -> None:
-    plugin = DepthRank(margin=0.1)
-    depth, valid = torch.full((2, 3), 5.0), torch.ones(2, 3, dtype=torch.bool)
-    depth[:, 2] = 9.0  # an edge that is known: its step is free
-    rendered = torch.tensor([[1.0, 1.5, 7.0], [1.0, 1.0, 7.0]])
-    # steps: down 0, .5, 0; right .5 (row 0), 0 (row 1); the edges do not count
-    expected = (0.4 + 0.4) / 5
-    assert float(plugin._continuity(rendered, depth, valid)) == pytest.approx(expected)
-
-
 def test_patches_are_compared_by_their_form() -> None:
     rng = np.random.default_rng(0)
     rendered, known = rng.random((9, 11)) + 1, rng.random((9, 11)) + 1
@@ -184,7 +174,7 @@ def test_what_is_near_to_a_camera_should_be_transparent() -> None:
 
 
 def test_what_is_finer_than_open_frequencies_pays() -> None:
-    """By hand in float64: discs at depth z, limits of 2^octaves / pi pixels that halve."""
+    """Computed by hand in float64: discs at depth z, limits of 2^octaves / pi pixels that halve."""
     plugin = Frequency(octaves=2.0, opened=0.5)
     assert plugin.limit(0.0) == pytest.approx(4 / math.pi)
     assert plugin.limit(0.25) == pytest.approx(2 / math.pi)
@@ -223,12 +213,3 @@ def test_a_warped_photo_is_of_one_view_drawn_evenly() -> None:
     error = (view.image - photo.image).abs().mean(0)[valid]
     assert 0.3 < float(valid.float().mean()) < 1 and float(error.median()) < 0.03
     assert float(view.image[:, ~valid].abs().max()) == 0
-
-
-def test_where_no_photo_was_taken_nothing_is_said_of_cameras() -> None:
-    ctx, (views, _) = context(), stage()
-    render = Render(torch.zeros(3, 60, 80), *torch.ones(2, 60, 80), torch.ones(400))
-    asked = replace(ctx, step=0, gaussians=wall_of_gaussians(), near=100.0)
-    for plugin in (Occlusion(), Frequency()):
-        assert plugin.loss(asked, None, views[0], render) is not None
-        assert plugin.loss(asked, None, replace(views[0], tags=(PSEUDO,)), render) is None

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from framework.compute.rng import stream
-from framework.errors import UserError
 from framework.kernels import rasterize
 from framework.plugin import StepContext
 from framework.types import Gaussians
@@ -96,9 +95,3 @@ def test_it_is_the_gradient_through_a_masked_render() -> None:
         assert tensor.grad is not None
         assert torch.allclose(there[name], tensor.grad, rtol=1e-5, atol=1e-6), name
     assert not torch.allclose(there["sh0"], at(gaussians)["sh0"], rtol=1e-5, atol=1e-6)
-
-
-@pytest.mark.parametrize("wrong", [{"p": 0.0}, {"p": 1.1}, {"each": 0.0}, {"each": 1.1}])
-def test_shares_out_of_range_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(UserError, match=r"reg\.(p|each)"):
-        ShDropout(**wrong)

@@ -5,12 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from framework.errors import UserError
 from plugins.regularize.uniform import Uniform
 from tests.plugins.fakes import context, wall_of_gaussians
 
 N = 400
-VARIANTS = [(count, compensate) for count in ("bernoulli", "exact") for compensate in (False, True)]
 
 
 def factors(uniform: Uniform, step: int = 50, seed: int = 0) -> torch.Tensor:
@@ -51,12 +49,6 @@ def test_compensation_keeps_the_expected_opacity(count: str) -> None:
         assert values.mean(1).tolist() == pytest.approx([1.0] * 100, rel=1e-6)
 
 
-@pytest.mark.parametrize("count", ["bernoulli", "exact"])
-def test_without_compensation_the_kept_stay(count: str) -> None:
-    result = factors(Uniform(p=0.3, schedule="constant", count=count))
-    assert result.unique().tolist() == [0.0, 1.0]
-
-
 def test_an_exact_count_is_compensated_by_what_is_really_dropped() -> None:
     """7 Gaussians and p = 0.2: one is dropped, a seventh and not a fifth."""
     now = context(gaussians=wall_of_gaussians(7))
@@ -81,34 +73,6 @@ def test_the_schedule_is_that_of_dropgaussian() -> None:
     assert uniform.drop_rate(0.5) == pytest.approx(0.1)
     assert int((factors(Uniform(p=0.2, count="exact")) == 0).sum()) == 40
     assert Uniform(p=0.2, schedule="constant").drop_rate(0.01) == 0.2
-
-
-@pytest.mark.parametrize(("count", "compensate"), VARIANTS)
-def test_same_seed_same_draws_other_step_other_draws(count: str, compensate: bool) -> None:
-    uniform = Uniform(count=count, compensate=compensate)
-    assert torch.equal(factors(uniform), factors(uniform))
-    assert not torch.equal(factors(uniform), factors(uniform, step=51))
-    assert not torch.equal(factors(uniform), factors(uniform, seed=1))
-
-
-def test_compensation_moves_no_draw() -> None:
-    plain, scaled = factors(Uniform()), factors(Uniform(compensate=True))
-    assert torch.equal(plain == 0, scaled == 0)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"p": 0.0}, r"p: expected a number in \(0, 1\), got 0.0"),
-        ({"p": 1.0}, "p: expected"),
-        ({"schedule": "cosine"}, "schedule: expected one of linear, constant, got cosine"),
-        ({"count": "poisson"}, "count: expected one of bernoulli, exact, got poisson"),
-    ],
-)
-def test_bad_options_are_told_in_one_line(options: dict[str, object], message: str) -> None:
-    with pytest.raises(UserError, match=message) as error:
-        Uniform(**options)  # type: ignore[arg-type]
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("count", ["bernoulli", "exact"])

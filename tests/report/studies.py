@@ -162,7 +162,7 @@ def _set_psnr(run: Path, psnr: float) -> None:
 
 
 def labelled(by_method: Mapping[Method, V]) -> dict[str, V]:
-    """By the label of the method."""
+    """Runs by the label of the method."""
     return {method.label: value for method, value in by_method.items()}
 
 

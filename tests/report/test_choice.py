@@ -86,7 +86,7 @@ def test_a_metric_that_some_seeds_lack_says_of_how_many_it_is(tmp_path: Path) ->
 
 
 def test_more_time_pays_is_corrected_for_all_others(tmp_path: Path) -> None:
-    """It is the data that tells who stands on the front, so being alone there is no single test."""
+    """The data choose who is on the front, so being alone there is no single test."""
     gains = (0.08, 0.28, 0.06, 0.2, 0.15)
     fast = [row("a", "none + none", k, 20.0, train_wall_s=5, train_cpu_s=5) for k in range(5)]
     slow = [row("a", "safi + none", k, 20.0 + gain) for k, gain in enumerate(gains)]
@@ -107,11 +107,10 @@ def test_advice_by_time_is_by_pairs(tmp_path: Path) -> None:
     assert "**Use SAFI: it gains 0.5" in first_screen(tmp_path / "t")
     (choice,) = choices(study, "a")
     assert choice.entry is not None and str(choice.entry.method) == "SAFI"
-    assert choice.better is None and choice.quicker is None and choice.n_others == 1
 
 
 def test_more_time_pays_by_pairs(tmp_path: Path) -> None:
-    """Not where it is the pairs that tell it to be worse, and so where only they tell that it is
+    """Not if the pairs show that it is worse, and so if only they show that it is
     better."""
     full = [row("a", "none + none", k, v) for k, v in enumerate(LEVELS)]
     for seconds, kept in ((5, ["safi + none"]), (20, ["none + none", "safi + none"])):
@@ -121,21 +120,6 @@ def test_more_time_pays_by_pairs(tmp_path: Path) -> None:
         ]
         found = entries(collect(table(tmp_path / f"{seconds}", full + part)), "a")
         assert [found[k].method.label for k in paying(found, train_s)] == kept
-
-
-def test_what_is_really_better_is_not_told_as_worse(tmp_path: Path) -> None:
-    """Of the advised family the quickest that is nearly as good may lie below another method."""
-    values = {"none + none": (20.0, 20.0), "none + none, steps=9": (20.02, 20.1)}
-    values |= {"safi + none": (20.05, 20.05)}
-    rows = [
-        row("a", m, k, f"{v[k % 2] + 0.001 * k}", train_cpu_s=9 + len(m), train_wall_s=9 + len(m))
-        for m, v in values.items()
-        for k in range(4)
-    ]
-    *_, choice = choices(collect(table(tmp_path, rows)), "a")
-    assert choice.entry is not None and choice.better is not None and choice.quicker is None
-    assert choice.better.method.label == "safi + none, steps=800"
-    assert choice.loss == pytest.approx(0.05, abs=0.01)
 
 
 def test_a_baseline_without_a_seed_on_all_scenes_is_no_crash(tmp_path: Path) -> None:
@@ -153,7 +137,7 @@ def test_what_gains_with_few_steps_is_not_advised_over_many(tmp_path: Path) -> N
     found = outcomes(collect(table(tmp_path, rows)))
     assert labelled(found.comparisons)["safi + none, steps=300"].significant
     assert found.best.label == "none + none, steps=300", (
-        "the first of its budgets stands for the family"
+        "the first of its budgets represents the family"
     )
 
 

@@ -31,7 +31,7 @@ def test_runs_of_different_code_are_told(tmp_path: Path) -> None:
 
 
 def test_own_plugins_are_no_other_version_of_the_code(tmp_path: Path) -> None:
-    """Older records hash the user's plugins into `code`; newer ones beside it."""
+    """Older records hash the user's plugins into `code`; newer ones in a separate field."""
     for seed, old in ((0, False), (1, True), (2, False)):
         path = fake_run(tmp_path, seed=seed) / "record.json"
         record = json.loads(path.read_text())
@@ -120,7 +120,7 @@ def test_capacities_are_compared_all_else_equal(tmp_path: Path) -> None:
 
 
 def test_draws_of_one_scene_are_not_scenes_like_these(tmp_path: Path) -> None:
-    """Of capacities, as of every other comparison."""
+    """Comparisons of capacities, like all others."""
     for draw in range(3):
         for name, gain in (("fixed", 0.0), ("adc", 2.0)):
             capacity = {"name": name, "weight": 1.0}
@@ -193,7 +193,7 @@ def test_a_budget_without_the_baseline_has_no_comparison(tmp_path: Path) -> None
     )  # 6 dB below safi, which is no plain one
     assert rate is not None and rate.failed == 0
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert "No baseline has their budget, so compared with nothing: UAR, steps=400; SAFI," in text
+    assert "Not compared, because no baseline has the same budget: UAR, steps=400; SAFI," in text
 
 
 def test_failed_runs_have_the_name_of_their_method(tmp_path: Path) -> None:

@@ -90,7 +90,7 @@ def test_a_long_legend_leaves_the_chart_its_room() -> None:
 
 
 def test_many_methods_share_a_chart(tmp_path: Path) -> None:
-    """Of several capacities; a chart for each would be as tall as a house."""
+    """Several capacities; a chart for each would be too tall."""
     for k in range(8):
         capacity = {"name": "evidence" if k else "fixed", "weight": 1.0}
         fake_run(tmp_path, "safi", f"reg{k}", run_name=f"r{k}", capacity=capacity)
@@ -206,7 +206,7 @@ def test_doses_are_a_section(tmp_path: Path) -> None:
 
 
 def test_no_two_scenes_share_a_file(tmp_path: Path) -> None:
-    """Nor do they on a disk that does not tell letters' case; other names stay as they were."""
+    """Nor on a disk that ignores case; other names stay unchanged."""
     scenes = ("chair (1)", "chair-1", "Chair 1", "lamp 1", "größe", "grösse")
     for scene in scenes:
         for augment in ("none", "safi"):

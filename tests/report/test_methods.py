@@ -217,7 +217,7 @@ def test_an_old_record_is_the_method_with_the_default() -> None:
 
 
 def test_what_was_done_before_an_option_that_acts_by_default() -> None:
-    """A record that lacks it is none of today's default; so of every such option."""
+    """A record without it did not use the current default; the same for every such option."""
     for (group, plugin), values in BEFORE.items():
         of_group = {"name": plugin} if plugin else {}
         for key, before in values.items():

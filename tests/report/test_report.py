@@ -15,11 +15,11 @@ import pytest
 from PIL import Image
 from scipy import stats
 
+from framework.command.cli import main as command
 from framework.records.provenance import ROOT
 from framework.records.record import write_failed
 from framework.report import build_report
 from framework.report.figures.views import choose_views
-from framework.report.main import main
 from framework.report.study.collect import collect
 from tests.record.fakes import fake_run, make_config
 
@@ -201,27 +201,27 @@ def test_studies_are_merged_on_the_command_line(tmp_path: Path) -> None:
         fake_run(tmp_path / "a", seed=seed)
         fake_run(tmp_path / "b", "safi", seed=seed, gain=1.0)
     folders = [str(tmp_path / name) for name in "ab"]
-    assert main([*folders, "--out", str(tmp_path / "both"), "--title", "Both"], "report") == 0
+    assert command(["report", *folders, "--out", str(tmp_path / "both"), "--title", "Both"]) == 0
     text = (tmp_path / "both" / "report.md").read_text(encoding="utf-8")
     assert text.startswith("# Both\n") and "- SAFI: " in text
     assert "](../b/runs/embedded-safi-none-s1/)" in text
-    assert main(folders, "report") == 2
+    assert command(["report", *folders]) == 2
 
 
 def test_a_report_can_be_built_without_photos(tmp_path: Path) -> None:
-    """Of the embedded scene it keeps the pictures."""
+    """It keeps the pictures of the embedded scene."""
     for name in ("fern", "embedded"):
         loader = {"name": "embedded" if name == "embedded" else "llff"}
         for method in ("none", "safi"):
             fake_run(tmp_path / "study", method, scene=name, condition=loader)
     out = tmp_path / "out"
     line = [str(tmp_path / "study"), "--out", str(out)]
-    assert main(line, "report") == 0 and (out / "closeup_fern.jpg").exists()
+    assert command(["report", *line]) == 0 and (out / "closeup_fern.jpg").exists()
     assert "/runs/" in (out / "report.md").read_text(encoding="utf-8")
     for kind in ("images", "sigma", "closeup"):  # of a report in which the scene was called so
         shutil.copy(out / "closeup_fern.jpg", out / f"{kind}_fern_n_views_3.jpg")
     (out / "images_notes.txt").write_text("mine", encoding="utf-8")
-    assert main([*line, "--without-photos"], "report") == 0
+    assert command(["report", *line, "--without-photos"]) == 0
     assert (out / "images_notes.txt").exists()
     text = (out / "report.md").read_text(encoding="utf-8")
     assert "/runs/" not in text and "fern-safi-none-s0" in text
@@ -237,7 +237,7 @@ def test_several_scenes(tmp_path: Path) -> None:
             for augment, gain in (("none", 0.0), ("safi", 2.0)):
                 fake_run(tmp_path, augment, seed=seed, gain=gain, scene=scene)
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert "on these 2 scenes" in text and "from the differences between these 2: " in text
+    assert "on these 2 scenes" in text and "from the spread over these 2: " in text
     assert text.count("| mean of all") == 2 and "| door" in text and "| fern °" in text
     assert "mean of the scenes' σ (dB)" in text
     assert (tmp_path / "closeup_fern.jpg").is_file() and (tmp_path / "curves_door.svg").is_file()
@@ -271,7 +271,7 @@ def test_only_failed_runs(tmp_path: Path) -> None:
 
 
 def test_bad_folder_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([str(tmp_path / "nothing")], "report") == 2
+    assert command(["report", str(tmp_path / "nothing")]) == 2
     errors = capsys.readouterr().err
     assert errors.startswith("error: ") and errors.count("\n") == 1
 
@@ -297,7 +297,7 @@ def test_a_report_without_a_finished_run_is_written_and_an_error(
 ) -> None:
     (tmp_path / "runs" / "x").mkdir(parents=True)
     (tmp_path / "runs" / "x" / "record.json").write_text("{}", encoding="utf-8")
-    assert main([str(tmp_path)], "report") == 2
+    assert command(["report", str(tmp_path)]) == 2
     said = capsys.readouterr()
     assert "\nreport: " in said.out and said.err.count("\n") == 1
     assert f"{tmp_path}: expected a finished run, got 1 failed or damaged" in said.err
@@ -310,7 +310,7 @@ def test_no_report_goes_into_the_folder_of_a_run(
 ) -> None:
     run = tmp_path / "runs" / "x"
     write_failed(run, make_config(seed=9), ["seed=9"], "depth: bad")
-    assert main([str(tmp_path / place)], "report") == 2
+    assert command(["report", str(tmp_path / place)]) == 2
     said = capsys.readouterr().err
     assert "expected the folder of a study for its report, got one of its runs" in said
     assert f"give {tmp_path}, or --out DIR" in said

@@ -86,7 +86,7 @@ def test_conditions_of_one_scene_count_as_one_scene() -> None:
     assert found.difference == 4.25  # these scenes: each condition as it is
     alone = {key: value for key, value in values.items() if key[0].startswith("x")}
     of_one = compare("a", alone, "b", dict.fromkeys(alone, 0.0), names)
-    assert of_one is not None and of_one.like is None, "one scene tells nothing of others"
+    assert of_one is not None and of_one.like is None, "one scene gives no evidence on others"
 
 
 def test_no_seed_on_all_scenes_is_no_test() -> None:

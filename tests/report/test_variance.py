@@ -59,7 +59,7 @@ def test_common_seeds_are_pairs() -> None:
 
 
 def test_of_seeds_that_move_as_one_the_ratio_is_nearly_known() -> None:
-    """A correlation of exactly 1 leaves no noise; what stands for it must not be noise either."""
+    """A correlation of exactly 1 leaves no noise; its replacement must not be noise either."""
     found = compare_sigmas("a", by_seed([1.0, 2.0, 4.0, 7.0]), "b", by_seed([2.0, 4.0, 8.0, 14.0]))
     assert found is not None and found.interval is not None and found.rho is not None
     assert found.ratio == pytest.approx(0.5) and 1 - 1e-8 < found.rho < 1

@@ -27,7 +27,7 @@ from framework.train.optim import Adam
 from framework.train.optimizer import AdamState
 from framework.train.resume.checkpoint import unpack
 from framework.train.trainer import Plugins, Trained, Trainer
-from framework.types import Camera, Gaussians, Scene, TrainingSet, View
+from framework.types import Gaussians, Scene, TrainingSet, View
 from tests import built
 from tests.built import build_provider
 from tests.record.fakes import make_gaussians
@@ -166,16 +166,6 @@ def test_no_gaussians_to_start_from() -> None:
         train(gaussians=nothing)
 
 
-def test_cameras_that_see_nothing_still_train() -> None:
-    """Gaussians behind all cameras: nothing to learn from, nothing breaks, nothing moves but by
-    the decay of opacities."""
-    start = textured_plane(0)[2]
-    behind = start.replace(means=start.means * torch.tensor([1.0, 1.0, -1.0]))
-    trained = train(gaussians=behind)
-    assert all(torch.isfinite(tensor).all() for _, tensor in trained.gaussians.items())
-    assert torch.equal(trained.gaussians.means, behind.means)
-
-
 def plain_views(value: float) -> TrainingSet:
     """The plane with images of one colour."""
     views = textured_plane(0)[0]
@@ -183,14 +173,8 @@ def plain_views(value: float) -> TrainingSet:
     return replace(views, views=tuple(flat))
 
 
-@pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
-def test_images_without_texture_train(value: float) -> None:
-    trained = train(plain_views(value))
-    assert all(torch.isfinite(tensor).all() for _, tensor in trained.gaussians.items())
-
-
 def test_images_without_texture_have_no_depth_to_start_from() -> None:
-    """The default pipeline tells that nothing could be matched; or it starts from what it found."""
+    """The default pipeline reports that nothing matched, or starts from what it found."""
     views = plain_views(0.5)
     depth = build_provider("plane_sweep", {}).estimate(views)
     try:
@@ -202,7 +186,7 @@ def test_images_without_texture_have_no_depth_to_start_from() -> None:
 
 
 def test_a_rate_too_high_never_ends_with_broken_gaussians() -> None:
-    """Either it is told, or the result is finite."""
+    """Either it is reported, or the result is finite."""
     options = TrainerOptions(**{**asdict(OPTIONS), "steps": 40, "lr_scale": 999.0})
     try:
         trained = train(options=options)
@@ -210,13 +194,3 @@ def test_a_rate_too_high_never_ends_with_broken_gaussians() -> None:
         assert "trainer.lr_scale" in str(error)
     else:
         assert all(torch.isfinite(tensor).all() for _, tensor in trained.gaussians.items())
-
-
-def test_a_camera_far_away_sees_nothing() -> None:
-    views = textured_plane(0)[0]
-    away = torch.eye(4, dtype=torch.float64)
-    away[2, 3] = -1e6
-    cameras = [Camera(away, v.camera.K, v.camera.width, v.camera.height) for v in views.views]
-    lost = tuple(replace(v, camera=c) for v, c in zip(views.views, cameras, strict=True))
-    trained = train(replace(views, views=lost))
-    assert all(torch.isfinite(tensor).all() for _, tensor in trained.gaussians.items())

@@ -59,7 +59,7 @@ def test_the_lock_of_a_killed_process_is_free(
 
 
 def test_only_a_stale_lock_is_removed(holder: subprocess.Popen[str], tmp_path: Path) -> None:
-    """And what was left beside it, which is another's while somebody holds the lock."""
+    """Leftovers next to it belong to another process while the lock is held."""
     left = tmp_path / "run" / "left"
     left.touch()
 
@@ -96,9 +96,7 @@ def test_runs_done_elsewhere_are_no_failures(
     runs.failures[1] = Busy("reports/x: expected no other process at this run, got process 7")
     assert main(["seed=0,1,2", "-m"]) == 3
     told = capsys.readouterr()
-    assert told.err.startswith(
-        "error: 1 of 3 runs are being done elsewhere, for instance reports/x"
-    )
+    assert told.err.startswith("error: another process does 1 of 3 runs, for instance reports/x")
     assert told.err.count("\n") == 1
     assert "report: reports/embedded/report.md" in told.out
     assert not (runs.folders[1] / "failed.json").exists()

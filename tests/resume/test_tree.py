@@ -46,10 +46,6 @@ def test_plain_values(value: Any) -> None:
     assert repr(back) == repr(value)
 
 
-def test_nan_is_kept() -> None:
-    assert math.isnan(through(math.nan))
-
-
 @pytest.mark.parametrize(
     "dtype", [torch.float64, torch.float32, torch.bfloat16, torch.int64, torch.uint8, torch.bool]
 )

@@ -50,7 +50,7 @@ def load(folder: Path, **options: object) -> Scene:
 
 
 def numbers(scene: Scene) -> tuple[list[int], list[int]]:
-    """Of the training and of the test views; their names say which file they are of."""
+    """Training and test views; their names contain their file."""
     both = []
     for part, views in (("train", scene.training.views), ("test", scene.test)):
         assert all(view.name.startswith(f"{part}/r_") for view in views)

@@ -24,7 +24,7 @@ K_RIG = np.array([[2000.0, 0, 820], [0, 1900, 610], [0, 0, 1]])
 
 
 def projection(i: int) -> np.ndarray:
-    """Of a camera at x = 10 i mm that looks along z."""
+    """The matrix of a camera at x = 10 i mm that looks along z."""
     pose = np.eye(4)[:3]
     pose[0, 3] = -10.0 * i
     return np.vstack([-3.0 * K_RIG @ pose, [0, 0, 0, 1]])  # of any scale and sign

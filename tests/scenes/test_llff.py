@@ -85,7 +85,7 @@ def test_fern_split_and_agreement_with_its_colmap_model() -> None:
 
 
 def test_fern_never_offers_points_of_test_tracks_only() -> None:
-    """Of the model's 2912 points, those with at most one training view in the track are gone."""
+    """Points with at most one training view in the track are removed from the 2912."""
     from framework.scenes.colmap_model import read_model
 
     folder = open_scene("llff_fern")

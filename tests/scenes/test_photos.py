@@ -140,7 +140,7 @@ def test_the_key_is_the_content(room: Path, tmp_path: Path) -> None:
 
 
 def stored_by_hand(source: Source, folder: Path) -> None:
-    """Stands in for the search."""
+    """Replaces the search."""
     time.sleep(0.2)
     (folder / "images").mkdir()
     (folder / "sparse").mkdir()

@@ -1,4 +1,4 @@
-"""What is told about a search for poses, and the parts of the search."""
+"""The report on a search for poses, and the parts of the search."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def photos(focal_px: float | None) -> list[Photo]:
 
 
 def model(focal_px: float, error: float, n: int = 4, k1: float = 0.0) -> Any:
-    """What `choose` asks of a reconstruction by pycolmap."""
+    """What `choose` needs from a reconstruction by pycolmap."""
     camera = SimpleNamespace(params=[focal_px, 320, 240, k1], width=640, height=480)
     return SimpleNamespace(
         reg_image_ids=lambda: range(n),
@@ -40,9 +40,9 @@ def model(focal_px: float, error: float, n: int = 4, k1: float = 0.0) -> Any:
     ("exif", "free", "held", "is_held", "overruled"),
     [
         (None, model(700, 0.3), None, False, None),
-        (None, model(9000, 0.3), model(768, 0.4), True, None),  # implausible, and nothing told
+        (None, model(9000, 0.3), model(768, 0.4), True, None),  # implausible, and none given
         (TOLD, model(420, 0.3), None, False, None),  # both about the same
-        (TOLD, model(300, 0.30), model(TOLD, 0.31), True, None),  # the photos do not tell it
+        (TOLD, model(300, 0.30), model(TOLD, 0.31), True, None),  # the photos do not determine it
         (TOLD, model(650, 0.2), model(TOLD, 0.7), False, Overruled(TOLD, 650, 0.7, 0.2)),
         (TOLD, model(650, 0.2), model(TOLD, 0.2, n=3), False, Overruled(TOLD, 650, None, 0.2)),
         (TOLD, model(650, 0.2, k1=0.9), model(TOLD, 0.7), True, None),

@@ -1,4 +1,4 @@
-"""A forged checkpoint: whatever stands in it, the training goes on or the file is not used."""
+"""A forged checkpoint: whatever it contains, the training continues or ignores the file."""
 
 from __future__ import annotations
 

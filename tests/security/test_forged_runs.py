@@ -1,4 +1,4 @@
-"""A study with a forged or broken run: its report tells that run in a line and all the others."""
+"""A study with a forged or broken run: its report lists that run in a line and all the others."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ import pytest
 import yaml
 from PIL import Image
 
+from framework.command.cli import main as command
 from framework.files.limits import RUNS
 from framework.report.build import build_report
-from framework.report.main import main
 from framework.report.study.collect import collect
 from tests.fuzz.structured import BOMB
 from tests.record.fakes import fake_run, make_config
@@ -66,7 +66,7 @@ def _scene(name: str, **more: Any) -> Forge:
 
 
 def _failed(text: str, config: str | bytes = "") -> Forge:
-    """A folder with `failed.json` alone, and the configuration beside it."""
+    """A folder with `failed.json` alone, and the configuration."""
 
     def forge(run: Path) -> None:
         shutil.rmtree(run)
@@ -225,6 +225,6 @@ def test_a_report_that_cannot_be_written(
 ) -> None:
     (study / "file").write_text("")
     out = Path("/proc/here") if where == "proc" else study / where
-    assert main([str(study), "--out", str(out)], "report") == 2
+    assert command(["report", str(study), "--out", str(out)]) == 2
     told = capsys.readouterr().err
     assert told.startswith("error: ") and told.count("\n") == 1 and "Traceback" not in told

@@ -1,4 +1,4 @@
-"""Links and pipes where the program writes: nothing elsewhere is overwritten, nobody waits."""
+"""Links and pipes where the program writes: nothing elsewhere is overwritten, nothing blocks."""
 
 from __future__ import annotations
 

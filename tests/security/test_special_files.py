@@ -1,4 +1,4 @@
-"""What is no file in a file's place: nobody waits for it, and one line tells it."""
+"""Special files in place of a file: nothing blocks, and one line reports them."""
 
 from __future__ import annotations
 

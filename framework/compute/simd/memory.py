@@ -165,7 +165,7 @@ def store_whole(typing_context, array, index, value):  # type: ignore[no-untyped
 
 @intrinsic
 def prefetch(typing_context, array, index):  # type: ignore[no-untyped-def]
-    """Ask for the cache line of array[index] (flat, of four bytes each); never faults."""
+    """Prefetch the cache line of array[index] (flat, of four bytes each); never faults."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         address = address_of(context, builder, signature.args[0], values[0], values[1])

@@ -78,9 +78,12 @@ def colour_slopes(
     clipped: Any,
     slopes: Any,
 ) -> None:
-    """slopes (flat [N, 16]): the derivative of colour c along tangent k per scene unit at 2 c + k,
-    0 where the colour is clamped or has no bands above 0; 6-11 the two tangents. Undefined for
-    culled Gaussians. means flat, shN [M, K, 3]."""
+    """Write into slopes (flat [N, 16]) how the colour changes when the Gaussian moves sideways.
+
+    Entry 2 c + k is the derivative of colour c along tangent k per scene unit, 0 if the colour is
+    clamped or has only SH degree 0. Entries 6-11 are the two tangents. Culled Gaussians are
+    undefined. means is flat, shN is [M, K, 3].
+    """
     n = len(means) // 3
     terms = (degree + 1) * (degree + 1) - 1
     scratch, sh = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)

@@ -1,15 +1,14 @@
-"""Which Gaussian touches which 16x16 tile, and in which rows of it, front to back.
+"""Assigns Gaussians to 16x16 tiles, and to rows of them, front to back.
 
 Only the rows that the ellipse alpha >= 1/255 reaches inside a tile's columns are listed, so the
-blending loops need no test per row. A list item is two int32: (Gaussian << 8 | last row << 4 |
-first row) and the Gaussian's slot for this tile among those of the tile's strip. Blocks are over
-the depth order; a tile's list is ordered by depth whatever the number of blocks.
+blending loops need no test per row. A list item is two int32. The first is (Gaussian << 8 | last
+row << 4 | first row), the second the Gaussian's slot for this tile among those of the tile's strip.
+Blocks divide the depth order; a tile's list is ordered by depth for any number of blocks.
 
-The image is cut into strips of whole columns of tiles, each of which one thread differentiates in a
-buffer of slots of its own, a fraction of what all slots would take. What a strip's slots hold of a
-Gaussian are consecutive there, and leave it as one sum: a part. A Gaussian's parts are consecutive
-among all.
-More threads than strips have nothing to do then.
+The image is divided into strips of whole columns of tiles. One thread differentiates a strip, in a
+separate buffer of slots, which is a fraction of all slots. The slots of one Gaussian in a strip are
+consecutive and are summed into one "part". The parts of one Gaussian are consecutive too. With more
+threads than strips, some threads have nothing to do in this phase.
 """
 
 from __future__ import annotations
@@ -50,11 +49,15 @@ _LOG2_255, _TILE = f4(math.log2(255)), f4(1 / 16)
 def depth_order(
     rows: Any, bound: Any, keys: Any, spare: Any, order: Any, start: Any
 ) -> tuple[int, int]:
-    """Indices of the visible Gaussians (bound > 0) by depth into order[:n]; start[:n + 1] = prefix
-    sums of bound in that order. Returns n and the sum, which start can hold if it is below 2^31.
+    """Sort the visible Gaussians (bound > 0) by depth.
 
-    Stable radix sort of the float bits (depths are positive); keys and spare are uint64 scratch of
-    the same length: a key beside its index is read in sequence, where the row would be a miss.
+    Their indices go into order[:n], and the prefix sums of bound in that order into start[:n + 1].
+    It is a stable radix sort of the float bits, since depths are positive. keys and spare are
+    uint64 scratch of the same length: keys next to their indices are read in sequence, while rows
+    would cause cache misses.
+
+    Returns:
+        n and the sum of bound; start can hold sums below 2^31.
     """
     bits = rows.view(np.uint32)
     counts = np.zeros((3, 2048), np.int64)
@@ -91,12 +94,13 @@ def depth_order(
 
 @inlined
 def _edge(at: Any, x0: Any, x1: Any, ellipse: Any, sign: Any) -> Any:
-    """dy of the ellipses' upper (sign -1) or lower branch where it is farthest from dy = 0 in the
-    columns x0 ... x1 of dx; its extreme point lies at dx = at.
+    """Compute the extreme dy of the upper (sign -1) or lower branch of ellipses in some columns.
 
-    ellipse: (half-sides rx, ry; 1 / rx; b / c; level / c) of a dx^2 + 2 b dx dy + c dy^2 = level;
-    c (dy + b/c dx)^2 = level (1 - (dx/rx)^2): nothing cancels. An ellipse may be a point (rx = 0):
-    what is not a number then becomes the limit beside it, never more rows than the box has.
+    The columns are x0 ... x1 of dx; the extreme point of the whole branch is at dx = at.
+
+    ellipse: (half-sides rx, ry; 1 / rx; b / c; level / c) of a dx^2 + 2 b dx dy + c dy^2 = level.
+    In the form c (dy + b/c dx)^2 = level (1 - (dx/rx)^2) nothing cancels. An ellipse may be a point
+    (rx = 0): NaN then becomes the neighbouring limit, never more rows than the box has.
     """
     rx, ry, over_rx, shear, height = ellipse
     dx = maximum(minimum(maximum(minimum(at, x1), x0), rx), neg(rx))
@@ -107,10 +111,12 @@ def _edge(at: Any, x0: Any, x1: Any, ellipse: Any, sign: Any) -> Any:
 
 @inlined
 def _reached(gathered: Any, width: int, height: int, columns: Any, reach: Any) -> None:
-    """Which tiles sixteen ellipses touch. gathered: their rows, flat [16 16]. columns [2, 16], out:
-    each one's first and last column of tiles. reach [2, 16 x columns], out: the first and the last
-    row of pixels in each of those, sixteen ellipses at a time; the first is after the last where a
-    column has none."""
+    """Compute which tiles sixteen ellipses touch.
+
+    gathered: their rows, flat [16 16]. columns: out, [2, 16], first and last column of tiles.
+    reach: out, [2, 16 x columns], first and last row of pixels in each of these columns. The first
+    is greater than the last if a column has none.
+    """
     row = load16(gathered, 0)
     u, v, rx, ry = row[0], row[1], row[10], row[11]
     ellipse = (rx, ry, ONE / rx, row[15], neg(row[5] + _LOG2_255) / row[4])
@@ -150,10 +156,13 @@ def count_tiles(
     strip_items: Any,
     strip_parts: Any,
 ) -> None:
-    """List the tiles of the Gaussian order[k], for the k of this block, into items[start[k]...] as
-    (tile << 9 | 256 where a part begins | last row << 4 | first row); touched[k] = how many,
-    n_parts[k] = in how many strips; histogram[block, tile], strip_items[block, strip] and
-    strip_parts[block, strip] are the numbers of items and parts. strips: of every tile."""
+    """List the tiles of the Gaussians order[k], for the k of this block.
+
+    items[start[k]...] receives (tile << 9 | 256 where a part begins | last row << 4 | first row).
+    touched[k] is the number of tiles and n_parts[k] the number of strips. histogram[block, tile],
+    strip_items[block, strip] and strip_parts[block, strip] count items and parts. strips: the strip
+    of every tile.
+    """
     n_columns = (width + 15) // 16
     histogram[block, :], strip_items[block, :], strip_parts[block, :] = 0, 0, 0
     flat = rows.reshape(-1)
@@ -219,10 +228,13 @@ def prefix_tiles(
     strip_items: Any,
     n_slots: Any,
 ) -> None:
-    """n_parts [n]: of the Gaussians order[k]. first [N + 1]: a Gaussian's first part; histogram,
-    strip_parts and strip_items become every block's first place: in the tiles' lists, which begin
-    at offsets, in the strips' lists of parts, which begin at bounds, and among a strip's own slots,
-    of which there are n_slots."""
+    """Turn counts into first positions.
+
+    n_parts [n]: parts of the Gaussians order[k]. first [N + 1]: out, a Gaussian's first part. For
+    every block, histogram becomes its first position in the tiles' lists, which begin at offsets.
+    strip_parts becomes that in the strips' lists of parts, which begin at bounds. strip_items
+    becomes that among a strip's n_slots slots.
+    """
     first[:] = 0
     for k in range(n):  # here: threads that scatter into one array wait for each other's lines
         first[order[k]] = n_parts[k]

@@ -1,8 +1,8 @@
 """Front-to-back blending of a tile's list, and its gradient.
 
-Gradients (Kerbl et al. 2023, appendix; front to back): with w_i = T_i alpha_i and
-S = sum over what lies behind, background included, d C / d alpha_i = T_i c_i - S / (1 - alpha_i).
-The background enters as the initial value of S, which is the finished pixel itself.
+With w_i = T_i alpha_i and S = the sum over what lies behind, including the background, d C / d
+alpha_i = T_i c_i - S / (1 - alpha_i) (Kerbl et al. 2023, appendix; front to back). The background
+is part of the initial S, which is the finished pixel.
 """
 
 from __future__ import annotations
@@ -111,8 +111,11 @@ def blend(
     alpha: Any,
     depth: Any,
 ) -> None:
-    """Render a range of tiles, as neighbours share Gaussians; rgb flat [3 H W], alpha and depth
-    flat [H W]; depth may be empty: it is left out then, which saves a tenth of the time here."""
+    """Render a range of tiles, since neighbours share Gaussians.
+
+    rgb is flat [3 H W], alpha and depth flat [H W]. An empty depth is skipped, which saves a tenth
+    of the time.
+    """
     with_depth = len(depth) > 0
     columns = (width + 15) // 16
     state = aligned(5 * 256 + 16)
@@ -153,9 +156,13 @@ def _weigh(
 def read_gradients(
     x: int, y: int, size: Any, image: Any, gradient: Any, behind: Any, buffers: Any, held: Any
 ) -> None:
-    """The image's gradients into a tile's, and how the loss moves with all that a tile's pixels
-    hold into `behind`. image, gradient: colours, alpha, depth; the gradients of the last two may be
-    empty. held: scratch."""
+    """Read the image's gradients into a tile.
+
+    `behind` receives the sum over channels of the gradient times the pixel, its initial S.
+
+    image, gradient: colours, alpha, depth; the gradients of the last two may be empty. held:
+    scratch.
+    """
     width, height = size
     rgb, alpha, depth = image
     g_rgb, g_alpha, g_depth = gradient

@@ -1,8 +1,7 @@
-"""Charts as data, drawn once with matplotlib: as PNG, as SVG, which the page takes in, and as CSV.
+"""Charts as data, drawn once with matplotlib as PNG, as SVG for the page, and as CSV.
 
-Points carry 95 % intervals in y where there are any. An axis of PSNR shows at least `min_span`, so
-that noise is not drawn as large as a difference. Files hold no date and no random ids: the same
-records give the same bytes. Figures are narrow enough to be legible on a telephone.
+Points show 95 % confidence intervals where there are any. An axis of PSNR spans at least
+`min_span`, so that noise does not look like a difference. Files hold neither a date nor random ids.
 """
 
 from __future__ import annotations
@@ -66,11 +65,11 @@ class Series:
     """A line or a set of marks.
 
     Attributes:
-        look: of its method, an index of `framework.report.figures.palette`.
-        method: index of the method that the page's filter hides it with; None: always shown.
-        faint: thin, without a legend entry.
-        joined: with a line.
-        ringed: indices of the points that are marked.
+        look: index of a style of `framework.report.figures.palette`.
+        method: index of the method for the page's filter; None for a series that is always shown.
+        faint: draw it thin and without a legend entry.
+        joined: connect the points.
+        ringed: indices of the points to mark.
     """
 
     name: str
@@ -96,11 +95,11 @@ class Chart:
     """Series on one pair of axes.
 
     Attributes:
-        name: of its files.
+        name: stem of its files.
         reverse_x: larger values to the left.
-        dodge: shift the series sideways a little, as they share their x.
+        dodge: shift series sideways a little, because they share their x.
         y_zero: draw a line at 0.
-        min_span: that the y axis shows at least.
+        min_span: least span of the y axis.
     """
 
     name: str
@@ -121,9 +120,9 @@ class Picture:
     """A figure of the report.
 
     Attributes:
-        files: names relative to the report, the one to show first.
-        caption: of a picture of photos; that of a chart is in the template.
-        svg: of a chart, for the page; "" for a picture of photos, which the page copies.
+        files: names relative to the report; the first one is shown.
+        caption: caption of photos. Captions of charts are in the templates.
+        svg: the chart for the page; "" for photos.
     """
 
     files: tuple[str, ...]
@@ -162,9 +161,11 @@ def save(figure: Figure, folder: Path, name: str, kind: str) -> bytes:
 
 
 def inline_svg(text: str) -> str:
-    """A figure of matplotlib as an element of the page: without style attributes, which the page's
-    policy forbids, in the page's colours, and with `data-method` and `data-scene` for its
-    filter."""
+    """A figure as an SVG element of the page.
+
+    The page's policy forbids style attributes, so they become presentation attributes, in the
+    page's colours. `data-method` and `data-scene` serve the page's filter.
+    """
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", text, flags=re.DOTALL)
     text = re.sub(r' (width|height)="[\d.]+pt"', "", text, count=2)

@@ -30,7 +30,7 @@ Evaluations = dict[int, tuple[float, float]]  # step -> seconds, test PSNR (dB)
 
 
 def evaluations(run: ReportRun) -> Evaluations:
-    """Of a run, where it was tested during training."""
+    """Return the evaluations of a run during training."""
     history = run.run.history.numbers
     rows = zip(history["step"], history["seconds"], history["test_psnr"], strict=True)
     return {int(step): (float(s), float(psnr)) for step, s, psnr in rows if not math.isnan(psnr)}
@@ -121,9 +121,12 @@ def _capacity(method: Method) -> str:
 
 
 def _panels(found: Sequence[Entry], scene: str) -> list[tuple[str, dict[int, str]]]:
-    """(title, names of the series by the index of their entries) of every chart. A series per
-    method and capacity if the colours suffice; else a chart per method, its capacities as series;
-    if methods or capacities are too many for that, a series per method."""
+    """Return (title, names of the series by the index of their entries) of every chart.
+
+    If there are enough colours, it is one chart with a series per method and capacity. Otherwise it
+    is a chart per method, with its capacities as series. If methods or capacities are too many for
+    that, it is a series per method.
+    """
     families = {k: entry.method.family.name for k, entry in enumerate(found)}
     kinds = {k: _capacity(entry.method) for k, entry in enumerate(found)}
     names = {k: ", ".join(filter(None, (families[k], kinds[k]))) for k in families}
@@ -147,8 +150,9 @@ def _cost_chart(
     x_label: str,
     cost: Callable[[Entry], float],
 ) -> Chart:
-    """A series of `panel` goes through its undominated entries; dominated ones are faint; what pays
-    among all entries of the scene is ringed."""
+    """A series of `panel` connects its undominated entries; dominated ones are faint. Entries
+    that are worth their time among all of the scene are ringed.
+    """
     ringed = set(paying(found, cost))
     title, shown = panel
     families = {family.name: family for family in study.families}
@@ -195,8 +199,10 @@ def _cost_point(entry: Entry, cost: Callable[[Entry], float]) -> Point:
 def stress_charts(
     study: Study, panel: Panel, limits: Sequence[Limit], against: str
 ) -> tuple[Chart, ...]:
-    """PSNR and gain against the strength, with 95 % intervals over seeds; and the number of
-    Gaussians, where a capacity changes it."""
+    """PSNR and gain against the strength with 95 % intervals over seeds.
+
+    A third chart shows the number of Gaussians where a capacity changes it.
+    """
     numbers = looks(method.label for method in study.methods)
 
     def series(method: Method, points: Sequence[Point]) -> Series:

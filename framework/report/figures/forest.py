@@ -34,9 +34,11 @@ class Row:
     """A difference.
 
     Attributes:
-        method: what is compared, with its `look`; `label`: on what.
-        low, high: the interval, None of a single run.
-        joint: a thick bar. significant: a filled mark.
+        method: the compared method.
+        label: the scene or scenes.
+        low, high: the interval; None for a single run.
+        joint: draw a thick bar.
+        significant: fill the mark.
         method_index, scene_index: for the page's filter.
     """
 
@@ -121,8 +123,9 @@ def _row(study: Study, c: Comparison, label: str, interval: Interval | None, joi
 
 
 def limits(rows: Sequence[Row]) -> tuple[float, float]:
-    """Of the axis: zero and every thick bar are inside; a thin one may be cut, at three times what
-    the thick ones need."""
+    """Limits of the axis: zero and every thick bar are inside. A thin bar may be cut at three
+    times the range of the thick ones.
+    """
 
     def ends(some: Sequence[Row]) -> list[float]:
         return [v for r in some for v in (r.low, r.middle, r.high) if v is not None] + [0.0]

@@ -1,12 +1,12 @@
 """Colours, markers and line styles of the methods.
 
-The colours differ in lightness first (Rec. 601 luma at least 25 of 255 apart), so that they stay
-apart in greyscale and for the colour-blind; markers and line styles say the same again. On a dark
-page the order of lightness is the same from the other end.
+Colours differ in lightness first (Rec. 601 luma at least 25 of 255 apart), so they remain distinct
+in greyscale and for colour-blind readers. Markers and line styles repeat the distinction. On a dark
+page the order of lightness is reversed.
 
-A look is a number that stands for colour, marker and line style together. A method keeps its look
-in every report: the project's own have theirs in `looks.csv`; any other has one that follows from
-its name, moved on only where another series of the same figures has it already.
+A look is a number that selects colour, marker and line style. A method keeps its look in every
+report. The looks of the project's methods are in `looks.csv`; any other follows from the method's
+name, unless another series of the same figures has it.
 """
 
 from __future__ import annotations

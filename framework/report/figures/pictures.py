@@ -1,10 +1,9 @@
-"""Pictures of a scene: all methods close up on one test view, and maps of where the runs of one
-method differ.
+"""Pictures of a scene: a close-up of all methods, and maps of where the runs of one method differ.
 
-The close-up shows the median view by PSNR, not the one with the largest difference; the crop is
-the window where the renders of all methods vary most (variance over the methods, mean over the
-window). A map shows the standard deviation (n - 1) over seeds of each pixel of the 8-bit renders,
-root mean square over the channels, in units of the full range.
+The close-up shows the median view by PSNR, not the one with the largest difference. The crop is the
+window with the largest variance over the methods, averaged over the window. A map shows the
+standard deviation (n - 1) over seeds of each pixel of the 8-bit renders. It is the root mean square
+over the channels, in units of the full range.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from framework.report.statistics.numbers import format_significant
 from framework.report.study.study import ReportRun, Study
 from framework.report.study.words import listed, outside
 
-KINDS = ("closeup", "sigma", "images")  # begin the names of pictures; the last one of old reports
+KINDS = ("closeup", "sigma", "images")  # begin the names of pictures; older reports used the last
 SHARE = 4  # of the width and height that a crop takes: one part in so many
 FRAME = np.array([255, 215, 0], dtype=np.uint8)
 SIGMA_SCALE, SIGMA_COLORS = 0.1, "viridis"
@@ -126,8 +125,10 @@ def draw_sigma_maps(study: Study, scene: str) -> Picture | None:
 
 
 def sigma_map(runs: Sequence[ReportRun], view: str) -> np.ndarray:
-    """[H, W] float64: standard deviation (n - 1) over the runs, root mean square over channels, of
-    the renders in [0, 1]."""
+    """Standard deviation (n - 1) over the runs [H, W], as root mean square over the channels.
+
+    The renders are in [0, 1].
+    """
     total = squares = np.zeros(1)
     for run in runs:
         pixels = picture(run, view, "render").astype(np.float64)
@@ -159,7 +160,7 @@ def _grid_picture(
 
 
 def remove_pictures(study: Study, scenes: Sequence[str]) -> None:
-    """Remove what an earlier report drew, perhaps under other names, but that of these scenes."""
+    """Remove the pictures of an earlier report, except those of these scenes."""
     kept = {f"{study.file_of(kind, scene)}.jpg" for kind in KINDS for scene in scenes}
     for kind in KINDS:
         for path in study.out_dir.glob(f"{kind}_*.jpg"):

@@ -48,9 +48,11 @@ def shown_methods(study: Study, scene: str) -> list[Method]:
 
 
 def choose_views(study: Study, scene: str) -> ShownViews:
-    """The lowest seed that every shown method has, and up to three test views by their mean PSNR
-    over those runs: where views are tagged, the median one of each tag and the worst of all; else
-    best, median and worst."""
+    """Choose the lowest seed that every shown method has, and up to three test views by mean PSNR.
+
+    If views are tagged, these are the median view of each tag and the worst of all. Otherwise they
+    are the best, the median and the worst.
+    """
     present = [study.of(scene, method) for method in shown_methods(study, scene)]
     common = set.intersection(*({run.seed for run in runs} for runs in present))
     seeds = [min(common) if common else runs[0].seed for runs in present]

@@ -26,12 +26,16 @@ from framework.report.study.study import ReportRun, Study
 
 @dataclass(frozen=True)
 class Outcomes:
-    """By method. psnr, and by seed in seeds: of the mean over all scenes, without methods that have
-    no complete seed. scene_sigma: mean over the scenes of their standard deviations, of several
-    scenes. best: the method to use (`_best`). comparisons, sigmas: with the baseline of the same
-    budget, where they share a (scene, seed). by_scene: scene -> the same comparisons on it alone,
-    uncorrected, of several scenes. tested: on those scenes alone where no default was chosen, where
-    there are others too."""
+    """Results by method.
+
+    Attributes:
+        psnr: mean over all scenes, for methods with a complete seed; `seeds`: by seed.
+        scene_sigma: mean over scenes of their standard deviations, with several scenes.
+        best: the method to use, see `_best`.
+        comparisons, sigmas: with the baseline of the same budget, where they share a (scene, seed).
+        by_scene: scene -> its comparisons, uncorrected, with several scenes.
+        tested: on those scenes that chose no default, if there are others too.
+    """
 
     best: Method
     psnr: dict[Method, Spread]
@@ -68,8 +72,12 @@ def outcomes(study: Study) -> Outcomes:
 
 
 def _best(study: Study, psnr: Collection[Method], found: Mapping[Method, Comparison]) -> Method:
-    """The highest of those that are shown to be better than their own baseline and than every other
-    method's, which may have another budget or other options; else the study's baseline."""
+    """Choose the method to use.
+
+    It is the best of the methods that are significantly better than their baseline and than every
+    other method's baseline, which may have another budget or other options. Without one it is the
+    study's baseline.
+    """
     better = [m for m, c in found.items() if c.significant and c.difference > 0 and m in psnr]
     if not better:
         return study.methods[0] if study.methods else PLAIN

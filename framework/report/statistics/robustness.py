@@ -1,9 +1,9 @@
-"""The worst case beside the mean: worst view and seed, 5th percentile, and how often a run fails.
+"""The worst case: worst view and seed, 5th percentile, and how often a run fails.
 
-A run fails if it ended with an error, has no finite test PSNR, did not converge (its last
-evaluation lies at least `FAILURE_DB` below its own best), or lies at least `FAILURE_DB` below the
-run of `none + none` with the same scene, budget and seed. The interval of the share is Wilson's
-(1927).
+A run fails if it ended with an error, has no finite test PSNR or did not converge, which means that
+its last evaluation is at least `FAILURE_DB` below its best. It also fails if it is at least
+`FAILURE_DB` below the baseline run of the same scene, budget and seed. The interval of the failure
+rate is Wilson's (1927).
 """
 
 from __future__ import annotations
@@ -26,8 +26,11 @@ PERCENTILE = 5.0
 
 @dataclass(frozen=True)
 class WorstCase:
-    """Over the test views of all runs of a method on a scene, in dB: the worst mean of a run with
-    its seed, the worst view with its name and seed, and the 5th percentile of views."""
+    """Worst results in dB over the test views of all runs of a method on a scene.
+
+    They are the worst mean of a run with its seed, the worst view with its name and seed, and the
+    5th percentile of views.
+    """
 
     run_psnr: float
     run_seed: int

@@ -36,14 +36,13 @@ def collect(
     """Read every record below the folders.
 
     Args:
-        study_dirs: a folder without runs is read from its archive (`framework.records.archive`).
-        out_dir: folder of the report, else the first folder.
-        broken: folders of runs that turned out damaged, and why.
-        rival: the method to compare the others with, by its display or registry name; "" compares
-            with plain training.
+        study_dirs: folders with runs, or with their archive (`framework.records.archive`).
+        out_dir: folder of the report; by default the first folder.
+        broken: folders of damaged runs with the reason.
+        rival: display or registry name of the baseline; "" for training without a method.
 
     Raises:
-        UserError: a folder has neither runs nor an archive, or no run is the rival's.
+        UserError: A folder has neither runs nor an archive, or no run is of that baseline.
     """
     folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
     runs, failed, origins, archived = _gathered(folders, broken)
@@ -57,7 +56,7 @@ def collect(
         tuple(unique),
         tuple(named),
         (*naming.notes, *repeated),
-        # the trials of a search are no full cross: each is a method of its own
+        # the trials of a search are no full cross: each is a separate method
         tuple(missing) if searched is None else (),
         linked=not archived,
         archived=tuple(archived),
@@ -192,7 +191,7 @@ def _label(
 def _missing(
     runs: Sequence[ReportRun], failed: Sequence[FailedRun], origins: Sequence[Path]
 ) -> list[tuple[str, Method, int]]:
-    """What each folder lacks to be the full cross of its own scenes, methods and seeds."""
+    """List what each folder lacks for the full cross of its scenes, methods and seeds."""
     present: set[tuple[object, ...]] = {(run.scene, run.method, run.seed) for run in runs}
     present |= {(run.scene, run.method, run.seed) for run in failed}
     by_folder: dict[Path, list[ReportRun]] = defaultdict(list)

@@ -1,10 +1,10 @@
-"""Methods as values: what users compare, found from what differs between the runs of a study.
+"""Methods as values: what users compare, derived from what differs between the runs of a study.
 
-A method is an augmenter and a regularizer with every other option that differs between the runs:
-another capacity plugin, depth provider or initializer, an option of a plugin that differs between
-runs of the same plugin, `trainer.steps` and so on. Default choices (`USUAL`) need no name. The
+A method is an augmenter and a regularizer, with every other option that differs between the runs.
+Such options are another capacity plugin, depth provider or initializer, an option of a plugin,
+`trainer.steps` and so on. Default choices (`USUAL`) need no name. A method does not include the
 seed, options that follow it (`depth.corruption_seed=${seed}`), the scene, the stresses of
-`framework.report.study.axes` and keys that cannot change a result are not part of a method.
+`framework.report.study.axes` and keys without effect on results.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ RECIPE_NOTE = (
 
 @dataclass(frozen=True)
 class Method:
-    """What a study compares.
+    """A method of a study.
 
     Attributes:
-        augment, reg: the plugins; "none" without one.
-        recipe: name in `conf/method`, if it says more than the two plugins; "" otherwise.
-        options: every other option that differs between the runs of the study.
-        limits: steps and their like; with `capacity` the budget.
-        capacity: the capacity plugin and its options, as far as they differ.
+        augment, reg: names of the plugins; "none" without one.
+        recipe: name in `conf/method` if it means more than the two plugins; else "".
+        options: other options that differ between the runs.
+        limits: steps and other limits; together with `capacity` the budget.
+        capacity: the capacity plugin with its options that differ.
     """
 
     augment: str = "none"
@@ -112,8 +112,7 @@ class Method:
         return self != PLAIN, not self.label.startswith(BASELINE), natural(self.label)
 
     def is_called(self, text: str) -> bool:
-        """Whether `text` names it: by label or display name, or by its plugins alone (`uar`),
-        whatever its letters' case and blanks."""
+        """Whether `text` is the label, display name or plugins (`uar`); ignores case and spaces."""
         head = self.recipe or "+".join(self.plugins.values()) or PLAIN_RECIPE
         names = {self.label, self.name, self._with_options(head)}
         return _squeezed(text) in {*map(_squeezed, names), *self._underscored(head)}
@@ -217,8 +216,10 @@ def _without_idle_options(config: Flat) -> Flat:
 
 
 def _without_followers(keys: Sequence[str], configs: Sequence[Flat]) -> list[str]:
-    """Remove keys whose values are a function of another key, so that names stay short: rates set
-    by a preset follow `trainer.steps`; `${seed}` follows `seed`."""
+    """Remove keys whose values are a function of another key, so that names stay short.
+
+    Rates set by a preset follow `trainer.steps`; `${seed}` follows `seed`.
+    """
     followers = {key for key in WITH_STEPS if _follows(key, ["trainer.steps"], configs)}
     leaders = ["trainer.steps", *(key for key in WITH_STEPS if key not in followers)]
     followers |= {key for key in RATES if _follows(key, leaders, configs)}
@@ -264,8 +265,11 @@ def shortened(methods: Sequence[Method]) -> tuple[dict[Method, Method], list[str
 
 
 def _distinguishing(found: Sequence[Mapping[str, str]]) -> list[str]:
-    """The keys that tell the options apart, words before numbers; a key that follows from another
-    one is left out. All keys, where capacities have different ones."""
+    """Return the keys that distinguish the options, words before numbers.
+
+    A key that follows from another one is left out. All keys are returned if capacities have
+    different ones.
+    """
     keys = list(dict.fromkeys(key for options in found for key in options))
     if len(found) < 2 or any(options.keys() != set(keys) for options in found):
         return keys
@@ -292,12 +296,16 @@ class _Ways:
 
 
 def by_recipe(runs: Sequence[tuple[Method, Sequence[str], str]]) -> dict[Method, Method]:
-    """Of runs (method, overrides, scene): method -> the method named by its recipe, with other
-    words of the command line where one recipe was run in several ways on a scene. On another scene
-    a recipe may have other options (`conf/for_scene`); it is the same method.
+    """Name methods by their recipes, for runs (method, overrides, scene).
 
-    Empty unless every run has a recipe, each name is one method on each scene, and there is more to
-    the methods than an augmenter, a regularizer and the words on the command line.
+    The name includes other words of the command line if one recipe was run in several ways on a
+    scene. A recipe may have other options on another scene (`conf/for_scene`) and remains the same
+    method.
+
+    Returns:
+        method -> named method. It is empty unless every run has a recipe, each name is one method
+        on each scene, and recipes are more than an augmenter, a regularizer and the words on the
+        command line.
     """
     ways: dict[Method, _Ways] = {}
     for method, overrides, scene in runs:

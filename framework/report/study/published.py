@@ -23,10 +23,12 @@ class Published:
     """A method of the literature.
 
     Attributes:
-        name: of its file; `recipe`: its name in `conf/method`, "" if there is none.
-        data_sets: data set -> what was published and repeated, a mean with three views.
-        means: rows of figures on data sets; `scenes`: on single scenes. Values are texts.
-        paper: the fields of its BibTeX entry, with its key.
+        name: stem of its file.
+        recipe: name in `conf/method`; "" if there is none.
+        data_sets: data set -> published and repeated means with three views.
+        means: rows of figures on data sets, as text.
+        scenes: rows of figures on single scenes, as text.
+        paper: the fields of the BibTeX entry, with its key.
     """
 
     title: str

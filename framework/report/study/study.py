@@ -17,6 +17,7 @@ from framework.records.record import LPIPS, POSE_CHECK, Run, RunRecord
 from framework.records.search import Searched
 from framework.report.study.axes import Axis
 from framework.report.study.methods import PLAIN, Method
+from framework.report.study.plugins import summary, title
 from framework.report.study.scenes import SceneLabel
 from framework.report.study.words import listed, natural, outside
 from framework.scenes import HELD_OUT, published_split
@@ -108,8 +109,8 @@ class FailedRun:
     """A run that ended with an error.
 
     Attributes:
-        kind: of the error, a word or two; `again`: the command that repeats the run; "" if they
-            were not kept.
+        kind: of the error, a word or two; "" if unknown.
+        again: the command that repeats the run; "" if unknown.
         method, scene: None and "" if the run left no configuration.
     """
 
@@ -135,13 +136,14 @@ class Study:
     Attributes:
         out_dir: folder of the report.
         runs: complete runs, sorted by scene, method and seed.
-        notes: on the names of methods, and on repeated runs that are left out.
-        missing: (scene, method, seed) that the full cross of the study would have.
-        linked: whether the report may link to the folders of the runs.
-        archived: folders whose runs are in an archive alone.
-        searched: the trials, if the runs are those of a search.
-        rival: the method to compare the others with, with or without its budget, if one is given.
-        sources: the provenance of all complete runs; `begun`: folders of runs without a result.
+        notes: on the names of methods and on repeated runs that are left out.
+        missing: (scene, method, seed) that a full cross of the study would have.
+        linked: the report may link to the folders of the runs.
+        archived: folders whose runs exist only in an archive.
+        searched: the trials of a search.
+        rival: the chosen baseline, with or without its budget.
+        sources: provenance of all complete runs.
+        begun: folders of runs without a result.
     """
 
     out_dir: Path
@@ -170,6 +172,13 @@ class Study:
     def methods(self) -> list[Method]:
         """The rival or the baseline first, then by name."""
         return sorted({run.method for run in self.runs}, key=self._order)
+
+    @cached_property
+    def plugins(self) -> list[tuple[str, str]]:
+        """Display name and summary of the augmenters and regularizers of the study."""
+        chosen = dict.fromkeys(choice for m in self.methods for choice in m.plugins.items())
+        lines = [(title(group, name), summary(group, name)) for group, name in chosen]
+        return [(name, line) for name, line in lines if line]
 
     @property
     def tried(self) -> list[Method]:
@@ -219,9 +228,12 @@ class Study:
         return replace(self, rival=None) if self.rival else self
 
     def baseline_of(self, method: Method) -> Method:
-        """The baseline with the budget and, for another method, the other options of `method`, if
-        there is one; plain training if the `rival` has no run of that budget; `method` itself if
-        neither has."""
+        """Return what `method` is compared with.
+
+        It is the baseline with the same budget and, if there is one, the same other options.
+        Without a run of the `rival` with that budget it is plain training, and without that
+        `method` itself.
+        """
         return self._baselines.get(method, self.baseline)
 
     @cached_property
