@@ -145,5 +145,5 @@ def test_runs_of_before_are_read_and_named(tmp_path: Path, network: lpips.Lpips)
     assert isinstance(old.record.summary["lpips"], float)
     assert np.isnan(old.metrics.numbers["lpips_01"]).all()
     report = build_report(tmp_path).read_text()
-    assert "LPIPS (VGG) ↓" in report and "LPIPS (VGG) fed [0, 1], as papers do ↓" in report
-    assert "LPIPS fed [0, 1], as papers do: missing in 1 of 2 runs: the run was rec" in report
+    assert "LPIPS (VGG) ↓" in report and "LPIPS (VGG) on [0, 1], as papers do ↓" in report
+    assert "LPIPS on [0, 1], as papers do: missing in 1 of 2 runs: the run was rec" in report
