@@ -1,9 +1,9 @@
-"""What two studies must share to count as equal: everything but measured times and memory.
+"""What two studies must share to count as equal: everything except measured times and memory.
 
-`digests` copies a study and replaces every measured time by a constant (`timings` and
-`peak_memory_bytes` of the records, `resumed`, hashes of the two tables, `render_s` of metrics.csv,
-`seconds` of history.csv). Then it builds the report of the copy and hashes every file: records,
-tables, Gaussians, renders, the report and its figures. Hydra's own notes (`.hydra/`) are left out.
+`digests` copies a study and replaces every measured time by a constant: `timings`, `resumed` and
+`peak_memory_bytes` of the records, hashes of the two tables, `render_s` of metrics.csv, `seconds`
+of history.csv. It builds the report of the copy and hashes every file: records, tables, Gaussians,
+renders, report and figures. Hydra's notes (`.hydra/`) are excluded.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def parameters(study_dir: Path) -> dict[str, str]:
 def leftovers(study_dir: Path) -> list[str]:
     """Files that only an unfinished run has: temporaries, locks, checkpoints."""
     names = (".*.tmp", ".lock", "checkpoints")
-    found = [path for name in names for path in study_dir.rglob(name)]
-    return sorted(str(path.relative_to(study_dir)) for path in found)
+    paths = [path for name in names for path in study_dir.rglob(name)]
+    return sorted(str(path.relative_to(study_dir)) for path in paths)
 
 
 def _mask_record(path: Path) -> None:

@@ -1,8 +1,7 @@
-"""Draws the rooms of `framework/` and who imports whom: `python docs/rooms.py [FOLDER]`.
+"""Draw the packages of `framework/` and their imports: `python docs/rooms.py [FOLDER]`.
 
-The order is that of `ROOMS` in tests/contract/test_imports.py, the rest is counted in the files.
-Every room has a wire of its own: it leaves the room to the right and goes down; a dot joins it to
-the line of a room that it imports. The same files give the same bytes.
+The order is that of `ROOMS` in tests/contract/test_imports.py. Each package has a vertical line to
+its right; a dot connects it to a package that it imports. The same files give the same bytes.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from matplotlib.figure import Figure
 
 ROOT = Path(__file__).resolve().parent.parent
 ORDER = ROOT / "tests" / "contract" / "test_imports.py"
-PLUGINS, BESIDE = "plugins", "toolbox"  # no room, but drawn above the one it stands beside
+PLUGINS, BESIDE = "plugins", "toolbox"  # drawn above this package
 
 WIDTH, ROW, HEAD = 1200, 42, 44  # pixels
 BOX, FIRST_WIRE, WIRE_STEP = 630, 652, 21  # where boxes end, the lowest room's wire, to the next
 INTO, OUT = -7, 8  # where arrows end and wires begin, from the middle of a box
 COLOURS = ("#0b5fa5", "#b3501c", "#1f7a4d", "#7a3b9b", "#8a6d00", "#a12a5e")
-LEGEND = "Wires go down only. A dot on a wire: its room imports the room to the left of the dot."
+LEGEND = "A dot on a line: its package imports the package to the left of the dot."
 STYLE: dict[Any, Any] = {
     "font.family": ["DejaVu Sans", "sans-serif"],
     "svg.hashsalt": "rooms",
@@ -66,13 +65,13 @@ def _room(name: str, purpose: str) -> Room:
 
 def _imports(text: str) -> set[str]:
     """The rooms that a file imports, wherever the statement stands."""
-    found = set()
+    modules = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            found |= {f"{node.module}.{alias.name}" for alias in node.names}
-    inside = {name.split(".")[1] for name in found if name.startswith("framework.")}
+            modules |= {f"{node.module}.{alias.name}" for alias in node.names}
+    inside = {name.split(".")[1] for name in modules if name.startswith("framework.")}
     return {name for name in inside if not name.startswith("__")}  # `framework.__version__`
 
 

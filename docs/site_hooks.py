@@ -1,9 +1,8 @@
-"""What MkDocs is told while it builds the site: pages from outside `docs/`, the reference, the
-order.
+"""MkDocs hooks: add pages from outside `docs/`, generate the reference and the navigation.
 
-A link in a page is as in the repository, so that it works there, too; here it is turned to where
-the page or file stands in the site. The reference is made anew at every build, of the tables that
-`--help` shows and of docstrings.
+Links in pages are relative to the repository, so that they work there; `on_page_markdown` rewrites
+them for the site. Every build generates the reference from the tables behind `--help` and from
+docstrings.
 """
 
 from __future__ import annotations
@@ -20,25 +19,26 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-# title -> pages, in their order; one that is not there yet is left out, one that no line names
-# stands under the last title
+# title -> pages in order; a page that is not listed appears under the last title
 NAV = {
     "Tutorials": [
         *("tutorials/first-study.md", "tutorials/own-photos.md", "tutorials/reading-a-report.md"),
-        *("tutorials/stress-test.md", "tutorials/plugins.md"),
+        *("tutorials/python.md", "tutorials/plugins.md", "tutorials/stress-test.md"),
     ],
-    "How to": [
-        *("studies.md", "choices.md", "layouts.md", "photos.md", "view.md", "video.md"),
-        "compare.md",
-        *("exports.md", "launchers.md", "rasterizers.md", "trackers.md", "runs.md"),
+    "How-to guides": [
+        *("studies.md", "photos.md", "layouts.md", "compare.md", "view.md", "video.md"),
+        *("exports.md", "launchers.md", "rasterizers.md", "trackers.md"),
+    ],
+    "Reference": [
+        *("choices.md", "reference/options.md", "reference/python.md", "plugins.md"),
+        *("reference/api.md", "runs.md", "glossary.md", "scenes.md", "benchmarks.md"),
+        *("platforms.md", "dependencies.md"),
     ],
     "Explanation": [
-        *("methods.md", "statistics.md", "bits.md", "paper.md"),
-        *("literature.md", "literature-evidence.md"),
+        *("findings.md", "literature.md", "methods.md", "paper.md", "statistics.md", "bits.md"),
+        *("decisions.md", "architecture.md"),
     ],
-    "Measured": ["findings.md", "findings-evidence.md", "benchmarks.md", "scenes.md"],
-    "Reference": ["reference/options.md", "reference/api.md"],
-    "Project": ["contributing.md", "architecture.md", "security.md", "changelog.md"],
+    "Project": ["contributing.md", "security.md", "changelog.md"],
 }
 OUTSIDE = {  # pages of the repository outside docs/
     "README.md": "index.md",
@@ -54,21 +54,21 @@ API = ("framework.plugin", "framework.types", "framework.errors", "framework.reg
 
 
 def places() -> dict[str, str]:
-    """Path in the repository -> path in the site, of all that the site holds from outside."""
-    found = {source: place for source, place in OUTSIDE.items() if (ROOT / source).is_file()}
+    """Map repository paths of pages and files outside docs/ to site paths."""
+    pages = {source: place for source, place in OUTSIDE.items() if (ROOT / source).is_file()}
     for folder in FOLDERS:
         for path in sorted((ROOT / folder).rglob("*")):
             kinds = (".md", ".png", ".svg", ".jpg", ".csv", ".tex")
             name = path.relative_to(ROOT).as_posix()
             if path.is_file() and path.suffix in kinds and "/runs/" not in name:
-                found[name] = name
+                pages[name] = name
     if (ROOT / "LICENSE").is_file():
-        found["LICENSE"] = "LICENSE.txt"
-    return found
+        pages["LICENSE"] = "LICENSE.txt"
+    return pages
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """The site's files: those of docs/, of outside, and the reference."""
+    """Add the pages from outside docs/ and the reference."""
     for source, place in places().items():
         path = ROOT / source
         if place.endswith(".md"):
@@ -76,74 +76,83 @@ def on_files(files: Files, config: Any) -> Files:
             files.append(File.generated(config, place, content=text))
         else:
             files.append(File.generated(config, place, abs_src_path=str(path)))
-    made = {"reference/options.md": options_page(), "reference/api.md": api_page()}
-    for place, text in made.items():
+    generated = {
+        "reference/options.md": options_page(),
+        "reference/python.md": "# Python interface\n\n::: fishersplat\n",
+        "reference/api.md": api_page(),
+    }
+    for place, text in generated.items():
         files.append(File.generated(config, place, content=text))
     config.nav = navigation({file.src_uri for file in files.documentation_pages()})
     return files
 
 
 def navigation(pages: set[str]) -> list[Any]:
-    """The menu of the pages there are."""
+    """Build the menu from the pages that exist."""
     listed = {title: [page for page in names if page in pages] for title, names in NAV.items()}
     named = {"index.md", *(page for names in listed.values() for page in names)}
-    beside = sorted(p for p in pages - named if not p.startswith(FOLDERS))
-    listed["Project"] += beside
+    unlisted = sorted(p for p in pages - named if not p.startswith(FOLDERS))
+    listed["Project"] += unlisted
     results = sorted(p for p in pages if p.startswith(FOLDERS[0]))
     reports = sorted(p for p in pages if p.startswith(FOLDERS[1]))
-    listed["Measured"] += [{"Tables": results}, {"Reports": reports}]
+    listed["Reference"] += [{"Measurements": results}, {"Studies": reports}]
     return ["index.md", *({title: names} for title, names in listed.items() if names)]
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Links as they lead in the site."""
-    known = places()
-    back = {place: source for source, place in known.items()}
+    """Rewrite links for the site."""
+    moved = places()
+    back = {place: source for source, place in moved.items()}
     source = back.get(page.file.src_uri, f"docs/{page.file.src_uri}")
 
-    def turned(match: re.Match[str]) -> str:
+    def rewritten(match: re.Match[str]) -> str:
         target, anchor = match[1], match[2] or ""
         if re.match(r"[a-z]+:", target):
             return match[0]
         inside = posixpath.normpath(posixpath.join(posixpath.dirname(source), target))
-        place = known.get(inside, inside.removeprefix("docs/"))
+        place = moved.get(inside, inside.removeprefix("docs/"))
         return posixpath.relpath(place, posixpath.dirname(page.file.src_uri) or ".") + anchor
 
-    def shown(match: re.Match[str]) -> str:
-        """The text alone where a link leads to source code or to a run, which the site lacks."""
+    def without_code(match: re.Match[str]) -> str:
+        """Keep only the text of links to source code and runs, which are not part of the site."""
         inside = posixpath.normpath(posixpath.join(posixpath.dirname(source), match[2]))
         code = inside.endswith((".py", ".yaml")) and (ROOT / inside).is_file()
         run = re.match(r"reports/(committed/)?[^/]+/runs/", inside)
         return match[1] if code or run else match[0]
 
-    return LINK.sub(turned, TEXT_LINK.sub(shown, markdown))
+    return LINK.sub(rewritten, TEXT_LINK.sub(without_code, markdown))
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Formulas as MathML, which browsers draw without a script."""
+    """Convert formulas to MathML, which browsers render without a script."""
     from latex2mathml.converter import convert
 
-    def drawn(match: re.Match[str]) -> str:
+    def mathml(match: re.Match[str]) -> str:
         display = "block" if match[1] == "div" else "inline"
         return str(convert(unescape(match[2]).strip(), display=display))
 
-    return MATHS.sub(drawn, html)
+    return MATHS.sub(mathml, html)
+
+
+def on_post_page(output: str, **_: Any) -> str:
+    """Name the search dialog for screen readers."""
+    return output.replace('role="dialog"', 'role="dialog" aria-label="Search"', 1)
 
 
 def api_page() -> str:
-    """The contracts and values, of their docstrings."""
-    return "# Contracts and values\n\n" + "\n".join(f"::: {name}\n" for name in API)
+    """Generate the reference of plugin interfaces and types from their docstrings."""
+    return "# Plugin interfaces and types\n\n" + "\n".join(f"::: {name}\n" for name in API)
 
 
 def options_page() -> str:
-    """Every choice of every group with its options, as `--help` has them."""
+    """Generate the list of all choices with their options, from the tables behind `--help`."""
     from framework.command.config.help import option_meanings, summary
     from framework.command.config.meanings import meanings
     from framework.command.config.schema import OBJECT_GROUPS, choices, rows
     from framework.options import TrainerOptions
     from framework.registry import plain_fields
 
-    parts = ["# Options\n", "Of this version, from the tables behind `--help`.\n"]
+    parts = ["# All options\n", "Generated from the tables behind `--help`.\n"]
     for group in OBJECT_GROUPS:
         parts.append(f"## `{group}`\n")
         for name in choices(group):
@@ -155,7 +164,7 @@ def options_page() -> str:
 
 
 def table(group: str, rows: list[Any], means: dict[str, str]) -> str:
-    """A Markdown table of options; "" for none."""
+    """Format a Markdown table of options; "" if there are none."""
     if not rows:
         return ""
     lines = ["| option | default | meaning |", "|---|---|---|"]
@@ -166,5 +175,5 @@ def table(group: str, rows: list[Any], means: dict[str, str]) -> str:
 
 
 def cell(text: str) -> str:
-    """A text within a table."""
+    """Escape a text for a table cell."""
     return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;").replace("[", "\\[")

@@ -21,7 +21,7 @@ class TrainerOptions:
 
     Trainings of a few hundred steps need larger rates than the 30,000 steps of 3DGS (Kerbl et al.
     2023, `arguments/__init__.py`; `preset=paper` has its rates). Rates of shapes are 30 times as
-    large, of colours 5 times, of opacities 2.5 times, see benchmarks/results/held_out.md.
+    large, of colours 5 times, of opacities 2.5 times, see docs/decisions.md.
     """
 
     steps: int = 300  # of training, each on one real view; of all members together if members=0
@@ -103,6 +103,6 @@ def members_of(members: int, steps: int, n_views: int) -> int:
     One training takes `enough_steps`. Beyond them several trainings from different draws, whose
     errors cancel, gain more in the same time. A budget of u times enough is shared by sqrt(2 u)
     trainings. So with four times the steps there are twice as many, each twice as long, which is
-    sharper than more short ones at the same PSNR (benchmarks/results/presets.md).
+    sharper than more short ones at the same PSNR (docs/decisions.md).
     """
     return members or min(SHARED_BY, max(1, math.isqrt(2 * steps // enough_steps(n_views))))

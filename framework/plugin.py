@@ -1,4 +1,4 @@
-"""THE contracts: what a plugin gets and what it returns.
+"""The plugin interface: what a plugin receives and what it returns.
 
 A plugin is one file with one frozen dataclass whose typed fields are its options:
 
@@ -7,16 +7,15 @@ A plugin is one file with one frozen dataclass whose typed fields are its option
     class Mirror(Augmenter):
         every: int = 1
 
-Augmenters, regularizers and capacities act on a training; scene loaders, depth providers,
-initializers and metrics are parts of a run, with the same registration and neither framework keys
-nor state (below: `Part`).
+Augmenters, regularizers and capacities act on a training. Scene loaders, depth providers,
+initializers and metrics are parts of a run, without framework keys or state (`Part`).
 
-`name` chooses it; `weight`, `start` and `stop` are framework keys every plugin has. State is
-explicit: `init_state` makes it, every hook gets it and returns the next one, checkpoints hold it.
-A plugin validates its options in `__post_init__` with `check`.
+`name` selects a plugin; `weight`, `start` and `stop` are framework keys that every training plugin
+has. State is explicit: `init_state` creates it, every hook receives it and returns the next one,
+and checkpoints store it. A plugin validates its options in `__post_init__` with `check`.
 
-This module, and so every plugin module, is imported to list options: heavy libraries are imported
-inside the methods that need them.
+`--help` imports this module and every plugin, so heavy libraries are imported inside methods.
+docs/plugins.md lists all hooks.
 """
 
 from __future__ import annotations
@@ -50,54 +49,52 @@ __all__ = [
     "StepContext",
     "StepStats",
     "SubStep",
+    "Variant",
     "register",
 ]
 
 
-def _made(key: str, make: Callable[[], Any]) -> Any:
+def _computed(key: str, make: Callable[[], Any]) -> Any:
     return make()
 
 
 @dataclass(frozen=True)
 class StepContext:
-    """What a plugin may read: the training at one moment, without test views.
+    """What a plugin may use: read-only, and only what training may know of the scene.
 
     Attributes:
-        step: index of the step about to run, from 0; in `Capacity.update` the one just done.
-        views: the real training views, at full size.
+        step: index of the step, from 0: the one about to run, or for `Capacity.update` the last
+            one.
+        n_steps: number of steps of the training.
+        epoch: index of the pass over the training views.
+        views: the real training views.
         depth: their depth maps, in the same order.
-
-        gaussians: the current ones, detached except in `Regularizer.loss` and `substeps`. Clone
-            what is kept, as the next step changes them in place.
-        version: changes whenever Gaussians were added, removed or reordered.
-
-        sh_degree: the active degree.
-        background: [3].
-        extent: see `TrainingSet.extent`, in scene units.
-        spacing: mean distance of a training camera to the nearest other one.
-
-        near, far: depth bounds of the scene, in scene units.
-        behind: [3], the background of this step's renders (random with
-            `trainer.background=random`).
-
-        other: the second field before this step, detached (`Plugin.second_field`).
-        second: whether the plugin's Gaussians are the second field, which is not kept.
-
-    Functions:
-        supports(): the training views prepared for warping (`framework.warp`).
-
-        render(camera): render the current Gaussians without dropout and without a gradient.
-            `render(camera, gaussians, opacity_factors=[N], background=[3])` renders any Gaussians
-            and is differentiable in them and in the factors.
-
-        fisher(camera): Fisher information of the current Gaussians. `fisher(camera, gaussians,
-            sh_degree, mask)` takes others, for instance a snapshot, and only a photo's pixels.
-
-        once(key, make): the value of `make()`, computed once per training and shared by all
-            plugins. Begin the key with the plugin's name, and do not write into the value.
-
-        rng(purpose): the plugin's random stream for this update.
-        log(name, value): log into the history, and the mean over the training into the run's dose.
+        gaussians: the current ones, detached except in `Regularizer.loss`. The next step changes
+            them in place, so clone what you keep.
+        version: changes when Gaussians are added, pruned or reordered.
+        sh_degree: the active SH degree.
+        background: [3], in [0, 1].
+        extent: see `TrainingSet.extent`, scene units.
+        spacing: mean distance of a training camera to its nearest neighbour, scene units; the
+            extent if there is a single camera.
+        near, far: depth bounds of the scene, scene units.
+        supports: `supports()` returns the training views prepared for warping (`framework.warp`).
+        render: `render(camera)` renders the current Gaussians without dropout and gradient.
+            `render(camera, gaussians, opacity_factors=[N], background=[3])` renders any others,
+            differentiable in Gaussians and factors. In `Regularizer.loss` these may be
+            `ctx.gaussians`, with parts detached by
+            `ctx.gaussians.replace(means=ctx.gaussians.means.detach())`.
+        fisher: `fisher(camera, gaussians=None, sh_degree=None, mask=None)` returns the Fisher
+            information of a view about the current or other Gaussians, optionally of the pixels in
+            `mask` only.
+        rng: `rng(purpose)` returns this plugin's random generator for this update.
+        log: `log(name, value)` adds a value to the history, and its mean to the run's dose.
+        behind: [3], background of this step's renders; varies with `trainer.background=random`.
+        other: the second field (`Plugin.second_field`) before this step, detached.
+        second: whether the plugin acts on the second field, which is not evaluated.
+        once: `once(key, make)` returns `make()` of the first call with this key, for values that
+            stay constant. Do not modify it; it is not in checkpoints. Plugins share the keys, so
+            begin them with the plugin's name.
     """
 
     step: int
@@ -121,7 +118,7 @@ class StepContext:
     behind: Tensor | None = None
     other: Gaussians | None = None
     second: bool = False
-    once: Callable[[str, Callable[[], Any]], Any] = _made
+    once: Callable[[str, Callable[[], Any]], Any] = _computed
 
     @property
     def progress(self) -> float:
@@ -129,30 +126,43 @@ class StepContext:
         return self.step / self.n_steps
 
     def steps_of(self, share: float) -> int:
-        """How many steps that share of the training is, at least one."""
+        """Number of steps in that share of the training, at least one."""
         return max(1, round(share * self.n_steps))
 
     def due(self, share: float) -> bool:
-        """Whether this step is the last of a stretch of `steps_of(share)`."""
+        """Whether this step is the last of a stretch of `steps_of(share)` steps."""
         return (self.step + 1) % self.steps_of(share) == 0
 
 
+@dataclass(frozen=True)
+class Variant:
+    """A plugin that is another method with `option` at `value`, as a file in `conf/` names it."""
+
+    option: str
+    value: Any
+    title: str
+    paper: str
+
+
 class Plugin:
-    """Base of all plugins.
+    """Base class of training plugins.
 
     Attributes:
-        defaults: changes the defaults of the framework keys.
-        idle: a deliberate no-op. Other plugins without any effect cause a warning.
-        second_field: train a second set of Gaussians on the same photos, from the same start.
-
-        second_drawn: the second set starts from another draw of the initial Gaussians. An option
-            may decide it (`reg=co_register_drawn`).
-
-    The second set has separate draws, optimizer and plugins; `StepContext.other` is the other set.
+        title: display name in reports; by default the registry name.
+        paper: name of the paper's file in conf/published; "" if there is none.
+        variants: named variants with their display names.
+        defaults: changed defaults of the framework keys.
+        idle: a deliberate no-op; other plugins without any effect cause a warning.
+        second_field: train a second set of Gaussians in parallel, with the same photos and separate
+            draws, optimizer, regularizers and capacities (`StepContext.other`).
+        second_drawn: initialize the second field with a different draw of Gaussians.
     """
 
     name: ClassVar[str]
     group: ClassVar[str]
+    title: ClassVar[str] = ""
+    paper: ClassVar[str] = ""
+    variants: ClassVar[dict[str, Variant]] = {}
     defaults: ClassVar[dict[str, float]] = {}
     idle: ClassVar[bool] = False
     second_field: ClassVar[bool] = False
@@ -160,42 +170,60 @@ class Plugin:
 
     @classmethod
     def weighted(cls) -> bool:
-        """Whether `weight` acts; a value for it is refused otherwise."""
+        """Whether `weight` has an effect; setting it is refused otherwise."""
         return True
 
     def check(self, option: str, ok: bool, expected: str) -> None:
-        """Raise UserError, with the option's value and what it should be, unless `ok`."""
+        """Raise UserError, with the option's value and what was expected, unless `ok`."""
         check_option(self, self.group, option, ok, expected)
 
     def check_span(self, start: float, stop: float) -> None:
-        """Raise UserError where the plugin cannot do its work in this share of the training."""
+        """Raise UserError if the plugin cannot work in this share of the training."""
 
     def init_state(self, ctx: StepContext) -> Any:
-        """The state before the first use; None for a plugin without one."""
+        """Return the initial state; None for a plugin without state."""
         return None
 
     def check_state(
         self, state: Any, gaussians: Gaussians, version: int, views: tuple[View, ...]
     ) -> None:
-        """Raise ValueError unless a training of these Gaussians, with this `StepContext.version`
-        and these real views, can go on with `state`. It comes from a file, which may be forged: a
-        plugin that indexes by its state, or hands it to a kernel, checks it here; see
-        `framework.shapes`."""
+        """Validate a state from a checkpoint, which may be forged.
+
+        A plugin that indexes by its state, or passes it to a kernel, must check it here (see
+        `framework.shapes`).
+
+        Args:
+            state: as read from the file.
+            gaussians: of the training that is to continue.
+            version: `StepContext.version` of that training.
+            views: its real views.
+
+        Raises:
+            ValueError: The training cannot continue with this state.
+        """
 
 
 class Augmenter(Plugin):
     """Makes the pseudo views of an epoch.
 
-    Each joins the step of one real view, drawn at random, and adds its loss times `weight`. With
-    `trainer.pseudo_steps=own` it has a separate update. It is not called before `start` and after
-    `stop` (shares of the training). Log `NAME_refused_WHY` to record why an epoch has no view, see
-    `framework.train.dose`.
+    Each pseudo view joins the step of a random real view and adds its loss times `weight`, or has
+    its own update (`trainer.pseudo_steps`). It is not called before `start` and after `stop`
+    (shares of the training). Log reasons for an epoch without views as `NAME_refused_WHY`
+    (`framework.train.dose`).
     """
 
     group: ClassVar[str] = "augment"
 
     def pseudo_views(self, ctx: StepContext, state: Any) -> tuple[list[View], Any]:
-        """Called at each epoch's start: its pseudo views (rebuilt, not accumulated)."""
+        """Return the pseudo views of an epoch; called at its start.
+
+        Args:
+            ctx: the training.
+            state: of the plugin.
+
+        Returns:
+            Pseudo views, which replace those of the previous epoch, and the next state.
+        """
         raise NotImplementedError
 
 
@@ -206,72 +234,107 @@ SubStep = tuple["Tensor", Sequence[str]]
 
 
 class Regularizer(Plugin):
-    """Acts on a training step; evaluation sees it by `evaluated` alone."""
+    """Acts on training steps. Only `evaluated` affects the evaluation.
+
+    Attributes:
+        drops: whether an opacity factor below 1 counts as a dropped Gaussian.
+    """
 
     group: ClassVar[str] = "reg"
     drops: ClassVar[bool] = True  # whether a factor below 1 counts as a Gaussian that was dropped
 
     @classmethod
     def weighted(cls) -> bool:
-        """`weight` multiplies the loss term and the losses of `substeps`."""
+        """Whether there is a loss that `weight` can multiply."""
         return not (cls.loss is Regularizer.loss and cls.substeps is Regularizer.substeps)
 
     def opacity_factors(self, ctx: StepContext, state: Any) -> tuple[Tensor | None, Any]:
-        """[N] float32 factors on the activated opacities for this update's renders, or None. A
-        step has one update, and another for every pseudo view with `trainer.pseudo_steps=own`."""
+        """Return factors of the activated opacities for the renders of this update.
+
+        A step has one update, and one more per pseudo view with `trainer.pseudo_steps=own`.
+
+        Args:
+            ctx: the training.
+            state: of the plugin.
+
+        Returns:
+            [N] float32 factors or None, and the next state.
+        """
         return None, state
 
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
-        """An unweighted scalar to add to the photometric loss, or None. Here alone
-        `ctx.gaussians` are the parameters themselves: the scalar may be differentiated through them
-        as through `render`."""
+        """Return a loss term for one training render.
+
+        Args:
+            ctx: the training; here `ctx.gaussians` are the parameters themselves, with gradients.
+            state: of the plugin.
+            view: the real or pseudo view.
+            render: its render, differentiable.
+
+        Returns:
+            An unweighted scalar to add to the photometric loss, or None.
+        """
         return None
 
     def substeps(self, ctx: StepContext, state: Any, view: View) -> Iterator[SubStep]:
-        """Yield losses that get a separate step of the optimizer, before that on the photo.
+        """Yield losses that get their own optimizer step before the step on the photo.
 
-        Each is requested after the step of the one before. `ctx.gaussians` are the parameters.
-        view: the step's real one, at the size of the training.
+        The next loss is requested after the previous step.
+
+        Args:
+            ctx: the training; `ctx.gaussians` are the parameters.
+            state: of the plugin.
+            view: the step's real view, at the size of training.
         """
         return iter(())
 
     def gradient(
         self, ctx: StepContext, state: Any, found: Mapping[str, Tensor], at: GradientAt
     ) -> Mapping[str, Tensor] | None:
-        """Return the gradient for the optimizer instead of `found`, or None for `found` itself.
+        """Change the gradient that the optimizer receives.
 
-        found: gradient of the step's loss by parameter name, as earlier regularizers left it.
-        at(gaussians): the same at other values of the parameters; a second pass over the views.
+        With several regularizers, each receives the result of the previous ones.
+
+        Args:
+            ctx: the training.
+            state: of the plugin.
+            found: gradient of the step's loss by parameter name.
+            at: `at(gaussians)` returns the gradient at other values, with a second pass over the
+                views.
+
+        Returns:
+            The gradient by parameter name, or None to keep `found`.
         """
         return None
 
     def evaluated(self, ctx: StepContext, gaussians: Gaussians, state: Any) -> Gaussians:
-        """Return the Gaussians that are evaluated and kept instead of the trained `gaussians`.
+        """Return the Gaussians to evaluate and save.
 
-        These are `ctx.gaussians` as earlier regularizers left them. ctx: of the last step, after
-        it; its log is discarded.
+        Args:
+            ctx: of the last step, after it; `ctx.log` has no effect.
+            gaussians: the trained ones, as changed by previous regularizers.
+            state: of the plugin.
         """
         return gaussians
 
 
 @dataclass(frozen=True)
 class StepStats:
-    """What the last step measured on its real view, before pseudo views.
+    """Measurements of the last step on its real view.
+
+    Pseudo views do not influence densification.
 
     Attributes:
-        means2d_grad: [N, 2], gradient of the loss in the projected means, in pixels.
+        means2d_grad: [N, 2], gradient of the loss in the projected means, per pixel.
         radii: [N] pixels, 0 = culled.
         width, height: of the render.
-
-        factors: [N], the regularizers' opacity factors (0 = dropped), None for none.
+        factors: [N] opacity factors of the regularizers (0 = dropped), or None.
+        gradients: of the parameters in `Capacity.gradients`, by name and as stored: of the loss
+            with regularizer terms, without pseudo views and `Regularizer.gradient`, at the values
+            before the step, while `ctx.gaussians` are those after it.
         view: the real view.
-
-        gradients: of the parameters that the capacity's `gradients` names, by name. They are of the
-            loss on the real view with the regularizers' terms, at the values before the step, while
-            `ctx.gaussians` are those after it. `Regularizer.gradient` does not change them.
-
-        absolute: [N, 2], as means2d_grad but summed over absolute values of pixels, of the
-            photometric loss. None unless a capacity has `wants_absolute`.
+        absolute: [N, 2], as `means2d_grad`, but sums of absolute values over pixels, of the
+            photometric loss only; None unless a capacity `wants_absolute`.
     """
 
     means2d_grad: Tensor
@@ -284,7 +347,7 @@ class StepStats:
     absolute: Tensor | None = None
 
     def map(self, change: Callable[[Tensor], Tensor]) -> StepStats:
-        """With every tensor changed alike, each of which has a row per Gaussian."""
+        """Apply `change` to every tensor; each has a row per Gaussian."""
 
         def changed(tensor: Tensor | None) -> Tensor | None:
             return None if tensor is None else change(tensor)
@@ -301,16 +364,17 @@ class StepStats:
 
 @dataclass(frozen=True)
 class Edits:
-    """A change of the set of Gaussians; their order may change.
+    """A change of the set of Gaussians.
+
+    First `keep`, then `append`, then the other changes. The order of Gaussians may change.
 
     Attributes:
-        keep: [N] bool, applied first.
+        keep: [N] bool, which Gaussians stay.
         append: new Gaussians.
-        bands: [N] bool, which of the existing ones keep their SH bands above 0; None: all.
-
-        opacity_ceiling: clamp opacities to this value at the end, and reset their moments.
-        sh0: [N, 1, 3], new values for the existing ones.
-        values: new values of parameters by name. The optimizer's moments stay.
+        opacity_ceiling: clamp opacities to at most this value and reset their optimizer moments.
+        bands: [N] bool, which Gaussians keep their SH bands above 0; None: all.
+        sh0: [N, 1, 3], new values.
+        values: new values of parameters by name; optimizer moments are kept.
     """
 
     keep: Tensor | None = None
@@ -322,21 +386,23 @@ class Edits:
 
     @property
     def changes_the_rows(self) -> bool:
-        """Whether the tensors of the set get other rows."""
+        """Whether tensors get other rows."""
         return any(part is not None for part in (self.keep, self.append, self.bands))
 
     @property
     def changes_something(self) -> bool:
         """Whether there is anything to do."""
-        told = self.append, self.bands, self.opacity_ceiling, self.sh0
+        parts = self.append, self.bands, self.opacity_ceiling, self.sh0
         removed = self.keep is not None and not bool(self.keep.all())
-        return removed or bool(self.values) or any(part is not None for part in told)
+        return removed or bool(self.values) or any(part is not None for part in parts)
 
 
 class Capacity(Plugin):
-    """Decides how many Gaussians there are, the only code that changes N; or gives parameters new
-    values between steps. `gradients`: parameters whose gradient it wants in `StepStats.gradients`,
-    as ("opacity_logits",); a step that keeps one takes a little longer.
+    """Decides how many Gaussians there are; the only plugin that adds or prunes them.
+
+    Attributes:
+        gradients: parameters whose gradient it needs in `StepStats.gradients`, such as
+            ("opacity_logits",); affected steps take a little longer.
     """
 
     group: ClassVar[str] = "capacity"
@@ -344,79 +410,112 @@ class Capacity(Plugin):
 
     @classmethod
     def weighted(cls) -> bool:
-        """There is nothing to multiply."""
+        """Return False: there is no loss."""
         return False
 
     def wants_absolute(self) -> bool:
-        """Whether `StepStats.absolute` is measured, for a pass over a render's pixels more in
-        every step (beside a regularizer's loss for a whole render more)."""
+        """Whether `StepStats.absolute` is needed, which costs a pass over the pixels per step."""
         return False
 
     def update(self, ctx: StepContext, state: Any, stats: StepStats) -> tuple[Edits | None, Any]:
-        """Called after each step; the trainer applies the edits to parameters and optimizer. Of
-        several capacities each is asked about what those before it left: `stats` goes along with
-        the rows, and has zeros for new ones."""
+        """Return the edits after a step, which the trainer applies to parameters and optimizer.
+
+        With several capacities, each sees the result of the previous ones; `stats` follows the
+        rows, with zeros for new ones.
+
+        Args:
+            ctx: the training after the step.
+            state: of the plugin.
+            stats: measurements of the step.
+
+        Returns:
+            Edits or None, and the next state.
+        """
         raise NotImplementedError
 
     def shared(self, members: int) -> Self:
-        """The same for one of so many trainings whose Gaussians are joined (`trainer.members`):
-        what limits their number is shared out."""
+        """Return the capacity for one of `members` joined trainings, with divided limits."""
         return self
 
     def followed(self, state: Any, rows: Tensor) -> Any:
-        """The state after another capacity of the run changed the set. rows: [N'] int64, of every
-        Gaussian there is now the row it had, -1 for one that was added."""
+        """Return the state after another capacity changed the set.
+
+        Args:
+            state: of the plugin.
+            rows: [N'] int64, the previous row of each Gaussian, -1 for new ones.
+        """
         return state
 
 
 class Part:
-    """Base of what a run is made of beside the training's plugins: options alone."""
+    """Base class of plugins that are parts of a run; they have options only.
+
+    Attributes:
+        title: display name in reports; by default the registry name.
+        paper: name of the paper's file in conf/published; "" if there is none.
+    """
 
     name: ClassVar[str]
     group: ClassVar[str]
+    title: ClassVar[str] = ""
+    paper: ClassVar[str] = ""
 
     def check(self, option: str, ok: bool, expected: str) -> None:
-        """Raise UserError, with the option's value and what it should be, unless `ok`."""
+        """Raise UserError, with the option's value and what was expected, unless `ok`."""
         check_option(self, self.group, option, ok, expected)
 
 
 class SceneLoader(Part):
-    """`scene=NAME`: photos with cameras. `framework.scenes.assemble` makes a scene of arrays."""
+    """`scene=NAME`: photos with cameras. `framework.scenes.assemble` builds a scene from arrays."""
 
     group: ClassVar[str] = "scene"
 
     def load(self) -> Scene:
-        """Return the scene. The same options and files give the same scene and `fingerprint`, by
-        which a finished run is reused.
+        """Return the scene: its training set and its test views.
+
+        The same options and files must give the same scene and `fingerprint`, which identifies
+        completed runs.
         """
         raise NotImplementedError
 
 
 class Initializer(Part):
-    """`init=NAME`: the Gaussians a training starts from."""
+    """`init=NAME`: the initial Gaussians of a training."""
 
     group: ClassVar[str] = "init"
 
     def build(
         self, training: TrainingSet, depth: tuple[DepthMap, ...], sh_degree: int, seed: int
     ) -> Gaussians:
-        """At least one Gaussian of this SH degree; depth: a map per training view. All draws come
-        from `seed`."""
+        """Return the initial Gaussians.
+
+        Args:
+            training: the training set.
+            depth: one map per training view.
+            sh_degree: of the Gaussians.
+            seed: of all random draws.
+
+        Returns:
+            At least one Gaussian.
+        """
         raise NotImplementedError
 
 
 class Metric(Part):
-    """`metrics.also=NAME`: a number per test view beside PSNR, SSIM, FLIP and LPIPS; several are
-    joined by +. Built from its defaults."""
+    """`metrics.also=NAME`: an additional number per test view; join several with +."""
 
     group: ClassVar[str] = "metric"
 
     def measure(self, render: Tensor, truth: Tensor, mask: Tensor | None) -> float:
-        """Measure a render against its photo, both as saved.
+        """Compare a render with its photo, as saved.
 
-        render, truth: [3, H, W] float32 in [0, 1] in steps of 1/255. mask: [H, W] bool, the valid
-        pixels (the others are white in both), or None. An exception, or a value that is not finite,
-        is reported as missing with the reason.
+        Args:
+            render: [3, H, W] float32 in [0, 1], in steps of 1/255.
+            truth: the photo, likewise.
+            mask: [H, W] bool, the valid pixels (others are white in both), or None.
+
+        Returns:
+            The value. Exceptions and non-finite values are reported as missing, with the reason.
         """
         raise NotImplementedError
 

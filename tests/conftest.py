@@ -1,4 +1,4 @@
-"""No test depends on what the user's cache holds; where it holds no kernels, that is told."""
+"""No test depends on the user's cache; a missing kernel cache is reported."""
 
 from __future__ import annotations
 
@@ -19,5 +19,5 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 @pytest.fixture(autouse=True)
 def no_fetched_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """LPIPS is missing unless a test fetches weights of its own."""
+    """LPIPS is missing unless a test fetches weights."""
     monkeypatch.setattr(lpips_weights, "cache_dir", lambda: tmp_path / "fetched")

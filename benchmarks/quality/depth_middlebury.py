@@ -1,4 +1,4 @@
-"""Plane sweep beside OpenCV's semi-global matcher on a rectified pair with measured depth.
+"""Plane sweep compared with OpenCV's semi-global matcher on a rectified pair with measured depth.
 
     python benchmarks/quality/depth_middlebury.py DIR [--output FILE.md]
 
@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from framework.compute.parallel import threads
 from framework.depth.matching.bounds import FARTHER, NEARER
-from framework.depth.plane_sweep import PlaneSweep
+from framework.depth.providers import PlaneSweep
 from framework.types import Camera, SparsePoints, TrainingSet, View
 
 DISPARITIES = 80
@@ -126,10 +126,10 @@ def run_sgbm(pair: TrainingSet, checked: bool) -> Outcome:
     start = time.process_time()
     disparity = matcher.compute(*padded)[:, DISPARITIES:].astype(np.float64) / 16
     seconds = time.process_time() - start
-    known = disparity >= 0
-    depth = np.where(known, depth_of(pair.views, np.maximum(disparity, 0)), 0)
+    valid = disparity >= 0
+    depth = np.where(valid, depth_of(pair.views, np.maximum(disparity, 0)), 0)
     name = "StereoSGBM, filtered" if checked else "StereoSGBM, dense"
-    return Outcome(name, depth.astype(np.float32), known, seconds)
+    return Outcome(name, depth.astype(np.float32), valid, seconds)
 
 
 def row(outcome: Outcome, truth: Map) -> str:
@@ -145,7 +145,7 @@ def row(outcome: Outcome, truth: Map) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Plane sweep beside StereoSGBM on one pair.")
+    parser = argparse.ArgumentParser(description="Compare the plane sweep with StereoSGBM.")
     parser.add_argument("folder", type=Path, metavar="DIR")
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()

@@ -1,14 +1,14 @@
-"""What a run's Gaussians lose in the files that other programs open.
+"""What a run's Gaussians lose in exported files.
 
     python benchmarks/quality/exports.py RUN [RUN ...] --transform PATH/TO/splat-transform \\
         --output benchmarks/results/exports.md
 
-Each RUN (the folder of a finished run with test views) is exported in every format, in the world of
-its cameras. Two other programs read the files back: PlayCanvas' splat-transform (npm,
-@playcanvas/splat-transform), which writes a PLY, and gsply (Python). Our rasterizer renders the
-result from the run's test cameras. PSNR is against the test photos, and against our renders of the
-run, which measures the loss of the format alone. SPZ's axes are turned back by splat-transform, and
-here after gsply, which returns them as stored.
+Each RUN (the folder of a finished run with test views) is exported in every format, in the frame of
+its cameras. Two independent programs read the files: PlayCanvas' splat-transform (npm,
+@playcanvas/splat-transform), which converts them to PLY, and gsply (Python). Our rasterizer renders
+the result from the test cameras. PSNR is measured against the test photos and against our own
+renders of the run, which isolates the loss of the file. splat-transform undoes the rotation of
+SPZ's axes; gsply does not, so it is undone here.
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from framework.exports.export import NAME
 from framework.exports.export import main as export
 from framework.exports.formats import SUFFIXES, TURNED
-from framework.exports.given import read_given
-from framework.exports.opened import OpenedRun, open_run
+from framework.exports.opened import OpenedRun, open_run, read_named_cameras
 from framework.exports.upright import moved_gaussians
 from framework.files.documents import read_json
 from framework.files.limits import TEXT_BYTES
@@ -52,14 +51,14 @@ Test = list[tuple[Camera, torch.Tensor, torch.Tensor | None]]  # with its photo 
 
 def test_views(run: Path) -> Test:
     """The run's test cameras and photos."""
-    told = read_json(run / "transforms.json", TEXT_BYTES)["test_filenames"]
-    cameras = {given.name: given.camera for given in read_given(run / "transforms.json")}
-    found = []
-    for name, stem in zip(told, file_stems(told), strict=True):
+    test_names = read_json(run / "transforms.json", TEXT_BYTES)["test_filenames"]
+    cameras = {entry.name: entry.camera for entry in read_named_cameras(run / "transforms.json")}
+    views = []
+    for name, stem in zip(test_names, file_stems(test_names), strict=True):
         photo = pixels(run / RENDERS / f"{stem}_truth.png", "RGB").permute(2, 0, 1)
         mask = run / RENDERS / f"{stem}_mask.png"
-        found.append((cameras[name], photo, pixels(mask, "L") if mask.is_file() else None))
-    return found
+        views.append((cameras[name], photo, pixels(mask, "L") if mask.is_file() else None))
+    return views
 
 
 def pixels(file: Path, mode: str) -> torch.Tensor:
@@ -109,22 +108,22 @@ def readers(kind: str, transform: str) -> Iterator[tuple[str, Callable[[Path], G
 def rows(run: Path, transform: str, folder: Path) -> Iterator[str]:
     """The table's rows of a run."""
     opened, views = open_run(run), test_views(run)
-    own = [opened.render(camera).rgb for camera, _, _ in views]
+    renders = [opened.render(camera).rgb for camera, _, _ in views]
     export([str(run), "--format", "all", "--frame", "scene", "--out", str(folder)], "export")
     whole = (folder / f"{NAME}.ply").stat().st_size
     title = read_json(run / "record.json", TEXT_BYTES)["scene"]["name"]
-    told = f"{len(opened.gaussians):,}, {opened.gaussians.sh_degree}"
+    model = f"{len(opened.gaussians):,}, {opened.gaussians.sh_degree}"
     for kind, suffix in SUFFIXES.items():
         file = folder / f"{NAME}{suffix}"
         size = file.stat().st_size
         for reader, read in readers(kind, transform):
-            found = read(file)
-            seen = OpenedRun(run, found, opened.background, opened.cameras, opened.near)
+            gaussians = read(file)
+            seen = OpenedRun(run, gaussians, opened.background, opened.cameras, opened.near)
             drawn = [seen.render(camera).rgb for camera, _, _ in views]
-            cells = [title, told, kind, f"{size / 1e6:.2f} MB", f"{100 * size / whole:.0f} %"]
-            cells += [reader, f"{len(found):,}"]
+            cells = [title, model, kind, f"{size / 1e6:.2f} MB", f"{100 * size / whole:.0f} %"]
+            cells += [reader, f"{len(gaussians):,}"]
             cells += [mean(drawn, [(photo, mask) for _, photo, mask in views])]
-            yield f"| {' | '.join([*cells, mean(drawn, [(one, None) for one in own])])} |\n"
+            yield f"| {' | '.join([*cells, mean(drawn, [(one, None) for one in renders])])} |\n"
 
 
 def mean(drawn: list[torch.Tensor], truth: list[tuple[torch.Tensor, torch.Tensor | None]]) -> str:
@@ -136,8 +135,8 @@ def mean(drawn: list[torch.Tensor], truth: list[tuple[torch.Tensor, torch.Tensor
 
 def version(program: str) -> str:
     """Its name and version, which it prints to one of its streams or the other."""
-    told = subprocess.run([program, "-v"], capture_output=True, text=True, check=True)
-    lines = (told.stdout + told.stderr).strip().splitlines()
+    process = subprocess.run([program, "-v"], capture_output=True, text=True, check=True)
+    lines = (process.stdout + process.stderr).strip().splitlines()
     if not lines:
         sys.exit(f"{program} -v: expected its version, got nothing")
     return lines[-1].strip()
@@ -149,19 +148,19 @@ def main() -> None:
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN")
     parser.add_argument("--transform", default="splat-transform", metavar="PROGRAM")
     parser.add_argument("--output", type=Path)
-    given = parser.parse_args()
-    reader = version(given.transform)
+    options = parser.parse_args()
+    reader = version(options.transform)
     text = ""
-    for run in given.runs:
+    for run in options.runs:
         with tempfile.TemporaryDirectory() as folder:
-            for row in rows(run, given.transform, Path(folder)):
+            for row in rows(run, options.transform, Path(folder)):
                 print(row, end="", flush=True)
                 text += row
-    line = shlex.join(["python", "benchmarks/quality/exports.py", *map(str, given.runs)])
+    line = shlex.join(["python", "benchmarks/quality/exports.py", *map(str, options.runs)])
     said = f"`{line}`, read by {reader} and gsply"
     said += f" {metadata.version('gsply')}.\n\n"
-    if given.output is not None:
-        given.output.write_text(f"# Files of other programs\n\n{said}{HEADER}{text}", "utf-8")
+    if options.output is not None:
+        options.output.write_text(f"# Files of other programs\n\n{said}{HEADER}{text}", "utf-8")
 
 
 if __name__ == "__main__":

@@ -1,18 +1,17 @@
-"""How well `scene=photos` finds the poses of photos whose poses are known.
+"""How accurately `scene=photos` estimates camera poses that are known.
 
     python benchmarks/quality/photos.py --output benchmarks/results/photos.md \\
         fern=DIR:8 fern=DIR:20 door=DIR --train preset=fast
 
-Each DIR is a COLMAP scene (`images`, `sparse/0`). The given number of photos, evenly spread (all
-without a number), is copied to a new folder without poses. DIR+DIR takes the photos of both. Errors
-are those of the camera's direction and place after the best similarity (rotation: mean of the
-relative ones; scale and shift: least squares). Places are in percent of the largest distance from
-the cameras' mean. Seconds are CPU time of all threads.
+Each DIR is a COLMAP scene (`images`, `sparse/0`). The given number of its photos, evenly spread, is
+copied to a new folder without poses. DIR+DIR takes the photos of both.
+Errors are those of the camera's direction and position after the best similarity (rotation: mean of
+the relative ones; scale and shift: least squares). Positions are in percent of the largest distance
+from the mean camera. Seconds are CPU time of all threads.
 
-With --train each scene is also trained, by one command from photos to Gaussians, and again from the
-known poses of the same photos, on the same split. A second table has the seconds of the first
-command by stage. Poses are timed by the search, the run by its record; the rest is start, reading
-photos, writing and the report.
+With --train each scene is also trained, once from the photos alone and once from the known poses,
+on the same split. A second table lists the seconds of the first training by stage. Its last stage,
+rest, is start-up, reading photos, writing files and the report.
 """
 
 from __future__ import annotations
@@ -39,8 +38,8 @@ from framework.errors import UserError
 from framework.records.provenance import cpu_model
 from framework.scenes.colmap_model import read_model
 from framework.scenes.photos.advice import advice
-from framework.scenes.photos.cached import poses_folder
-from framework.scenes.photos.found import Found, read_found
+from framework.scenes.photos.process import poses_folder
+from framework.scenes.photos.result import Result, read_result
 from framework.scenes.photos.source import find_source
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -74,11 +73,11 @@ def cameras(sparse: Path) -> Cameras:
     return {name: (view, lens.fx / lens.width) for name, view, lens in rows}
 
 
-def errors(found: Cameras, known: Cameras) -> Errors:
-    """Errors of the estimated cameras, after the best similarity to the known ones."""
-    names = sorted(found)
-    ours = np.array([found[name][0] for name in names])
-    theirs = np.array([known[name][0] for name in names])
+def errors(estimated: Cameras, reference: Cameras) -> Errors:
+    """Of the found cameras, after the best similarity to the known ones."""
+    names = sorted(estimated)
+    ours = np.array([estimated[name][0] for name in names])
+    theirs = np.array([reference[name][0] for name in names])
     relative = np.einsum("nji,njk->ik", theirs[:, :3, :3], ours[:, :3, :3])
     u, _, vt = np.linalg.svd(relative)
     turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt  # our world to theirs
@@ -88,7 +87,7 @@ def errors(found: Cameras, known: Cameras) -> Errors:
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     scale = float((a * b).sum() / (a * a).sum())
     size = np.linalg.norm(b, axis=1).max()
-    focal = np.mean([found[name][1] / known[name][1] for name in names]) - 1
+    focal = np.mean([estimated[name][1] / reference[name][1] for name in names]) - 1
     return Errors(
         np.degrees(np.arccos(np.clip(cosine, -1, 1))),
         100 * np.linalg.norm(scale * a - b, axis=1) / size,
@@ -186,12 +185,12 @@ def measured(entry: str, overrides: list[str], work: Path) -> Measured:
     try:
         poses = poses_folder(find_source(str(folder), side=1200, frames=40))
     except UserError as error:
-        told = f"{title}: {error}".replace(str(folder), "DIR")
-        return Measured(f"| {title} | 0 of {len(names)} | | | | | | |\n", remarks=(told,))
-    found = read_found(poses)
-    remarks = (f"{title}: left out {', '.join(found.left_out)}",) if found.left_out else ()
-    if found.groups:
-        remarks += tuple(f"{title}: {line}" for line in advice(found))
+        remark = f"{title}: {error}".replace(str(folder), "DIR")
+        return Measured(f"| {title} | 0 of {len(names)} | | | | | | |\n", remarks=(remark,))
+    result = read_result(poses)
+    remarks = (f"{title}: left out {', '.join(result.left_out)}",) if result.left_out else ()
+    if result.groups:
+        remarks += tuple(f"{title}: {line}" for line in advice(result))
     theirs, cells = None, ["", "", ""]
     if len(scenes) == 1 and (scenes[0] / "sparse" / "0").is_dir():
         wrong = errors(cameras(poses / "sparse" / "0"), cameras(scenes[0] / "sparse" / "0"))
@@ -199,24 +198,24 @@ def measured(entry: str, overrides: list[str], work: Path) -> Measured:
         cells = [f"{spread[0][0]:.2f}° / {spread[0][1]:.2f}°"]
         cells += [f"{spread[1][0]:.2f} % / {spread[1][1]:.2f} %", f"{wrong.focal:+.1f} %"]
         if overrides:
-            known_scene(scenes[0], set(found.placed), work / "known")
-            known = ["scene=colmap", f"scene.path={work / 'known'}", "scene.n_views=all"]
-            theirs = trained(known, overrides, work / "theirs")
+            known_scene(scenes[0], set(result.placed), work / "known")
+            reference = ["scene=colmap", f"scene.path={work / 'known'}", "scene.n_views=all"]
+            theirs = trained(reference, overrides, work / "theirs")
     cells += ["" if run is None else run.psnr for run in (ours, theirs)]
-    placed = f"{len(found.placed)} of {len(found.photos)}"
-    row = f"| {' | '.join([title, placed, str(len(found.tries)), *cells])} |\n"
-    return Measured(row, seconds_row(title, found, ours), remarks)
+    placed = f"{len(result.placed)} of {len(result.photos)}"
+    row = f"| {' | '.join([title, placed, str(len(result.tries)), *cells])} |\n"
+    return Measured(row, seconds_row(title, result, ours), remarks)
 
 
-def seconds_row(title: str, found: Found, run: Trained | None) -> str:
+def seconds_row(title: str, result: Result, run: Trained | None) -> str:
     """CPU seconds by stage; without a training only those of the search."""
-    spent = [sum(getattr(t, f"{name}_cpu_s") for t in found.tries) for name in SEARCH]
-    told = [f"{s:.1f} s" for s in spent]
+    spent = [sum(getattr(t, f"{name}_cpu_s") for t in result.tries) for name in SEARCH]
+    cells = [f"{s:.1f} s" for s in spent]
     if run is None:
-        return f"| {' | '.join([title, *told])} |{' |' * (len(RUN) + 3)}\n"
+        return f"| {' | '.join([title, *cells])} |{' |' * (len(RUN) + 3)}\n"
     spent += [run.stages.get(name, 0.0) for name in RUN]
-    told = [f"{s:.1f} s" for s in (*spent, run.cpu_s - sum(spent), run.cpu_s)]
-    return f"| {' | '.join([title, *told, f'{run.wall_s:.0f} s'])} |\n"
+    cells = [f"{s:.1f} s" for s in (*spent, run.cpu_s - sum(spent), run.cpu_s)]
+    return f"| {' | '.join([title, *cells, f'{run.wall_s:.0f} s'])} |\n"
 
 
 def main() -> None:
@@ -225,19 +224,19 @@ def main() -> None:
     parser.add_argument("scenes", nargs="+", metavar="NAME=DIR[+DIR][:COUNT]")
     parser.add_argument("--train", default="", metavar="OVERRIDES")
     parser.add_argument("--output", type=Path)
-    given = parser.parse_args()
+    options = parser.parse_args()
     done = []
-    for entry in given.scenes:
+    for entry in options.scenes:
         with tempfile.TemporaryDirectory() as work:
-            done.append(measured(entry, given.train.split(), Path(work)))
+            done.append(measured(entry, options.train.split(), Path(work)))
         print(done[-1].row, done[-1].seconds, *done[-1].remarks, flush=True)
     said = "".join(f"- {' '.join(remark.split())}\n" for one in done for remark in one.remarks)
     line = f"`{shlex.join(['python', 'benchmarks/quality/photos.py', *sys.argv[1:]])}`"
     text = f"{line}\n\nOn {cpu_model()}.\n\n{HEADER}{''.join(one.row for one in done)}\n{said}"
     text += f"\nCPU seconds of the run with found poses:\n\n{SECONDS}"
     text += "".join(one.seconds for one in done)
-    if given.output is not None:
-        given.output.write_text(f"# Poses of photos\n\n{text}", encoding="utf-8")
+    if options.output is not None:
+        options.output.write_text(f"# Poses of photos\n\n{text}", encoding="utf-8")
 
 
 if __name__ == "__main__":

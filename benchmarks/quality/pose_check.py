@@ -78,12 +78,12 @@ def _renamed(training: TrainingSet) -> TrainingSet:
     views = training.views
     shift = max(1, len(views) // 2)
     order = [*views[shift:], *views[:shift]]
-    given = [replace(v, image=o.image, mask=o.mask) for v, o in zip(views, order, strict=True)]
-    return replace(training, views=tuple(given))
+    renamed = [replace(v, image=o.image, mask=o.mask) for v, o in zip(views, order, strict=True)]
+    return replace(training, views=tuple(renamed))
 
 
 def _farther(training: TrainingSet) -> TrainingSet:
-    """Depth bounds of another scale, and no points that would show it."""
+    """Depth bounds of another scale, and no points that contradict them."""
     none = replace(
         training.points,
         xyz=training.points.xyz[:0],

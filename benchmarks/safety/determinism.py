@@ -1,12 +1,12 @@
-"""Hashes of what every stage of `stages.py` computes, on this or a simulated processor.
+"""Hashes of what every stage of `stages.py` computes, on this or a simulated older processor.
 
-The simulation makes the libraries and the C library leave out instructions that older processors
-lack. `tests/golden/bits.json` has the hashes that the tests expect. After a change that is meant to
-change numbers:
+Environment variables keep the libraries and the C library from using newer instructions.
+`tests/golden/bits.json` has the hashes that the tests expect. After an intentional change of
+numbers:
 
     python benchmarks/safety/determinism.py --update
 
-LPIPS and reports are not among them, as PyTorch's convolutions are other code on each processor.
+LPIPS and reports are not included, because PyTorch's convolutions differ between processors.
 """
 
 from __future__ import annotations
@@ -58,11 +58,10 @@ SSE = {
 def stages(
     changes: dict[str, str], kernels: str | None = None, names: Sequence[str] = ()
 ) -> dict[str, str]:
-    """Return stage -> hash, computed with these `changes` of the environment.
+    """Compute the hash of each stage in an environment with these `changes`.
 
-    Generated scenes are not taken from a cache. Kernels are, as their cache distinguishes
-    processors.
-    names: stages of `stages.py`; by default the usual ones.
+    Only kernels come from a cache, which is separate for each processor. names: stages of
+    `stages.py`; none for the usual ones.
     """
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "FISHERSPLAT_CACHE": cache, **changes}
@@ -71,8 +70,8 @@ def stages(
         done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     if done.returncode != 0:
         raise SystemExit(f"{command}: {done.stderr[-2000:]}")
-    found: dict[str, str] = json.loads(done.stdout)
-    return found
+    hashes: dict[str, str] = json.loads(done.stdout)
+    return hashes
 
 
 def _kernel_cache() -> str:
@@ -81,27 +80,27 @@ def _kernel_cache() -> str:
     return subprocess.run(command, check=True, cwd=ROOT, capture_output=True, text=True).stdout[:-1]
 
 
-def committed(found: dict[str, str]) -> dict[str, str]:
-    """The stages that the one hash covers."""
-    return {stage: bits for stage, bits in found.items() if not stage.startswith(FOLLOWING)}
+def committed(hashes: dict[str, str]) -> dict[str, str]:
+    """Keep the stages whose hashes are committed."""
+    return {stage: bits for stage, bits in hashes.items() if not stage.startswith(FOLLOWING)}
 
 
-def one_hash(found: dict[str, str]) -> str:
-    """The one hash of all committed stages."""
-    return hashlib.sha256(json.dumps(committed(found), sort_keys=True).encode()).hexdigest()
+def one_hash(hashes: dict[str, str]) -> str:
+    """Return one hash of all committed stages."""
+    return hashlib.sha256(json.dumps(committed(hashes), sort_keys=True).encode()).hexdigest()
 
 
 def versions() -> dict[str, str]:
-    """Versions of the libraries that compute."""
+    """Return the versions of the numerical libraries."""
     return {name: importlib.metadata.version(name) for name in LIBRARIES}
 
 
 def update() -> None:
     """Make what this checkout computes the bits that the suite expects."""
-    found = committed(stages({}))
-    content = {"versions": versions(), "stages": found}
+    hashes = committed(stages({}))
+    content = {"versions": versions(), "stages": hashes}
     BITS.write_text(json.dumps(content, indent=2, sort_keys=True) + "\n", encoding="utf-8")
-    print(f"{BITS.relative_to(ROOT)}: {one_hash(found)}")
+    print(f"{BITS.relative_to(ROOT)}: {one_hash(hashes)}")
 
 
 def main() -> None:

@@ -55,19 +55,19 @@ STEPS = 20
 
 
 def digest(parts: Iterable[Any]) -> str:
-    """Hash arrays, tensors, texts, numbers and bytes in their order."""
+    """Of arrays, tensors, texts, numbers and bytes in their order."""
     import numpy as np
 
-    found = hashlib.sha256()
+    total = hashlib.sha256()
     for part in parts:
         if isinstance(part, (str, int, float, type(None))):
-            found.update(repr(part).encode())
+            total.update(repr(part).encode())
         elif isinstance(part, bytes):
-            found.update(part)
+            total.update(part)
         else:
             array = np.ascontiguousarray(part)
-            found.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
-    return found.hexdigest()
+            total.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
+    return total.hexdigest()
 
 
 def _of_scene(scene: Any) -> Iterable[Any]:
@@ -96,7 +96,7 @@ def photos(folder: Path) -> dict[str, str]:
     from framework import registry
     from framework.compute.rng import stream
 
-    found = {}
+    hashes = {}
     for suffix in ("png", "jpg"):
         where = folder / suffix
         where.mkdir()
@@ -112,8 +112,8 @@ def photos(folder: Path) -> dict[str, str]:
         (where / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
         options = {"path": str(where), "n_views": 3, "downscale": 2, "near": 1.0, "far": 9.0}
         loader = registry.part("scene", {"name": "transforms", **options})
-        found[f"photos {suffix}"] = digest(_of_scene(loader.load()))
-    return found
+        hashes[f"photos {suffix}"] = digest(_of_scene(loader.load()))
+    return hashes
 
 
 def _embedded(options: dict[str, Any]) -> Any:
@@ -130,43 +130,43 @@ def depth(folder: Path) -> dict[str, str]:
     """Depth maps by stereo and with every corruption."""
     from framework import registry
 
-    found = {}
+    hashes = {}
     for kind, options in DEPTHS.items():
         maps = registry.part("depth", options).estimate(_training())
         parts = [x for m in maps for x in (m.depth, m.confidence)]
-        found[f"depth {kind}"] = digest(parts)
-    return found
+        hashes[f"depth {kind}"] = digest(parts)
+    return hashes
 
 
 def init(folder: Path) -> dict[str, str]:
     """Initial Gaussians of every built-in initializer."""
-    from framework.depth.plane_sweep import PlaneSweep
+    from framework.depth.providers import PlaneSweep
     from framework.initialize import Sparse, Stereo
 
-    training, found = _training(), {}
+    training, hashes = _training(), {}
     maps = PlaneSweep(planes=48).estimate(training)
     for name, builder in (("stereo", Stereo()), ("sparse", Sparse())):
         gaussians = builder.build(training, maps, 1, 0)
-        found[f"init {name}"] = digest(x for _, x in gaussians.items())
-    return found
+        hashes[f"init {name}"] = digest(x for _, x in gaussians.items())
+    return hashes
 
 
 def training(folder: Path) -> dict[str, str]:
-    """Whole runs: what each wrote, without times and facts of the machine."""
+    """Hash the files of whole runs, without times and facts about the machine."""
     from framework.command import cli
 
-    found = {}
+    hashes = {}
     size = [f"scene.{key}={value}" for key, value in SCENE.items()]
     for k, (kind, options) in enumerate(TRAININGS.items()):
         run = folder / f"run{k}"
-        given = [*size, "depth.planes=48", *options, f"trainer.steps={STEPS}", "threads=2"]
-        given += ["metrics.lpips_weights=none"]  # whatever the user has fetched
-        code = cli.main(["scene=embedded", *given, f"hydra.run.dir={run}"])
+        words = [*size, "depth.planes=48", *options, f"trainer.steps={STEPS}", "threads=2"]
+        words += ["metrics.lpips_weights=none"]  # whatever the user has fetched
+        code = cli.main(["scene=embedded", *words, f"hydra.run.dir={run}"])
         if code != 0:
             raise SystemExit(f"{kind}: exit code {code}")
-        found[f"training {kind}"] = digest([(run / "point_cloud.ply").read_bytes()])
-        found[f"run {kind}"] = digest(_of_run(run))
-    return found
+        hashes[f"training {kind}"] = digest([(run / "point_cloud.ply").read_bytes()])
+        hashes[f"run {kind}"] = digest(_of_run(run))
+    return hashes
 
 
 def plugins(folder: Path) -> dict[str, str]:
@@ -174,7 +174,7 @@ def plugins(folder: Path) -> dict[str, str]:
     from framework import registry
     from framework.command import cli
 
-    found = {}
+    hashes = {}
     size = [f"scene.{key}={value}" for key, value in SCENE.items()]
     chosen = [
         f"{group}={name}" for group in registry.GROUPS for name in sorted(registry.table(group))
@@ -182,13 +182,19 @@ def plugins(folder: Path) -> dict[str, str]:
     chosen += ["init=patch_growth init.rounds=20", "init=epipolar", "trainer.opacity_spare=0.5"]
     for k, words in enumerate(chosen):
         run = folder / f"run{k}"
-        given = [*size, "depth.planes=48", *words.split(), f"trainer.steps={STEPS}", "threads=2"]
-        given += ["metrics.lpips_weights=none", f"hydra.run.dir={run}"]
-        code = cli.main(["scene=embedded", *given])
+        overrides = [
+            *size,
+            "depth.planes=48",
+            *words.split(),
+            f"trainer.steps={STEPS}",
+            "threads=2",
+        ]
+        overrides += ["depth.planes=48", "metrics.lpips_weights=none", f"hydra.run.dir={run}"]
+        code = cli.main(["scene=embedded", *overrides])
         if code != 0:
             raise SystemExit(f"{words}: exit code {code}")
-        found[words] = digest([(run / "point_cloud.ply").read_bytes()])
-    return found
+        hashes[words] = digest([(run / "point_cloud.ply").read_bytes()])
+    return hashes
 
 
 def _of_run(run: Path) -> Iterable[Any]:
@@ -212,7 +218,7 @@ def metrics(folder: Path) -> dict[str, str]:
     from framework.metrics import evaluate, lpips
     from tests.metrics.test_lpips import features, state_dict
 
-    found = {}
+    hashes = {}
     networks = {}
     for kind in ("VGG-16", "AlexNet"):
         torch.save(state_dict(kind, features(kind)), folder / f"{kind}.pth")
@@ -227,11 +233,11 @@ def metrics(folder: Path) -> dict[str, str]:
     ]
     for name in ("psnr", "ssim", "flip"):
         values = [getattr(evaluate, name)(*pair) for pair in pairs]
-        found[f"metric {name}"] = digest(map(repr, values))
+        hashes[f"metric {name}"] = digest(map(repr, values))
     for kind, network in networks.items():
         values = [evaluate.lpips(x, y, network, m, c) for x, y, m in pairs for c in (True, False)]
-        found[f"metric lpips {kind}"] = digest(map(repr, values))
-    return found
+        hashes[f"metric lpips {kind}"] = digest(map(repr, values))
+    return hashes
 
 
 def report(folder: Path) -> dict[str, str]:
@@ -262,12 +268,12 @@ USUAL = tuple(name for name in STAGES if name != plugins.__name__)
 def main(argv: list[str]) -> int:
     import contextlib
 
-    found: dict[str, str] = {}
+    hashes: dict[str, str] = {}
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(sys.stderr):
         for name in argv or USUAL:
             (Path(folder) / name).mkdir()
-            found |= STAGES[name](Path(folder) / name)
-    print(json.dumps(found, indent=1))
+            hashes |= STAGES[name](Path(folder) / name)
+    print(json.dumps(hashes, indent=1))
     return 0
 
 

@@ -2,14 +2,12 @@
 
     python benchmarks/speed/cost.py [--chunk N] [--output FILE] [OVERRIDE ...]
 
-Whole trainings on one thread without evaluations, by default on the embedded scene; overrides are
+Whole trainings on one thread without evaluations, by default on the embedded scene. Overrides are
 those of `run.py`, for instance `scene=llff scene.path=DIR` or `trainer.steps=200`. Every method
-trains in a separate process. The processes take turns of `--chunk` steps while the others wait, so
-a slow minute of the machine affects all alike. CPU is the processor time of the process, which
-other programs disturb less than wall time, though their use of caches and of a core's second
-hardware thread still shows. Kernels are compiled, scene and depth loaded before. While it acts a
-method costs more than this mean over the training: its `start` and `stop` leave a part out. Prints
-a markdown table, and writes it to FILE.
+trains in a separate process. The processes take turns of `--chunk` steps, so that a slow minute of
+the machine affects all of them. CPU is the processor time of the process, which other programs
+disturb less than wall time. Kernels are compiled, scene and depth loaded before. The mean includes
+steps outside the method's span. Prints a Markdown table, and writes it to FILE.
 """
 
 from __future__ import annotations
@@ -97,9 +95,9 @@ def train(method: Method, overrides: Sequence[str], chunk: int) -> None:
 
 def ready(method: Method, overrides: Sequence[str], chunk: int) -> subprocess.Popen[str]:
     """A process that waits for its first turn with `method`."""
-    own = ["--method", ",".join(method), "--chunk", str(chunk)]
+    arguments = ["--method", ",".join(method), "--chunk", str(chunk)]
     process = subprocess.Popen(
-        [sys.executable, __file__, *own, *overrides],
+        [sys.executable, __file__, *arguments, *overrides],
         cwd=ROOT,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,

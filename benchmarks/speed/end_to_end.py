@@ -2,11 +2,11 @@
 
     python benchmarks/speed/end_to_end.py [--runs 5] [--output FILE] [OVERRIDE ...]
 
-Each run is a new process doing what `python run.py OVERRIDE ...` does, into an empty folder, with
-kernels cached by one before. A stage's time excludes the stages inside it and is of the main
-thread. For members trained at the same time it is the first's, with the wait for the others.
-Medians
-over the runs. The machine should be idle. Writes a markdown table to FILE, or prints it.
+Each run is a fresh process doing what `python run.py OVERRIDE ...` does, in an empty folder, with
+kernels cached by an earlier run. The time of a stage excludes the stages inside it and is measured
+on the main thread. For members that train at the same time it is the time of the first one,
+including the wait for the others. Prints medians over the runs, or writes them to FILE. The machine
+should be idle.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ CHILD = "--child"
 # stage -> functions, as module and name, whose time it is
 STAGES = {
     "scene": ["framework.run.experiment:load_scene"],
-    "depth, and loading kernels meanwhile": [
+    "depth, while kernels load": [
         "framework.run.preparation:estimate_depth",
         "framework.run.preparation:check_poses",
         "framework.run.warmup:Warmup.begin",
@@ -73,7 +73,7 @@ class Clock:
         @functools.wraps(function)
         def watched(*args: Any, **kwargs: Any) -> Any:
             if threading.current_thread() is not threading.main_thread():
-                return function(*args, **kwargs)  # beside what is measured
+                return function(*args, **kwargs)  # not part of what is measured
             start = time.perf_counter()
             self._inside.append(0.0)
             try:
@@ -140,17 +140,17 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--output", type=Path)
     parser.add_argument("overrides", nargs="*")
-    given = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        profile(folder, [*given.overrides, "trainer.steps=10"])
-        runs = [profile(folder, given.overrides) for _ in range(given.runs)]
+        profile(folder, [*options.overrides, "trainer.steps=10"])
+        runs = [profile(folder, options.overrides) for _ in range(options.runs)]
         record = json.loads((folder / "run" / "record.json").read_text())
     from framework.records.provenance import cpu_model
 
     median = {key: statistics.median(run.get(key, 0.0) for run in runs) for key in runs[0]}
     total = median.pop("total")
-    line = re.sub(r"path=\S+", "path=DIR", " ".join(given.overrides))
+    line = re.sub(r"path=\S+", "path=DIR", " ".join(options.overrides))
     psnr, gaussians = record["summary"]["psnr"]["mean"], record["gaussians"]
     rows = [
         f"| {stage} | {median[stage]:.2f} | {100 * median[stage] / total:.0f} % |"
@@ -162,7 +162,7 @@ def main() -> None:
             "# One run from end to end",
             "",
             f"`python benchmarks/speed/end_to_end.py {line}` on {cpu_model()},"
-            f" {record['provenance']['threads']} threads: medians of {given.runs} runs;"
+            f" {record['provenance']['threads']} threads: medians of {options.runs} runs;"
             f" test PSNR {psnr:.2f} dB, {gaussians} Gaussians.",
             "",
             "| stage | seconds | share |",
@@ -173,8 +173,8 @@ def main() -> None:
         ]
     )
     print(text)
-    if given.output:
-        given.output.write_text(text)
+    if options.output:
+        options.output.write_text(text)
 
 
 if __name__ == "__main__":

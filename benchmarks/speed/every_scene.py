@@ -26,7 +26,7 @@ from benchmarks.quality.time_to_quality import short
 from benchmarks.speed.end_to_end import END, REPORT, REST, STAGES, START, profile
 from framework.records.provenance import cpu_model
 
-BEFORE = {"scene", "depth, and loading kernels meanwhile", "initial Gaussians"}
+BEFORE = {"scene", "depth, while kernels load", "initial Gaussians"}
 TRAINING = {stage for stage in STAGES if stage.startswith("training")}
 GROUPS = {
     "Python, libraries": {START},
@@ -69,24 +69,24 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--output", type=Path)
     parser.add_argument("overrides", nargs="*")
-    given = parser.parse_args()
-    rows = [measured(scene, given.overrides, given.runs) for scene in given.scene]
+    options = parser.parse_args()
+    rows = [measured(scene, options.overrides, options.runs) for scene in options.scene]
     header = ["scene", "Gaussians", "test PSNR", "worst view", *GROUPS, "all seconds"]
-    names = [f'`--scene "{re.sub(r"path=[^ ]+", "path=DIR", scene)}"`' for scene in given.scene]
+    names = [f'`--scene "{re.sub(r"path=[^ ]+", "path=DIR", scene)}"`' for scene in options.scene]
     text = "\n".join(
         [
             "# Scenes from end to end",
             "",
-            f"`python benchmarks/speed/every_scene.py --runs {given.runs}"
-            f" {' '.join(given.overrides)}` on {cpu_model()}, with {', '.join(names)}.",
+            f"`python benchmarks/speed/every_scene.py --runs {options.runs}"
+            f" {' '.join(options.overrides)}` on {cpu_model()}, with {', '.join(names)}.",
             "",
             *(f"| {' | '.join(cells)} |" for cells in (header, ["---", *["---:"] * 8], *rows)),
             "",
         ]
     )
     print(text)
-    if given.output:
-        given.output.write_text(text)
+    if options.output:
+        options.output.write_text(text)
 
 
 if __name__ == "__main__":

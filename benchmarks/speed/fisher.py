@@ -1,4 +1,4 @@
-"""What one view's Fisher information costs, beside a forward and backward of the same view.
+"""Cost of one view's Fisher information, compared with a forward and backward pass.
 
     python benchmarks/speed/fisher.py [--clock wall] [--output FILE]
 

@@ -1,11 +1,11 @@
-"""All measurements of `rasterizer=gsplat` on a machine with CUDA, in one command. Prints tables.
+"""All that a machine with CUDA has to show of `rasterizer=gsplat`, in one command. Prints tables.
 
     python benchmarks/speed/gpu.py [--data DIR] [--against gsplat] [--output FILE.md]
 
 Equality of image, gradients and Fisher information with the numba kernels, at opacities below both
 ends of alpha; seconds of whole runs on the built-in scene, with `preset=paper`, and
 with --data DIR (a folder with `fern` and `fox`) on fern with 3 views and fox with 43; the spread
-over repetitions of one seed and over seeds. `--against reference --small` tries the script
+over repetitions of one seed with that over seeds. `--against reference --small` tries the script
 itself on a CPU. Refused in one line where the rasterizer cannot run.
 """
 
@@ -87,25 +87,25 @@ def main() -> int:
     parser.add_argument("--small", action="store_true")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--output", type=Path)
-    given = parser.parse_args()
+    options = parser.parse_args()
     from framework.backends import build_rasterizer
     from framework.errors import UserError
 
     try:
-        build_rasterizer({"rasterizer": {"name": given.against}}).ready()
+        build_rasterizer({"rasterizer": {"name": options.against}}).ready()
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    names, least = ("numba", given.against), [*(SMALL if given.small else [])]
+    names, least = ("numba", options.against), [*(SMALL if options.small else [])]
     runs = {"built-in scene": [*METHOD, *least]}
-    if not given.small:
+    if not options.small:
         runs["built-in scene, preset=paper"] = ["preset=paper", *METHOD]
-    if given.data:
-        runs["fern, 3 views"] = ["scene=llff", f"scene.path={given.data / 'fern'}", *METHOD]
-        fox = ["scene=transforms", f"scene.path={given.data / 'fox'}", "scene.n_views=43"]
+    if options.data:
+        runs["fern, 3 views"] = ["scene=llff", f"scene.path={options.data / 'fern'}", *METHOD]
+        fox = ["scene=transforms", f"scene.path={options.data / 'fox'}", "scene.n_views=43"]
         runs["fox, 43 views"] = [*fox, *METHOD]
     lines = ["| what | largest difference, of the largest value | below 1e-4 |", "|---|---|---|"]
-    lines += [*equality(given.against), "", "| run | rasterizer | run [s] | training [s] |"]
+    lines += [*equality(options.against), "", "| run | rasterizer | run [s] | training [s] |"]
     lines[-1] += " step [ms] | PSNR [dB] |"
     lines.append("|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as temporary:
@@ -115,21 +115,24 @@ def main() -> int:
                 numbers = f"{r['wall']:.1f} | {r['train']:.1f} | {1000 * r['step']:.1f}"
                 lines.append(f"| {title} | {name} | {numbers} | {r['psnr']:.2f} |")
         spread = {}
-        for what, seeds in (("seed 0 again", [0] * given.repeats), ("seeds", range(given.repeats))):
+        for what, seeds in (
+            ("seed 0 again", [0] * options.repeats),
+            ("seeds", range(options.repeats)),
+        ):
             base = [*METHOD, *least]
             values = [
-                run(given.against, [*base, f"seed={seed}"], Path(temporary) / "run")["psnr"]
+                run(options.against, [*base, f"seed={seed}"], Path(temporary) / "run")["psnr"]
                 for seed in seeds
             ]
             spread[what] = statistics.stdev(values)
     lines += [
         "",
-        *(f"Sigma of PSNR over {given.repeats} x {w}: {s:.4f} dB" for w, s in spread.items()),
+        *(f"Sigma of PSNR over {options.repeats} x {w}: {s:.4f} dB" for w, s in spread.items()),
     ]
     text = "\n".join(lines) + "\n"
     print(text)
-    if given.output:
-        given.output.write_text(text, encoding="utf-8")
+    if options.output:
+        options.output.write_text(text, encoding="utf-8")
     return 0
 
 

@@ -1,8 +1,8 @@
-"""Peak memory of a training over what the interpreter, its libraries and the kernels take.
+"""Peak memory of a training, in addition to the interpreter, its libraries and the kernels.
 
-Each case is a separate process: three views, SH of degree 3, a few steps of the trainer, without
-methods. Its base is the resident size after a training of 1000 Gaussians on tiny images. The last
-line fits peak = a x Gaussians + b x pixels, where the pixels are those of all training views.
+Each case runs in a separate process: three views, SH of degree 3, a few steps of the trainer,
+without methods. The base is the resident size after a training of 1000 Gaussians on tiny images.
+The last line fits peak = a x Gaussians + b x pixels, with the pixels of all training views.
 
     python benchmarks/speed/memory.py [--output benchmarks/results/memory.md]
 """
@@ -85,7 +85,7 @@ def worker(count: int, factor: int) -> None:
 
     train(1000, 0.125)
     if not reset_peak_memory():
-        raise SystemExit("error: expected Linux, whose /proc has the peak; run it there")
+        raise SystemExit("error: needs Linux, whose /proc reports the peak")
     base = peak_memory_bytes()
     width, height = train(count, factor)
     case = Case(count, width, height, base, peak_memory_bytes())
@@ -119,15 +119,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--output", type=Path)
     parser.add_argument("--case", nargs=2, type=int, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.case:
-        worker(*given.case)
+    options = parser.parse_args()
+    if options.case:
+        worker(*options.case)
         return 0
     cases = [measure(count, factor) for factor in FACTORS for count in COUNTS]
     text = table(cases)
     print(text)
-    if given.output is not None:
-        given.output.write_text(text, encoding="utf-8")
+    if options.output is not None:
+        options.output.write_text(text, encoding="utf-8")
     return 0
 
 

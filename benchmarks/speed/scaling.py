@@ -6,7 +6,8 @@
 The step and the scene are those of `step.py` (SH of degree 3); a factor scales both sides of
 504x378. A contribution is a pair of a pixel and a Gaussian that is blended into it; more Gaussians
 in the same image are mostly hidden: projected and sorted into tiles, but not blended. The last line
-says whether time grows faster than what it is for. Writes a markdown table to FILE, or prints it.
+compares the growth of time with that of Gaussians and pixels. Writes a Markdown table to FILE, or
+prints it.
 """
 
 from __future__ import annotations
@@ -101,21 +102,21 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3, help="over all cases, each in its turn")
     parser.add_argument("--steps", type=int, default=7, help="measured steps of a case in a round")
     parser.add_argument("--output", type=Path)
-    given = parser.parse_args()
+    options = parser.parse_args()
     torch.set_num_threads(1)  # as a run does: its idle threads would spin on the other core
-    sizes = [(factor, count) for factor in given.factors for count in given.counts]
+    sizes = [(factor, count) for factor in options.factors for count in options.counts]
     times: dict[tuple[float, int, int], list[float]] = defaultdict(list)
-    for turn in range(given.rounds):
+    for turn in range(options.rounds):
         for factor, count in sizes:
             for threads in (1, 2):
-                own = milliseconds(count, factor, threads, given.steps)
-                times[factor, count, threads] += own
-        print(f"round {turn + 1} of {given.rounds}", file=sys.stderr, flush=True)
+                step_ms = milliseconds(count, factor, threads, options.steps)
+                times[factor, count, threads] += step_ms
+        print(f"round {turn + 1} of {options.rounds}", file=sys.stderr, flush=True)
     lines = [
         "# How a training step grows",
         "",
-        f"`python benchmarks/speed/scaling.py` on {cpu_model()}: medians of {given.steps} steps in"
-        f" each of {given.rounds} rounds, ms; ns per blended contribution (pixel and"
+        f"`python benchmarks/speed/scaling.py` on {cpu_model()}: medians of {options.steps} steps"
+        f" in each of {options.rounds} rounds, ms; ns per blended contribution (pixel and"
         " Gaussian) of a step on one thread.",
         "",
         "| image | Gaussians | contributions (M) | 1 thread | 2 threads | speed-up | ns each |",
@@ -137,8 +138,8 @@ def main() -> None:
     ]
     text = "\n".join(lines) + "\n"
     print(text)
-    if given.output:
-        given.output.write_text(text)
+    if options.output:
+        options.output.write_text(text)
 
 
 if __name__ == "__main__":

@@ -1,20 +1,17 @@
-"""Milliseconds by stage of one training step, optionally with the prototype's.
+"""Milliseconds by stage of one training step, optionally compared with a prototype.
 
     python benchmarks/speed/step.py [--prototype DIR] [--clock cpu] [--output FILE]
 
 The step is what training runs: `render_gradient` (SH degree 3) of `photometric_gradient` and of
-smooth depth, and `Adam.step_from`, at 504x378 on `benchmarks.scene`. Stages are timed inside it.
-The column `rest` is the time between them.
+smooth depth, and `Adam.step_from`, at 504x378 on `benchmarks.scene`. Stages are timed inside it;
+the column `rest` is the time between them.
 
-Every round runs in new processes, ours and the prototype's in turn, so that a slow minute of the
-machine affects both. Ours takes a few steps with one thread, a few with two, and a few with one
-while a second process does the same. Both share nothing, so their joint speed-up measures what the
-machine had to give, slightly too high since the slower one is alone for its last steps. Speed-ups
-are medians over such turns.
-
-`wall` is the median over all steps of all rounds. `CPU` is the processor time of the whole process
-per step, which other programs disturb less. `--clock cpu` measures the stages by it too, for a
-machine that is not idle. Prints a markdown table, and writes it to FILE.
+Every round runs in fresh processes, ours and the prototype's in turn. A turn has some steps with
+one thread, some with two, and some with one thread next to a second process that does the same. The
+speed-up of these two processes is what the machine could give at that time. Speed-ups are medians
+over turns, `wall` is the median over all steps. `CPU` is the processor time of the whole process
+per step, which other programs disturb less; `--clock cpu` also measures stages by it. Prints a
+Markdown table, and writes it to FILE.
 """
 
 from __future__ import annotations
@@ -65,20 +62,19 @@ class Stopwatch:
     @contextmanager
     def watching(self, owner: type) -> Iterator[None]:
         """Time every method of `owner` that is a stage, while inside."""
-        own = {name: vars(owner)[name] for name in STAGES if name in vars(owner)}
-        for name, method in own.items():
+        originals = {name: vars(owner)[name] for name in STAGES if name in vars(owner)}
+        for name, method in originals.items():
             setattr(owner, name, self.wrap(name, method))
         try:
             yield
         finally:
-            for name, method in own.items():
+            for name, method in originals.items():
                 setattr(owner, name, method)
 
 
 def work(options: argparse.Namespace) -> None:
-    """A worker: for every count it prints that it is ready, and then takes a turn for every line
-    with a number of threads.
-    """
+    """Take turns: for every count print that it is ready, then take a turn for every line read,
+    which has the number of threads."""
     import torch
 
     from framework.compute.parallel import set_threads
@@ -101,18 +97,18 @@ def work(options: argparse.Namespace) -> None:
 
 def take_turn(step: Callable[[], None], watch: Stopwatch) -> Steps:
     """TURN steps, after one that finds the caches as another number of threads left them."""
-    found = Steps({name: [] for name in STAGES}, [], [])
+    steps = Steps({name: [] for name in STAGES}, [], [])
     step()
     for times in watch.times.values():
         times.clear()
     for _ in range(TURN):
         start, cpu_start = time.perf_counter(), time.process_time()
         step()
-        found.wall_ms.append(1e3 * (time.perf_counter() - start))
-        found.cpu_ms.append(1e3 * (time.process_time() - cpu_start))
+        steps.wall_ms.append(1e3 * (time.perf_counter() - start))
+        steps.cpu_ms.append(1e3 * (time.process_time() - cpu_start))
     for name, times in watch.times.items():
-        found.stages[name] += times
-    return found
+        steps.stages[name] += times
+    return steps
 
 
 def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable[[], None]:
@@ -140,13 +136,13 @@ def training_step(count: int, watch: Stopwatch, factor: float = 1.0) -> Callable
     update = watch.wrap("update", optimizer.step_from)
 
     def step() -> None:
-        found = render_gradient(
+        gradient = render_gradient(
             gaussians,
             camera,
             lambda rgb: loss_of(rgb, target)[1],
             depth_gradient=lambda alpha, depth: pull_of(alpha, depth, weights),
         )
-        update(found, rates, DECAY)
+        update(gradient, rates, DECAY)
 
     return step
 
@@ -181,25 +177,25 @@ class Worker:
 
 
 def _run_ours(options: argparse.Namespace, results: Results) -> None:
-    """All counts in two fresh processes, the second of which only works beside the first."""
+    """All counts in two fresh processes; the second only loads the machine."""
     workers = Worker(options), Worker(options)
     first = workers[0]
     for count in options.counts:
         for worker in workers:
             worker.read()
         for _ in range(0, options.steps, TURN):
-            found: dict[int, Steps] = {}
+            turns: dict[int, Steps] = {}
             for threads in options.threads:
                 first.start(threads)
-                found[threads] = first.end()
-                results.ours.setdefault((count, threads), []).append(found[threads])
-            if {1, 2} <= found.keys():
+                turns[threads] = first.end()
+                results.ours.setdefault((count, threads), []).append(turns[threads])
+            if {1, 2} <= turns.keys():
                 first.start(1)
                 again = first.end()
                 for worker in workers:
                     worker.start(1)
                 both = [worker.end() for worker in workers]
-                results.turns.setdefault(count, []).append(Turn(found[1], found[2], again, both))
+                results.turns.setdefault(count, []).append(Turn(turns[1], turns[2], again, both))
         for worker in workers:
             worker.start(0)
     for worker in workers:

@@ -112,17 +112,17 @@ def stage_table(results: Results, clock: str) -> list[str]:
 
 
 def comparison_table(results: Results) -> list[str]:
-    """Single-thread totals beside the prototype's, and what the second thread brings."""
+    """Single-thread totals compared with the prototype's, and the gain of a second thread."""
     header = ["Gaussians", "ours, 1 thread", "prototype", "ratio of wall", "ratio of CPU"]
     header += ["ours, 2 threads", "speed-up (quartiles)", "of two processes"]
     header += [f"speed-up where that is {FREE} or more (turns)", "prototype's speed-up"]
     rows: list[list[object]] = []
     for count in sorted({c for c, _ in results.ours}):
-        rows.append([count, *_beside(results, count), *_speed_up(results, count)])
+        rows.append([count, *_compared(results, count), *_speed_up(results, count)])
     return _table(header, rows)
 
 
-def _beside(results: Results, count: int) -> list[object]:
+def _compared(results: Results, count: int) -> list[object]:
     if (count, 1) not in results.ours:
         return ["-"] * 4
     wall, cpu = results.wall(count, 1), results.cpu(count, 1)

@@ -13,7 +13,7 @@ from framework.errors import UserError, nearest_hint
 SUBCOMMANDS = {
     "compare": ("framework.report.pair", "two runs"),
     "export": ("framework.exports.export", "for viewers"),
-    "fetch": ("framework.metrics.lpips_weights", "LPIPS"),
+    "fetch": ("framework.command.fetch", "weights"),
     "leaderboard": ("framework.report.leaderboard", "all studies"),
     "render": ("framework.exports.render", "pictures"),
     "report": ("framework.report.main", "report again"),

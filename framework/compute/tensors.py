@@ -1,7 +1,7 @@
 """Functions of tensors, differentiable, whose bits on the CPU depend on no processor.
 
 PyTorch hands square roots and exponentials to MKL, whose code is chosen by the processor and does
-not round alike everywhere (`benchmarks/results/determinism.md` has figures). NumPy's square root is
+not round alike everywhere (`benchmarks/results/robustness.md` has figures). NumPy's square root is
 the processor's, which IEEE 754 defines; the others are `framework.compute.portable`'s, rounded to
 the tensor's type. Gradients are those of the definitions. On other devices they are PyTorch's.
 """

@@ -1,35 +1,26 @@
-"""Depth providers: where the depth of the training views comes from.
+"""Depth of the training views, and what follows from it.
 
-Every provider is a frozen dataclass whose fields are its options, derived from
-`framework.depth.provider.DepthProvider`: it implements `measure(training)`, which gives one
-`framework.types.DepthMap` per training view, in their order, and `fingerprint(training)`, which
-tells the files that were read. Importing this package loads neither torch nor numba.
-`exposure` tells from photos and depth how the photos were exposed.
+A provider is a frozen dataclass of options derived from `provider.DepthProvider`. Its
+`measure(training)` returns a `framework.types.DepthMap` per training view, and
+`fingerprint(training)` hashes the files that it reads. `exposure` estimates from photos and depth
+how the photos were exposed; `pose_check` whether poses fit the photos. Importing this package loads
+neither torch nor numba.
 """
 
 from __future__ import annotations
 
-from framework.depth.depth_anything_3 import DepthAnything3
-from framework.depth.from_file import DepthFile
-from framework.depth.ground_truth import GroundTruth
-from framework.depth.plane_sweep import PlaneSweep
 from framework.depth.provider import DepthProvider, unspoiled
+from framework.depth.providers import PROVIDERS
 
 __all__ = [
     "PROVIDERS",
     "DepthProvider",
     "consistency",
     "exposure",
+    "itermvs",
     "matching",
     "options",
     "pose_check",
     "transfer",
     "unspoiled",
 ]
-
-PROVIDERS: dict[str, type] = {
-    "ground_truth": GroundTruth,
-    "plane_sweep": PlaneSweep,
-    "file": DepthFile,
-    "depth_anything_3": DepthAnything3,
-}

@@ -1,8 +1,8 @@
-"""Bringing depth of unknown scale to the scene's units, by its sparse points.
+"""Aligns depth of unknown scale with the scene's sparse points.
 
 Depth from elsewhere is often known only up to a factor, and inverse depth of a monocular network up
-to a factor and a shift (Ranftl et al., TPAMI 2022, section 5). Both fits are robust: the factor is
-a median of ratios; factor and shift minimise the sum of absolute residuals, by iteratively
+to a factor and a shift (Ranftl et al., TPAMI 2022, section 5). Both fits are robust. The factor is
+a median of ratios. Factor and shift minimise the sum of absolute residuals, by iteratively
 reweighted least squares (Schlossmacher, JASA 1973).
 """
 
@@ -51,7 +51,7 @@ def _weighted_line(
     values: NDArray[np.float64], targets: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """[2] slope and offset of the least squares line through [M] points; a level one through equal
-    values. Written out, as a library's comes out as the processor has it."""
+    values. Not by a library, whose rounding depends on the processor."""
     total = weights.sum()
     x, y = (float((weights * v).sum() / total) for v in (values, targets))
     spread = float((weights * np.square(values - x)).sum())
@@ -70,9 +70,9 @@ def point_samples(
     seen = training.points.visible.numpy()[:, index]
     uvz = project(camera, training.points.xyz.numpy()[seen])
     uvz = uvz[inside(camera, uvz)]
-    found = values[uvz[:, 1].astype(np.int64), uvz[:, 0].astype(np.int64)]
-    known = found > 0
-    return found[known], uvz[known, 2]
+    sampled = values[uvz[:, 1].astype(np.int64), uvz[:, 0].astype(np.int64)]
+    valid = sampled > 0
+    return sampled[valid], uvz[valid, 2]
 
 
 def align(
@@ -84,20 +84,30 @@ def align(
     where: str = "depth=file",
     way_out: str = "use depth.align=none with depth in scene units",
 ) -> NDArray[np.float64]:
-    """Depth [H, W] in scene units from `values` [H, W] of view `index` (0 = unknown, kept).
+    """Convert `values` of a view to depth in scene units.
 
-    inverse: the values are inverse depths, and the fit is made in inverse depth. mode: "none",
-    "scale" or "scale_shift". where, way_out: for messages. Pixels the fit puts at or behind
-    infinity become unknown. Raises UserError if too few sparse points lie on known pixels or larger
-    values turn out to be farther (nearer, for inverse depth) than smaller ones.
+    Args:
+        training: views and sparse points.
+        index: of the view.
+        values: [H, W], 0 = unknown.
+        inverse: the values are inverse depths, which are then fitted.
+        mode: "none", "scale" or "scale_shift".
+        where, way_out: for messages.
+
+    Returns:
+        Depth [H, W], 0 = unknown, also where the fit is at or behind infinity.
+
+    Raises:
+        UserError: too few sparse points are on known pixels, or larger values are farther (nearer,
+            for inverse depth) than smaller ones.
     """
     scale, shift = 1.0, 0.0
     if mode != "none":
         scale, shift = _fit(training, index, values, inverse, mode, where, way_out)
     fitted = np.where(values > 0, scale * values + shift, 0.0)
-    known = fitted > 0
-    safe = np.where(known, fitted, 1.0)
-    return np.where(known, 1.0 / safe if inverse else safe, 0.0)
+    valid = fitted > 0
+    safe = np.where(valid, fitted, 1.0)
+    return np.where(valid, 1.0 / safe if inverse else safe, 0.0)
 
 
 def _fit(
@@ -110,16 +120,16 @@ def _fit(
     way_out: str,
 ) -> tuple[float, float]:
     name = training.views[index].name
-    found, depths = point_samples(training, index, values)
-    if len(found) < MIN_POINTS[mode]:
+    samples, depths = point_samples(training, index, values)
+    if len(samples) < MIN_POINTS[mode]:
         raise UserError(
             f"{where}: align={mode} needs {MIN_POINTS[mode]} sparse points on known depth in view"
-            f" '{name}', got {len(found)}; {way_out}"
+            f" '{name}', got {len(samples)}; {way_out}"
         )
     targets = 1.0 / depths if inverse else depths
     if mode == "scale":
-        return fit_scale(found, targets), 0.0
-    scale, shift = fit_scale_shift(found, targets)
+        return fit_scale(samples, targets), 0.0
+    scale, shift = fit_scale_shift(samples, targets)
     if scale <= 0:
         raise UserError(
             f"{where}: expected values that grow with the {'inverse ' if inverse else ''}depth"

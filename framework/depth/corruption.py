@@ -1,26 +1,25 @@
-"""Depth made worse on purpose, for stress studies: what does a method do when its depth is wrong?
+"""Corrupts depth on purpose, for stress studies.
 
-Every corruption keeps the pixels without depth as they are and, except `holes`, the confidence: a
-provider that errs does not know it. Lengths are shares of the image's diagonal, so that the size of
-the photos plays no part. At strength s in [0, 1]:
+Every corruption keeps the pixels without depth and, except `holes`, the confidence: a provider does
+not notice its errors. Lengths are shares of the image's diagonal, so the size of the photos does
+not matter. At strength s in [0, 1]:
 
-- `noise`: z exp(0.1 s g), g a standard normal field that is correlated over 1 % of the diagonal:
-  at s = 1 a depth is off by 10 %, about what a monocular network is after alignment.
-- `bias`: z exp(0.2 s b), b a constant of the view: the values of all views are spread evenly over
-  [-1, 1] in random order (1 for a single view), so that at s = 1 the views' scales differ by up to
-  e^0.4 = 1.5.
-- `holes`: the depth of the share 0.9 s of the known pixels is unknown (confidence 0), in blobs of
+- `noise`: z exp(0.1 s g), with g a standard normal field that is correlated over 1 % of the
+  diagonal. At s = 1 a depth is off by 10 %, about like a monocular network after alignment.
+- `bias`: z exp(0.2 s b), with b a constant of the view. The values of all views are spread evenly
+  over [-1, 1] in random order (1 for a single view). At s = 1 scales differ by up to e^0.4 = 1.5.
+- `holes`: the depth of a share 0.9 s of the known pixels is unknown (confidence 0), in blobs of
   about 4 % of the diagonal. A weaker hole lies within a stronger one.
-- `blur`: inverse depth is smoothed by a Gaussian of standard deviation 0.02 s diagonals: surfaces
+- `blur`: inverse depth is smoothed by a Gaussian of standard deviation 0.02 s diagonals. Surfaces
   grow tails across depth edges, as in the output of a network at low resolution.
 
-The draws of one seed are the same at every strength: a sweep over strengths scales one error.
+The draws of a seed are the same at every strength: a sweep over strengths scales one error.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,71 +44,64 @@ BLUR_LENGTH = 0.02
 def corrupt(
     maps: Sequence[DepthMap], kinds: Sequence[str], strength: float, seed: int
 ) -> tuple[DepthMap, ...]:
-    """New maps: each of `kinds` applied in turn to all `maps`, see the module."""
-    spoiled = [(m.depth.numpy().astype(np.float64), m.confidence.numpy()) for m in maps]
-    for kind in kinds:
-        change = _KINDS[kind]
-        spoiled = [
-            change(depth, confidence, view, len(maps), strength, seed)
-            for view, (depth, confidence) in enumerate(spoiled)
-        ]
-    return tuple(
-        DepthMap(torch.from_numpy(d.astype(np.float32)), torch.from_numpy(c.copy()))
-        for d, c in spoiled
-    )
+    """Apply each of `kinds` in turn to all `maps`; see the module's docstring."""
+    corrupted = []
+    for view, one in enumerate(maps):
+        depth, confidence = one.depth.numpy().astype(np.float64), one.confidence.numpy().copy()
+        for kind in kinds:
+            if kind == "noise":
+                depth = _noise(depth, strength, stream(seed, "depth/noise", view))
+            elif kind == "bias":
+                depth = _bias(depth, view, len(maps), strength, seed)
+            elif kind == "holes":
+                kept = _kept(depth, strength, stream(seed, "depth/holes", view))
+                depth, confidence = depth * kept, confidence * kept
+            else:
+                depth = _blur(depth, strength)
+        corrupted.append(
+            DepthMap(torch.from_numpy(depth.astype(np.float32)), torch.from_numpy(confidence))
+        )
+    return tuple(corrupted)
 
 
-def _noise(
-    depth: Array, confidence: NDArray[np.float32], view: int, n: int, strength: float, seed: int
-) -> tuple[Array, NDArray[np.float32]]:
-    field = normal_field(depth.shape, NOISE_LENGTH, stream(seed, "depth/noise", view))
-    return depth * portable.exp(NOISE * strength * field), confidence
+def _noise(depth: Array, strength: float, rng: np.random.Generator) -> Array:
+    field = normal_field(depth.shape, NOISE_LENGTH, rng)
+    return depth * portable.exp(NOISE * strength * field)
 
 
-def _bias(
-    depth: Array, confidence: NDArray[np.float32], view: int, n: int, strength: float, seed: int
-) -> tuple[Array, NDArray[np.float32]]:
+def _bias(depth: Array, view: int, n: int, strength: float, seed: int) -> Array:
     spread = np.linspace(-1.0, 1.0, n) if n > 1 else np.ones(1)
     share = stream(seed, "depth/bias").permutation(spread)[view]
-    return depth * portable.exp(BIAS * strength * share), confidence
+    return depth * portable.exp(BIAS * strength * share)
 
 
-def _holes(
-    depth: Array, confidence: NDArray[np.float32], view: int, n: int, strength: float, seed: int
-) -> tuple[Array, NDArray[np.float32]]:
-    known = depth > 0
-    field = normal_field(depth.shape, HOLES_LENGTH, stream(seed, "depth/holes", view))
-    count = round(HOLES * strength * int(known.sum()))
-    lowest = np.argsort(np.where(known, field, np.inf), axis=None, kind="stable")[:count]
-    kept = known.copy()
+def _kept(depth: Array, strength: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """The known pixels outside of the holes."""
+    valid = depth > 0
+    field = normal_field(depth.shape, HOLES_LENGTH, rng)
+    count = round(HOLES * strength * int(valid.sum()))
+    lowest = np.argsort(np.where(valid, field, np.inf), axis=None, kind="stable")[:count]
+    kept = valid.copy()
     kept.ravel()[lowest] = False
-    return np.where(kept, depth, 0.0), np.where(kept, confidence, np.float32(0))
+    return kept
 
 
-def _blur(
-    depth: Array, confidence: NDArray[np.float32], view: int, n: int, strength: float, seed: int
-) -> tuple[Array, NDArray[np.float32]]:
-    """Normalised convolution (Knutsson & Westin, CVPR 1993): unknown pixels weigh nothing."""
-    known = depth > 0
-    inverse = np.where(known, 1.0 / np.where(known, depth, 1.0), 0.0)
+def _blur(depth: Array, strength: float) -> Array:
+    """Normalised convolution (Knutsson & Westin, CVPR 1993): unknown pixels have weight 0."""
+    valid = depth > 0
+    inverse = np.where(valid, 1.0 / np.where(valid, depth, 1.0), 0.0)
     sigma_px = BLUR_LENGTH * strength * math.hypot(*depth.shape)
     total = _smoothed(inverse, sigma_px, "nearest")
-    weight = _smoothed(known.astype(np.float64), sigma_px, "nearest")
-    return np.where(known, weight / np.where(known, total, 1.0), depth), confidence
-
-
-_KINDS: dict[str, Callable[..., tuple[Array, NDArray[np.float32]]]] = {
-    "noise": _noise,
-    "bias": _bias,
-    "holes": _holes,
-    "blur": _blur,
-}
+    weight = _smoothed(valid.astype(np.float64), sigma_px, "nearest")
+    return np.where(valid, weight / np.where(valid, total, 1.0), depth)
 
 
 def normal_field(shape: tuple[int, ...], length: float, rng: np.random.Generator) -> Array:
-    """[H, W] standard normal values, correlated over the share `length` of the diagonal: white
-    noise smoothed by a Gaussian of that standard deviation, of periodic border so that the variance
-    is the same everywhere, and divided by its exact deviation."""
+    """[H, W] standard normal values, correlated over the share `length` of the diagonal.
+
+    White noise is smoothed by a Gaussian of that standard deviation, with a periodic border so that
+    the variance is the same everywhere, and divided by its exact deviation.
+    """
     sigma_px = length * math.hypot(*shape)
     impulse = np.zeros(shape)
     impulse[0, 0] = 1.0

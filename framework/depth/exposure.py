@@ -1,29 +1,30 @@
-"""Photos of one scene that were exposed differently, made equal.
+"""Equalises photos of one scene that were exposed differently.
 
-A camera that chooses exposure and white balance anew for every photo gives one surface other
-colours in each. Gaussians can explain that only by being several where one would do. Where stereo
-finds a surface in two photos i and j, the ratio of their colours is exp(g_i - g_j), g the log gains
-of the photos. For every pair of neighbours, each quarter k of the shared pixels by brightness has a
-median difference e and a median mean l of the two colours, which highlights, shading and wrong
-depth hardly move, and so a log ratio r = log((l + e/2) / (l - e/2)); in each colour channel the
-gains minimise
+A camera that chooses exposure and white balance again for every photo gives a surface another
+colour in each. Gaussians can only explain that by several of them in one place. If stereo finds a
+surface in photos i and j, the ratio of its colours is exp(g_i - g_j), with g the photos' log gains.
+For every pair of neighbours, the shared pixels are divided into four quarters k by brightness. The
+median difference e and the median mean l of the two colours in a quarter hardly depend on
+highlights, shading and wrong depth. They give a log ratio r = log((l + e/2) / (l - e/2)). In each
+colour channel the gains minimise
 
     sum_ijk l_ijk^2 (r_ijk - (g_i - g_j))^2 + prior sum_i g_i^2,
 
-whose last term, `PRIOR` of the pairs' mean weight, puts their mean at 0 and decides for photos that
-nothing connects. Weighted by l, as stray light and tone curves lift the dark ones: it is the bright
-ones that tell. Far views match little, and wrongly: of a pair's ratios only the share
+where the last term, `PRIOR` times the pairs' mean weight, puts the mean gain at 0 and determines
+the gains of unconnected photos. The weight is l, because stray light and tone curves lift dark
+colours. Distant views match few pixels, and wrongly, so a pair's ratios are multiplied by
 
-    sum_k l_ijk^2 / (sum_k l_ijk^2 + (s / `USUAL`)^2)
+    sum_k l_ijk^2 / (sum_k l_ijk^2 + (s / `USUAL`)^2),
 
-is believed, s the spread of the pixels' differences about the median of their quarter (1.4826 times
-their median absolute deviation). It is the posterior mean if every quarter is one measurement of
-the difference with error s, and two photos' log exposures differ by `USUAL` before any is made.
-Where the gains are below `LEAST`, photos count as equal and nothing is changed; nor are fewer than
-`ENOUGH` photos, in which exposure is not told from a surface that shines to one side.
+where s is the spread of the pixels' differences about the median of their quarter (1.4826 times
+their median absolute deviation). This is the posterior mean if every quarter measures the
+difference with error s, and the prior for two photos' log exposures has deviation `USUAL`.
 
-A new view is seen as the photos around it were exposed: its log gain is the mean of those of the
-nearest cameras, weighted by 1 / distance^2 (Shepard 1968). Test photos are not looked at.
+If the gains are below `LEAST`, photos count as equal and nothing is changed. The same holds for
+fewer than `ENOUGH` photos, in which exposure and a surface that shines to one side look alike.
+
+A new view is exposed like the photos around it: its log gain is the mean of those of the nearest
+cameras, weighted by 1 / distance^2 (Shepard 1968). Test photos are not used.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ LEAST = 0.01  # root mean square of the log gains
 
 @dataclass(frozen=True)
 class Exposures:
-    """log_gains: [n, 3] of every photo's colours, 0 in the mean. cameras: theirs."""
+    """log_gains: [n, 3] of every photo's colours, mean 0. cameras: of these photos."""
 
     cameras: tuple[Camera, ...]
     log_gains: Floats
@@ -79,15 +80,15 @@ class Exposures:
         """The root mean square of the log gains."""
         return _size(self.log_gains)
 
-    def told(self) -> str:
-        """For the screen."""
+    def message(self) -> str:
+        """A line for the screen."""
         return (
             f"the photos were exposed differently (root mean square {100 * self.size:.0f} %), which"
             " is evened; trainer.exposure=false leaves them as they are"
         )
 
     def factors(self, camera: Camera) -> list[float]:
-        """[3] what a render of the evened scene is multiplied by for this camera."""
+        """[3] factors of a render of the evened scene for this camera."""
         return [float(factor) for factor in exp(self.at(camera))]
 
     def applied(self, rgb: Tensor, camera: Camera) -> Tensor:
@@ -95,9 +96,9 @@ class Exposures:
         return rgb * _channels(self.at(camera))
 
     def at(self, camera: Camera) -> Floats:
-        """[3] the log gains of a new view, or of one of the photos."""
-        for own, gains in zip(self.cameras, self.log_gains, strict=True):
-            if own is camera:
+        """[3] log gains of a new view, or of one of the photos."""
+        for other, gains in zip(self.cameras, self.log_gains, strict=True):
+            if other is camera:
                 return gains
         away = np.array([distance(camera, other) for other in self.cameras])
         near = np.argsort(away, kind="stable")[:NEAREST]
@@ -108,7 +109,7 @@ class Exposures:
 
 
 def find_exposures(views: Sequence[View], depth: Sequence[DepthMap]) -> Exposures | None:
-    """Of training views with their depth; None where they are exposed alike, or nothing tells."""
+    """Estimate exposures of training views from their depth; None if they are equal or unknown."""
     n = len(views)
     if n < ENOUGH:
         return None
@@ -116,8 +117,8 @@ def find_exposures(views: Sequence[View], depth: Sequence[DepthMap]) -> Exposure
     for i, j, levels, ratios, spreads in _compared(views, depth):
         for c in range(3):
             weight = math.fsum(levels[c] ** 2)
-            believed = weight / (weight + (spreads[c] / USUAL) ** 2)
-            pull = believed * math.fsum(levels[c] ** 2 * ratios[c])
+            trust = weight / (weight + (spreads[c] / USUAL) ** 2)
+            pull = trust * math.fsum(levels[c] ** 2 * ratios[c])
             systems[c][[i, j], [i, j]] += weight
             systems[c][[i, j], [j, i]] -= weight
             right[c][[i, j]] += pull, -pull
@@ -136,25 +137,25 @@ def _compared(
     """(i, j, [3, PARTS] mean colours, [3, PARTS] log ratios of photo i to j, [3] the spread of
     differences) of neighbours."""
     colours = [_smoothed(view) for view in views]
-    known = [_known(view, of) for view, of in zip(views, depth, strict=True)]
+    depths = [_certain_depth(view, of) for view, of in zip(views, depth, strict=True)]
     for i, view in enumerate(views):
         away = [distance(view.camera, other.camera) for other in views]
         order = np.argsort(away, kind="stable")
         for j in [int(k) for k in order if k != i][:NEAREST]:
-            pixels, others = _shared(known[i], known[j], view.camera, views[j].camera)
-            here = colours[i][:, pixels].astype(np.float64)
-            there = colours[j][:, others].astype(np.float64)
-            lowest = np.minimum(here, there).min(0, initial=1)
-            highest = np.maximum(here, there).max(0, initial=0)
+            pixels, others = _shared(depths[i], depths[j], view.camera, views[j].camera)
+            ours = colours[i][:, pixels].astype(np.float64)
+            theirs = colours[j][:, others].astype(np.float64)
+            lowest = np.minimum(ours, theirs).min(0, initial=1)
+            highest = np.maximum(ours, theirs).max(0, initial=0)
             clean = (lowest > DARK) & (highest < BRIGHT)
             if clean.sum() >= FEWEST:
-                yield i, j, *_by_brightness(here[:, clean], there[:, clean])
+                yield i, j, *_by_brightness(ours[:, clean], theirs[:, clean])
 
 
-def _by_brightness(here: Floats, there: Floats) -> tuple[Floats, Floats, Floats]:
+def _by_brightness(a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
     """Medians of the means, and log ratios, of colours [3, M] in two photos, both [3, PARTS]; and
     [3] the spread of their differences."""
-    order = np.argsort(here + there, axis=1, kind="stable")
+    order = np.argsort(a + b, axis=1, kind="stable")
 
     def parts(values: Floats) -> list[Floats]:
         return np.array_split(np.take_along_axis(values, order, axis=1), PARTS, axis=1)
@@ -162,7 +163,7 @@ def _by_brightness(here: Floats, there: Floats) -> tuple[Floats, Floats, Floats]
     def medians(each: list[Floats]) -> Floats:
         return np.stack([np.median(part, axis=1) for part in each], axis=1)
 
-    levels, apart = medians(parts(0.5 * (here + there))), parts(here - there)
+    levels, apart = medians(parts(0.5 * (a + b))), parts(a - b)
     differences = medians(apart)
     about = [abs(part - middle[:, None]) for part, middle in zip(apart, differences.T, strict=True)]
     halves = np.clip(0.5 * differences / levels, -0.9, 0.9)
@@ -170,19 +171,19 @@ def _by_brightness(here: Floats, there: Floats) -> tuple[Floats, Floats, Floats]
     return levels, log((1 + halves) / (1 - halves)), spreads
 
 
-def _known(view: View, depth: DepthMap) -> NDArray[np.float32]:
-    """[H, W] the depth of what the photo shows, 0 = unknown or a guess."""
-    known = depth.confidence.numpy() > 0
+def _certain_depth(view: View, depth: DepthMap) -> NDArray[np.float32]:
+    """[H, W] depth of the photo's surfaces, 0 = unknown or a guess."""
+    valid = depth.confidence.numpy() > 0
     if view.mask is not None:
-        known &= view.mask.numpy() > 0.5
-    return np.where(known, depth.depth.numpy(), np.float32(0))
+        valid &= view.mask.numpy() > 0.5
+    return np.where(valid, depth.depth.numpy(), np.float32(0))
 
 
 def _shared(
     depth: NDArray[np.float32], other: NDArray[np.float32], a: Camera, b: Camera
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pixels of `a`, row after row, and those where `b` sees the same surface. depth, other: [H, W]
-    of the two, 0 = unknown."""
+    """Pixels of `a`, row by row, and the pixels of `b` with the same surface. depth, other: [H, W]
+    of the two views, 0 = unknown."""
     stride = max(1, math.ceil(math.sqrt(a.height * a.width / COMPARED)))
     rows, columns = np.mgrid[0 : a.height : stride, 0 : a.width : stride].reshape(2, -1)
     z = depth[rows, columns].astype(np.float64)
@@ -194,16 +195,15 @@ def _shared(
     safe = np.where(front, w, 1.0)
     u, v = u / safe, v / safe
     inside = front & (u >= 0) & (v >= 0) & (u < b.width) & (v < b.height)
-    here = (rows * a.width + columns)[inside]
+    pixels = (rows * a.width + columns)[inside]
     there = v[inside].astype(np.int64) * b.width + u[inside].astype(np.int64)
     seen = other.reshape(-1)[there].astype(np.float64)
     same = np.abs(w[inside] - seen) < TOLERANCE * seen
-    return here[same], there[same]
+    return pixels[same], there[same]
 
 
 def _smoothed(view: View) -> NDArray[np.float32]:
-    """[3, H W] means over 5 x 5 pixels, summed in one order; of fewer at the border and beside what
-    a mask hides, of which there is none."""
+    """[3, H W] means over the valid pixels of 5 x 5, summed in a fixed order."""
     image = view.image.numpy()
     shown = np.ones_like(image[:1])
     if view.mask is not None:
@@ -216,8 +216,8 @@ def _smoothed(view: View) -> NDArray[np.float32]:
 
 
 def _solved(system: Floats, right: Floats) -> Floats:
-    """x of system x = right, [n, n] and [n], by elimination in one order on every processor; the
-    diagonal outweighs its row, so that no pivot is small."""
+    """Solve system x = right, [n, n] and [n], by elimination in a fixed order. The diagonal
+    outweighs its row, so no pivot is small."""
     system, x = system.copy(), right.copy()
     for k in range(len(x)):
         factors = system[k + 1 :, k] / system[k, k]

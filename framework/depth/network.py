@@ -1,9 +1,9 @@
-"""Calling Depth Anything 3 (Lin et al. 2025, package `depth_anything_3`) on the training views.
+"""Calls Depth Anything 3 (Lin et al. 2025, package `depth_anything_3`) on the training views.
 
-Its conventions: images [h, w, 3] uint8 RGB of one size, extrinsics [N, 4, 4] world-to-camera with
-OpenCV axes, intrinsics [N, 3, 3] in pixels of those images; it answers with z depth [N, h', w'] of
-its own size, in the unit of the extrinsics, and a confidence >= 1. It treats camera distances below
-0.1 as 0.1; so poses go in centred and in units of their median distance from the centre.
+It takes images [h, w, 3] uint8 RGB of one size, extrinsics [N, 4, 4] world-to-camera with OpenCV
+axes, and intrinsics [N, 3, 3] in pixels of those images. It returns z depth [N, h', w'] of another
+size, in the unit of the extrinsics, and a confidence >= 1. It treats camera distances below 0.1 as
+0.1, so the poses are centred and scaled to a median distance of 1 from the centre.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ import torch
 
 from framework.depth.align import align, fit_scale
 from framework.depth.consistency import agreeing_views
-from framework.depth.options import DEPTH_ANYTHING_3
-from framework.depth.plane_sweep import PlaneSweep
+from framework.depth.matching.sweep import sweep_views
+from framework.depth.options import DEPTH_ANYTHING_3, PlaneSweepOptions
 from framework.depth.read import resample
 from framework.errors import UserError, require
 from framework.files.whole import file_sha256
@@ -50,7 +50,7 @@ class Prediction:
 
 
 def predict_views(training: TrainingSet, options: DepthAnything3Options) -> tuple[DepthMap, ...]:
-    """See `framework.depth.depth_anything_3.DepthAnything3.measure`."""
+    """See `providers.DepthAnything3.measure`."""
     predicted = predict(training, options)
     size = (training.views[0].camera.width, training.views[0].camera.height)
     sized = [resample(depth, *size) for depth in predicted.depth]
@@ -81,19 +81,19 @@ def predict(training: TrainingSet, options: DepthAnything3Options) -> Prediction
     K = np.stack([view.camera.K.numpy() for view in training.views]).astype(np.float32)
     network = load_network(weights_folder(options), options.device)
     try:
-        answer = network.inference(
+        output = network.inference(
             images, extrinsics=poses, intrinsics=K, process_res=options.process_res
         )
     except Exception as problem:  # whatever the package raises; two views, for one, it cannot align
         reason = (str(problem).splitlines() or [""])[0]
         raise UserError(
-            f"{WHERE}: expected the network to answer for {len(images)} views, got"
+            f"{WHERE}: expected the network to output for {len(images)} views, got"
             f" {type(problem).__name__} ({reason}); the package needs three or more cameras that"
             " are not in line, and enough memory: choose other views or lower depth.process_res"
         ) from problem
     if options.align == "none":
-        _require_given_poses(answer, poses)
-    return _prediction(answer, len(images), unit)
+        _require_given_poses(output, poses)
+    return _prediction(output, len(images), unit)
 
 
 def _pixels(image: torch.Tensor) -> NDArray[np.uint8]:
@@ -103,8 +103,12 @@ def _pixels(image: torch.Tensor) -> NDArray[np.uint8]:
 
 
 def normalised_poses(training: TrainingSet) -> tuple[NDArray[np.float32], float]:
-    """[N, 4, 4] world-to-camera of a world whose origin is the centre of the cameras and whose unit
-    is their median distance from it; and that unit in scene units (1 for a single camera)."""
+    """Centre and scale the camera poses.
+
+    Returns:
+        [N, 4, 4] world-to-camera, with the origin at the cameras' centre and their median distance
+        from it as unit; and that unit in scene units (1 for a single camera).
+    """
     poses = np.stack([view.camera.viewmat.numpy() for view in training.views])
     centers = np.stack([view.camera.center.numpy() for view in training.views])
     middle = centers.mean(0)
@@ -114,32 +118,32 @@ def normalised_poses(training: TrainingSet) -> tuple[NDArray[np.float32], float]
     return moved.astype(np.float32), unit
 
 
-def _require_given_poses(answer: Any, poses: NDArray[np.float32]) -> None:
+def _require_given_poses(output: Any, poses: NDArray[np.float32]) -> None:
     """The package brings depth to the unit of the given poses, but keeps its own poses and units
     where that fails, with a mere warning."""
-    found = None if answer.extrinsics is None else np.asarray(answer.extrinsics)[:, :3]
+    extrinsics = None if output.extrinsics is None else np.asarray(output.extrinsics)[:, :3]
     require(
-        found is not None and bool(np.abs(found - poses[:, :3]).max() < POSE_TOLERANCE),
+        extrinsics is not None and bool(np.abs(extrinsics - poses[:, :3]).max() < POSE_TOLERANCE),
         f"{WHERE}: expected depth in the unit of the camera poses, got the network's own units (it"
         " could not align the poses); use depth.align=points or depth.align=plane_sweep",
     )
 
 
-def _prediction(answer: Any, n: int, unit: float) -> Prediction:
-    depth = np.asarray(answer.depth, np.float64)
+def _prediction(output: Any, n: int, unit: float) -> Prediction:
+    depth = np.asarray(output.depth, np.float64)
     require(
         depth.ndim == 3 and len(depth) == n,
         f"{WHERE}: expected depth [{n}, h, w] from the network, got shape {depth.shape}; install"
         f" the package from {DEPTH_ANYTHING_3}",
     )
-    known = np.isfinite(depth) & (depth > 0)
-    if answer.sky is not None:
-        known &= ~np.asarray(answer.sky, bool)
+    valid = np.isfinite(depth) & (depth > 0)
+    if output.sky is not None:
+        valid &= ~np.asarray(output.sky, bool)
     confidence = np.ones_like(depth)
-    if answer.conf is not None:
-        own = np.maximum(np.asarray(answer.conf, np.float64), 1.0)
-        confidence = np.maximum(1.0 - 1.0 / own, LEAST_CONFIDENCE)
-    return Prediction(np.where(known, unit * np.where(known, depth, 0.0), 0.0), confidence)
+    if output.conf is not None:
+        raw = np.maximum(np.asarray(output.conf, np.float64), 1.0)
+        confidence = np.maximum(1.0 - 1.0 / raw, LEAST_CONFIDENCE)
+    return Prediction(np.where(valid, unit * np.where(valid, depth, 0.0), 0.0), confidence)
 
 
 def _in_scene_units(
@@ -154,7 +158,7 @@ def _in_scene_units(
             align(training, i, depth, False, "scale", WHERE, way_out)
             for i, depth in enumerate(depths)
         ]
-    swept = PlaneSweep().measure(training)
+    swept = sweep_views(training, PlaneSweepOptions())
     return [_like_sweep(training, i, depth, swept[i]) for i, depth in enumerate(depths)]
 
 
@@ -205,7 +209,7 @@ def _download(options: DepthAnything3Options) -> Path:
 
 
 def weights_sha256(options: DepthAnything3Options) -> str:
-    """See `framework.depth.depth_anything_3.DepthAnything3.fingerprint`."""
+    """See `providers.DepthAnything3.fingerprint`."""
     _api()
     try:
         package = version("depth_anything_3")
@@ -221,7 +225,7 @@ def weights_sha256(options: DepthAnything3Options) -> str:
 
 @functools.lru_cache(maxsize=8)
 def _file_sha256(file: Path, modified_ns: int, size: int) -> str:
-    """Of gigabytes: once per process while the file stays what it is."""
+    """SHA-256 of a large file, once per process while it does not change."""
     return file_sha256(file)
 
 

@@ -1,5 +1,4 @@
-"""The options of the depth providers that take more than a line: what the code that estimates
-knows of them, below the providers themselves. Light to import."""
+"""Options of the depth providers, used by them and by the code that estimates. Light to import."""
 
 from __future__ import annotations
 
@@ -12,12 +11,13 @@ FILE_ALIGNMENTS = ("scale", "scale_shift", "none")
 INVALID = ("error", "mask")
 NETWORK_ALIGNMENTS = ("points", "plane_sweep", "none")
 DEPTH_ANYTHING_3 = "git+https://github.com/ByteDance-Seed/Depth-Anything-3"  # for pip
+ITERMVS_WEIGHTS = ("blendedmvs", "dtu")
 PATCH = 14  # pixels per token; the network's input sizes are its multiples
 
 
 @dataclass(frozen=True)
 class PlaneSweepOptions(DepthProvider):
-    """Of `depth=plane_sweep`; penalties are in units of 1 - ZNCC."""
+    """Options of `depth=plane_sweep`; penalties are in units of 1 - ZNCC."""
 
     planes: int = 96  # of inverse depth, evenly spaced
     radius: int = 2  # of the (2 r + 1)^2 window, pixels
@@ -44,7 +44,7 @@ class PlaneSweepOptions(DepthProvider):
 
 @dataclass(frozen=True)
 class DepthFileOptions(DepthProvider):
-    """Of `depth=file`."""
+    """Options of `depth=file`."""
 
     path: str = ""  # folder of the depth maps
     kind: str = "depth"  # what the maps hold: depth or inverse_depth
@@ -66,7 +66,7 @@ class DepthFileOptions(DepthProvider):
 
 @dataclass(frozen=True)
 class DepthAnything3Options(DepthProvider):
-    """Of `depth=depth_anything_3`."""
+    """Options of `depth=depth_anything_3`."""
 
     weights: str = "depth-anything/DA3-BASE"  # on the Hugging Face hub, or a local folder
     revision: str = "main"  # branch, tag or commit on the hub
@@ -85,3 +85,22 @@ class DepthAnything3Options(DepthProvider):
         self.check("process_res", self.process_res >= PATCH, f"at least {PATCH} pixels")
         self.check("device", self.device != "", "a torch device (cpu, cuda)")
         self.check("tolerance", 0 <= self.tolerance < 1, "a share in [0, 1)")
+
+
+@dataclass(frozen=True)
+class IterMvsOptions(DepthProvider):
+    """Options of `depth=itermvs` and `depth=fused`."""
+
+    weights: str = "blendedmvs"  # blendedmvs, or dtu (whose training scenes include scan 65)
+    neighbours: int = 4  # views each view is matched with, at most
+    least_confidence: float = 0.1  # of the network; depth below is not used
+    tolerance: float = 0.03  # relative depth difference at which two views still agree
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check(
+            "weights", self.weights in ITERMVS_WEIGHTS, f"one of {', '.join(ITERMVS_WEIGHTS)}"
+        )
+        self.check("neighbours", self.neighbours >= 1, "an integer >= 1")
+        self.check("least_confidence", 0 <= self.least_confidence <= 1, "a number in [0, 1]")
+        self.check("tolerance", 0 < self.tolerance < 1, "a share in (0, 1)")

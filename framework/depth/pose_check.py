@@ -125,8 +125,10 @@ def _exchanged(training: TrainingSet) -> Iterator[TrainingSet]:
     views = training.views
     for shift in (1, 2)[: len(views) - 1]:
         others = [*views[shift:], *views[:shift]]
-        given = [replace(v, image=o.image, mask=o.mask) for v, o in zip(views, others, strict=True)]
-        yield replace(training, views=tuple(given))
+        exchanged = [
+            replace(v, image=o.image, mask=o.mask) for v, o in zip(views, others, strict=True)
+        ]
+        yield replace(training, views=tuple(exchanged))
 
 
 def _support(training: TrainingSet) -> float | None:

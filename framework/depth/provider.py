@@ -61,6 +61,13 @@ class DepthProvider:
         """Raise UserError, in one line, where this machine lacks what the provider needs. Quick:
         studies ask before their first run. Most need nothing."""
 
+    def learned_weights(self) -> str:
+        """Return the weights of a network that was trained on other scenes; "" if there is none.
+
+        Results that used such weights are reported separately.
+        """
+        return ""
+
     def estimate(self, training: TrainingSet) -> tuple[DepthMap, ...]:
         """One map per training view, in their order, corrupted as the options say."""
         maps = self.measure(training)

@@ -32,27 +32,27 @@ JUMP = 1.1  # neighbours whose depths differ by more lie on two surfaces: nothin
 
 
 def find_file(folder: Path, view: str) -> Path:
-    """The one depth file of a view; UserError if there is none, more than one, or a link to
-    elsewhere.
+    """The depth file of a view; UserError if there is none, more than one, or a link that leads
+    out of the folder.
 
     Looked for under the view's relative path first (`cam1/0001.jpg`: `cam1/0001.npy`), then by its
     file name alone.
     """
     name = Path(view)
     below = not name.is_absolute() and ".." not in name.parts
-    found = _with_suffixes(folder / name) if below else []
-    found = found or _with_suffixes(folder / name.name)
-    if not found:
+    matches = _with_suffixes(folder / name) if below else []
+    matches = matches or _with_suffixes(folder / name.name)
+    if not matches:
         raise UserError(
             f"depth=file: expected '{name.with_suffix('')}' with one of {', '.join(SUFFIXES)} in"
             f" {folder} for view '{view}', got none; name the files by the views"
         )
-    if len(found) > 1:
+    if len(matches) > 1:
         raise UserError(
             f"depth=file: expected one file for view '{view}' in {folder}, got"
-            f" {', '.join(p.name for p in found)}; remove all but one"
+            f" {', '.join(p.name for p in matches)}; remove all but one"
         )
-    return inside(folder, found[0].relative_to(folder))
+    return inside(folder, matches[0].relative_to(folder))
 
 
 def _with_suffixes(image: Path) -> list[Path]:
@@ -63,7 +63,8 @@ def _with_suffixes(image: Path) -> list[Path]:
 
 
 def find_files(training: TrainingSet, options: DepthFileOptions) -> list[Path]:
-    """The depth files of all training views, in their order; UserError unless each has its own."""
+    """The depth files of all training views, in their order; UserError unless they
+    are distinct."""
     folder = Path(options.path).expanduser()
     require(
         folder.is_dir(),
@@ -84,10 +85,10 @@ def find_files(training: TrainingSet, options: DepthFileOptions) -> list[Path]:
 
 
 def files_sha256(training: TrainingSet, options: DepthFileOptions) -> str:
-    """See `framework.depth.from_file.DepthFile.fingerprint`."""
+    """See `providers.DepthFile.fingerprint`."""
     digest = hashlib.sha256()
     for file in find_files(training, options):
-        # the suffix says how the bytes are read
+        # the same bytes mean other values under another suffix
         digest.update(f"{file.suffix} {file_sha256(file)}\n".encode())
     return digest.hexdigest()
 
@@ -161,8 +162,7 @@ def resample(values: NDArray[np.float64], width: int, height: int) -> NDArray[np
 
 
 def straightened(values: NDArray[np.float64], view: View) -> NDArray[np.float64]:
-    """The map [H, W] of the stored photo as the view, whose lens was taken out, has it: the nearest
-    value, 0 beside the photo."""
+    """Undistort the map [H, W] of a stored photo like its view: the nearest value, 0 outside."""
     from framework.scenes.lens import Distortion, distorted_pixels
 
     height, width = values.shape
@@ -173,8 +173,8 @@ def straightened(values: NDArray[np.float64], view: View) -> NDArray[np.float64]
 
 
 def _as_cut(values: NDArray[np.float64], width: int, height: int) -> NDArray[np.float64]:
-    """The map of a stored photo without the last rows and columns that reducing the photo by an
-    integer to width x height has cut off: fewer than that integer."""
+    """Cut off the last rows and columns that were lost when the photo was reduced by an integer
+    factor to width x height."""
     h, w = values.shape
     factor = round(min(w / width, h / height))
     if 0 <= w - factor * width < factor and 0 <= h - factor * height < factor:
@@ -204,16 +204,16 @@ def read_view(
 
 
 def read_views(training: TrainingSet, options: DepthFileOptions) -> tuple[DepthMap, ...]:
-    """See `framework.depth.from_file.DepthFile.measure`."""
+    """See `providers.DepthFile.measure`."""
     files = find_files(training, options)
     indices = range(len(training.views))
     depths = [read_view(training, i, files[i], options) for i in indices]
     cameras = [view.camera for view in training.views]
     maps = []
     for i, depth in enumerate(depths):
-        known = depth > 0
+        valid = depth > 0
         if options.tolerance > 0:
             others = [other for other in indices if other != i]
-            known &= agreeing_views(depths, cameras, i, others, options.tolerance) > 0
-        maps.append(DepthMap(torch.from_numpy(depth), torch.from_numpy(known.astype(np.float32))))
+            valid &= agreeing_views(depths, cameras, i, others, options.tolerance) > 0
+        maps.append(DepthMap(torch.from_numpy(depth), torch.from_numpy(valid.astype(np.float32))))
     return tuple(maps)

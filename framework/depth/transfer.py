@@ -1,9 +1,12 @@
-"""Carrying a pixel of one camera over to another.
+"""Transfers pixels with depth from one camera to another.
 
-A point at pixel x = (X, Y, 1) (centre of pixel (0, 0) at 0.5) with depth z in camera `a` lies in
-camera `b` at the homogeneous pixel z A x + t, whose third coordinate is its depth there, with
-A = K_b R_b R_a^T K_a^-1 and t = K_b (t_b - R_b R_a^T t_a) (Hartley & Zisserman,
-2004, section 13.1).
+A point at pixel x = (X, Y, 1) with depth z in camera `a` is in camera `b` at the homogeneous pixel
+z A x + t, whose third coordinate is its depth there. The centre of pixel (0, 0) is at 0.5.
+
+    A = K_b R_b R_a^T K_a^-1
+    t = K_b (t_b - R_b R_a^T t_a)
+
+Source: Hartley & Zisserman, 2004, section 13.1.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""`fishersplat export RUN`: the Gaussians of a finished run as files that other programs open, with
-their cameras, a first view and the background beside them."""
+"""`fishersplat export RUN`: the Gaussians of a finished run as files for other programs, with the
+cameras, a first view and the background."""
 
 from __future__ import annotations
 
@@ -44,16 +44,16 @@ def main(arguments: list[str], prog: str) -> int:
     from framework.records.first_view import SETTINGS, settings
 
     run = open_run(options.run)
-    cameras = [given.camera for given in run.cameras]
+    cameras = [named.camera for named in run.cameras]
     away = distance(run, rig(cameras), lens_of(cameras, None))
     if options.frame == "upright":
         motion = upright(rig(cameras), away)
         cameras = [moved_camera(camera, motion) for camera in cameras]
         run = replace(run, gaussians=moved_gaussians(run.gaussians, motion))
-    # all are made before the first is written: one format may refuse the model
+    # before the first is written, as a format may refuse the model
     files = {f"{NAME}{SUFFIXES[k]}": packed(run.gaussians, run.background, k) for k in kinds}
     make_folder(folder)
-    _write_cameras(folder, [given.name for given in run.cameras], cameras, run.near)
+    _write_cameras(folder, [named.name for named in run.cameras], cameras, run.near)
     write_whole(folder / SETTINGS, settings(cameras, run.background.tolist(), away))
     for name, content in files.items():
         write_whole(folder / name, content)
@@ -65,16 +65,16 @@ def main(arguments: list[str], prog: str) -> int:
 
 
 def _check_no_cameras_of_others(folder: Path) -> None:
-    """Raises UserError where camera files would be lost that no export wrote, which has a first
-    view beside them: a folder of photos may have a transforms.json of its own."""
+    """Raise UserError if camera files that no export wrote would be overwritten: a folder of photos
+    may have a transforms.json. Exports also write a first view."""
     from framework.records.cameras import CAMERAS, TRANSFORMS
     from framework.records.first_view import SETTINGS
 
-    theirs = [name for name in (CAMERAS, TRANSFORMS) if (folder / name).exists()]
+    others = [name for name in (CAMERAS, TRANSFORMS) if (folder / name).exists()]
     require(
-        not theirs or (folder / SETTINGS).exists(),
-        f"--out: expected a new folder or one of an earlier export, got {folder} with a"
-        f" {theirs[0] if theirs else ''} of its own, which would be lost; choose another",
+        not others or (folder / SETTINGS).exists(),
+        f"--out: expected a new folder or one of an earlier export, got {folder}, whose"
+        f" {others[0] if others else ''} would be lost; choose another",
     )
 
 

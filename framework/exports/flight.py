@@ -1,12 +1,12 @@
-"""The way of a camera through a scene, from where its training cameras stand.
+"""Camera paths through a scene, from the poses of its training cameras.
 
-- `spiral`: two turns around the mean camera, as wide as the cameras stand apart, looking at one
-  point, as in LLFF (Mildenhall et al. 2019); for cameras that look the same way.
-- `orbit`: once around the point that all look at, at the distance and height that the cameras have
-  there; for cameras all around.
+- `spiral`: two turns around the mean camera, as wide as the cameras' spread, looking at one point,
+  as in LLFF (Mildenhall et al. 2019); for cameras that look the same way.
+- `orbit`: once around the point that all cameras look at, at their distance and height; for cameras
+  all around.
 - `spline`: through all training cameras in the order of their names, and back.
 
-All of them end where they began, so that a video can repeat.
+All paths end where they begin, so that a video can loop.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ SECONDS_EACH, MOST_SECONDS = 1.0, 20.0  # of a spline: for each camera on the wa
 WIDTH = 0.9  # quantile of the cameras' offsets that a spiral reaches
 LEAST_WIDTH = 0.03  # of the distance looked at; a single camera moves too
 WAVES = 2  # terms of an orbit's distance and height
-DAMPED = 0.1  # as if a tenth of the cameras stood in the mean circle
-ALONG = 1e-6  # sine of the angle below which a camera looks along the axis that is to be up
+DAMPED = 0.1  # as if a tenth of the cameras were on the mean circle
+ALONG = 1e-6  # sine of the angle between viewing and up direction; below, they are parallel
 
 
 def usual_seconds(kind: str, n: int) -> float:
@@ -39,18 +39,20 @@ def usual_seconds(kind: str, n: int) -> float:
 
 def flight(run: OpenedRun, kind: str, n: int, lens: Camera) -> list[Camera]:
     """n cameras with the size and intrinsics of `lens`."""
-    stood = rig([given.camera for given in run.cameras])
+    poses = rig([named.camera for named in run.cameras])
     make: dict[str, Callable[[], list[Array]]] = {
-        "spiral": lambda: _spiral(stood, n, distance(run, stood, lens)),
-        "orbit": lambda: _orbit(stood, n),
-        "spline": lambda: _spline(stood, n),
+        "spiral": lambda: _spiral(poses, n, distance(run, poses, lens)),
+        "orbit": lambda: _orbit(poses, n),
+        "spline": lambda: _spline(poses, n),
     }
     return [_with_pose(lens, viewmat) for viewmat in make[kind]()]
 
 
 def lens_of(cameras: Sequence[Camera], side: int | None) -> Camera:
-    """A camera with the training cameras' usual size, or `side` pixels as its longer side, their
-    median focal length and the principal point in the middle; sides are even, as videos want."""
+    """A camera with the usual size of the training cameras, or `side` pixels as its longer side.
+
+    It has their median focal length and a centred principal point. Sides are even for videos.
+    """
     import torch
 
     sizes = [(camera.width, camera.height) for camera in cameras]
@@ -65,8 +67,8 @@ def lens_of(cameras: Sequence[Camera], side: int | None) -> Camera:
 
 
 def looking(center: Array, forward: Array, down: Array) -> Array:
-    """[4, 4] world-to-camera at `center`, with the picture's down side as near to `down` as can
-    be; that is some axis where it looks along `down`."""
+    """[4, 4] world-to-camera at `center`, with the image's down axis as close as possible to `down`
+    (or to any axis, if it looks along `down`)."""
     z = unit(forward)
     across = np.cross(down, z)
     if np.linalg.norm(across) < ALONG:
@@ -84,45 +86,45 @@ def _with_pose(lens: Camera, viewmat: Array) -> Camera:
     return replace(lens, viewmat=torch.from_numpy(viewmat))
 
 
-def distance(run: OpenedRun, stood: Rig, lens: Camera) -> float:
+def distance(run: OpenedRun, poses: Rig, lens: Camera) -> float:
     """Median depth in the middle of the mean camera's picture."""
-    middle = looking(stood.centers.mean(axis=0), stood.forward.mean(axis=0), -stood.up)
+    middle = looking(poses.centers.mean(axis=0), poses.forward.mean(axis=0), -poses.up)
     render = run.render(_with_pose(lens, middle), depth=True)
     h, w = lens.height // 4, lens.width // 4
     depth = render.expected_depth[h : -h or None, w : -w or None].numpy()
-    seen = depth[depth > 0]
-    return float(np.median(seen)) if len(seen) else 100 * run.near
+    visible = depth[depth > 0]
+    return float(np.median(visible)) if len(visible) else 100 * run.near
 
 
-def _spiral(stood: Rig, n: int, distance: float) -> list[Array]:
-    center, forward = stood.centers.mean(axis=0), unit(stood.forward.mean(axis=0))
-    axes = looking(center, forward, -stood.up)[:3, :3]
-    spread = np.quantile(np.abs((stood.centers - center) @ axes.T), WIDTH, axis=0)
+def _spiral(poses: Rig, n: int, distance: float) -> list[Array]:
+    center, forward = poses.centers.mean(axis=0), unit(poses.forward.mean(axis=0))
+    axes = looking(center, forward, -poses.up)[:3, :3]
+    spread = np.quantile(np.abs((poses.centers - center) @ axes.T), WIDTH, axis=0)
     wide = np.maximum(spread, [LEAST_WIDTH * distance, LEAST_WIDTH * distance / 2, 0.0])
     target = center + distance * forward
-    found = []
+    viewmats = []
     for angle in 4 * np.pi * np.arange(n) / n:
         turn = np.array([np.cos(angle), np.sin(angle), np.sin(angle / 2)])
         place = center + (wide * turn) @ axes
-        found.append(looking(place, target - place, -stood.up))
-    return found
+        viewmats.append(looking(place, target - place, -poses.up))
+    return viewmats
 
 
-def _orbit(stood: Rig, n: int) -> list[Array]:
+def _orbit(poses: Rig, n: int) -> list[Array]:
     """Distance and height are smooth functions of the angle, fitted to the cameras'."""
-    angles, reach, height = around(stood.centers - stood.focus, stood.up)
+    angles, reach, height = around(poses.centers - poses.focus, poses.up)
     way = angles[0] + 2 * np.pi * np.arange(n) / n
     basis, wanted = _waves(angles), np.stack([reach, height], axis=1)
     weight = DAMPED * len(angles) * np.diag([0.0, *([1.0] * (2 * WAVES))])
     fitted = np.linalg.solve(basis.T @ basis + weight, basis.T @ wanted)
     at = _waves(way) @ fitted
     at = np.clip(at, wanted.min(axis=0), wanted.max(axis=0))
-    first, second = plane(stood.up)
-    found = []
+    first, second = plane(poses.up)
+    viewmats = []
     for angle, (r, h) in zip(way, at, strict=True):
-        offset = r * (np.cos(angle) * first + np.sin(angle) * second) + h * stood.up
-        found.append(looking(stood.focus + offset, -offset, -stood.up))
-    return found
+        offset = r * (np.cos(angle) * first + np.sin(angle) * second) + h * poses.up
+        viewmats.append(looking(poses.focus + offset, -offset, -poses.up))
+    return viewmats
 
 
 def _waves(angles: Array) -> Array:
@@ -133,17 +135,17 @@ def _waves(angles: Array) -> Array:
     return np.stack(terms, axis=1)
 
 
-def _spline(stood: Rig, n: int) -> list[Array]:
+def _spline(poses: Rig, n: int) -> list[Array]:
     """There and back, slow at both ends. Positions and axes are interpolated by pieces of cubics
     that do not overshoot (Fritsch and Carlson 1980)."""
     from scipy.interpolate import PchipInterpolator
 
-    if len(stood.centers) == 1:
-        return [looking(stood.centers[0], stood.forward[0], stood.down[0])] * n
-    steps = np.linalg.norm(np.diff(stood.centers, axis=0), axis=1)
+    if len(poses.centers) == 1:
+        return [looking(poses.centers[0], poses.forward[0], poses.down[0])] * n
+    steps = np.linalg.norm(np.diff(poses.centers, axis=0), axis=1)
     steps = np.maximum(steps, 1e-3 * max(float(steps.max()), 1e-9))  # a turn on the spot takes time
     marks = np.concatenate([[0.0], np.cumsum(steps)])
-    keys = np.concatenate([stood.centers, stood.forward, stood.down], axis=1)
+    keys = np.concatenate([poses.centers, poses.forward, poses.down], axis=1)
     along = marks[-1] * (1 - np.cos(2 * np.pi * np.arange(n) / n)) / 2
     at = PchipInterpolator(marks, keys)(along)
     return [looking(row[:3], row[3:6], row[6:]) for row in at]

@@ -1,12 +1,11 @@
-"""Gaussians as files of other programs. All but SPZ keep the axes of a splat PLY (y down).
+"""Converts Gaussians to file formats. All but SPZ keep the axes of a splat PLY (y down).
 
 - `ply`: as 3DGS writes it; every Gaussian has the SH bands of the highest.
 - `compressed-ply` (PlayCanvas): chunks of 256, 16 bytes each and a byte per SH coefficient. By
   gsply (MIT).
 - `spz` (Niantic), version 3: gzip, quaternions by their smallest three components. Version 4 packs
-  the same numbers with zstd, which fewer programs read and another package must write; version 2
-  has coarser rotations. Its axes are right, up, back: the model is turned by half a turn about x.
-  By gsply.
+  the same numbers with zstd, which fewer programs read; version 2 has coarser rotations. Its axes
+  are right, up, back, so the model is turned by 180 degrees about x. By gsply.
 - `splat` (antimatter15): 32 bytes each, sorted by how much they cover; colours without SH bands.
 - `sog` (PlayCanvas): WebP images in a ZIP, SH bands by a palette. By gaussforge (Apache-2.0), the
   extra `sog`.
@@ -176,10 +175,10 @@ def _byte(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
 def _sog(gaussians: Gaussians, background: Tensor) -> bytes:
     import gaussforge
 
-    told = gaussforge.GaussForge().convert(_ply(gaussians, background), "ply", "sog")
-    if "error" in told:
-        raise UserError(f"sog: expected gaussforge to write it, got '{told['error']}'")
-    return bytes(told["data"])
+    result = gaussforge.GaussForge().convert(_ply(gaussians, background), "ply", "sog")
+    if "error" in result:
+        raise UserError(f"sog: expected gaussforge to write it, got '{result['error']}'")
+    return bytes(result["data"])
 
 
 def _for_gsply(gaussians: Gaussians) -> Any:
@@ -211,7 +210,7 @@ def _written(suffix: str, write: Callable[[str], object]) -> bytes:
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """gsply tells what it writes at level INFO."""
+    """Suppress gsply's messages at level INFO."""
     logger = logging.getLogger("gsply")
     before = logger.level
     logger.setLevel(logging.WARNING)

@@ -1,8 +1,8 @@
-"""Pictures to a moving one: WebM by OpenCV, MP4 by PyAV, animated WebP and GIF by Pillow.
+"""Encodes videos: WebM by OpenCV, MP4 by PyAV, animated WebP and GIF by Pillow.
 
-WebM is VP9, which browsers and players show and OpenCV's wheels write (their FFmpeg is LGPL, libvpx
-BSD). H.264 is not among what they write. PyAV's wheels write it, but hold libx264, which is under
-the GPL: so PyAV is used where somebody installed it, and is no dependency and no extra.
+WebM is VP9, which browsers and players support and OpenCV's wheels can write (their FFmpeg is LGPL,
+libvpx BSD). They cannot write H.264. PyAV's wheels can, but contain libx264 (GPL), so PyAV is used
+if it is installed, and is neither a dependency nor an extra.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ OPTIONS = "OPENCV_FFMPEG_WRITER_OPTIONS"
 
 
 def has_h264() -> bool:
-    """Whether PyAV is there."""
+    """Whether PyAV is installed."""
     return importlib.util.find_spec("av") is not None
 
 
@@ -70,7 +70,7 @@ def _mp4(pictures: Pictures, fps: int) -> bytes:
     height, width = pictures[0].shape[:2]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "video.mp4"
-        # the index first, for which FFmpeg opens the file once more: a page shows it while it loads
+        # the index first, so that a page can play it while it loads
         with av.open(str(file), "w", options={"movflags": "+faststart"}) as container:
             stream = container.add_stream("h264", rate=Fraction(fps), options=H264)
             stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
@@ -87,7 +87,7 @@ def _webm(pictures: Pictures, fps: int) -> bytes:
     with tempfile.TemporaryDirectory() as folder, _options():
         file = Path(folder) / "video.webm"
         code = cv2.VideoWriter.fourcc(*"VP90")
-        with _quiet():  # of the tag, which this container has no place for
+        with _quiet():  # OpenCV warns that the container has no tag
             writer = cv2.VideoWriter(str(file), cv2.CAP_FFMPEG, code, float(fps), (width, height))
         if not writer.isOpened():
             raise UserError(
@@ -102,7 +102,7 @@ def _webm(pictures: Pictures, fps: int) -> bytes:
 
 @contextlib.contextmanager
 def _options() -> Iterator[None]:
-    """Tell OpenCV how to encode."""
+    """Set OpenCV's options of encoding."""
     before = os.environ.get(OPTIONS)
     os.environ[OPTIONS] = "|".join(f"{key};{value}" for key, value in VP9.items())
     try:
@@ -116,7 +116,7 @@ def _options() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """What C libraries write to standard error goes nowhere."""
+    """Discard what C libraries write to standard error."""
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)
     try:

@@ -1,15 +1,19 @@
 """Renders as 8-bit pictures: colour, depth, or both side by side.
 
-Depth is drawn as its inverse in the colour map `turbo` (Mikhailov 2019), near red and far blue,
-between two depths that stay the same for all pictures of a command; where nothing is seen it is
-black.
+Depth is drawn as its inverse in the colour map `turbo` (Mikhailov 2019), red is near and blue is
+far. The range is the same for all pictures of a command. Empty pixels are black.
 """
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
+
+from framework.compute.stopwatch import duration
+from framework.records.progress import unread
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,13 +22,13 @@ if TYPE_CHECKING:
     from framework.exports.opened import OpenedRun
     from framework.types import Camera
 
-SHARES = (0.02, 0.98)  # of the pixels; the depths between which colours are told apart
-LOOKED_AT = 9  # cameras from which these depths are taken
+SHARES = (0.02, 0.98)  # quantiles of the depths, the ends of the colour map
+LOOKED_AT = 9  # cameras whose depths are used
 
 
 @dataclass(frozen=True)
 class Painter:
-    """What `shown` names, from any camera; near, far: depths of the colour map's ends."""
+    """Draws `shown` (rgb, depth, both) from any camera. near, far: range of the colour map."""
 
     run: OpenedRun
     shown: str
@@ -46,17 +50,17 @@ class Painter:
 
 
 def painter(run: OpenedRun, shown: str, cameras: Sequence[Camera]) -> Painter:
-    """One whose depth colours suit all of these cameras."""
+    """A painter whose colour map suits all cameras."""
     import numpy as np
 
     if shown == "rgb":
         return Painter(run, shown)
-    seen = []
+    visible = []
     for index in np.linspace(0, len(cameras) - 1, min(LOOKED_AT, len(cameras))).round():
         render = run.render(cameras[int(index)], depth=True)
         depth, solid = render.expected_depth.numpy(), render.alpha.numpy() > 0.5
-        seen.append(depth[solid & (depth > 0)][::7])
-    depths = np.concatenate(seen)
+        visible.append(depth[solid & (depth > 0)][::7])
+    depths = np.concatenate(visible)
     if not len(depths):
         return Painter(run, shown, 1.0, 2.0)
     near, far = (float(d) for d in np.quantile(depths, SHARES))
@@ -66,7 +70,7 @@ def painter(run: OpenedRun, shown: str, cameras: Sequence[Camera]) -> Painter:
 def coloured(
     depth: NDArray[np.float32], alpha: NDArray[np.float32], near: float, far: float
 ) -> NDArray[np.uint8]:
-    """[H, W, 3] of the depth [H, W] in scene units, darkened by the opacity alpha [H, W]."""
+    """Colours [H, W, 3] of the depth [H, W] in scene units, darkened by alpha [H, W]."""
     import cv2
     import numpy as np
 
@@ -75,3 +79,32 @@ def coloured(
     level = np.rint(255 * np.clip(share, 0, 1)).astype(np.uint8)
     colours = cv2.applyColorMap(level, cv2.COLORMAP_TURBO)[..., ::-1]
     return np.rint(colours * alpha[..., None].clip(0, 1)).astype(np.uint8)
+
+
+PERIOD_S = {True: 0.2, False: 10.0}  # on a terminal, and elsewhere
+
+
+class Ticks:
+    """Prints progress and the time left. what: the items, as in `frames`."""
+
+    def __init__(self, what: str, stream: TextIO | None = None) -> None:
+        self._what, self._stream = what, stream if stream is not None else sys.stderr
+        self._terminal = self._stream.isatty()
+        self._started = self._printed_at = time.monotonic()
+
+    def __call__(self, done: int, total: int) -> None:
+        now = time.monotonic()
+        if done < total and now - self._printed_at < PERIOD_S[self._terminal]:
+            return
+        self._printed_at = now
+        left = (now - self._started) / done * (total - done) if done else 0.0
+        rest = f", {duration(left)} left" if left >= 1 else ""
+        text = f"{done} of {total} {self._what}{rest}"
+        try:
+            if self._terminal:
+                self._stream.write(f"\r\x1b[K{text}{'' if done < total else chr(10)}")
+            else:
+                self._stream.write(f"{text}\n")
+            self._stream.flush()
+        except BrokenPipeError:
+            unread(self._stream)

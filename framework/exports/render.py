@@ -27,16 +27,14 @@ def main(arguments: list[str], prog: str) -> int:
         f"--cameras: expected a cameras.json as 3DGS writes it or a transforms.json, got"
         f" '{options.cameras}', which is no file; a run's folder has both",
     )
-    from framework.exports.given import read_given
-    from framework.exports.opened import open_run
-    from framework.exports.pictures import painter
-    from framework.exports.ticks import Ticks
+    from framework.exports.opened import open_run, read_named_cameras
+    from framework.exports.pictures import Ticks, painter
     from framework.records.photos import PHOTOS
     from framework.records.record import RECORD
     from framework.records.run_files import PICTURES, RENDERS, file_stems
 
-    given = read_given(options.cameras)
-    cameras = [_resized(one.camera, options.size) for one in given]
+    named = read_named_cameras(options.cameras)
+    cameras = [_resized(one.camera, options.size) for one in named]
     run = open_run(options.run)
     folder = options.out or options.run / PICTURES
     require(
@@ -44,12 +42,12 @@ def main(arguments: list[str], prog: str) -> int:
         f"--out: expected a folder for new pictures, got {folder}, which holds those of a run;"
         " choose another",
     )
-    stems = file_stems([_bare(one.name) for one in given])
+    stems = file_stems([_bare(one.name) for one in named])
     _check_no_pictures_of_others([folder / f"{stem}.png" for stem in stems])
     make_folder(folder)
-    bent = sum(one.bent for one in given)
-    if bent:
-        print(f"note: {bent} of {len(given)} cameras have a distorting lens; drawn without it")
+    distorted = sum(one.distorted for one in named)
+    if distorted:
+        print(f"note: {distorted} of {len(named)} cameras have a lens distortion, which is ignored")
     brush, tick = painter(run, options.show, cameras), Ticks("pictures")
     for number, (stem, camera) in enumerate(zip(stems, cameras, strict=True)):
         write_whole(folder / f"{stem}.png", _png(brush.picture(camera)))
@@ -78,13 +76,13 @@ def _parser(prog: str) -> argparse.ArgumentParser:
         help="colour, depth (near is red), or side by side (default: rgb)",
     )
     parser.add_argument(
-        "--size", type=int, metavar="PIXELS", help="longer side (default: as the file says)"
+        "--size", type=int, metavar="PIXELS", help="longer side (default: as in the file)"
     )
     return parser
 
 
 def _resized(camera: Camera, side: int | None) -> Camera:
-    """With `side` pixels as the longer side."""
+    """Scale a camera to `side` pixels as the longer side."""
     if side is not None:
         longer = max(camera.width, camera.height)
         width, height = (max(1, round(s * side / longer)) for s in (camera.width, camera.height))
@@ -104,20 +102,20 @@ def _resized(camera: Camera, side: int | None) -> Camera:
 def _bare(name: str) -> str:
     """The name without its folder and the suffix of a picture."""
     file = Path(name).name
-    known = file.lower().endswith((".png", ".jpg", ".jpeg"))
-    return file.rsplit(".", 1)[0] if known else file
+    is_picture = file.lower().endswith((".png", ".jpg", ".jpeg"))
+    return file.rsplit(".", 1)[0] if is_picture else file
 
 
 def _check_no_pictures_of_others(files: list[Path]) -> None:
-    """Raises UserError where a picture would be lost that this command did not write, as a photo is
-    named like its camera."""
+    """Raise UserError if a picture that this command did not write would be overwritten, as a photo
+    may be named like its camera."""
     from framework.records.run_files import is_rendered
 
-    theirs = [file for file in files if file.exists() and not is_rendered(file)]
+    others = [file for file in files if file.exists() and not is_rendered(file)]
     require(
-        not theirs,
+        not others,
         f"--out: expected a folder for new pictures, got one with"
-        f" {theirs[0] if theirs else ''}, which fishersplat render did not write and which would be"
+        f" {others[0] if others else ''}, which fishersplat render did not write and which would be"
         " lost; choose another",
     )
 
@@ -129,7 +127,7 @@ def _png(picture: object) -> bytes:
 
     from framework.records.run_files import SOFTWARE, WRITER
 
-    told, out = PngImagePlugin.PngInfo(), io.BytesIO()
-    told.add_text(SOFTWARE, WRITER)
-    Image.fromarray(picture).save(out, "PNG", pnginfo=told)  # type: ignore[arg-type]
+    info, out = PngImagePlugin.PngInfo(), io.BytesIO()
+    info.add_text(SOFTWARE, WRITER)
+    Image.fromarray(picture).save(out, "PNG", pnginfo=info)  # type: ignore[arg-type]
     return out.getvalue()

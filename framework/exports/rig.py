@@ -1,5 +1,5 @@
-"""How the training cameras stand: where they look, which way is up, and whether they stand all
-around, side by side, or along a way."""
+"""The arrangement of the training cameras: focus, up direction, and whether they are all around,
+side by side, or along a path."""
 
 from __future__ import annotations
 
@@ -30,25 +30,25 @@ class Rig:
 
     @property
     def up(self) -> Array:
-        """[3], the mean of the cameras' up directions; that of the first where they have none in
-        common, as above a field that was flown to and fro."""
+        """[3] mean up direction; that of the first camera if they have none in common, as on a
+        flight to and fro above a field."""
         mean = self.down.mean(axis=0)
         return unit(-(self.down[0] if np.linalg.norm(mean) < TILTED else mean))
 
     @property
     def focus(self) -> Array:
-        """[3], the point nearest to all optical axes (least squares, with a weak pull to the mean
-        camera, as parallel axes have no such point)."""
+        """[3] point nearest to all optical axes (least squares, with a weak pull to the mean camera
+        for parallel axes)."""
         across = np.eye(3) - self.forward[:, :, None] * self.forward[:, None, :]
         weak = 1e-3 * len(across) * np.eye(3)
         middle = self.centers.mean(axis=0)
         right_side = np.einsum("nij,nj->i", across, self.centers) + weak @ middle
-        found: Array = np.linalg.solve(across.sum(axis=0) + weak, right_side)
-        return found
+        point: Array = np.linalg.solve(across.sum(axis=0) + weak, right_side)
+        return point
 
     @property
     def kind(self) -> str:
-        """The path that suits: `orbit`, `spiral` or `spline`."""
+        """The suitable path: `orbit`, `spiral` or `spline`."""
         if len(self.centers) < 2 or np.linalg.norm(self.forward.mean(axis=0)) > PARALLEL:
             return "spiral"
         tilted = np.linalg.norm(self.down.mean(axis=0)) < TILTED
@@ -60,13 +60,13 @@ class Rig:
 
     @property
     def largest_gap(self) -> float:
-        """Radians between neighbours around the focus, at most."""
+        """Largest angle between neighbours around the focus, in radians."""
         angles = np.sort(around(self.centers - self.focus, self.up)[0])
         return float(np.diff(np.append(angles, angles[0] + 2 * np.pi)).max())
 
 
 def rig(cameras: Sequence[Camera]) -> Rig:
-    """That of the cameras."""
+    """The rig of the cameras."""
     views = np.stack([camera.viewmat.numpy() for camera in cameras])
     rotation = views[:, :3, :3]
     centers = -np.einsum("nji,nj->ni", rotation, views[:, :3, 3])
@@ -74,7 +74,7 @@ def rig(cameras: Sequence[Camera]) -> Rig:
 
 
 def unit(vector: Array) -> Array:
-    """Of length 1, along the last axis."""
+    """Normalise along the last axis."""
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
     result: Array = vector / np.maximum(length, 1e-12)
     return result

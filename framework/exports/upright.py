@@ -1,9 +1,9 @@
-"""A model as viewers expect it: upright, its middle at the origin.
+"""Moves a model as viewers expect it: upright, with its middle at the origin.
 
-What was trained keeps the world of its photos, where up is anywhere. Viewers take for granted that
+A trained model is in the world of its photos, whose orientation is arbitrary. Viewers assume that
 the y axis of a splat PLY points down, as in COLMAP's first camera, and orbit around the origin. So
-a model is turned (its mean camera is upright and looks along +z) and moved (the point that the
-cameras look at is the origin). It is not scaled: lengths stay those of the scene.
+the model is turned (its mean camera is upright and looks along +z) and moved (the point that the
+cameras look at is the origin). It is not scaled.
 """
 
 from __future__ import annotations
@@ -24,27 +24,30 @@ LEVEL = 1e-6  # a direction with less of it along the ground is up or down
 SAMPLES = 64  # directions at which turned harmonics are compared; 16 would do
 
 
-def upright(stood: Rig, distance: float) -> Array:
-    """[4, 4], from the world of the rig to the upright one. distance: how far in front of the mean
-    camera the middle is where all cameras look the same way; others cross in it."""
-    forward = stood.forward.mean(axis=0)
+def upright(poses: Rig, distance: float) -> Array:
+    """[4, 4] from the world of the rig to the upright one.
+
+    distance: of the middle from the mean camera, if all cameras look the same way; otherwise the
+    middle is where their axes meet.
+    """
+    forward = poses.forward.mean(axis=0)
     if np.linalg.norm(forward) < 0.1:  # all around, level: any direction is as good
-        forward = stood.forward[0]
-    turn = looking(np.zeros(3), forward, -stood.up)[:3, :3]
-    if stood.kind == "orbit":  # tilted cameras must not tilt the ground
-        ahead = [way - stood.up * (way @ stood.up) for way in (forward, *stood.forward)]
+        forward = poses.forward[0]
+    turn = looking(np.zeros(3), forward, -poses.up)[:3, :3]
+    if poses.kind == "orbit":  # tilted cameras must not tilt the ground
+        ahead = [way - poses.up * (way @ poses.up) for way in (forward, *poses.forward)]
         level = unit(next((way for way in ahead if np.linalg.norm(way) > LEVEL), ahead[0]))
-        turn = looking(np.zeros(3), level, -stood.up)[:3, :3]
-        middle = stood.focus
+        turn = looking(np.zeros(3), level, -poses.up)[:3, :3]
+        middle = poses.focus
     else:
-        middle = stood.centers.mean(axis=0) + distance * unit(forward)
+        middle = poses.centers.mean(axis=0) + distance * unit(forward)
     moved = np.eye(4)
     moved[:3, :3], moved[:3, 3] = turn, -turn @ middle
     return moved
 
 
 def moved_camera(camera: Camera, motion: Array) -> Camera:
-    """The camera that sees of the moved scene what `camera` saw before."""
+    """The camera that sees the same of the moved scene."""
     from dataclasses import replace
 
     import torch
@@ -88,8 +91,8 @@ def turned_bands(shN: Tensor, turn: Tensor) -> Tensor:
     before = sh_basis(directions @ turn.double(), degree)
     parts = []
     for band in range(1, degree + 1):
-        own = slice(band**2, (band + 1) ** 2)
-        D = torch.linalg.lstsq(after[:, own], before[:, own]).solution  # before = after D
+        columns = slice(band**2, (band + 1) ** 2)
+        D = torch.linalg.lstsq(after[:, columns], before[:, columns]).solution  # before = after D
         kept = shN[:, band**2 - 1 : (band + 1) ** 2 - 1].double()
         parts.append(torch.einsum("ab,nbc->nac", D, kept))
     return torch.cat(parts, dim=1).to(shN.dtype)

@@ -4,12 +4,16 @@ small one for each method, which its report shows."""
 from __future__ import annotations
 
 import argparse
+import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from framework.errors import Arguments, require
+from framework.files.opened import is_file
 from framework.files.whole import make_folder, write_whole
+from framework.records import RUN_FOLDERS
+from framework.records.record import RECORD, read_record
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,7 +24,7 @@ if TYPE_CHECKING:
 
 MOST_FRAMES, MOST_BYTES = 3000, 2**31  # all pictures are in memory until they are encoded
 SIDES = (16, 4096)
-SMALL_SIDE, SMALL_SECONDS = 320, 4.0  # of a study's: a report takes them in
+SMALL_SIDE, SMALL_SECONDS = 320, 4.0  # of a study's videos, which its report contains
 FPS = (1, 60)
 
 
@@ -35,8 +39,6 @@ def main(arguments: list[str], prog: str) -> int:
         seconds is None or (math.isfinite(seconds) and 0 < seconds <= 600),
         f"--seconds: expected a time of up to 600, got {seconds}",
     )
-    from framework.exports.study import is_study
-
     if is_study(options.run):
         _of_study(options)
     else:
@@ -45,8 +47,7 @@ def main(arguments: list[str], prog: str) -> int:
 
 
 def _of_study(options: argparse.Namespace) -> None:
-    """A small video for each method, in its first run's folder, where there is none."""
-    from framework.exports.study import runs_of_methods
+    """Make a small video for each method, in the folder of its first run, unless it exists."""
     from framework.records.run_files import VIDEOS
 
     require(
@@ -55,30 +56,29 @@ def _of_study(options: argparse.Namespace) -> None:
     )
     small = {"size": options.size or SMALL_SIDE, "seconds": options.seconds or SMALL_SECONDS}
     for run in runs_of_methods(options.run):
-        there = [name for name in VIDEOS if (run / name).is_file()]
-        if there:
-            print(f"video: {run / there[0]} is there")
+        existing = [name for name in VIDEOS if (run / name).is_file()]
+        if existing:
+            print(f"video: {run / existing[0]} exists")
         else:
             _film(argparse.Namespace(**{**vars(options), **small}), run)
     print(f"video: fishersplat report {options.run} shows them")
 
 
 def _film(options: argparse.Namespace, folder: Path) -> None:
-    """The video of one run."""
+    """Make the video of one run."""
     from framework.exports.movie import check_kind, encoded, has_h264
     from framework.exports.opened import open_run
 
     out = options.out or folder / ("video.mp4" if has_h264() else "video.webm")
     check_kind(out, options.fps)
     run = open_run(folder)
-    make_folder(out.parent)  # a place that cannot be written is told before the work
+    make_folder(out.parent)  # fails before the work
     from framework.exports.flight import flight, lens_of, usual_seconds
     from framework.exports.pictures import painter
     from framework.exports.rig import rig
 
-    cameras = [given.camera for given in run.cameras]
-    stood = rig(cameras)
-    path = stood.kind if options.path == "auto" else options.path
+    cameras = [named.camera for named in run.cameras]
+    path = rig(cameras).kind if options.path == "auto" else options.path
     n = round((options.seconds or usual_seconds(path, len(cameras))) * options.fps)
     lens = lens_of(cameras, options.size)
     _check_room(n, lens, options.show)
@@ -92,6 +92,28 @@ def _film(options: argparse.Namespace, folder: Path) -> None:
         f"video: {out} ({path} past {len(cameras)} cameras, {n / options.fps:.1f} s of"
         f" {width}x{height}, {len(content) / 1e6:.1f} MB)"
     )
+
+
+def is_study(folder: Path) -> bool:
+    """Whether `folder` is that of a study, not of a run."""
+    return not is_file(folder / RECORD) and (folder / RUN_FOLDERS).is_dir()
+
+
+def runs_of_methods(folder: Path) -> list[Path]:
+    """The complete run of lowest seed of each configuration. Raises UserError if there is none."""
+    lowest: dict[str, tuple[int, Path]] = {}
+    for file in sorted(folder.glob(f"{RUN_FOLDERS}/*/{RECORD}")):
+        record = read_record(file)
+        if record.status != "complete":
+            continue
+        scene = record.scene.name if record.scene else ""
+        rest = {key: value for key, value in record.config.items() if key != "seed"}
+        key = json.dumps([scene, rest], sort_keys=True, default=str)
+        lowest[key] = min(lowest.get(key, (record.seed, file.parent)), (record.seed, file.parent))
+    require(
+        bool(lowest), f"{folder}: expected a study with a complete run, found none; run it again"
+    )
+    return sorted(run for _, run in lowest.values())
 
 
 def check_side(side: int | None) -> None:
@@ -145,7 +167,7 @@ def _check_room(n: int, lens: Camera, shown: str) -> None:
 
 
 def _pictures(painter: Painter, way: list[Camera]) -> list[NDArray[np.uint8]]:
-    from framework.exports.ticks import Ticks
+    from framework.exports.pictures import Ticks
 
     tick, pictures = Ticks("frames"), []
     for camera in way:

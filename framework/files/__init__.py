@@ -1,5 +1,5 @@
-"""Reading and writing safely: regular and whole files, archives, arrays, JSON and YAML within
-limits, pages, paths that stay inside their folder, locks, trees of values, the user's cache."""
+"""Safe reading and writing: size limits, atomic writes, archives, arrays, JSON, YAML, HTML pages,
+paths that stay inside their folder, locks, trees of values, and the user's cache."""
 
 __all__ = [
     "archives",

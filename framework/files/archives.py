@@ -1,7 +1,7 @@
-"""Zip archives from elsewhere (`.npz`, PyTorch weights): opened only within the limits.
+"""Opens zip archives from strangers (`.npz`, PyTorch weights) within limits.
 
-The size of the table of contents and the unpacked sizes are read before anything is allocated for
-them; Python's `zipfile` then never unpacks more than the stated size of a member.
+The sizes of the table of contents and of the unpacked members are read before memory is allocated
+for them. Python's `zipfile` never unpacks more than the stated size of a member.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ CLOSING, LOCATOR, CLOSING_64 = b"PK\5\6", b"PK\6\7", b"PK\6\6"
 
 
 class Archive(zipfile.ZipFile):
-    """Closes the file that it was given open."""
+    """A zip file that also closes the underlying file."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -33,8 +33,8 @@ class Archive(zipfile.ZipFile):
 
 
 def open_zip(path: Path, unpacked_bytes: int) -> zipfile.ZipFile:
-    """The archive. Raises UserError when it is none, or its file, table of contents or unpacked
-    content is too large."""
+    """Open an archive. Raises UserError for a damaged one, or if its file, table of contents or
+    unpacked content is too large."""
     file = open_regular(path, unpacked_bytes)
     try:
         return _opened(path, file, unpacked_bytes)
@@ -44,7 +44,7 @@ def open_zip(path: Path, unpacked_bytes: int) -> zipfile.ZipFile:
 
 
 def _opened(path: Path, file: BinaryIO, unpacked_bytes: int) -> zipfile.ZipFile:
-    """The archive in `file`, which it closes at its end."""
+    """The archive in `file`."""
     contents = _contents_bytes(file)
     require(
         contents <= CONTENTS_BYTES,

@@ -1,7 +1,7 @@
-"""`.npy` and `.npz` files from elsewhere: plain numbers only, never pickled objects.
+"""Reads `.npy` and `.npz` files from strangers: plain numbers only, never pickled objects.
 
-The header's shape is compared with the bytes that are there before memory is taken for it; numpy's
-own `load` allocates what the header says.
+The header's shape is compared with the size of the file before memory is allocated; numpy's `load`
+allocates whatever the header states.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ def read_npz(path: Path, keys: list[str], most_bytes: int = ARRAY_BYTES) -> list
     """The arrays named `keys` of a `.npz` file. Raises UserError as `read_npy`, or when one is
     missing; `most_bytes` is for all members of the file together."""
     with open_zip(path, most_bytes) as archive:
-        known = [name.removesuffix(".npy") for name in archive.namelist()]
-        missing = [key for key in keys if key not in known]
+        names = [name.removesuffix(".npy") for name in archive.namelist()]
+        missing = [key for key in keys if key not in names]
         require(
             not missing,
-            f"{path}: expected {_few(keys)}, got {_few(known)}; {len(missing)} missing (first:"
+            f"{path}: expected {_few(keys)}, got {_few(names)}; {len(missing)} missing (first:"
             f" {missing[0] if missing else ''}), write them with numpy.savez(file, name=array)",
         )
         return [_member(archive, f"{key}.npy", path) for key in keys]

@@ -1,4 +1,4 @@
-"""Where generated things are kept: `$FISHERSPLAT_CACHE`, else in the user's cache folder."""
+"""The folder of generated files: `$FISHERSPLAT_CACHE`, else in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from framework.errors import FULL, UserError
 def cache_dir() -> Path:
     """The cache folder, made if missing."""
     base = os.environ.get("FISHERSPLAT_CACHE")
-    if base:  # before the home is asked for, which not every user has
+    if base:  # also works for users without a home
         path = Path(base)
     else:
         path = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fishersplat"

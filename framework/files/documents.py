@@ -1,7 +1,8 @@
-"""JSON and YAML from elsewhere as plain values within limits: mappings with texts as keys, lists,
-texts, numbers, truth values, null. Nothing in them can stand for more than the file's own bytes:
-no YAML aliases (nine lines of them are a billion values), no tags, no deep nesting, no text or
-integer without end, no half of a character that nothing could write down again.
+"""Reads JSON and YAML from strangers as plain values within limits.
+
+The values are mappings with strings as keys, lists, strings, numbers, booleans and null. Their size
+is bounded by that of the file: there are no YAML aliases (nine lines of them are a billion values),
+no tags, no deep nesting and no lone surrogates.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ def _check_events(path: Path, text: str) -> None:
             if isinstance(event, yaml.ScalarEvent):
                 _check_text(path, event.value)
     except (yaml.YAMLError, UnicodeError) as error:
-        # newer parsers have a limit of their own, which they meet before they tell of a level
+        # newer parsers have a limit too, which they may reach first
         require(
             "maximum nesting depth" not in str(error),
             f"{path}: expected at most {DEPTH} nested levels, got many more; write it flat",

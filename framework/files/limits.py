@@ -35,8 +35,8 @@ RUNS = 100_000  # of one command
 
 
 def check_address_space() -> None:
-    """Raise MemoryError where the process may not have the `ADDRESS_BYTES` that the libraries take
-    before they do anything: with less they fail in ways that tell nothing, or crash."""
+    """Raise MemoryError if the process may use less than `ADDRESS_BYTES`, with which the libraries
+    would crash or fail with misleading errors."""
     if importlib.util.find_spec("resource") is None:  # no such limit on this system
         return
     import resource

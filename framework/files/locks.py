@@ -1,8 +1,8 @@
 """One process at a time in a folder: a lock on its file `.lock`; `.lock.holder` names the holder.
 
-The system drops the lock when its process ends, however it ends. Where the file system has no such
-locks (some network ones), filelock falls back to a file that only one process can create, and
-judges whether a process of this machine that created it is still alive.
+The system releases the lock when its process ends, also by a crash. On file systems without such
+locks (some network ones), filelock falls back to a file that only one process can create. It then
+checks whether the process that created it on this machine is still alive.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ def locked(folder: Path, wait: bool = False) -> Iterator[None]:
         lock.acquire()
     except Timeout:
         raise Busy(
-            f"{folder}: expected nobody else at this run, got {_holder(folder)}; wait for it, or"
-            " stop it"
+            f"{folder}: expected no other process at this run, got {_holder(folder)}; wait for it,"
+            " or stop it"
         ) from None
     except OSError as error:
         if not mendable(error):
@@ -70,7 +70,7 @@ def remove_stale(folder: Path, also: Callable[[Path], None]) -> None:
 
 
 def _sign(folder: Path) -> None:
-    """Write who holds the lock; on a full disk nobody will know."""
+    """Write the lock's holder, for messages; errors do not matter."""
     holder = {"pid": os.getpid(), "host": platform.node(), "since": time.strftime("%F %T")}
     with contextlib.suppress(UserError, OSError):
         write_whole(folder / HOLDER, json.dumps(holder))

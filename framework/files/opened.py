@@ -1,8 +1,8 @@
-"""Opening a file from elsewhere. Every reader of such files begins here.
+"""Opens files from strangers; all readers of such files use it.
 
-Only a regular file is opened, through links too: a pipe would keep its reader waiting for ever, a
-device has no end. A file is never read beyond its limit. Whatever the system says against a path
-(too long, a circle of links, no right) is bad input, told in one line.
+Only regular files are opened, also through links: a pipe would block its reader, and a device has
+no end. A file is never read beyond its limit. Errors of the system about a path (too long, circular
+links, no permission) become a UserError.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def open_regular(path: Path, limit: int) -> BufferedReader:
         # should it have become a pipe since, it does not wait for a writer
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
-        raise _told(error, path) from None
+        raise _user_error(error, path) from None
     file = os.fdopen(descriptor, "rb")
     try:
         _check(os.fstat(descriptor), path, limit)
@@ -52,7 +52,7 @@ def read_bytes(path: Path, limit: int) -> bytes:
         try:
             return file.read(limit)
         except OSError as error:  # a damaged disk
-            raise _told(error, path) from None
+            raise _user_error(error, path) from None
 
 
 def read_text(path: Path, limit: int) -> str:
@@ -75,7 +75,7 @@ def file_size(path: Path, limit: int) -> int:
     try:
         return _check(os.stat(path), path, limit)
     except OSError as error:
-        raise _told(error, path) from None
+        raise _user_error(error, path) from None
     except ValueError as error:  # half a character, or a zero, in its name
         if isinstance(error, UserError):
             raise
@@ -87,19 +87,19 @@ def is_file(path: Path) -> bool:
     return os.path.isfile(path)
 
 
-def _check(found: os.stat_result, path: Path, limit: int) -> int:
-    kind = KINDS.get(stat.S_IFMT(found.st_mode), "something else")
+def _check(status: os.stat_result, path: Path, limit: int) -> int:
+    kind = KINDS.get(stat.S_IFMT(status.st_mode), "something else")
     require(
-        stat.S_ISREG(found.st_mode),
+        stat.S_ISREG(status.st_mode),
         f"{path}: expected a regular file, got {kind}; put a file in its place",
     )
     require(
-        found.st_size <= limit,
-        f"{path}: expected a file of at most {limit:,} bytes, got {found.st_size:,}; use a smaller"
+        status.st_size <= limit,
+        f"{path}: expected a file of at most {limit:,} bytes, got {status.st_size:,}; use a smaller"
         " one (the limits are in framework/files/limits.py)",
     )
-    return found.st_size
+    return status.st_size
 
 
-def _told(error: OSError, path: Path) -> OSError | UserError:
+def _user_error(error: OSError, path: Path) -> OSError | UserError:
     return UserError(os_line(error, path)) if mendable(error) else error

@@ -1,4 +1,4 @@
-"""HTML pages that need nothing else: what becomes of texts and data from elsewhere in them."""
+"""Builds self-contained HTML pages safely from texts and data of strangers."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ PLACEHOLDER = re.compile(r"\{\{(\w+)\}\}")
 
 def filled(template: str, values: Mapping[str, str]) -> str:
     """`{{name}}` replaced in one pass, so that no value is read as a template."""
-    return PLACEHOLDER.sub(lambda found: values[found[1]], template)
+    return PLACEHOLDER.sub(lambda match: values[match[1]], template)
 
 
 def script_json(value: Any) -> str:
-    """JSON that can stand in a script element: no `<` occurs in it."""
+    """JSON for a script element, without `<`."""
     text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def policy_hash(text: str) -> str:
-    """How a content security policy names a script or style that stands in its page."""
+    """The name of an inline script or style in a content security policy."""
     digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
     return f"'sha256-{digest}'"

@@ -1,7 +1,7 @@
-"""Names from files: they stay inside the folder they belong to.
+"""Resolves names from files, which must stay inside their folder.
 
-A scene from elsewhere may name `../../private.png` as a photo, or hold a link to it; it would end
-up in a report that is published.
+A scene from a stranger may name `../../private.png` as a photo, or contain a link to it; it would
+end up in a published report.
 """
 
 from __future__ import annotations
@@ -47,10 +47,12 @@ def inside(folder: Path, name: str | Path) -> Path:
 
 
 def own_plugins() -> list[tuple[str, Path]]:
-    """The modules of the user's own plugins: the `.py` files of the folder that `OWN_VARIABLE`
-    names and of its folders, as (path within it, with slashes; file), sorted; none without one.
-    Those whose names begin with `_` are helpers: not imported by themselves, but part of the code
-    that makes a run the same."""
+    """The modules of the user's plugins: (relative path with slashes, file), sorted.
+
+    They are the `.py` files of the folder that `OWN_VARIABLE` names and of its sub-folders. Files
+    that begin with `_` are helpers: they are not imported as plugins, but belong to the code of a
+    run.
+    """
     folder = os.environ.get(OWN_VARIABLE)
     if not folder:
         return []

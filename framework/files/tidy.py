@@ -1,8 +1,8 @@
-"""Keeps the user's cache from growing for ever.
+"""Keeps the user's cache small.
 
-What commands leave that were killed goes with the next command. What is made anew when it is needed
-(compiled kernels, one folder for each version of the code; pictures of the embedded scene) goes
-when nobody has used it for long. Poses of photos and weights stay: they are dear, and few.
+Folders of killed commands are removed by the next command. Files that can be generated again are
+removed if they were not used for long: compiled kernels, one folder for each version of the code,
+and pictures of the embedded scene. Poses of photos and weights stay.
 """
 
 from __future__ import annotations
@@ -20,44 +20,49 @@ from framework.files.cache import cache_dir, usable
 from framework.files.locks import LOCK, locked
 
 UNUSED_DAYS = 90
-UNSIGNED_DAYS = 7  # a folder without a lock is another version's, which may be at it
-YOUNG_S = 3600.0  # a younger one may have been made, and not yet locked
+UNSIGNED_DAYS = 7  # a folder without a lock may be in use by another version
+YOUNG_S = 3600.0  # a younger one may not be locked yet
 REMADE = ("kernels/*", "embedded-*.npz")
-DAILY = ".tidied"  # its time is that of the last look at what is unused
+DAILY = ".tidied"  # modified at the last removal of unused files
 DAY_S = 86400.0
 
 
 @contextmanager
 def own_folder(prefix: str) -> Iterator[Path]:
-    """An empty folder of this process in the cache, removed at the end or, if the process is killed
-    before, with another call an hour later. Raises Unwritable where none can be made."""
+    """A temporary folder of this process in the cache.
+
+    It is removed at the end, or by a call an hour later if the process is killed. Raises Unwritable
+    if it cannot be made.
+    """
     parent = cache_dir()
     tidy(prefix)
     with usable(parent):
-        made = tempfile.TemporaryDirectory(prefix=prefix, dir=parent, ignore_cleanup_errors=True)
-    with made as name, locked(Path(name)):
+        temporary = tempfile.TemporaryDirectory(
+            prefix=prefix, dir=parent, ignore_cleanup_errors=True
+        )
+    with temporary as name, locked(Path(name)):
         yield Path(name)
 
 
 def tidy(prefix: str) -> None:
-    """Remove the folders that begin with `prefix` and whose owners are gone and, once a day, what
-    nobody has used for UNUSED_DAYS. What cannot be removed stays."""
+    """Remove folders of ended processes that begin with `prefix` and, once a day, what was not used
+    for UNUSED_DAYS. Ignores what cannot be removed."""
     with contextlib.suppress(OSError):
         for folder in cache_dir().glob(f"{prefix}*"):
-            if _left(folder):
+            if _is_abandoned(folder):
                 shutil.rmtree(folder, ignore_errors=True)
         _remove_unused(cache_dir())
 
 
-def _left(folder: Path) -> bool:
-    """Whether the process that made the folder is gone."""
+def _is_abandoned(folder: Path) -> bool:
+    """Whether the process that made the folder has ended."""
     try:
         age_s = time.time() - folder.stat().st_mtime
         if age_s < YOUNG_S or not (folder / LOCK).exists():
             return age_s > UNSIGNED_DAYS * DAY_S
         with locked(folder):
             return True
-    except (OSError, UserError):  # somebody is at it, or it is just being removed
+    except (OSError, UserError):  # locked, or being removed
         return False
 
 
@@ -76,8 +81,8 @@ def _remove_unused(cache: Path) -> None:
 
 
 def _last_used(path: Path) -> float:
-    """When the file, or the last one in the folder, was read or written; where the file system
-    keeps no times of reading, when it was made."""
+    """When the file, or the latest one in the folder, was read or written; without access times,
+    when it was written."""
     every = [path, *path.rglob("*")]
     times = [path.stat() for path in every if not path.is_dir()] or [path.stat()]
-    return max(max(told.st_atime, told.st_mtime) for told in times)
+    return max(max(status.st_atime, status.st_mtime) for status in times)

@@ -1,10 +1,9 @@
-"""Values as plain JSON beside named tensors, and back. Nothing in the JSON can name code to run.
+"""Encodes values as plain JSON and named tensors, and decodes them. The JSON cannot name code.
 
-What may be held: None, truth values, numbers, texts, tensors, arrays, tuples, lists, dicts with
-such keys, and dataclasses among the `classes` that the caller allows: decoding looks a class up by
-its name in that collection and nowhere else. A tensor comes back with its bits, dtype, shape and
-memory order (reductions over another order would round differently); tensors that were one object
-stay one.
+Supported are None, booleans, numbers, strings, tensors, arrays, tuples, lists, dicts, and
+dataclasses among the `classes` that the caller allows; decoding looks up classes only there. A
+tensor keeps its bits, dtype, shape and memory order (reductions in another order would round
+differently). Tensors that were one object stay one.
 """
 
 from __future__ import annotations
@@ -23,14 +22,16 @@ PLAIN = (type(None), bool, int, float, str)
 
 
 def encode(value: Any, classes: Iterable[type], owner: str) -> tuple[Any, dict[str, Tensor]]:
-    """(JSON value, name -> contiguous tensor, often the value's own memory). owner: whose value it
-    is, for the error. Raises UserError for what cannot be held."""
+    """Encode to (JSON value, name -> contiguous tensor, which may share memory with the value).
+
+    owner: for messages. Raises UserError for an unsupported value.
+    """
     encoder = _Encoder({_name(cls): cls for cls in classes}, owner)
     return encoder.node(value), encoder.tensors
 
 
 def decode(node: Any, tensors: Mapping[str, Tensor], classes: Iterable[type]) -> Any:
-    """The value that `encode` got. Raises ValueError, KeyError or TypeError for a damaged one."""
+    """Inverse of `encode`. Raises ValueError, KeyError or TypeError for damaged input."""
     return _Decoder({_name(cls): cls for cls in classes}, tensors).value(node)
 
 
@@ -59,7 +60,7 @@ class _Encoder:
         require(
             self.classes.get(name) is type(value),
             f"{self.owner}: expected a state of numbers, texts, tensors, arrays, tuples, lists,"
-            f" dicts and dataclasses of its own module, got {name}; see CONTRIBUTING.md, State",
+            f" dicts and dataclasses of the same module, got {name}; see CONTRIBUTING.md, State",
         )
         stored = [f.name for f in dataclasses.fields(value) if f.init]
         return {"class": name, "fields": {key: self.node(getattr(value, key)) for key in stored}}
@@ -74,7 +75,7 @@ class _Encoder:
         return self.seen[id(value)][1]
 
     def _tensor(self, tensor: Tensor) -> Any:
-        """Store it contiguous; the node tells the order of its axes in memory."""
+        """Store a tensor contiguously; the node contains the order of its axes in memory."""
         strides = tensor.stride()
         order = sorted(range(tensor.dim()), key=lambda axis: -strides[axis])
         name = str(len(self.tensors))
@@ -90,7 +91,7 @@ class _Encoder:
 class _Decoder:
     def __init__(self, classes: Mapping[str, type], tensors: Mapping[str, Tensor]) -> None:
         self.classes, self.stored = classes, tensors
-        self.made: dict[tuple[str, str], Any] = {}
+        self.decoded: dict[tuple[str, str], Any] = {}
 
     def value(self, node: Any) -> Any:
         if type(node) in PLAIN:
@@ -101,9 +102,9 @@ class _Decoder:
         (kind, content), *rest = node.items()
         if kind in ("tensor", "array", "scalar"):
             key = (kind, content["name"])
-            if key not in self.made:
-                self.made[key] = self._tensor(kind, content, bool(rest and rest[0][1]))
-            return self.made[key]
+            if key not in self.decoded:
+                self.decoded[key] = self._tensor(kind, content, bool(rest and rest[0][1]))
+            return self.decoded[key]
         if kind == "dict":
             return {self.value(k): self.value(v) for k, v in content}
         items = [self.value(item) for item in content]

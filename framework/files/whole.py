@@ -1,10 +1,10 @@
-"""Files are written whole or not at all: beside the target first, then renamed over it.
+"""Writes files atomically: to a temporary file in the same folder, which is then renamed.
 
 The content is on the disk before the rename, so that a power failure leaves the old file or the
-new one. A process killed in between leaves a temporary file, which `remove_temporaries` clears.
+new one. A process killed in between leaves a temporary file, which `remove_temporaries` removes.
 
-Somebody may remove or change files of a folder that is still being written. `following` keeps what
-was written, so that the writer can check that it is there before it says so.
+Other processes may remove or change files of a folder that is still being written. `following`
+records what was written, so that the writer can check it at the end.
 """
 
 from __future__ import annotations
@@ -30,31 +30,31 @@ class Unwritable(UserError):
 
 
 class Disturbed(UserError):
-    """What was written is gone, or changed by somebody else."""
+    """Written files are missing, or were changed by another process."""
 
     kind = "disk"
 
 
 class Written:
-    """The files below `folder` that this process writes meanwhile: the size and SHA-256 of each."""
+    """Size and SHA-256 of the files that this process writes below `folder`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._files = dict[Path, tuple[int, str]]()
 
     def add(self, path: Path, data: bytes) -> None:
-        """`path` holds `data` from now on, if it is below the folder."""
+        """Record a file, if it is below the folder."""
         if path.is_relative_to(self.folder):
             self._files[path] = len(data), hashlib.sha256(data).hexdigest()
 
     def check(self, content: bool = True) -> None:
-        """Raises Disturbed for the first file that is not there as written. content: whether each
-        is read again, or only its size asked for."""
+        """Raise Disturbed for the first file that is missing or changed. content: compare the
+        content, not only the size."""
         for path, (size, digest) in sorted(self._files.items()):
-            found = difference(path, size, digest if content else None)
-            if found:
+            changed = difference(path, size, digest if content else None)
+            if changed:
                 raise Disturbed(
-                    f"{path}: expected the {size:,} bytes just written, got {found}; leave the"
+                    f"{path}: expected the {size:,} bytes just written, got {changed}; leave the"
                     " folder alone while it is written, and run the same again"
                 )
 
@@ -82,7 +82,7 @@ _followers: list[Written] = []
 
 @contextlib.contextmanager
 def following(folder: Path) -> Iterator[Written]:
-    """What any thread writes below `folder` while it lasts."""
+    """Record what all threads write below `folder`."""
     written = Written(folder)
     _followers.append(written)
     try:
@@ -118,7 +118,7 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make `path` and what is missing above it. Raises Unwritable where that cannot be."""
+    """Make `path` and what is missing above it. Raises Unwritable if that fails."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -139,8 +139,8 @@ def unwritable(error: OSError, path: Path | str, n_bytes: int | None = None) -> 
 
 
 def remove_temporaries(folder: Path, pattern: str = "**/.*.tmp") -> None:
-    """Remove what killed processes were writing in `folder` and below. Call it only while nobody
-    else writes there."""
+    """Remove temporary files of killed processes in `folder` and below. No other process may be
+    writing there."""
     for path in folder.glob(pattern):
         if TEMPORARY.fullmatch(path.name):
             with contextlib.suppress(OSError):

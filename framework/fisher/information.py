@@ -1,9 +1,10 @@
 """Fisher information of the Gaussians from one view.
 
-With additive Gaussian noise on the pixels, F = J^T J. It is the sum over pixels and channels of
-outer products of the pixel's derivatives (never the square of a summed gradient). Blocks are per
-Gaussian, without cross terms, as in FisherRF and PUP-3DGS. Unlike in FisherRF, channels are summed
-as squares. Units: intensity^2 per squared parameter, means in scene units; noise variance 1.
+With additive Gaussian noise on the pixels, F = J^T J: the sum over pixels **and channels** of outer
+products of the pixel's derivatives, never the square of a summed gradient. Blocks are per Gaussian,
+without cross terms between Gaussians, as in FisherRF and PUP-3DGS. Unlike FisherRF, channels are
+summed as squares. The unit is intensity^2 per squared parameter, with means in scene units and a
+noise variance of 1.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ from framework.types import Camera, Gaussians
 
 @dataclass(frozen=True)
 class FisherInformation:
-    """Information of one view on N Gaussians; zeros for those that the view misses.
+    """The information of one view on every Gaussian, zero for those it does not see.
 
-    block and diagonal share memory that is reused once neither is referenced.
+    `block` and `diagonal` share a buffer that is reused once neither is referenced.
 
     Attributes:
-        block: [N, 6, 6], mean and log-scale.
-        diagonal: [N, 14], mean 3, log-scale 3, quat 4, opacity logit 1, sh0 3.
-        visible: [N] bool.
+        block: [N, 6, 6], on (mean, log-scale).
+        diagonal: [N, 14], on mean 3, log-scale 3, quat 4, opacity logit 1, sh0 3.
+        visible: [N] bool, whether the Gaussian's box contains a pixel.
     """
 
     block: Tensor
@@ -45,12 +46,21 @@ def fisher_information(
     near: float = 0.01,
     mask: Tensor | None = None,
 ) -> FisherInformation:
-    """Compute the exact information of `camera`'s image on each Gaussian.
+    """Compute the exact information of a camera's image on each Gaussian.
 
-    It takes one render, one pass for second moments and one pull-back (equation:
-    `kernels.project.information`). Pixels of mask [H, W] at or below 0.5 do not count. The other
-    arguments, and errors, are those of `rasterize`; a mask of another shape or dtype raises
-    UserError.
+    It takes one render, one pass for second moments and one pull-back;
+    `kernels.project.information` has the equation.
+
+    Args:
+        gaussians: the N Gaussians.
+        camera: the view.
+        background: [3], default black.
+        sh_degree: active degree, at most the stored one (default).
+        near: Gaussians with a smaller z are culled.
+        mask: [H, W] float32; pixels at or below 0.5 do not count.
+
+    Raises:
+        UserError: for wrong shapes and dtypes.
     """
     n = len(gaussians)
     pixels = np.empty((0, 0), np.float32) if mask is None else counted(mask, camera).numpy()
@@ -64,7 +74,7 @@ def fisher_information(
 
 
 def counted(mask: Tensor, camera: Camera) -> Tensor:
-    """A mask that fits its camera, as the kernel reads it, which does not check bounds."""
+    """Check a mask against its camera and return it for the kernel, which does not check bounds."""
     size = camera.height, camera.width
     require(
         mask.dtype == torch.float32 and tuple(mask.shape) == size,

@@ -1,12 +1,12 @@
 """Scores from Fisher information: how new a camera is to a view, how uncertain a Gaussian is.
 
-N Gaussians, P parameters each; information is J^T J per unit of noise variance, non-negative.
-Regularisers are relative: a share of the median positive diagonal of a parameter, which acts as a
-Gaussian prior shared by all Gaussians (and views). So neither the unit of length nor the brightness
-of the images matters. An absolute one does not work: with the 1e-6 that is common in the field,
-the trace below counts little but the parameters that the reference does not see.
+There are N Gaussians with P parameters each. Information is J^T J per unit of noise variance, so it
+is non-negative. Regularisers are relative: a share of the median positive diagonal of a parameter.
+They act as one Gaussian prior on all Gaussians and views, so neither the unit of length nor the
+brightness of the images matters. An absolute regulariser does not work: with the usual 1e-6, the
+trace below depends almost only on parameters that the reference view does not see.
 
-All sums are numpy's, in float64 and on one thread: the bits do not depend on the thread count.
+All sums are numpy's, in float64 and on one thread, so the bits do not depend on the thread count.
 """
 
 from __future__ import annotations
@@ -27,10 +27,18 @@ NOISE = 1e-5  # share of its diagonal to which a block from float32 derivatives 
 
 
 def shared_prior(diagonals: Sequence[Tensor], regulariser: float) -> Tensor:
-    """[P] float64 prior precision lambda for the comparison of several views.
+    """Return the prior precision lambda for the comparison of several views.
 
-    diagonals: one [N, P] per view. Returns `regulariser` x the median positive entry of all views,
-    per parameter. Raises ValueError on a regulariser that is not positive or values not finite.
+    Args:
+        diagonals: the information [N, P] of each view.
+        regulariser: share of the median.
+
+    Returns:
+        [P] float64, `regulariser` x the median positive entry of all views, for each parameter.
+
+    Raises:
+        ValueError: for a regulariser that is not positive.
+        UserError: for values that are not finite.
     """
     _check_positive("shared_prior: regulariser", regulariser)
     return from_numpy(_prior([_float64(diagonal) for diagonal in diagonals], regulariser))
@@ -39,25 +47,40 @@ def shared_prior(diagonals: Sequence[Tensor], regulariser: float) -> Tensor:
 def information_gains(
     candidate: Tensor, references: Sequence[Tensor], prior: Tensor, form: str = "trace"
 ) -> list[float]:
-    """What a candidate view would add to each of several reference views under one prior.
+    """Compute what a candidate view would add to each of several reference views.
 
-    candidate: [N, P] diagonal H'. references: the views' diagonals H. prior: [P] lambda > 0.
-    form "log": 1/2 sum log(1 + H' / (H + lambda)), the entropy difference of the two posteriors
-    (Kirsch & Gal, "Unifying approaches in active learning", 2022); form "trace": its upper bound
-    1/2 sum H' / (H + lambda).
+    With diagonals, "log" is the difference of entropy between the two posteriors and "trace" its
+    upper bound:
 
-    Or all Gaussians' blocks H', H [N, D, D] with a prior [D] (see `block_prior`): summed over the
-    Gaussians, "log" is 1/2 (log det(H + H' + Lambda) - log det(H + Lambda)) and "trace"
-    1/2 tr(H' (H + Lambda)^-1), with
+        log    1/2 sum log(1 + H' / (H + lambda))
+        trace  1/2 sum H' / (H + lambda)
 
-        Lambda = diag(lambda) + NOISE diag(H + H')    of each Gaussian, the same in both terms.
+    With the blocks [N, D, D] of all Gaussians and a prior [D], both are sums over the Gaussians:
 
-    The second part is what float32 derivatives leave unknown: without it a direction that no view
-    sees, where H is rounding alone, would count as known. It is no detail where lambda is small:
-    a Gaussian whose diagonal is 1 / NOISE times lambda has half its floor from it, and with a
-    regulariser of 1e-3 it moves gains by up to 45 %. Diagonals need none.
+        log    1/2 (log det(H + H' + Lambda) - log det(H + Lambda))
+        trace  1/2 tr(H' (H + Lambda)^-1)
+        Lambda = diag(lambda) + NOISE diag(H + H')
 
-    Raises ValueError on an unknown form, differing shapes and values that are not finite.
+    The second term of Lambda is the error of float32 derivatives. Without it, a direction that no
+    view sees, where H is only rounding, would count as known. It matters where lambda is small: a
+    Gaussian whose diagonal is lambda / NOISE has half of its floor from it, and with a regulariser
+    of 1e-3 it changes gains by up to 45 %. Diagonals do not need it.
+
+    Args:
+        candidate: information H' of the candidate, [N, P] diagonals or [N, D, D] blocks.
+        references: information H of each reference view, in the same form.
+        prior: precision lambda > 0, [P] or [D], see `shared_prior` and `block_prior`.
+        form: "trace" or "log".
+
+    Returns:
+        The gain in nats for each reference view.
+
+    Raises:
+        ValueError: for an unknown form or different shapes.
+        UserError: for values that are not finite.
+
+    Source:
+        Kirsch and Gal, "Unifying approaches in active learning", 2022.
     """
     _check_form(form)
     for reference in references:
@@ -69,12 +92,14 @@ def information_gains(
 
 
 def variances(diagonal: Tensor, prior: Tensor) -> Tensor:
-    """[N, P] float64 (H + lambda)^-1: what a view with the diagonal H [N, P] leaves unknown."""
+    """Return (H + lambda)^-1, [N, P] float64: what a view with diagonal H [N, P] leaves
+    uncertain.
+    """
     return from_numpy(1 / (_float64(diagonal) + prior.numpy()))
 
 
 def gains_over(candidate: Tensor, unknown: Sequence[Tensor], form: str = "trace") -> list[float]:
-    """`information_gains` of diagonals from the views' `variances`, kept by who asks repeatedly."""
+    """Compute `information_gains` from the `variances` of the views, which the caller can keep."""
     _check_form(form)
     gained = _float64(candidate)
     gains = []
@@ -112,43 +137,66 @@ def _block_gain(gained: np.ndarray, known: np.ndarray, prior: np.ndarray, form: 
 
 
 def block_prior(blocks: Sequence[Tensor], regulariser: float) -> Tensor:
-    """Return the [6] float64 prior precision for blocks [N, 6, 6] of several views.
+    """Return the prior precision for blocks of several views.
 
-    It is `regulariser` x the median positive diagonal, one number for the means and one for the
-    log-scales, so that results do not depend on the world's axes. Raises ValueError as
-    `shared_prior`.
+    It is one number for the means and one for the log-scales, so that it does not depend on the
+    axes of the world.
+
+    Args:
+        blocks: [N, 6, 6] of each view.
+        regulariser: share of the median positive diagonal.
+
+    Returns:
+        [6] float64.
+
+    Raises:
+        ValueError: for a regulariser that is not positive.
+        UserError: for values that are not finite.
     """
     _check_positive("block_prior: regulariser", regulariser)
     return from_numpy(_block_prior(np.concatenate([_float64(b) for b in blocks]), regulariser))
 
 
 def removal_energy(diagonal: Tensor, opacity_logits: Tensor) -> Tensor:
-    """Return [N] float64: the squared change of the images if a Gaussian is removed, in
-    intensity^2.
+    """Compute how much the images change if a Gaussian is removed.
 
-    diagonal: [N, 14], `FisherInformation.diagonal`, summed over the views. opacity_logits: [N].
+    A pixel's colour is linear in each alpha, and alpha is linear in the opacity o. So the change is
+    o dC/do = dC/d(logit) / (1 - o), and its energy F_logit / (1 - o)^2. This is exact except where
+    alpha is clamped at 0.99, which is at most the central 2 % of a Gaussian's square. Other
+    Gaussians do not fill the gap, so the loss after a refit is smaller.
 
-    A pixel's colour is linear in each alpha, and alpha in the opacity o. So the change is
-    o dC/do = dC/d(logit) / (1 - o) and its energy F_logit / (1 - o)^2. It is exact except at
-    cut-offs: alphas clamped at 0.99 are missing, at most the central 2 % of a Gaussian's square.
-    The other Gaussians are not refitted.
+    Args:
+        diagonal: [N, 14], `FisherInformation.diagonal`, summed over the views.
+        opacity_logits: [N].
+
+    Returns:
+        [N] float64, squared change summed over pixels and channels, in intensity^2.
     """
     transparency = 1 / (1 + portable.exp(np.minimum(_float64(opacity_logits), LARGEST_LOGIT)))
     return from_numpy(_float64(diagonal)[:, OPACITY] / transparency**2)
 
 
 def uncertainty(blocks: Tensor, visible: Tensor, extent: float, regulariser: float) -> Tensor:
-    """U = -log det(S F S + Lambda) of every Gaussian, PUP-3DGS's score with its sign reversed.
+    """Compute U = -log det(S F S + Lambda) of every Gaussian, the negative of PUP-3DGS's score.
 
-    blocks: [N, 6, 6] information F about (mean, log-scale), summed over the training views.
-    visible: [N] bool, seen by any of them. extent: scene units; S = diag(extent x 3, 1 x 3) makes
-    the means dimensionless. Lambda is diagonal: `regulariser` x the median positive diagonal of the
-    visible Gaussians, one number for the means and one for the log-scales (so that U is invariant
-    to rigid motion). It keeps the determinant positive where few views leave F singular: one view
-    alone gives rank 5 at most. NOISE x each diagonal is added, so that the sixth direction counts
-    as unknown and not as what rounding left in it.
+    S = diag(extent, extent, extent, 1, 1, 1) makes the means dimensionless. Lambda is diagonal:
+    `regulariser` x the median positive diagonal of the visible Gaussians, one number for the means
+    and one for the log-scales, so that U does not change under rigid motion. It keeps the
+    determinant positive if few views leave F singular; one view has at most rank 5. NOISE x each
+    diagonal is added, so that the sixth direction does not depend on rounding.
 
-    Returns [N] float64; +inf for Gaussians that no view sees. Raises ValueError on bad input.
+    Args:
+        blocks: [N, 6, 6] information F on (mean, log-scale), summed over the training views.
+        visible: [N] bool, seen by a training view.
+        extent: of the scene, scene units.
+        regulariser: share of the median.
+
+    Returns:
+        [N] float64; +inf for Gaussians that no view sees.
+
+    Raises:
+        ValueError: for an extent or regulariser that is not positive.
+        UserError: for values that are not finite.
     """
     _check_positive("uncertainty: extent", extent)
     _check_positive("uncertainty: regulariser", regulariser)

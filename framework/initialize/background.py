@@ -1,8 +1,8 @@
-"""Colours behind the Gaussians: what a ray sees where nothing absorbs it.
+"""The colour behind the Gaussians.
 
 A constant colour near the scene's mean leaves the Gaussians the least to explain where no training
-view supports them, hence `mean` is the default. Behind transparent photos there is nothing but the
-paper they were laid on: there `mean` is its grey.
+view supports them, hence `mean` is the default. Transparent photos are composited over paper, whose
+grey is then the mean.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ log = logging.getLogger(__name__)
 
 
 def background_color(kind: str, training: TrainingSet) -> Tensor:
-    """[3] float32 of one of `BACKGROUNDS`: `mean` (of the valid training pixels; of transparent
-    photos their paper), `black`, `white`, of which a warning tells where the paper is another.
+    """The background colour [3] float32 of one of `BACKGROUNDS`.
 
-    For `random`, of which a training step draws `random_background`, renders for evaluation stand
-    on the mean, the colour they differ least from on average. Raises UserError where the masks
-    leave no pixel to train on.
+    `mean` is that of the valid training pixels, or the paper of transparent photos. `black` and
+    `white` log a warning if the paper is another. For `random`, which training steps draw by
+    `random_background`, evaluation uses the mean, as it differs least on average. Raises UserError
+    if the masks leave no pixel to train on.
     """
     import torch
 

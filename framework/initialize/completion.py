@@ -1,10 +1,10 @@
-"""A surface for the pixels without consistent depth: what one view alone sees, far backgrounds.
+"""Guesses a surface for pixels without consistent depth: far backgrounds, areas that one view sees.
 
-Without one, nothing but the background colour stands there, and no Gaussian is near to learn what
-the photo shows. The guess continues the depth around the pixel, that of the sparse points included,
-and prefers the farther where near and far meet, since what stereo misses is mostly behind. Then it
-moves back along its ray until no training view looks through it and it leaves the ball in which the
-cameras stand: other cameras look through that ball, and what floats in it hides the scene.
+Without a guess there is only the background colour, and no Gaussian is near to learn the photo. The
+guess continues the depth around the pixel, including that of sparse points. It prefers the farther
+depth at an edge, since what stereo misses is mostly behind. Then it moves back along its ray until
+no training view looks through it and it is outside the ball around the cameras: other cameras look
+through that ball, and floaters in it would hide the scene.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def complete(maps: Mapped, tolerance: float) -> SurfacePixels:
 
 
 def _start(maps: Mapped, v: int) -> Array:
-    """[H, W] the depth around, where view `v` has none of its own; 0 elsewhere."""
+    """[H, W] depth from the surroundings where view `v` has none; 0 elsewhere."""
     depth, mask = maps.seen.image(maps.seen.depth, v), maps.views[v].mask
     around = filled(_with_points(maps, v))
     empty = depth == 0
@@ -78,12 +78,12 @@ def filled(depth: Array) -> Array:
 
     Pull-push (Gortler et al., SIGGRAPH 1996, section 3.4) of inverse depth, weighted by depth^2.
     """
-    known = depth > 0
-    if known.all() or not known.any():
+    valid = depth > 0
+    if valid.all() or not valid.any():
         return depth
-    safe = np.where(known, depth, 1.0)
-    weight = np.where(known, (safe / safe[known].max()) ** FAR_PREFERENCE, 0.0)
-    return np.where(known, depth, 1.0 / _pull_push(weight / safe, weight))
+    safe = np.where(valid, depth, 1.0)
+    weight = np.where(valid, (safe / safe[valid].max()) ** FAR_PREFERENCE, 0.0)
+    return np.where(valid, depth, 1.0 / _pull_push(weight / safe, weight))
 
 
 def _pull_push(total: Array, weight: Array) -> Array:

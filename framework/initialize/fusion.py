@@ -1,12 +1,12 @@
-"""Many depth maps to one set of surface pixels, each surface once.
+"""Fuses depth maps to one set of surface pixels, each surface once.
 
-Views are taken from the most central to the outermost one. A pixel enters when
+Views are processed from the most central to the outermost one. A pixel enters if
 
 - its depth is confident and its view's mask valid,
 - no earlier view shows the same surface (depth there equal within `tolerance`), and
 - at least as many other views agree with it as look through it, i.e. measure a depth clearly
-  behind it (free-space violation), judged by the nearest depth of 3 x 3 pixels, so that the
-  rounding to whole pixels at thin foreground objects does not count as a violation.
+  behind it (free-space violation). The nearest depth of 3 x 3 pixels decides, so that rounding to
+  whole pixels at thin foreground objects is no violation.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""What the views see of places in space, for every pixel of one view at a time.
+"""Compares points in space with the depth of all views, for every pixel of one view at a time.
 
-View v *shows* a place if its depth there, read at the pixel that contains the projection, is that
-of the place within a tolerance; it *looks through* the place if the nearest depth of 3 x 3 pixels
-is clearly behind. All in float64 and in the order of operations of `framework.geometry`, so the
-bits are those of its `project` and `unproject`.
+View v *shows* a point if its depth, read at the pixel that contains the projection, is equal within
+a tolerance. It *looks through* the point if the nearest depth of 3 x 3 pixels is clearly behind.
+All is float64 with the operations of `framework.geometry` in the same order, for equal bits.
 """
 
 from __future__ import annotations
@@ -49,8 +48,11 @@ class Sights(NamedTuple):
 
 
 def sights(views: Sequence[View], maps: Sequence[DepthMap]) -> Sights:
-    """Of views with one depth map each; what is masked or has no confidence has no depth. Raises
-    ValueError for a map of another size than its view."""
+    """Stack views and their depth maps. Masked and unconfident pixels have no depth.
+
+    Raises:
+        ValueError: a map has another size than its view.
+    """
     sizes = [(view.camera.height, view.camera.width) for view in views]
     for size, estimate in zip(sizes, maps, strict=True):
         if tuple(estimate.depth.shape) != size:
@@ -58,13 +60,13 @@ def sights(views: Sequence[View], maps: Sequence[DepthMap]) -> Sights:
                 f"sights: expected a depth map {list(size)} like the camera, got"
                 f" {list(estimate.depth.shape)}"
             )
-    found = run_tasks([partial(_confident, v, m) for v, m in zip(views, maps, strict=True)])
+    planes = run_tasks([partial(_confident, v, m) for v, m in zip(views, maps, strict=True)])
     pixels = np.array([height * width for height, width in sizes])
     return Sights(
         np.stack([_camera(view.camera) for view in views]),
         np.column_stack([np.array(sizes), np.cumsum(pixels) - pixels]).astype(np.int64),
-        np.concatenate([depth.reshape(-1) for depth, _ in found]),
-        np.concatenate([nearest.reshape(-1) for _, nearest in found]),
+        np.concatenate([depth.reshape(-1) for depth, _ in planes]),
+        np.concatenate([nearest.reshape(-1) for _, nearest in planes]),
     )
 
 
@@ -87,13 +89,18 @@ def pushed_back(
     tolerance: float,
     guesses: tuple[np.ndarray, float],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Guessed depth of view v from `start` [H, W] (0: no guess): places [H, W, 3] and their depth
-    [H, W], 0 where a pixel stays out.
+    """Push guessed depth of view v back until no view contradicts it.
 
-    The depth is `start` times the smallest of `steps` with which the place is outside the `ball`
-    (centre [3], radius) and no other view looks through it. A pixel stays out if there is none, if
-    another view shows the place, or if one before v guessed it. guesses: the depths [P] that were
-    guessed so far, and how near is the same.
+    The depth is `start` times the smallest of `steps` with which the point is outside the `ball`
+    (centre [3], radius) and no other view looks through it. There is no depth if no step fits, if
+    another view shows the point, or if an earlier view guessed it.
+
+    Args:
+        start: [H, W] depth, 0 without a guess.
+        guesses: the depths [P] of earlier views, and the distance that counts as equal.
+
+    Returns:
+        Points [H, W, 3] and their depth [H, W], 0 = none.
     """
     places, depth = np.empty((*start.shape, 3)), np.zeros(start.shape)
     run_blocks(_pushed_back, *seen, v, start, *ball, steps, tolerance, *guesses, places, depth)
@@ -164,10 +171,10 @@ def _unrepeated(
     height, width = chosen.shape
     for row in range(height * block // blocks, height * (block + 1) // blocks):
         for column in range(width):
-            own = depth[frames[v, 2] + row * width + column]
-            if not own > 0.0:
+            z_pixel = depth[frames[v, 2] + row * width + column]
+            if not z_pixel > 0.0:
                 continue
-            x, y, z = _place(cameras, v, _ray(cameras, v, row, column), own)
+            x, y, z = _place(cameras, v, _ray(cameras, v, row, column), z_pixel)
             votes, repeated = 0, False
             for other in range(len(frames)):
                 if other == v:
@@ -200,7 +207,7 @@ def _pushed_back(
     guesses: Any,
     same: float,
     places: Any,
-    found: Any,
+    guessed: Any,
 ) -> None:
     height, width = start.shape
     for row in range(height * block // blocks, height * (block + 1) // blocks):
@@ -209,21 +216,21 @@ def _pushed_back(
                 continue
             ray = _ray(cameras, v, row, column)
             for step in steps:
-                own = step * start[row, column]
-                x, y, z = _place(cameras, v, ray, own)
+                z_pixel = step * start[row, column]
+                x, y, z = _place(cameras, v, ray, z_pixel)
                 dx, dy, dz = x - center[0], y - center[1], z - center[2]
-                free, known = np.sqrt(dx * dx + dy * dy + dz * dz) >= radius, False
+                free, taken = np.sqrt(dx * dx + dy * dy + dz * dz) >= radius, False
                 for other in range(len(frames)):
                     if other == v or not free:
                         continue
                     at, far = _pixel(cameras, frames, other, x, y, z)
                     if at >= 0:
                         free = not _looks_through(nearest[at], far, tolerance)
-                        known = known or _shows(depth[at], far, tolerance)
-                        known = known or (other < v and _shows(guesses[at], far, same))
+                        taken = taken or _shows(depth[at], far, tolerance)
+                        taken = taken or (other < v and _shows(guesses[at], far, same))
                 if free:
-                    if not known:
-                        found[row, column] = own
+                    if not taken:
+                        guessed[row, column] = z_pixel
                         places[row, column, 0] = x
                         places[row, column, 1] = y
                         places[row, column, 2] = z

@@ -1,7 +1,7 @@
 """`init=sparse`: one Gaussian per triangulated point that training views support.
 
-As 3DGS (Kerbl et al. 2023, section 5.1 and its code): the standard deviation is the root mean
-squared distance to the 3 nearest other points, the opacity 0.1, no rotation.
+As in 3DGS (Kerbl et al. 2023, section 5.1 and its code), the standard deviation is the root mean
+squared distance to the 3 nearest other points. The opacity is 0.1, without rotation.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """`init=stereo`: Gaussians sampled from the fused, consistent depth of the training views.
 
-Of the depth maps only what passed its consistency check (confidence > 0) takes part; where nothing
-did, a few Gaussians stand on a guess (see `completion`). More Gaussians go where the photographs
-have detail, and each is as large as the patch of pixels it stands for.
+Only depth that passed its consistency check (confidence > 0) is used. A few Gaussians are placed on
+a guessed surface elsewhere (see `completion`). Photographs get more Gaussians where they have
+detail, and each is as large as the patch of pixels that it represents.
 """
 
 from __future__ import annotations
@@ -24,14 +24,13 @@ LARGEST_BUDGET = 100_000  # of those that are not set by hand
 class Stereo:
     """How the depth maps become Gaussians.
 
-    budget: number of Gaussians; 0 = `per_pixel` times the training pixels. It is smaller when fewer
-    pixels are left after fusion. per_pixel: Gaussians per training pixel, if budget is 0; 100,000
-    in all at most. So a scene gets what its photos can support (0.07 gives 40,000 for three photos
-    of 504x378); many photos of one scene repeat much of it. detail: exponent of the
-    local image gradient in the sampling density; 0 = uniform. tolerance: relative depth difference
-    up to which two views show the same surface. scale_factor: standard deviation in units of the
-    mean spacing of the samples. opacity: of every Gaussian. completion: sampling density of pixels
-    whose depth is a guess, in units of that of consistent ones; 0 = none.
+    budget: number of Gaussians; 0 = `per_pixel` times the training pixels. There are fewer if
+    fusion leaves fewer pixels. per_pixel: Gaussians per training pixel, if budget is 0; at most
+    100,000 in all. 0.07 gives 40,000 for three photos of 504x378. detail: exponent of the local
+    image gradient in the sampling density; 0 = uniform. tolerance: relative depth difference up to
+    which two views show the same surface. scale_factor: standard deviation in units of the mean
+    spacing of the samples. opacity: of every Gaussian. completion: sampling density of pixels with
+    guessed depth, relative to consistent ones; 0 = none.
     """
 
     budget: int = 0
@@ -55,10 +54,12 @@ class Stereo:
     def build(
         self, training: TrainingSet, depth: tuple[DepthMap, ...], sh_degree: int, seed: int
     ) -> Gaussians:
-        """Round Gaussians on the fused depth: sample i stands for 1 / p_i pixels, p_i its sampling
-        probability, hence has the standard deviation scale_factor * pixel size / sqrt(p_i).
+        """Place round Gaussians on the fused depth.
 
-        Raises UserError when fewer than 100 pixels have consistent depth.
+        Sample i with sampling probability p_i represents 1 / p_i pixels, so its standard deviation
+        is scale_factor * pixel size / sqrt(p_i).
+
+        Raises UserError if fewer than 100 pixels have consistent depth.
         """
         import numpy as np
 

@@ -1,9 +1,9 @@
-"""Gaussians and a camera -> a render, and the gradient of a loss on it.
+"""The rasterizer: Gaussians and a camera to a render, and the gradient of a loss on it.
 
 `rasterize` runs the numba kernels (float32) as one differentiable call;
-`reference.rasterize_reference` is its readable torch twin (any dtype). `render_gradient` takes the
-same gradient without autograd, as training does. Results and gradients have the same bits on any
-number of threads.
+`reference.rasterize_reference` is its readable torch twin in any dtype. `render_gradient` computes
+the same gradient without autograd, as training does. Results and gradients have the same bits on
+any number of threads.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _free: list[Workspace] = []  # workspaces not in use; two renders may be waiting
 
 
 def borrow() -> Workspace:
-    """Return an unused workspace; `give_back` it when it is no longer needed."""
+    """Take an unused workspace; `give_back` it once its content is no longer needed."""
     try:
         return _free.pop()
     except IndexError:  # asking first would leave another thread the time to take the last one
@@ -169,12 +169,21 @@ def rasterize(
 ) -> Render:
     """Render N Gaussians (3DGS: EWA projection, alpha blending front to back).
 
-    background: [3], default black. sh_degree: the active degree, at most the stored one (default).
-    opacity_factors: [N], multiply the activated opacities. means2d_offset: [N, 2], added to the
-    projected means; pass zeros that require a gradient to get d loss / d means2d in pixels.
-    near: Gaussians with a smaller z are culled. depth: False leaves the depth out ([0, 0] then),
-    which saves a tenth of the blending. Differentiable in all tensors but the background.
-    Raises UserError for other dtypes than float32 and for wrong shapes.
+    It is differentiable in all tensors except the background.
+
+    Args:
+        gaussians: the N Gaussians.
+        camera: the view.
+        background: [3], default black.
+        sh_degree: active degree, at most the stored one (default).
+        opacity_factors: [N], multiply the activated opacities.
+        means2d_offset: [N, 2], added to the projected means. Pass zeros that require a gradient to
+            get d loss / d means2d in pixels.
+        near: Gaussians with a smaller z are culled.
+        depth: False omits the depth, which is [0, 0] then. This saves a tenth of the blending.
+
+    Raises:
+        UserError: for wrong shapes and for dtypes other than float32.
     """
     tensors = _tensors(gaussians, opacity_factors, means2d_offset)
     degree, colour = gaussians.active_degree(sh_degree), _colour(background)
@@ -182,14 +191,15 @@ def rasterize(
 
 
 class ScreenGradient:
-    """The gradient of a loss on one render, on the screen.
+    """The gradient of a loss on one render with respect to the projected Gaussians.
 
-    `pull_back` or `framework.train.optim.Adam.step_from` takes it to the parameters, once, as it
-    holds the render's workspace.
+    `pull_back` or `framework.train.optim.Adam.step_from` takes it to the parameters. Either can be
+    called once, because it releases the render's workspace.
 
     Attributes:
-        radii: [N] in pixels, 0 = culled.
-        absolute: [N, 2], see `render_gradient`, None unless requested.
+        gaussians: the rendered ones.
+        radii: [N] pixels, 0 = culled.
+        absolute: [N, 2], see `render_gradient`; None unless requested.
     """
 
     def __init__(
@@ -204,8 +214,15 @@ class ScreenGradient:
         self.absolute = None if absolute is None else torch.from_numpy(absolute)
 
     def pull_back(self) -> tuple[dict[str, Tensor], Tensor]:
-        """The gradient in every tensor of `gaussians`, by name, and in the projected means [N, 2],
-        in pixels. Raises RuntimeError the second time."""
+        """Compute the gradient with respect to the parameters.
+
+        Returns:
+            The gradient in every tensor of `gaussians` by name, and in the projected means [N, 2]
+            in pixels.
+
+        Raises:
+            RuntimeError: if the gradient was already used.
+        """
         work, tensors = self.take(), dict(self.gaussians.items())
         n = len(self.gaussians)
         shapes = [*(tuple(t.shape) for t in tensors.values()), (n,), (n, 2)]
@@ -214,11 +231,15 @@ class ScreenGradient:
         return dict(zip(tensors, gradients, strict=True)), means2d
 
     def drop(self) -> None:
-        """Give the workspace back, in the place of `pull_back`."""
+        """Give the workspace back without computing the gradient."""
         give_back(self.take())
 
     def take(self) -> Workspace:
-        """The render's workspace, for who gives it back. Raises RuntimeError the second time."""
+        """Return the render's workspace, which the caller gives back.
+
+        Raises:
+            RuntimeError: if the gradient was already used.
+        """
         if self._work is None:
             raise RuntimeError("render_gradient: this gradient was already used")
         work, self._work = self._work, None
@@ -237,17 +258,22 @@ def render_gradient(
     absolute: bool = False,
     depth_gradient: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None,
 ) -> ScreenGradient:
-    """Render as `rasterize` does, and take the gradient of a loss of the colours.
+    """Render as `rasterize` does and compute the gradient of a loss of the colours.
 
-    It has the bits of autograd in less time. Raises UserError as `rasterize`, and for a gradient of
-    another shape or dtype.
+    The bits are those of autograd, in less time.
 
-    image_gradient: gets rgb [3, H, W] float32 and returns the loss's gradient in it.
-    absolute: also sum the absolute gradient in the projected means over pixels, in another pass. So
-    gradients of opposite sign do not cancel (AbsGS, Ye et al. 2024).
+    Args:
+        gaussians: the N Gaussians.
+        camera: the view.
+        image_gradient: given the render's rgb [3, H, W] float32, returns the gradient of the loss
+            in it.
+        background, sh_degree, opacity_factors, near: as in `rasterize`.
+        absolute: also sum the absolute gradient in the projected means over the pixels, in one more
+            pass. Gradients that cancel still count (AbsGS, Ye et al. 2024).
+        depth_gradient: given alpha and depth [H, W] float32, returns the gradients in them to add.
 
-    depth_gradient: gets alpha and depth [H, W] float32 and returns gradients in them, which are
-        added.
+    Raises:
+        UserError: as `rasterize`, and for a gradient of another shape or dtype.
     """
     how = background, sh_degree, near, opacity_factors
     work, image, radii = rendered(gaussians, camera, *how, with_depth=depth_gradient is not None)
@@ -275,8 +301,14 @@ def rendered(
     *,
     with_depth: bool = False,
 ) -> tuple[Workspace, Image, np.ndarray]:
-    """Render as `rasterize` does; the image, radii [N], and the workspace with all that was made
-    on the way, for who gives it back. Raises UserError as `rasterize`."""
+    """Render as `rasterize` does and keep what a gradient needs.
+
+    Returns:
+        The workspace, which the caller gives back; the image; radii [N] in pixels.
+
+    Raises:
+        UserError: as `rasterize`.
+    """
     tensors = _tensors(gaussians, opacity_factors, None)
     seen = camera, _colour(background), gaussians.active_degree(sh_degree), near
     work = borrow()

@@ -1,11 +1,10 @@
-"""The gradient of the binocular loss in the renders of both cameras.
+"""Gradients of a consistency loss between a photo and a render from a shifted camera.
 
-Binocular-Guided 3DGS (Han et al. 2024, arXiv 2410.18822, section 3.1). The camera moves by t along
-its x axis, so a pixel at depth D moves along its row by -f t / D. What the moved camera sees there
-should be what the photo shows. The loss is the mean over pixels and channels of |warped - photo|.
-
-A pixel counts only if both renders have its depth (our addition). Otherwise one surface hides the
-other, or one of the depths is wrong and the colour would be painted on the background.
+Binocular-Guided 3DGS (Han et al. 2024, arXiv 2410.18822, section 3.1): the camera moves by t along
+its x axis, so a pixel at depth D moves along its row by -f t / D. The loss is the mean over pixels
+and channels of |warped - photo|. Here, unlike in the paper, a pixel counts only where its depth
+agrees with that of the shifted render. Elsewhere one surface hides the other, or one of the two
+depths is wrong.
 """
 
 from __future__ import annotations
@@ -33,10 +32,8 @@ def _disparities(alpha: Any, depth: Any, into: Any) -> None:
 
 @inlined
 def _places(own: Any, beside: Any, mask: Any, numbers: Any, left: Any, share: Any) -> None:
-    """Find where every pixel of a row is seen by the moved camera.
-
-    left, share: out, the pixel to the left of that place and the distance from it. own: the
-    disparities in, the pixels' weights out, 0 for those that do not count.
+    """Fill, for every pixel of a row, the pixel to its left in the shifted render, the fraction
+    to the next one, and into `own` its weight (0 if it does not count).
     """
     moves, tolerance, weight = numbers
     width = len(own)
@@ -87,7 +84,7 @@ def binocular_rows(
     in_depth: Any,
     in_rgb: Any,
 ) -> None:
-    """Compute a range of rows of the gradients; arguments as `binocular_gradient`."""
+    """Compute a range of rows of the gradients; the arguments are those of `binocular_gradient`."""
     height, width = alpha.shape
     own, beside = np.empty(width, np.float32), np.empty(width, np.float32)
     share, slope = np.empty(width, np.float32), np.empty(width, np.float32)
@@ -121,12 +118,18 @@ def binocular_gradient(
     tolerance: float,
     weight: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the gradients in alpha and depth [H, W] of the photo's camera and in the colours [3,
-    H, W] of the moved camera, float32. Their memory is reused once it is not referenced.
+    """Compute the gradients of the consistency loss.
 
-    beside: colours, alpha and depth that the moved camera sees. photo [3, H, W]: multiplied by mask
-    [H, W]. moves: f t, pixels that a point at depth 1 moves to the left. tolerance: largest
-    difference of the inverse depths of a pixel. weight: of a pixel and channel.
+    Args:
+        beside: colours, alpha and depth of the shifted render.
+        photo: [3, H, W], multiplied by its mask [H, W].
+        moves: f t, the shift in pixels of a point at depth 1.
+        tolerance: largest difference of the inverse depths of a pixel.
+        weight: of one pixel and channel.
+
+    Returns:
+        Gradients in alpha and depth [H, W] of the photo's camera and in the colours [3, H, W] of
+        the shifted one, float32, in a buffer that is reused once unreferenced.
     """
     found = _lender.lend([alpha.shape, alpha.shape, photo.shape])
     numbers = np.float32(moves), np.float32(tolerance), np.float32(weight)

@@ -1,7 +1,7 @@
-"""Memory for what a step makes and drops, as images and gradients, lent again instead of allocated.
+"""Reusable memory for the temporary arrays of a step, such as images and gradients.
 
-Every 4 KB of new memory are a page fault, which takes longer than computing what goes there; what
-that cost is in benchmarks/results/step.md.
+Every 4 KB of new memory cause a page fault, which takes longer than computing the content;
+benchmarks/results/step.md has the measurements.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def grown(buffer: np.ndarray, n: int) -> np.ndarray:
 
 
 class _Buffer:
-    """Memory and the arrays that lie in it, made once for as long as their shapes stay the same."""
+    """Memory and the arrays in it, which are kept as long as their shapes stay the same."""
 
     def __init__(self) -> None:
         self._flat = aligned((0,), np.float32)
@@ -44,15 +44,17 @@ class _Buffer:
         self._unheld = self._references()
 
     def _references(self) -> list[int]:
-        """Reference counts of every array (held by tensors) and of the memory (held by views)."""
+        """Count the references to each array (held by tensors) and to the memory (held by
+        views).
+        """
         return [sys.getrefcount(array) for array in (*self._arrays, self._flat.base)]
 
     def free(self) -> bool:
-        """Whether none of the arrays, and no view or tensor of one, is referenced."""
+        """Whether no array of the buffer, and no view or tensor of one, is referenced."""
         return self._references() == self._unheld
 
     def arrays(self, shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
-        """Return arrays of these shapes, each on a cache line."""
+        """Arrays of these shapes, each aligned to a cache line."""
         if self._shapes != shapes:
             ends = list(accumulate(-(-math.prod(shape) // _FLOATS) * _FLOATS for shape in shapes))
             self._flat, self._shapes = grown(self._flat, ends[-1]), list(shapes)
@@ -65,10 +67,10 @@ class _Buffer:
 
 
 class Lender:
-    """Lends arrays whose memory is reused once they are not referenced; for one thread.
+    """Lends arrays and reuses them; for one thread.
 
-    The arrays of one call share a buffer. It is reused when none of them, and no view or tensor of
-    them, is referenced.
+    The arrays of one call share a buffer. It is lent again once none of them, and no view or tensor
+    of one, is referenced, so nothing has to be returned explicitly.
     """
 
     def __init__(self) -> None:
@@ -84,8 +86,9 @@ class Lender:
 
 
 class ThreadsLender(threading.local):
-    """A lender for whoever has no workspace: every thread has its own, as trainings may run at the
-    same time."""
+    """A lender for callers without a workspace. Every thread has its own, because trainings may
+    run at the same time.
+    """
 
     def __init__(self) -> None:
         self._own = Lender()

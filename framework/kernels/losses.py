@@ -24,8 +24,9 @@ from framework.kernels.lending import ThreadsLender
 class Target:
     """What the loss needs of a target image, computed once per view.
 
-    image: [3, H, W], multiplied by mask [H, W]. mean, variance: [3, H, S], its window's statistics
-    in rows of whole vectors.
+    Attributes:
+        image: [3, H, W], multiplied by mask [H, W].
+        mean, variance: [3, H, S], statistics of its windows, in rows of whole vectors.
     """
 
     image: np.ndarray
@@ -60,10 +61,12 @@ _lender = ThreadsLender()
 def photometric_gradient(
     rgb: np.ndarray, target: Target, ssim_weight: float = 0.2, weight: float = 1.0
 ) -> tuple[float, np.ndarray]:
-    """`photometric_loss` times `weight` of a render [3, H, W] float32, and its gradient in it.
+    """Compute `photometric_loss` times `weight` of a render [3, H, W] float32, and its gradient.
 
-    The gradient's memory is reused once it is not referenced. Raises ValueError for another shape
-    or dtype.
+    The gradient is in a buffer that is reused once unreferenced.
+
+    Raises:
+        ValueError: for another shape or dtype.
     """
     if rgb.dtype != np.float32 or rgb.shape != target.image.shape:
         raise ValueError(

@@ -1,16 +1,18 @@
 """L1 + SSIM and its gradient, in one pass over bands of rows that stay in the cache.
 
-SSIM (Wang et al. 2004) as in 3DGS: 11x11 Gaussian window, sigma 1.5, zero padding, C1 = 0.01^2,
-C2 = 0.03^2, variance E[x^2] - mu^2. Let mu, q = E[a^2] and r = E[ab] be the window's blurs. Then
+SSIM (Wang et al. 2004) as in 3DGS training: 11x11 Gaussian window, sigma 1.5, zero padding, C1 =
+0.01^2, C2 = 0.03^2, variance E[x^2] - mu^2. With the window's blurs mu, q = E[a^2], r = E[ab]:
 
-    SSIM = (2 mu mu' + C1)(2 (r - mu mu') + C2) / ((mu^2 + mu'^2 + C1)(q - mu^2 + var' + C2))
+    SSIM = (2 mu mu' + C1) (2 (r - mu mu') + C2)
+         / ((mu^2 + mu'^2 + C1) (q - mu^2 + var' + C2))
 
 The gradient in the image is the blur (self-adjoint) of the partial derivatives in mu, q and r.
 
-Both blurs are horizontal, then vertical. A band advances by CHUNK rows at a time with two buffers
-[3, CHUNK + 10, S] of horizontally blurred rows. One is of a, a^2, ab and one of the three partials.
-New rows join the last ten, which the vertical window of the next rows still needs. Rows outside the
-image are zero. S is a whole number of vectors; values beyond W are finite and unused.
+Both blurs are horizontal first, then vertical. A band goes down the image by CHUNK rows at a time.
+It has two buffers [3, CHUNK + 10, S] of horizontally blurred rows, one of a, a^2, ab and one of the
+three partial derivatives. New rows join the last ten, which the vertical windows of the next rows
+still need. Rows outside the image are zero. S is a whole number of vectors; values beyond W are
+finite and unused.
 """
 
 from __future__ import annotations
@@ -163,10 +165,11 @@ def _partial_rows(
     to: int,
     sums: Any,
 ) -> None:
-    """Blur partial derivatives of rows first ... first + count - 1 horizontally into `partials`
-    from row `to` on, and sum SSIM per row over the band's own rows.
+    """Blur the partial derivatives of a range of rows horizontally, and sum SSIM for each row.
 
-    target: its mean and variance [H, S]. windows, derived, values: scratch.
+    Rows first ... first + count - 1 of the band go into `partials` from row `to` on.
+
+    target: mean and variance [H, S] of the target. windows, derived, values: scratch.
     """
     mean, variance = target
     _down(blurred, count, windows)
@@ -183,7 +186,7 @@ def _partial_rows(
 
 @kernel
 def _gradient_row(windows: Any, i: int, near: Any, pulls: Any, values: Any, gradient: Any) -> None:
-    """Compute |mask a - b| of a row into `values`, and its gradient.
+    """Write |mask a - b| of a row into `values`, and compute its gradient.
 
     Row i of `windows` has the blurs of its partial derivatives. near: the row of a, b and mask.
     pulls: weights of L1 and of SSIM.
@@ -202,9 +205,10 @@ def _gradient_row(windows: Any, i: int, near: Any, pulls: Any, values: Any, grad
 
 @kernel
 def statistics(block: int, blocks: int, b: Any, mask: Any, mean: Any, variance: Any) -> None:
-    """Compute the window's mean and variance [C, H, S] of a target b [C, H, W]. mask: ones [H, W].
+    """Compute mean and variance [C, H, S] of the windows of a target b [C, H, W].
 
-    The third blur, of b b once more, is not needed; a target is made once.
+    mask: ones [H, W]. The third blur, of the render times b, is not needed here; a target is
+    prepared once.
     """
     channels, height, _ = b.shape
     wide = mean.shape[2]
@@ -244,11 +248,10 @@ def loss_and_gradient(
     l1_sums: Any,
     gradient: Any,
 ) -> None:
-    """Compute the loss and its gradient for an image a [C, H, W] and a masked target b.
+    """Compute the loss of an image a [C, H, W] against a masked target b with its `statistics`.
 
-    mean, variance: of the target, see `statistics`. ssim_sums, l1_sums: out, [C, H], SSIM and
-    |mask a - b| summed per row. gradient: out, [C, H, W], of
-    scale x ((1 - w) sum |mask a - b| - w sum SSIM) in a.
+    SSIM and |mask a - b| are summed per row, [C, H] each. The gradient [C, H, W] in a is that of
+    scale x ((1 - w) sum |mask a - b| - w sum SSIM).
     """
     channels, height, width = a.shape
     wide = mean.shape[2]

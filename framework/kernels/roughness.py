@@ -1,8 +1,10 @@
-"""The gradient of the roughness of a render's disparity where its photo is smooth.
+"""Gradient of a penalty on rough disparity where the photo is smooth.
 
-R is the sum of w_pq |d_p - d_q| over pixels p and their right and lower neighbours q, with the
-inverse expected depth d = alpha / depth (Godard et al. 2017, eq. 3). `framework.train.depth_priors`
-has the weights w. Pixels that show nothing do not count.
+R = sum over pixels p and their right and lower neighbours q of w_pq |d_p - d_q|, with the inverse
+expected depth d = alpha / depth. Pairs with an empty pixel do not count. The weights w are from
+`framework.train.depth_priors`.
+
+Source: Godard et al. 2017, equation 3.
 """
 
 from __future__ import annotations
@@ -76,9 +78,13 @@ _lender = ThreadsLender()
 def roughness_gradient(
     alpha: np.ndarray, depth: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the gradients of R in alpha and depth [H, W] float32 of `rasterize`.
+    """Compute the gradients of R in alpha and depth [H, W] float32, as `rasterize` returns them.
 
-    Their memory is reused once it is not referenced. weights: [2, H, W] float32.
+    Args:
+        weights: [2, H, W] float32.
+
+    Returns:
+        Both gradients, in a buffer that is reused once unreferenced.
     """
     in_alpha, in_depth = _lender.lend([alpha.shape, alpha.shape])
     run_blocks(roughness_rows, alpha, depth, weights, in_alpha, in_depth)

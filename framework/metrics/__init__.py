@@ -1,4 +1,6 @@
-"""PSNR, SSIM, FLIP and LPIPS of renders (`evaluate`); what a measurement is (`values`, light); how
-far Gaussians lean on each other (`coadaptation`) and how flat they are (`rank`)."""
+"""PSNR, SSIM, FLIP and LPIPS of renders (`evaluate`), and types of measurements (`values`, light).
 
-__all__ = ["coadaptation", "evaluate", "flip", "lpips", "lpips_weights", "rank", "values"]
+`coadaptation` measures how much Gaussians depend on each other and how flat they are.
+"""
+
+__all__ = ["coadaptation", "evaluate", "flip", "lpips", "lpips_weights", "values"]

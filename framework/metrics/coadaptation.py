@@ -1,8 +1,8 @@
-"""How far Gaussians lean on each other: the co-adaptation score, and the mean of errors AVGE.
+"""How much Gaussians depend on each other, and how flat they are; and the mean error AVGE.
 
-Chen et al. 2025 (arXiv 2508.12720): half of the Gaussians are left out at random, K times; where
-all of these renders show something, their variance is what one Gaussian's place depends on the
-others.
+Chen et al. 2025 (arXiv 2508.12720): drop half of the Gaussians at random, K times. The score is the
+variance of these renders, over the pixels that all of them cover. The effective rank distinguishes
+needles, discs and balls.
 """
 
 from __future__ import annotations
@@ -13,66 +13,72 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from framework.metrics.values import AVERAGE, COADAPTATION, Measurement, Missing, ViewMetrics
+from framework.compute import portable
+from framework.metrics.values import (
+    AVERAGE,
+    COADAPTATION,
+    RANK,
+    Measurement,
+    Missing,
+    ViewMetrics,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from framework.types import Camera, Render
 
-RENDERS, DROPPED, SEEN = 5, 0.5, 0.8  # K; share left out; alpha from which all show something
+RENDERS, DROPPED, COVERED = 5, 0.5, 0.8  # K; share of Gaussians dropped; least alpha of a pixel
 
 
 def coadaptation(
     render: Callable[[Camera, Tensor], Render],
     n: int,
-    cameras: Sequence[Camera],
+    camera: Camera,
     rng: np.random.Generator,
 ) -> float:
-    """Mean over cameras of the mean over pixels and channels of the population variance of K
-    renders without half of the `n` Gaussians; over pixels with alpha > 0.8 in all of them. NaN
-    where no camera has one. Lower is better.
+    """Mean over pixels and channels of the population variance of K renders without half of the
+    `n` Gaussians; NaN where no pixel is covered in all of them. Lower is better.
 
-    render(camera, factors [n]): with opacities times the factors, 0 or 1.
+    Args:
+        render: renders a camera with the opacities multiplied by factors [n], 0 or 1.
+        n: number of Gaussians.
+        camera: of the view.
+        rng: draws which Gaussians are dropped.
     """
     import torch
 
-    scores = []
-    for camera in cameras:
-        images, seen = [], None
-        for _ in range(RENDERS):
-            factors = torch.from_numpy(rng.random(n) >= DROPPED).float()
-            found = render(camera, factors)
-            images.append(found.rgb.double())
-            solid = found.alpha > SEEN
-            seen = solid if seen is None else seen & solid
-        if seen is not None and seen.any():
-            spread = torch.stack(images).var(0, unbiased=False)
-            scores.append(float(spread[:, seen].mean()))
-    return sum(scores) / len(scores) if scores else math.nan
+    renders = [
+        render(camera, torch.from_numpy(rng.random(n) >= DROPPED).float()) for _ in range(RENDERS)
+    ]
+    covered = torch.stack([one.alpha > COVERED for one in renders]).all(0)
+    variance = torch.stack([one.rgb.double() for one in renders]).var(0, unbiased=False)
+    return float(variance[:, covered].mean())
 
 
 def average_error(psnr: float, ssim: float, lpips: float) -> float:
-    """AVGE (Niemeyer et al. 2022): the geometric mean of the mean squared error, the root of
-    1 - SSIM and LPIPS."""
+    """AVGE: geometric mean of the mean squared error, sqrt(1 - SSIM) and LPIPS (Niemeyer 2022)."""
     parts = 10 ** (-psnr / 10), math.sqrt(1 - ssim), lpips
     return math.prod(parts) ** (1 / len(parts))
 
 
 def with_average(metrics: Sequence[ViewMetrics]) -> list[ViewMetrics]:
-    """With the mean of errors of every view, where LPIPS was measured; of other runs as it is."""
-    if all(isinstance(one.lpips, Missing) for one in metrics):
+    """Add AVGE to every view's metrics, unless LPIPS was not measured."""
+    if all(isinstance(view.lpips, Missing) for view in metrics):
         return list(metrics)
-    return [replace(one, also={**one.also, AVERAGE: _average(one)}) for one in metrics]
+    return [replace(view, also={**view.also, AVERAGE: _average(view)}) for view in metrics]
 
 
-def _average(one: ViewMetrics) -> Measurement:
-    for part in (one.psnr, one.ssim, one.lpips):
+def _average(view: ViewMetrics) -> Measurement:
+    parts = []
+    for part in (view.psnr, view.ssim, view.lpips):
         if isinstance(part, Missing):
             return part
-    found = average_error(*(float(part) for part in (one.psnr, one.ssim, one.lpips)))  # type: ignore[arg-type]
-    return found if math.isfinite(found) else Missing(f"{AVERAGE} gave no finite value")
+        parts.append(part)
+    error = average_error(*parts)
+    return error if math.isfinite(error) else Missing(f"{AVERAGE} gave no finite value")
 
 
 def with_coadaptation(
@@ -82,12 +88,36 @@ def with_coadaptation(
     cameras: Sequence[Camera],
     rng: np.random.Generator,
 ) -> list[ViewMetrics]:
-    """With the score of every view, in the order of their `cameras`; see `coadaptation`."""
-    found = []
-    for one, camera in zip(metrics, cameras, strict=True):
-        value = coadaptation(render, n, [camera], rng)
+    """Add the score to the metrics of every view; `cameras` in the same order."""
+    scored = []
+    for view, camera in zip(metrics, cameras, strict=True):
+        value = coadaptation(render, n, camera, rng)
         score: Measurement = value
         if math.isnan(value):
             score = Missing("no pixel shows something in all renders without half of the Gaussians")
-        found.append(replace(one, also={**one.also, COADAPTATION: score}))
-    return found
+        scored.append(replace(view, also={**view.also, COADAPTATION: score}))
+    return scored
+
+
+def effective_rank(log_scales: ArrayLike) -> float:
+    """Mean over the Gaussians of exp(-sum_i q_i log q_i), q_i = s_i^2 / sum_j s_j^2.
+
+    1 is a needle, 2 a disc, 3 a ball; NaN without a Gaussian. log_scales: [N, 3].
+
+    Source: Roy & Vetterli 2007, "The effective rank"; of Gaussians' covariances, whose eigenvalues
+    are s_i^2, Hyung et al. 2024, arXiv 2406.11672.
+    """
+    logs = 2 * np.asarray(log_scales, np.float64)
+    if len(logs) == 0:
+        return float("nan")
+    squares = portable.exp(logs - logs.max(1, keepdims=True))  # up to a factor, the largest is 1
+    shares = squares / squares.sum(1, keepdims=True)
+    entropy = -(shares * portable.log(np.maximum(shares, np.finfo(np.float64).tiny))).sum(1)
+    return float(portable.exp(entropy).mean())
+
+
+def with_rank(metrics: Sequence[ViewMetrics], log_scales: ArrayLike) -> list[ViewMetrics]:
+    """Add the effective rank of all Gaussians, log_scales [N, 3], to every view's metrics."""
+    mean = effective_rank(log_scales)
+    rank: Measurement = Missing("no Gaussian is left") if math.isnan(mean) else mean
+    return [replace(view, also={**view.also, RANK: rank}) for view in metrics]

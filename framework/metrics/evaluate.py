@@ -1,40 +1,40 @@
-"""Image metrics and their protocol. Evaluation reads what is saved: images are quantised to 8 bits
-first, so every number here can be recomputed from the PNG files of a run.
+"""Image metrics. All read images quantised to 8 bits, so that every number can be recomputed from
+the PNG files of a run.
 
-Inputs are planar torch images `[3, H, W]`, display-referred sRGB in [0, 1]; values outside are
-clamped by the quantisation. A view is measured alone; means over views are taken by the record.
+Inputs are planar torch images `[3, H, W]`, display-referred sRGB in [0, 1]; quantisation clamps
+values outside. Each view is measured alone; the record holds the means over views.
 
 PSNR   10 log10(1 / MSE) in dB; MSE over all pixels and channels, peak 1.
 SSIM   Wang et al. 2004: 11 x 11 Gaussian window, sigma 1.5, population covariance, K1 = .01,
-       K2 = .03, peak 1; per channel, mean over channels and over the pixels whose window lies
-       inside the image (a border of 5 px is left out), hence independent of any padding.
+       K2 = .03, peak 1; mean over channels and over the pixels whose window lies inside the image
+       (a border of 5 px is left out), hence independent of any padding.
 FLIP   Andersson et al. 2020, LDR, 67 pixels per degree, see `framework.metrics.flip`; float64 mean
        of the error map.
-LPIPS  Zhang et al. 2018, see `framework.metrics.lpips`; only with weights, fetched or by path.
-       `lpips`: images mapped to [-1, 1], as its authors do; `lpips_01`: fed in [0, 1], as many
-       papers do, whose figures can be compared with no other.
+LPIPS  Zhang et al. 2018, see `framework.metrics.lpips`; needs weights, fetched or by path.
+       `lpips` maps images to [-1, 1], as its authors do. `lpips_01` feeds them in [0, 1], as many
+       papers do; the two are not comparable. It costs as much again, so it is measured on request.
 
-With a mask (1 = valid, threshold 0.5): PSNR over the valid pixels; the others are set to white in
-both images for SSIM, FLIP and LPIPS, as the DTU protocol of sparse-view work does.
+With a mask (1 = valid, threshold 0.5), PSNR covers the valid pixels. For SSIM, FLIP and LPIPS the
+other pixels are set to white in both images, as in the DTU protocol of sparse-view papers.
 
-A metric that has no finite value is a `Missing` with its reason, never NaN. torch is not imported
-here, so that reading records stays light.
+A metric without a finite value is a `Missing` with its reason, never NaN. torch is not imported
+at import time, so that reading records stays light.
 """
 
 from __future__ import annotations
 
-import functools
 import math
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, ParamSpec, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from framework.compute import parallel
 from framework.errors import printable_line
-from framework.metrics.values import LARGEST, Measurement, Missing, ViewMetrics
+from framework.metrics.values import LARGEST, NOT_REQUESTED, Measurement, Missing, ViewMetrics
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -42,47 +42,23 @@ if TYPE_CHECKING:
     from framework.metrics.lpips import Lpips
     from framework.types import Camera, View
 
-
-class Measure(Protocol):
-    """A metric that a plugin brings, `framework.plugin.Metric`."""
-
-    def measure(self, render: Tensor, truth: Tensor, mask: Tensor | None) -> float: ...
-
-
-P = ParamSpec("P")
 SSIM_WINDOW = 11
-FETCH_LPIPS = "fishersplat fetch lpips"  # the command that fetches its weights
-
-
+FETCH_LPIPS = "fishersplat fetch lpips"
 NO_LPIPS = Missing(
     f"no weights in use; fetch them once with `{FETCH_LPIPS}`, or set metrics.lpips_weights to a"
     " state dict file"
 )
+REPORT_S = 2.0  # seconds between two lines about the progress of LPIPS
 
 
-def finite(metric: str) -> Callable[[Callable[P, Measurement]], Callable[P, Measurement]]:
-    """A measurement named `metric` with Missing where it has no finite value: a record cannot hold
-    one."""
+class Measure(Protocol):
+    """A metric from a plugin, see `framework.plugin.Metric`."""
 
-    def wrap(measure: Callable[P, Measurement]) -> Callable[P, Measurement]:
-        @functools.wraps(measure)
-        def measured(*args: P.args, **kwargs: P.kwargs) -> Measurement:
-            return _finite(measure(*args, **kwargs), metric)
-
-        return measured
-
-    return wrap
-
-
-def _finite(value: Measurement, metric: str) -> Measurement:
-    if isinstance(value, Missing) or abs(value) <= LARGEST:  # false for NaN
-        return value
-    beyond = f"a value beyond {LARGEST:g}" if math.isfinite(value) else "no finite value"
-    return Missing(f"{metric} gave {beyond}")
+    def measure(self, render: Tensor, truth: Tensor, mask: Tensor | None) -> float: ...
 
 
 def quantise(image: Tensor) -> np.ndarray:
-    """[H, W, 3] uint8, round-to-nearest of the clamped planar `image` [3, H, W]; NaN becomes 0."""
+    """Round the clamped planar `image` [3, H, W] to [H, W, 3] uint8; NaN becomes 0."""
     if image.ndim != 3 or image.shape[0] != 3:
         raise ValueError(f"metrics: expected an image [3, H, W], got shape {tuple(image.shape)}")
     pixels = image.detach().cpu().double().nan_to_num(nan=0.0).clamp_(0.0, 1.0)
@@ -105,26 +81,11 @@ def flip(render: Tensor, truth: Tensor, mask: Tensor | None = None) -> Measureme
     return _flip(*_pair(render, truth, mask)[:2])
 
 
-def lpips(
-    render: Tensor,
-    truth: Tensor,
-    network: Lpips | None,
-    mask: Tensor | None = None,
-    centred: bool = True,
-) -> Measurement:
-    """LPIPS of [3, H, W] images by `network` (`framework.metrics.lpips.load`), Missing without one.
-    centred: see `Lpips.distance`."""
-    return lpips_of(*_pair(render, truth, mask)[:2], network, centred)
-
-
 def evaluate_view(
     view: View, render: Tensor, render_s: float = 0.0, network: Lpips | None = None
 ) -> ViewMetrics:
-    """All metrics of the `render` [3, H, W] of a test view, both quantised to 8 bits first.
-
-    Raises ValueError when the sizes differ.
-    """
-    return _measured([(view, render, render_s)], network, {})[0]
+    """Measure the `render` [3, H, W] of a test view. Raises ValueError when the sizes differ."""
+    return _measured([(view, render, render_s)], network)[0]
 
 
 def evaluate(
@@ -132,44 +93,57 @@ def evaluate(
     views: Sequence[View],
     network: Lpips | None = None,
     also: Mapping[str, Measure] | None = None,
+    both: bool = False,
+    report: Callable[[str], None] | None = None,
 ) -> tuple[list[ViewMetrics], list[tuple[View, Tensor]]]:
-    """Render and measure every test view; also gives the (view, [3, H, W] image) pairs to save.
+    """Render and measure every test view.
 
-    also: name -> further metrics, see `framework.plugin.Metric`.
+    Args:
+        render: renders a camera to an image [3, H, W].
+        views: the test views.
+        network: measures LPIPS; None leaves it out.
+        also: name -> further metrics, see `framework.plugin.Metric`.
+        both: also measure LPIPS of images fed in [0, 1].
+        report: called now and then with a line about the progress of LPIPS.
+
+    Returns:
+        The metrics of each view, and the (view, image [3, H, W]) pairs to save.
     """
     timed: list[tuple[View, Tensor, float]] = []
     for view in views:
         start = time.perf_counter()
         image = render(view.camera).detach()
         timed.append((view, image, time.perf_counter() - start))
-    return _measured(timed, network, also or {}), [(view, image) for view, image, _ in timed]
+    metrics = _measured(timed, network, also, both, report)
+    return metrics, [(view, image) for view, image, _ in timed]
 
 
 def _measured(
     renders: Sequence[tuple[View, Tensor, float]],
-    network: Lpips | None,
-    also: Mapping[str, Measure],
+    network: Lpips | None = None,
+    also: Mapping[str, Measure] | None = None,
+    both: bool = False,
+    report: Callable[[str], None] | None = None,
 ) -> list[ViewMetrics]:
     """The metrics of (view, render [3, H, W], seconds)."""
     pairs = parallel.run_tasks([partial(_pair, r, view.image, view.mask) for view, r, _ in renders])
-    # the longest first, so that no thread is left alone with one at the end
-    kinds: list[Callable[..., Measurement]] = [
-        *(partial(lpips_of, network=network, centred=centred) for centred in (True, False)),
-        *(_ssim, _flip),
-    ]
-    found = iter(parallel.run_tasks([partial(kind, x, y) for kind in kinds for x, y, _ in pairs]))
-    centred, fed, ssims, flips = ([next(found) for _ in pairs] for _ in kinds)
+    images = [(x, y) for x, y, _ in pairs]
+    # the longest first, so that all threads end at about the same time
+    tasks = _lpips_tasks(images, network, both, report)
+    tasks["ssim"] = [partial(_ssim, *pair) for pair in images]
+    tasks["flip"] = [partial(_flip, *pair) for pair in images]
+    values = _run(tasks)
     return [
         ViewMetrics(
             view=view.name,
             tags=tuple(view.tags),
             psnr=_psnr(x, y, valid),
-            ssim=ssims[i],
-            flip=flips[i],
-            lpips=centred[i],
-            lpips_01=fed[i],
+            ssim=values["ssim"][i],
+            flip=values["flip"][i],
+            lpips=values["lpips"][i],
+            lpips_01=values["lpips_01"][i],
             render_s=render_s,
-            also={name: plugged(name, one, x, y, valid) for name, one in also.items()},
+            also={name: plugged(name, m, x, y, valid) for name, m in (also or {}).items()},
         )
         for i, ((view, _, render_s), (x, y, valid)) in enumerate(zip(renders, pairs, strict=True))
     ]
@@ -178,7 +152,7 @@ def _measured(
 def plugged(
     name: str, metric: Measure, x: np.ndarray, y: np.ndarray, valid: np.ndarray | None
 ) -> Measurement:
-    """A plugin's metric of two [H, W, 3] uint8 images: whatever it does wrong costs no training."""
+    """A plugin's metric of two [H, W, 3] uint8 images. An error in it must not cost a training."""
     import torch
 
     def planar(image: np.ndarray) -> Tensor:
@@ -187,7 +161,7 @@ def plugged(
     mask = None if valid is None else torch.from_numpy(valid.copy())
     try:
         return _finite(float(metric.measure(planar(x), planar(y), mask)), name)
-    except (Exception, SystemExit) as error:  # whatever somebody else's code raises
+    except (Exception, SystemExit) as error:
         return Missing(printable_line(f"{name} raised {type(error).__name__}: {error}"))
 
 
@@ -202,9 +176,70 @@ def mean_of(metrics: Sequence[ViewMetrics], metric: str) -> Measurement:
     if missing:
         return Missing(f"{missing[0].reason} ({len(missing)} of {len(values)} views)")
     with np.errstate(over="ignore"):
-        return _finite(
-            float(np.mean(np.asarray(values, dtype=np.float64))), f"the mean of {metric}"
-        )
+        mean = float(np.mean(np.asarray(values, dtype=np.float64)))
+    return _finite(mean, f"the mean of {metric}")
+
+
+def lpips_of(
+    images: Sequence[tuple[np.ndarray, np.ndarray]],
+    network: Lpips | None,
+    both: bool = False,
+    report: Callable[[str], None] | None = None,
+) -> dict[str, list[Measurement]]:
+    """Measure LPIPS of (render, truth) pairs of [H, W, 3] uint8 images.
+
+    Returns:
+        The values of `lpips` and `lpips_01`; the latter are Missing unless `both` is set.
+    """
+    return _run(_lpips_tasks(images, network, both, report))
+
+
+def _lpips_tasks(
+    images: Sequence[tuple[np.ndarray, np.ndarray]],
+    network: Lpips | None,
+    both: bool,
+    report: Callable[[str], None] | None,
+) -> dict[str, list[Callable[[], Measurement]]]:
+    count = _Count(len(images) * (1 + both), report or (lambda text: None))
+
+    def distance(x: np.ndarray, y: np.ndarray, centred: bool) -> Measurement:
+        if network is None:
+            return NO_LPIPS
+        if not (centred or both):
+            return NOT_REQUESTED
+        value = _finite(network.distance(x / 255.0, y / 255.0, centred), "LPIPS")
+        count.add()
+        return value
+
+    return {
+        "lpips": [partial(distance, *pair, True) for pair in images],
+        "lpips_01": [partial(distance, *pair, False) for pair in images],
+    }
+
+
+def _run(
+    tasks: Mapping[str, Sequence[Callable[[], Measurement]]],
+) -> dict[str, list[Measurement]]:
+    """Run all tasks on the kernels' threads and return their values under the same names."""
+    values = iter(parallel.run_tasks([task for named in tasks.values() for task in named]))
+    return {name: [next(values) for _ in named] for name, named in tasks.items()}
+
+
+class _Count:
+    """Reports how many of `total` images are measured, at most every `REPORT_S` seconds."""
+
+    def __init__(self, total: int, report: Callable[[str], None]) -> None:
+        self.total, self.report = total, report
+        self.done, self.reported_at = 0, time.monotonic()
+        self.lock = threading.Lock()
+
+    def add(self) -> None:
+        """Count one more image; called from several threads."""
+        with self.lock:
+            self.done += 1
+            if time.monotonic() - self.reported_at >= REPORT_S:
+                self.reported_at = time.monotonic()
+                self.report(f"evaluation · LPIPS {self.done}/{self.total} images")
 
 
 def _pair(
@@ -226,7 +261,14 @@ def _pair(
     return x, y, valid
 
 
-@finite("PSNR")
+def _finite(value: Measurement, metric: str) -> Measurement:
+    """`value`, or Missing if it is not finite: a record cannot hold one."""
+    if isinstance(value, Missing) or abs(value) <= LARGEST:  # false for NaN
+        return value
+    beyond = f"a value beyond {LARGEST:g}" if math.isfinite(value) else "no finite value"
+    return Missing(f"{metric} gave {beyond}")
+
+
 def _psnr(x: np.ndarray, y: np.ndarray, valid: np.ndarray | None) -> Measurement:
     count = x.size if valid is None else 3 * int(valid.sum())
     if count == 0:
@@ -238,35 +280,24 @@ def _psnr(x: np.ndarray, y: np.ndarray, valid: np.ndarray | None) -> Measurement
     return 10.0 * math.log10(255.0**2 * count / squares)
 
 
-@finite("SSIM")
 def _ssim(x: np.ndarray, y: np.ndarray) -> Measurement:
     if min(x.shape[:2]) < SSIM_WINDOW:
         return Missing(f"image of {x.shape[1]}x{x.shape[0]} is smaller than the 11x11 window")
     from skimage.metrics import structural_similarity
 
-    return float(
-        structural_similarity(
-            x / 255.0,
-            y / 255.0,
-            gaussian_weights=True,
-            sigma=1.5,
-            use_sample_covariance=False,
-            data_range=1.0,
-            channel_axis=2,
-        )
+    similarity = structural_similarity(
+        x / 255.0,
+        y / 255.0,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        data_range=1.0,
+        channel_axis=2,
     )
+    return _finite(float(similarity), "SSIM")
 
 
-@finite("FLIP")
 def _flip(x: np.ndarray, y: np.ndarray) -> Measurement:
     from framework.metrics.flip import error_map
 
-    return float(error_map(y, x).mean(dtype=np.float64))
-
-
-@finite("LPIPS")
-def lpips_of(x: np.ndarray, y: np.ndarray, network: Lpips | None, centred: bool) -> Measurement:
-    """LPIPS of two [H, W, 3] uint8 images."""
-    if network is None:
-        return NO_LPIPS
-    return network.distance(x / 255.0, y / 255.0, centred)
+    return _finite(float(error_map(y, x).mean(dtype=np.float64)), "FLIP")

@@ -1,11 +1,10 @@
 """LDR-FLIP: the difference that an observer sees when flipping between two images.
 
-Andersson et al. 2020, "FLIP: A Difference Evaluator for Alternating Images", HPG. Our own, as the
-authors' package takes several times as long: with it FLIP alone took 6 % of a short run, now PSNR,
-SSIM and FLIP together take 3 % (`benchmarks/speed/end_to_end.py`). Tests compare with it.
+Source: Andersson et al. 2020, "FLIP: A Difference Evaluator for Alternating Images", HPG. This
+implementation is several times as fast as the authors' package, which tests compare it with.
 
-A colour pipeline blurs both images by what the eye no longer resolves and measures the distance of
-colours (0 to 1); a feature pipeline finds edges and points that only one of them has, which
+A colour pipeline blurs both images by what the eye cannot resolve and measures the distance of
+colours (0 to 1). A feature pipeline finds edges and points that only one of them has, which
 magnify it.
 """
 
@@ -19,7 +18,7 @@ import numpy as np
 from framework.compute import portable
 from framework.compute.jit import kernel
 
-PIXELS_PER_DEGREE = 0.7 * 3840 / 0.7 * math.pi / 180  # 4k, 0.7 m wide, seen from 0.7 m
+PIXELS_PER_DEGREE = 0.7 * 3840 / 0.7 * math.pi / 180  # 4K, 0.7 m wide, at 0.7 m
 COLOUR_POWER, COLOUR_KNEE, KNEE_ERROR = 0.7, 0.4, 0.95  # q_c, p_c, p_t
 FEATURE_WIDTH = 0.082  # w in degrees
 
@@ -34,7 +33,7 @@ XYZ_OF_RGB = np.array(
     ]
 )  # sRGB with white D65
 WHITE = XYZ_OF_RGB.sum(1)
-# linear RGB to Y_y C_x C_z without the offset of -16 in Y_y, which no filter below sees
+# linear RGB to Y_y C_x C_z without the offset of -16 in Y_y, which all filters below cancel
 OPPONENT = portable.product(
     np.array([[0, 116, 0], [500, -500, 0], [0, 200, -200]]), XYZ_OF_RGB / WHITE[:, None]
 )
@@ -44,10 +43,10 @@ Array = np.ndarray
 
 
 def error_map(reference: Array, test: Array) -> Array:
-    """[H, W] float32 in [0, 1] of two [H, W, 3] uint8 images in sRGB; symmetric."""
+    """FLIP [H, W] float32 in [0, 1] of two [H, W, 3] uint8 images in sRGB; symmetric."""
     decoded = [_linear(image) for image in (reference, test)]
     opponent = [_transformed(image, OPPONENT) for image in decoded]
-    colour = _redistributed(_hyab(*(_lab(_seen(image)) for image in opponent)))
+    colour = _redistributed(_hyab(*(_lab(_blurred(image)) for image in opponent)))
     features = [_features(image[0] / np.float32(116)) for image in opponent]
     lost = np.maximum(*(abs(a - b) for a, b in zip(*features, strict=True)))  # edges, points
     strength = np.sqrt(lost / np.float32(math.sqrt(2)))  # to the power q_f = 1/2
@@ -55,14 +54,14 @@ def error_map(reference: Array, test: Array) -> Array:
 
 
 def _linear(image: Array) -> Array:
-    """[3, H, W] float32 linear RGB of 8-bit sRGB [H, W, 3]."""
+    """Linear RGB [3, H, W] float32 of 8-bit sRGB [H, W, 3]."""
     encoded = np.arange(256) / 255
     low, high = encoded / 12.92, portable.power((encoded + 0.055) / 1.055, 2.4)
     return _float32(np.where(encoded <= 0.04045, low, high))[image.transpose(2, 0, 1)]
 
 
-def _seen(opponent: Array) -> Array:
-    """Linear RGB in [0, 1] of what the eye's contrast sensitivity leaves."""
+def _blurred(opponent: Array) -> Array:
+    """Linear RGB in [0, 1] after a blur by the eye's contrast sensitivity."""
     widest = max(b for gaussians in SENSITIVITY for _, b in gaussians)
     radius = math.ceil(3 * math.sqrt(widest / (2 * math.pi**2)) * PIXELS_PER_DEGREE)
     degrees = np.arange(-radius, radius + 1) / PIXELS_PER_DEGREE
@@ -94,7 +93,7 @@ def _hyab(a: Array, b: Array) -> Array:
 
 
 def _redistributed(distance: Array) -> Array:
-    """Distances to errors in [0, 1]: large ones, which look alike, are compressed."""
+    """Errors in [0, 1] from distances; large ones, which look alike, are compressed."""
     green, blue = (_lab(np.array(c, np.float32)[:, None]) for c in ((0, 1, 0), (0, 0, 1)))
     largest = float(portable.power(_hyab(green, blue)[0], COLOUR_POWER))
     knee = COLOUR_KNEE * largest
@@ -105,8 +104,8 @@ def _redistributed(distance: Array) -> Array:
 
 
 def _features(grey: Array) -> tuple[Array, Array]:
-    """How much of an edge and of a point each pixel is, [H, W] twice: magnitudes of the first and
-    second derivatives of a Gaussian as wide as what the eye detects."""
+    """Strength of edges and of points [H, W]: magnitudes of the first and second derivatives of a
+    Gaussian, which is as wide as what the eye detects."""
     deviation = 0.5 * FEATURE_WIDTH * PIXELS_PER_DEGREE
     radius = math.ceil(3 * deviation)
     x = np.arange(-radius, radius + 1)
@@ -122,13 +121,13 @@ def _features(grey: Array) -> tuple[Array, Array]:
 
 
 def _balanced(weights: Array) -> Array:
-    """Positive weights that sum to 1, negative ones to -1."""
+    """Scale positive weights to sum to 1, negative ones to -1."""
     positive, negative = np.maximum(weights, 0), np.minimum(weights, 0)
     return positive / positive.sum() - negative / negative.sum()
 
 
 def _filtered(image: Array, across: Array, down: Array) -> Array:
-    """Correlation with a separable filter, the image continued by its border."""
+    """Correlation with a separable filter; edge padding."""
     reach = len(across) // 2
     padded = np.pad(image, ((0, 0), (reach, reach)), mode="edge")
     once, out = np.zeros_like(image), np.zeros_like(image)
@@ -138,8 +137,8 @@ def _filtered(image: Array, across: Array, down: Array) -> Array:
 
 @kernel
 def _correlate(padded: Any, across: Any, down: Any, once: Any, out: Any) -> None:
-    """Of an image whose rows are `padded`, first along them, then along the columns: tap by tap, so
-    that the order of a pixel's sum is that of the taps, on any processor."""
+    """Correlate along rows, then columns. Tap by tap, so that a pixel's sum has the same order on
+    any processor."""
     height, width = out.shape
     reach = len(down) // 2
     for y in range(height):
@@ -154,7 +153,7 @@ def _correlate(padded: Any, across: Any, down: Any, once: Any, out: Any) -> None
 
 
 def _transformed(image: Array, matrix: Array) -> Array:
-    """[3, ...] float32 of an image [3, ...], each channel a sum of three in their order."""
+    """matrix @ image [3, ...] in float32, summed in the order of the channels."""
     rows = []
     for weights in _float32(matrix):
         a, b, c = (weight * channel for weight, channel in zip(weights, image, strict=True))

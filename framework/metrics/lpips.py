@@ -3,15 +3,14 @@
 The weights are those that `lpips_weights` fetched, or a state dict as the authors' package has it
 (`torch.save(model.state_dict(), file)` of its VGG or AlexNet variant): convolutions
 `net.slice<s>.<layer>.weight|bias`, channel weights `lin<i>.model.1.weight`, and
-`scaling_layer.shift|scale`. The backbone is told from the keys.
+`scaling_layer.shift|scale`. The keys determine the backbone.
 
 d(x, y) = sum over stages of mean over pixels of sum over channels of w_c (fx_c - fy_c)^2, with f
 the features divided by their norm over channels. Images in [0, 1] are mapped to [-1, 1], as the
-authors define it; figures in sparse-view papers are often made with [0, 1] fed directly and differ
-(`centred=False`).
+authors define it; `centred=False` feeds them in [0, 1], as many sparse-view papers do.
 
-Every distance is computed on one thread, so that its bits depend on no thread count; several run
-beside each other as tasks. Two images of 504x378 take VGG-16 233 GFLOP and about 250 MB.
+A distance is computed on one thread, so that its bits do not depend on the thread count; several
+distances run in parallel. VGG-16 takes 233 GFLOP and about 250 MB for two images of 504x378.
 """
 
 from __future__ import annotations
@@ -42,9 +41,16 @@ NORM_EPS = 1e-10  # keeps the division finite where no feature responds
 
 @dataclass(frozen=True)
 class Backbone:
-    """name: in tables. layers: per stage the indices of its convolutions. pool: kernel of the
-    stride-2 max pooling before a stage that has one. strides, paddings: by layer index, else 1 and
-    1."""
+    """A convolutional network.
+
+    Attributes:
+        name: in tables.
+        layers: for each stage, the indices of its convolutions.
+        pool: kernel size of the max pooling, with stride 2.
+        pooled_stages: stages that begin with a max pooling.
+        strides, paddings: by layer index; 1 where absent.
+        min_size: smallest image in pixels.
+    """
 
     name: str
     layers: tuple[tuple[int, ...], ...]
@@ -72,11 +78,11 @@ BACKBONES = {
 
 
 class Lpips:
-    """The metric with loaded weights; see the module's text."""
+    """The metric with loaded weights; see the module's docstring."""
 
     def __init__(self, backbone: Backbone, weights: dict[str, Tensor]) -> None:
         self._backbone = backbone
-        # the layout that convolutions are fastest in
+        # convolutions are fastest in this layout
         self.weights = {
             key: value.contiguous(memory_format=torch.channels_last) if value.ndim == 4 else value
             for key, value in weights.items()
@@ -84,13 +90,13 @@ class Lpips:
 
     @property
     def name(self) -> str:
-        """The backbone's, for tables."""
+        """The backbone's name in tables."""
         return self._backbone.name
 
     def distance(self, x: np.ndarray, y: np.ndarray, centred: bool = True) -> Measurement:
-        """LPIPS of two [H, W, 3] float images in [0, 1]; Missing where they are too small.
+        """LPIPS of two [H, W, 3] float images in [0, 1]; Missing if they are too small.
 
-        centred: map them to [-1, 1] first, as the authors do; else they are fed as they are.
+        centred: map them to [-1, 1] first, as the authors do.
         """
         if min(x.shape[:2]) < self._backbone.min_size:
             return Missing(
@@ -105,13 +111,13 @@ class Lpips:
         return total
 
     def _input(self, image: np.ndarray, centred: bool) -> Tensor:
-        """[1, 3, H, W], channels last in memory."""
+        """The scaled image [1, 3, H, W], channels last in memory."""
         h = torch.from_numpy(np.ascontiguousarray(image, np.float32))[None].permute(0, 3, 1, 2)
         h = 2.0 * h - 1.0 if centred else h
         return (h - self.weights["scaling_layer.shift"]) / self.weights["scaling_layer.scale"]
 
     def _stage(self, h: Tensor, stage: int) -> Tensor:
-        """[1, C, h, w] after the last ReLU of a stage, from that of the stage before."""
+        """The features [1, C, h, w] of a stage from those of the previous one."""
         if stage in self._backbone.pooled_stages:
             h = F.max_pool2d(h, self._backbone.pool, stride=2)
         for layer in self._backbone.layers[stage]:
@@ -130,7 +136,11 @@ class Lpips:
 
 
 def load(path: str | Path) -> Lpips:
-    """The metric from a state dict file. Raises UserError for a missing or unsuitable file."""
+    """Load the metric from a state dict file.
+
+    Raises:
+        UserError: the file is missing or unsuitable.
+    """
     file = Path(path)
     require(
         file.is_file(),
@@ -147,31 +157,29 @@ def load(path: str | Path) -> Lpips:
         " model's state_dict()",
     )
     network = Lpips(backbone, {key: weights[key] for key in _keys(backbone)})
-    _try(network, backbone, path)
+    _check_fit(network, backbone, path)
     return network
 
 
-def _try(network: Lpips, backbone: Backbone, path: str | Path) -> None:
-    """Raise UserError unless the weights fit each other: the smallest image passes through."""
+def _check_fit(network: Lpips, backbone: Backbone, path: str | Path) -> None:
+    """Raise UserError unless the smallest image passes through the network."""
     image = np.full((backbone.min_size, backbone.min_size, 3), 0.5)
     wide = [k for k, w in network.weights.items() if max((*w.shape, 1)) > MOST_CHANNELS]
     try:
         if wide:
             raise ValueError(f"{wide[0]} has more than {MOST_CHANNELS} channels")
-        got = network.distance(image, 1.0 - image)
-        if not isinstance(got, float) or not math.isfinite(got):
+        distance = network.distance(image, 1.0 - image)
+        if not isinstance(distance, float) or not math.isfinite(distance):
             raise ValueError("they give no finite distance")
     except (RuntimeError, ValueError, IndexError) as error:
-        reason = re.sub(r"\s+", " ", str(error))[:120]
         raise UserError(
             f"metrics.lpips_weights: expected the weights of one network in '{path}', got some that"
-            f" do not fit each other ({reason}); save the whole model's state_dict()"
+            f" do not fit each other ({_short(error)}); save the whole model's state_dict()"
         ) from None
 
 
 def _tensors(file: Path) -> dict[str, Tensor]:
-    # weights_only refuses pickled code, and open_zip what would unpack to too much: a weights file
-    # is data from elsewhere. PyTorch writes zip archives since 1.6
+    # strangers' weights: weights_only refuses code, open_zip what would unpack to too much
     try:
         if file.suffix == ".safetensors":
             file_size(file, WEIGHTS_BYTES)
@@ -180,23 +188,26 @@ def _tensors(file: Path) -> dict[str, Tensor]:
             open_zip(file, WEIGHTS_BYTES).close()
             loaded = torch.load(file, map_location="cpu", weights_only=True)
     except Exception as error:
-        reason = re.sub(r"\s+", " ", str(error))[:120]
         raise UserError(
-            f"metrics.lpips_weights: '{file}' is not a readable state dict ({reason}); save it with"
-            " torch.save(model.state_dict(), file)"
+            f"metrics.lpips_weights: '{file}' is not a readable state dict ({_short(error)}); save"
+            " it with torch.save(model.state_dict(), file)"
         ) from error
     require(
         isinstance(loaded, dict) and all(isinstance(v, Tensor) for v in loaded.values()),
         f"metrics.lpips_weights: expected a dict of tensors in '{file}', got"
         f" {type(loaded).__name__}; save it with torch.save(model.state_dict(), file)",
     )
-    n_bytes = 4 * sum(value.numel() for value in loaded.values())  # a view may stand for much more
+    n_bytes = 4 * sum(value.numel() for value in loaded.values())  # stored may be less
     require(
         n_bytes <= WEIGHTS_BYTES and all(isinstance(key, str) for key in loaded),
         f"metrics.lpips_weights: expected tensors of at most {WEIGHTS_BYTES:,} bytes in '{file}',"
         f" got {n_bytes:,}; save the model's state_dict() alone",
     )
     return {key: value.float() for key, value in loaded.items()}
+
+
+def _short(error: Exception) -> str:
+    return re.sub(r"\s+", " ", str(error))[:120]
 
 
 def _keys(backbone: Backbone) -> set[str]:
@@ -211,8 +222,7 @@ def _keys(backbone: Backbone) -> set[str]:
 
 
 def _difference(x: Tensor, y: Tensor, weight: Tensor) -> float:
-    """The mean over pixels of sum_c weight_c (x_c / |x| - y_c / |y|)^2 of features [1, C, h, w],
-    of which a few rows at a time are summed up."""
+    """Mean over pixels of sum_c weight_c (x_c / |x| - y_c / |y|)^2 of features [1, C, h, w]."""
     n_rows, n_columns = x.shape[2:]
     total = 0.0
     for start in range(0, n_rows, ROWS):
@@ -228,9 +238,11 @@ def _normalise(features: Tensor) -> Tensor:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """What PyTorch does meanwhile on the calling thread it does on no other: sums that several
-    threads share may come out differently. The number of threads is told by each thread for
-    itself, and asking for it first settles it, before a task beside puts the number back."""
+    """Make PyTorch compute on the calling thread alone: sums split between threads may differ.
+
+    The setting is per thread. Reading it first initialises it, so that restoring it in a parallel
+    task cannot change it here.
+    """
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

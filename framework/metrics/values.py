@@ -1,19 +1,21 @@
-"""What a measurement is: a number, or why there is none. Light to import: reports read these."""
+"""What a measurement is: a number, or the reason why there is none. Light, as reports import it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from framework.errors import nearest_hint, require
 
-# what every run measures; `MEASURES` has the plugins that `metrics.also` chooses among
-METRICS = ("psnr", "ssim", "flip", "lpips", "lpips_01")
-LOWER = ("flip", "lpips", "lpips_01")  # of these less is better
-# of some runs: the mean of errors where there is LPIPS, score and rank where they are asked for
+T = TypeVar("T")
+METRICS = ("psnr", "ssim", "flip", "lpips", "lpips_01")  # columns of every run
+LOWER = ("flip", "lpips", "lpips_01")  # lower is better
+# of some runs: the mean error where LPIPS was measured, the other two on request
 AVERAGE, COADAPTATION, RANK = "avge", "coadaptation", "effective_rank"
+LPIPS_BOTH, VIEWS = "lpips_both", "views"  # options of `metrics`
 LARGEST = 1e15  # of a number in a record or a table: reports square and sum them
-MEASURES: dict[str, type] = {}
+MEASURES: dict[str, type] = {}  # plugins that `metrics.also` chooses from
 RESERVED = (
     *METRICS,
     AVERAGE,
@@ -28,7 +30,7 @@ RESERVED = (
 
 
 def digits(metric: str) -> int:
-    """Decimal places that a table shows of a metric."""
+    """Decimal places of a metric in tables."""
     return 2 if metric == "psnr" else 4
 
 
@@ -40,12 +42,18 @@ class Missing:
 
 
 Measurement = float | Missing
+NOT_REQUESTED = Missing("not measured; metrics.lpips_both=true measures it")
 
 
 @dataclass(frozen=True)
 class ViewMetrics:
-    """One test view: psnr in dB, ssim, flip, lpips, lpips_01, each or why missing; render_s
-    in s; also: by name what plugins measured, AVGE and the co-adaptation score."""
+    """The metrics of one test view.
+
+    Attributes:
+        psnr: in dB; this and the next four may be Missing.
+        render_s: seconds that rendering took.
+        also: further metrics by name: AVGE, co-adaptation and those of plugins.
+    """
 
     view: str
     tags: tuple[str, ...]
@@ -62,8 +70,19 @@ class ViewMetrics:
         return self.also[metric] if metric in self.also else getattr(self, metric)
 
 
+def evenly(views: Sequence[T], n: int) -> tuple[T, ...]:
+    """At most `n` of the views, evenly spaced; all of them if n is 0."""
+    if n == 0 or len(views) <= n:
+        return tuple(views)
+    return tuple(views[(2 * i + 1) * len(views) // (2 * n)] for i in range(n))
+
+
 def measures(chosen: str | None) -> list[str]:
-    """The names in `metrics.also`, in their order. UserError for an unknown or repeated one."""
+    """The names in `metrics.also`, in their order.
+
+    Raises:
+        UserError: a name is unknown or repeated.
+    """
     names = [] if chosen is None else chosen.split("+")
     for name in names:
         require(name in MEASURES, f"metrics.also: unknown metric '{name}'; {_available(name)}")
@@ -75,8 +94,7 @@ def measures(chosen: str | None) -> list[str]:
 
 
 def _available(name: str) -> str:
-    """What there is to measure; `name` is none of it, or needs no asking for."""
-    measured = f"every run measures {', '.join(METRICS)}"
+    always = f"every run measures {', '.join(METRICS)}"
     if not MEASURES:
-        return f"{measured}, and no plugin more; leave it out"
-    return f"{nearest_hint(name, MEASURES)}, several are joined by +; {measured} anyway"
+        return f"{always}, and no plugin adds a metric; leave it out"
+    return f"{nearest_hint(name, MEASURES)}, several are joined by +; {always} anyway"

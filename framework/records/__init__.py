@@ -1,6 +1,6 @@
-"""A run as others see it: while it goes (`progress`, `notices`) and afterwards on disk (`record`,
-`run_files`, `ply`, `cameras`, `photos`; what may stand there: `record_check`), with where it comes
-from (`provenance`)."""
+"""A run while it works (`progress`, `notices`) and on disk (`record`, `run_files`, `ply`,
+`cameras`, `photos`). `record_check` checks files from elsewhere, `provenance` records code and
+machine."""
 
 RUN_FOLDERS = "runs"  # in the folder of a study; each of its runs has one there
 

@@ -1,11 +1,11 @@
-"""The cameras of a run beside its `point_cloud.ply`, for viewers and other trainers.
+"""The cameras of a run next to its `point_cloud.ply`, for viewers and other trainers.
 
-`cameras.json`, as 3DGS (Kerbl et al. 2023) writes it: a list of id, img_name, width, height,
-position [3] and rotation [3, 3] (camera to world, axes right, down, forward), fy, fx in pixels;
-test views first, as there. `transforms.json`, as instant-ngp and nerfstudio read it: per photo its
-camera-to-world matrix with axes right, up, backward, intrinsics in pixels; which photos trained and
-which tested; and `near_plane`, the depth before which renders draw nothing. Intrinsics are those of
-the pictures the run worked with: undistorted, reduced.
+`cameras.json` is as 3DGS (Kerbl et al. 2023) writes it: a list of id, img_name, width, height,
+position [3], rotation [3, 3], fy and fx in pixels. Rotations are camera to world with axes right,
+down, forward; test views come first. `transforms.json` is as instant-ngp and nerfstudio read it:
+per photo its camera-to-world matrix with axes right, up, backward, and intrinsics in pixels. It
+lists the training and the test photos, and `near_plane`, the depth where renders begin. Intrinsics
+are those of the pictures that the run used: undistorted and reduced.
 """
 
 from __future__ import annotations

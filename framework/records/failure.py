@@ -1,4 +1,4 @@
-"""What a run that failed left: `failed.json`, and the configuration that Hydra noted beside it."""
+"""The files of a failed run: `failed.json`, and the configuration that Hydra wrote."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ FAILED, COMPOSED = "failed.json", ".hydra/config.yaml"
 
 @dataclass(frozen=True)
 class Failure:
-    """error: one line. kind: of it, a word or two; again: the command that does the run alone; ""
-    where they were not kept. config: as composed, empty where it was not kept."""
+    """A failed run. error: one line; kind: a word or two. again: the command that repeats the
+    run. Both texts are "" and the composed config is empty if they were not kept."""
 
     error: str
     kind: str

@@ -39,8 +39,8 @@ def write_settings(
 
 
 def settings(cameras: Sequence[Camera], background: Sequence[float], distance: float) -> str:
-    """The file's content. cameras: of the training views, in the model's world; the one nearest to
-    their mean sees the first picture. distance: from it to the point it turns around."""
+    """The file's content. cameras: of the training views, in the model's world. The first view is
+    that of the camera nearest to their mean; distance: from it to the point it turns around."""
     camera = cameras[_middle(cameras)]
     center, forward = camera.center.numpy(), camera.viewmat[2, :3].numpy()
     longer = max(camera.width, camera.height)  # the viewer takes it for the window's longer side

@@ -5,9 +5,9 @@ f_rest_* opacity scale_0..2 rot_0..3`. Stored are the unactivated parameters: lo
 wxyz quaternions. `f_rest` is channel-major: all coefficients of red, then of green, then of blue.
 The header comment `background r g b` holds the colour the Gaussians were trained against.
 
-Where only the first M of the N Gaussians have SH bands above 0, the PLY has none, and the comment
-`bands M` says that `shN` [M, K-1, 3] lies beside it, `NAME.ply` -> `NAME_sh.npy`: in a PLY all have
-the same properties, and viewers do not read a second element.
+If only the first M of the N Gaussians have SH bands above 0, the PLY has none and the comment
+`bands M`; `shN` [M, K-1, 3] is in `NAME_sh.npy` next to `NAME.ply`. In a PLY all vertices have the
+same properties, and viewers do not read a second element.
 """
 
 from __future__ import annotations
@@ -92,9 +92,13 @@ def _npy(bands: Tensor) -> bytes:
 
 @dataclass(frozen=True)
 class Splats:
-    """What a PLY holds, as float32 arrays named and shaped as in `framework.types.Gaussians`:
-    means [N, 3], quats [N, 4], log_scales [N, 3], opacity_logits [N], sh0 [N, 1, 3] and
-    shN [M, K-1, 3]. background: red, green, blue, None where the file does not tell it."""
+    """The content of a PLY, as float32 arrays named as in `framework.types.Gaussians`.
+
+    Attributes:
+        means: [N, 3]; quats: [N, 4]; log_scales: [N, 3]; opacity_logits: [N].
+        sh0: [N, 1, 3]; shN: [M, K-1, 3].
+        background: red, green, blue; None if the file lacks it.
+    """
 
     means: np.ndarray
     quats: np.ndarray
@@ -106,7 +110,7 @@ class Splats:
 
 
 def read_ply(path: Path) -> tuple[Gaussians, Tensor | None]:
-    """The Gaussians (float32) and the background [3], None where the file does not tell it.
+    """The Gaussians (float32) and the background [3], None if the file lacks it.
 
     Raises as `read_splats`.
     """
@@ -154,7 +158,7 @@ def read_splats(path: Path) -> Splats:
 
 
 def _read_bands(path: Path, header: _Header) -> np.ndarray:
-    """[M, K-1, 3] of the file that the header of `path` tells of."""
+    """Read [M, K-1, 3] from the file that the header of `path` names."""
     from framework.files.arrays import read_npy
 
     beside, m = bands_path(path), header.banded

@@ -1,4 +1,4 @@
-"""What a run tells while it works: one line, updated in place on a terminal, sparse otherwise.
+"""What a run shows while it works: one line, updated in place on a terminal, sparse otherwise.
 
     [run 4 of 12] safi+uar seed 1 · step 300/800 · loss 0.0412 · test 22.31 dB ·
     39957 Gaussians · 41 steps/s · 12 s left
@@ -31,7 +31,7 @@ PLAIN_SHARE = 0.1
 
 
 def say(text: str) -> None:
-    """Print a line at once; without a word where nobody reads any more, as after `| head`."""
+    """Print a line at once; nothing if the stream has no reader any more, as after `| head`."""
     try:
         print(text, flush=True)
     except BrokenPipeError:
@@ -39,7 +39,7 @@ def say(text: str) -> None:
 
 
 def unread(stream: TextIO) -> None:
-    """Let all that is still written to a stream without a reader go nowhere: a run goes on."""
+    """Discard what is written to a stream without a reader, so that the run continues."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())
     os.close(nowhere)
@@ -78,7 +78,7 @@ class Progress(Protocol):
 
 
 class Silent:
-    """Tells nothing; for tests and library use."""
+    """Shows nothing; for tests and library use."""
 
     def stage(self, what: str) -> None: ...
 
@@ -94,8 +94,8 @@ class Silent:
 
 
 class Parts:
-    """Several trainings, some at the same time: `whole` is told their steps as one count, of
-    `n_steps`. done: steps of each that are behind it."""
+    """Several trainings, perhaps at the same time, whose steps `whole` shows as one count of
+    `n_steps`. done: finished steps of each."""
 
     def __init__(self, whole: Progress, n_steps: int, done: Sequence[int]) -> None:
         self._whole, self._n_steps, self._done = whole, n_steps, list(done)

@@ -1,9 +1,9 @@
 """Where a result comes from: code, package versions, machine; and the identity of a run.
 
-Two runs have the same identity when nothing that can change their bits differs: the resolved
-config without `NEUTRAL_KEYS`, the loaded scene, the other files read, the sources of the framework
-and of the plugins that the run uses, and the package versions. No host name and no path of the
-machine is recorded, beyond what the user's own config holds.
+Two runs have the same identity if nothing that can change their bits differs. That is the resolved
+config without `NEUTRAL_KEYS`, the loaded scene, other files that were read, the sources of the
+framework and of the plugins in use, and the package versions. No host name and no path of the
+machine is recorded, except in the user's config.
 """
 
 from __future__ import annotations
@@ -114,8 +114,8 @@ def identity_of(
 
 
 def strict_json(value: Any, indent: int | None = None, compact: bool = False) -> str:
-    """JSON with sorted keys, of plain values only. A non-finite number becomes null, which
-    whoever writes one explains in a field beside it. compact: without blanks."""
+    """JSON with sorted keys, of plain values only. A non-finite number becomes null; another field
+    explains it. compact: without blanks."""
     return json.dumps(
         plain_json(value),
         indent=indent,
@@ -127,7 +127,7 @@ def strict_json(value: Any, indent: int | None = None, compact: bool = False) ->
 
 
 def cpu_model() -> str:
-    """The processor's name, as the system tells it."""
+    """The name of the processor."""
     if Path("/proc/cpuinfo").is_file():
         for line in Path("/proc/cpuinfo").read_text(errors="replace").splitlines():
             key, _, value = line.partition(":")
@@ -137,8 +137,8 @@ def cpu_model() -> str:
 
 
 def peak_memory_bytes() -> int:
-    """Largest resident size of this process since its start or `reset_peak_memory`; 0 where the
-    system does not tell it."""
+    """Largest resident size of this process since its start or `reset_peak_memory`; 0 if the
+    system does not report it."""
     status = Path("/proc/self/status")
     if status.is_file():
         for line in status.read_text().splitlines():

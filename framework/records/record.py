@@ -3,7 +3,7 @@ a folder with a complete record is complete.
 
     record.json        status, identity, config, scene, timings, summary, provenance
     failed.json        only if the last attempt failed: its error and overrides; if the training
-                       diverged, diverged.safetensors beside it holds the state
+                       diverged, diverged.safetensors holds the state
     metrics.csv        one row per test view; an empty cell is explained in its column `missing`
     history.csv        one row per logged step: loss, PSNR, Gaussians, seconds of training
     point_cloud.ply    the trained Gaussians, see `framework.records.ply`
@@ -17,7 +17,7 @@ map `magma` (perceptually uniform) from 0 (black) to `ERROR_SCALE` (pale yellow)
 fixed scale for every run, so that maps compare across methods.
 
 Times are seconds: wall clock, and CPU time of the process. JSON is strict: what has no finite value
-is null with its reason beside it. Importing this module and reading records needs no torch.
+is null with its reason in another field. Importing this module and reading records needs no torch.
 """
 
 from __future__ import annotations
@@ -67,6 +67,7 @@ TRAIN_STAGE = "train"  # the stage whose wall time the report calls train second
 EXPOSURE = "exposure_rms"  # in the provenance: of the photos' log gains, where they were evened
 POSE_CHECK = "pose_check"  # in the provenance: shares and ratio, None where it was not made
 LPIPS = "lpips"  # in the provenance: the network that LPIPS was measured with, None for none
+LEARNED = "learned_weights"  # in the provenance: of the depth, "" if no network was used
 METHOD_GROUPS = ("augment", "reg", "capacity", "depth", "init")
 RECORD, PLY = "record.json", "point_cloud.ply"
 DIVERGED = "diverged.safetensors"
@@ -255,11 +256,11 @@ def write_failed(
     kind: str = "bug",
     again: str = "",
 ) -> RunRecord:
-    """Record a run that ended with `error` (one line) of this kind, so that a study's report can
-    tell it, with the command that does it again.
+    """Record a run that ended with `error` (one line) of this kind, with the command that repeats
+    it, for the report of the study.
 
-    `failed.json` tells it of the last attempt; the record too, unless it is of a complete run,
-    which is kept.
+    `failed.json` holds the last attempt; so does the record, unless it is of a complete run, which
+    is kept.
     """
     error = printable_line(" ".join(error.split()))
     told = {"error": error, "kind": kind, "overrides": list(overrides), "again": again}

@@ -1,5 +1,5 @@
-"""Whether a `record.json`, a `failed.json` and the tables beside them are what a run writes: they
-may come from elsewhere, and a report formats, sorts and opens files by what they hold.
+"""Check that a `record.json`, a `failed.json` and their tables are what a run writes. They may come
+from elsewhere, and a report formats, sorts and opens files by their content.
 
 Texts are whole and of bounded length already (`framework.files.documents`). Numbers are small
 enough for the report's sums of squares to be finite.
@@ -38,20 +38,10 @@ TRAINER = typing.get_type_hints(TrainerOptions)
 def check_record(content: Any) -> None:
     """Raise ValueError, naming the field, unless every field that is read has its type."""
     _check("the record", content, isinstance(content, Mapping))
-    for key in ("identity", "parameters_sha256", "status"):
-        _check(key, content[key], isinstance(content[key], str))
-    _check("status", content["status"], content["status"] in ("complete", "failed"))
-    digest = content["parameters_sha256"]
-    _check("parameters_sha256", digest, DIGEST.fullmatch(digest))
-    for key in ("peak_memory_bytes", "gaussians", "sh_degree", "ply_bytes"):
-        _check(key, content[key], _is_count(content[key]))
-    _check("sh_degree", content["sh_degree"], content["sh_degree"] <= 10)
-    banded = content.get("banded")
-    _check("banded", banded, banded is None or _is_count(banded))
-    _check("resumed", content.get("resumed", 0), _is_count(content.get("resumed", 0)))
-    _check("error", content["error"], content["error"] is None or _is_line(content["error"]))
-    _check("overrides", content["overrides"], are_texts(content["overrides"]))
-    _check("warnings", content.get("warnings", []), are_texts(content.get("warnings", [])))
+    for key, good in FIELDS.items():
+        _check(key, content[key], good(content[key]))
+    for key, good in ADDED.items():  # older records lack these
+        _check(key, content.get(key), key not in content or good(content[key]))
     check_config(content["config"], complete=content["status"] == "complete")
     _check("config.seed", content["config"].get("seed"), "seed" in content["config"])
     _check_provenance(content["provenance"])
@@ -104,7 +94,7 @@ def check_stems(stems: Iterable[str]) -> None:
 
 
 def check_views(views: Iterable[str], tags: Iterable[str]) -> None:
-    """Raise ValueError unless these are names of views, and the words that tell their kind."""
+    """Raise ValueError unless these are names of views and words for their kind."""
     _check_all("view", views, _is_name)
     _check_all("tags", tags, TAGS.fullmatch)
 
@@ -236,3 +226,21 @@ def _is_line(value: Any) -> bool:
 
 def _is_name(value: Any) -> bool:
     return _is_line(value) and 0 < len(value) <= NAME_LENGTH and value.strip() != ""
+
+
+FIELDS: dict[str, Callable[[Any], object]] = {
+    "identity": lambda value: isinstance(value, str),
+    "parameters_sha256": lambda value: isinstance(value, str) and DIGEST.fullmatch(value),
+    "status": lambda value: value in ("complete", "failed"),
+    "peak_memory_bytes": _is_count,
+    "gaussians": _is_count,
+    "sh_degree": lambda value: _is_count(value) and value <= 10,
+    "ply_bytes": _is_count,
+    "error": lambda value: value is None or _is_line(value),
+    "overrides": are_texts,
+}
+ADDED: dict[str, Callable[[Any], object]] = {
+    "banded": lambda value: value is None or _is_count(value),
+    "resumed": _is_count,
+    "warnings": are_texts,
+}

@@ -42,7 +42,7 @@ EXPORT, PICTURES = "export", "pictures"  # folders of `fishersplat export` and `
 EXPORTED = ("ply", "compressed.ply", "spz", "splat", "sog")  # endings of `EXPORT`/scene
 SOFTWARE, WRITER = "Software", "fishersplat render"  # written into each picture of `PICTURES`
 METRIC_COLUMNS = ("view", "tags", *METRICS, "render_s", "file", "missing")
-# metrics that runs of before do not have, and why
+# metrics that older runs do not have, and why
 LATER = {"lpips_01": "the run was recorded before this was measured"}
 TEXT_COLUMNS = ("view", "tags", "file", "missing")
 COUNT_COLUMNS = ("step", "gaussians", "sh_degree")
@@ -74,8 +74,8 @@ class HistoryRow:
 
 
 def file_stems(views: Sequence[str]) -> list[str]:
-    """A file name for each view; one already taken once odd characters are replaced is numbered, as
-    is one that only letters' case tells apart or that is another view's photo or error map."""
+    """A file name for each view, with odd characters replaced. A name that is taken, whatever its
+    letters' case, or that another view's photo or error map has, is numbered."""
     stems: list[str] = []
     taken: set[str] = set()
     last: dict[str, int] = {}  # stem -> its highest number so far

@@ -20,8 +20,8 @@ SEARCH = "search.json"
 
 @dataclass(frozen=True)
 class Trial:
-    """words: the options that varied. value: of the metric, None where the trial failed, with the
-    reason in error. run: name of the run's folder. train_s: CPU seconds of its training."""
+    """A trial. words: the options that varied. value: of the metric; None if the trial failed, with
+    the reason in error. run: name of the run's folder. train_s: CPU seconds of the training."""
 
     number: int
     value: float | None

@@ -1,28 +1,67 @@
-"""From the folders of one or more studies to `report.md`, `report.html`, tables and figures."""
+"""From the folders of one or more studies to a report: load, compare, find, render."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from framework.errors import require
 from framework.files.whole import make_folder, write_whole
 from framework.records.archive import ARCHIVE, has_archive, read_archive
-from framework.report.export import LATEX, TABLE, comparisons_tex, runs_archive, runs_csv
-from framework.report.figures.images import remove_pictures
+from framework.report import literature, stress, tables
+from framework.report.costs import Smallest, entries, smallest
+from framework.report.export import (
+    LATEX,
+    TABLE,
+    comparisons_tex,
+    results_files,
+    results_markdown,
+    runs_archive,
+    runs_csv,
+)
+from framework.report.figures.chart import Picture, chart_picture
+from framework.report.figures.charts import cost_charts, curves, has_members, stress_charts
+from framework.report.figures.forest import forest_of, forest_picture
+from framework.report.figures.pictures import draw_closeup, draw_sigma_maps, remove_pictures
 from framework.report.figures.views import DamagedRun, damaged_pictures, own_scenes
-from framework.report.page import html as page
-from framework.report.page import markdown
-from framework.report.page.gallery import gallery
-from framework.report.sections import document
-from framework.report.statistics.outcomes import outcomes
-from framework.report.study.collect import collect
-from framework.report.study.folders import run_dirs
-from framework.report.study.runs import Study
+from framework.report.findings import Findings, cost_of, find, largest_effect
+from framework.report.gallery import gallery
+from framework.report.provenance import provenance
+from framework.report.render import Page, render, render_page, say
+from framework.report.statistics.variance import SigmaComparison
+from framework.report.study import notes
+from framework.report.study.collect import collect, run_dirs
+from framework.report.study.published import bibtex
+from framework.report.study.study import Study
+from framework.report.study.words import outside
 
 REPORT, PAGE = "report.md", "report.html"
+MOST_NAMED = 8  # differences that are not significant, in the verdict
+
+
+@dataclass(frozen=True)
+class Report:
+    """A report that was written. verdict: as plain text."""
+
+    path: Path
+    study: Study
+    verdict: str
+
+    @property
+    def page(self) -> Path:
+        return self.path.with_suffix(".html")
+
+
+@dataclass(frozen=True)
+class SceneCost:
+    """The charts of a scene's costs, and its smallest good model."""
+
+    scene: str
+    pictures: list[Picture]
+    smallest: Smallest | None
 
 
 def build_report(
@@ -32,16 +71,25 @@ def build_report(
     photos: bool = True,
     rival: str = "",
 ) -> Path:
-    """Rebuild the report of all runs below the folders; returns the path of `report.md`.
+    """Write the report of all runs below the folders.
 
-    title: the heading, else the name of the report's folder. out_dir: where the report goes, else
-    the first folder. photos: show scenes and link to the runs; without, the embedded scene alone
-    and no links, for a report that is passed on where photos may not be; pictures of an earlier
-    report in that folder go. rival: the method that the others are compared with, by its name in
-    the report, in the place of plain training. A run whose files are not what a run writes counts
-    among the failed ones. Raises UserError when there is no run, or none of the rival.
+    A run whose files are damaged counts as failed. Pictures of an earlier report are removed.
+
+    Args:
+        study_dirs: folders with runs or with an archive of runs.
+        title: the heading; by default the name of the report's folder.
+        out_dir: folder of the report; by default the first study.
+        photos: show all scenes and link to the runs. If False, the report shows only the embedded
+            scene and has no links, so that it can be published without the photos.
+        rival: display or registry name of the baseline; "" for training without a method.
+
+    Returns:
+        The path of `report.md`.
+
+    Raises:
+        UserError: There is no run, or none of the baseline.
     """
-    return built(study_dirs, title, out_dir, photos, rival)[0]
+    return built(study_dirs, title, out_dir, photos, rival).path
 
 
 def built(
@@ -50,43 +98,39 @@ def built(
     out_dir: Path | None = None,
     photos: bool = True,
     rival: str = "",
-) -> tuple[Path, Study]:
-    """As `build_report`, with the study that the report is of."""
+) -> Report:
+    """As `build_report`, with the study and the verdict."""
     broken: dict[Path, str] = {}
-    while True:  # each time without another run; with forged sizes aside, twice at most
+    while True:  # each time without another run; twice at most, except for forged sizes
         study = collect(study_dirs, out_dir, broken, rival)
         if out_dir is None:
             _keep_fuller_report(study)
         study = replace(study, linked=study.linked and photos)
         try:
-            return _build(study, title, photos), study
+            return _build(study, title, photos)
         except DamagedRun as error:
             broken |= damaged_pictures(study) or {error.run_dir: str(error)}
 
 
 def _keep_fuller_report(study: Study) -> None:
-    """Raise UserError where a report made of an archive, without pictures, would overwrite the one
+    """Raise UserError if a report made of an archive, without pictures, would overwrite the one
     that was made of the runs."""
     require(
         study.out_dir not in study.archived or not (study.out_dir / REPORT).exists(),
-        f"{study.out_dir}: expected runs, got only {ARCHIVE} beside a report that was made with the"
-        " runs' pictures; add --out DIR to write another report",
+        f"{study.out_dir}: expected runs, got only {ARCHIVE} next to a report that was made with"
+        " the runs' pictures; add --out DIR to write another report",
     )
 
 
 def _keep_other_archive(study: Study) -> None:
-    """Raise UserError where the report would overwrite an archive with runs that are not in it, as
-    that may be all that is left of them."""
+    """Raise UserError if the report would overwrite an archive with runs that are nowhere else."""
     if not has_archive(study.out_dir):
         return
-    folders = {folder.name for folder in run_dirs(study.out_dir)}
-    reported = {run.run.run_dir.name for run in study.runs}
-    lost = sorted(
-        {entry.run.run_dir.name for entry in read_archive(study.out_dir)}
-        - {run.run_dir.name for run in study.failed}
-        - folders
-        - reported
-    )
+    present = {folder.name for folder in run_dirs(study.out_dir)}
+    present |= {run.run.run_dir.name for run in study.runs}
+    present |= {run.run_dir.name for run in study.failed}
+    archived = {entry.run.run_dir.name for entry in read_archive(study.out_dir)}
+    lost = sorted(archived - present)
     require(
         not lost,
         f"{study.out_dir / ARCHIVE}: expected runs of this report, got {len(lost)} others (as"
@@ -95,24 +139,149 @@ def _keep_other_archive(study: Study) -> None:
     )
 
 
-def _build(study: Study, title: str | None, photos: bool) -> Path:
-    """The report of a study. Raises DamagedRun for a run with a picture that is none."""
+def _build(study: Study, title: str | None, photos: bool) -> Report:
+    """The report of a study. Raises DamagedRun for a run with a damaged picture."""
     _keep_other_archive(study)
     make_folder(study.out_dir)
-    shown = study.scenes if photos else own_scenes(study)
+    visible = study.scenes if photos else own_scenes(study)
     if study.archived:  # the pictures went with the runs' folders
-        shown = []
+        visible = []
     if not photos:
-        remove_pictures(study, shown)
-    with ThreadPoolExecutor(1) as beside:  # photos are encoded while charts are drawn
-        shots = beside.submit(gallery, study, shown)
-        made = document(study, title or study.out_dir.resolve().name, shown)
-        write_whole(study.out_dir / PAGE, page.render(made, shots.result(), study.out_dir))
-    write_whole(study.out_dir / ARCHIVE, runs_archive(study))
+        remove_pictures(study, visible)
+    findings = find(study)
+    with ThreadPoolExecutor(1) as executor:  # photos are encoded while charts are drawn
+        shots = executor.submit(gallery, study, visible)
+        context = _context(findings, visible)
+        data = {**shots.result().data, "beside": False}
+    heading = outside(title or study.out_dir.resolve().name)
+    page = Page(heading, study.out_dir, study.families, study.scenes, data)
+    files = {
+        PAGE: render_page("report.jinja", page, **context),
+        REPORT: render("report.jinja", "markdown", page, **context),
+        ARCHIVE: runs_archive(study),
+    }
     if study.runs:
-        write_whole(study.out_dir / TABLE, runs_csv(study))
-        found = outcomes(study)
-        if found.comparisons:
-            write_whole(study.out_dir / LATEX, comparisons_tex(found))
-    write_whole(study.out_dir / REPORT, markdown.render(made))
-    return study.out_dir / REPORT
+        files[TABLE] = runs_csv(study)
+        files |= results_files(context["results"]) if context["results"] else {}
+        if findings.outcomes.comparisons:
+            files[LATEX] = comparisons_tex(findings.outcomes)
+    for name, content in files.items():
+        write_whole(study.out_dir / name, content)
+    macro = "stress_verdict" if findings.panels else "verdict"
+    verdict = say(macro, **context) if study.searched is None else ""
+    return Report(study.out_dir / REPORT, study, verdict)
+
+
+def _context(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
+    """What the templates need; draws the figures."""
+    study = findings.study
+    context: dict[str, Any] = {
+        "findings": findings,
+        "tables": tables,
+        "notes": notes,
+        "largest_effect": largest_effect,
+        "capacity_text": tables.capacity_text,
+        "cost_of": cost_of,
+        "heading_of": tables.heading_of,
+        "error_rates": _error_rates,
+        "MOST_NAMED": MOST_NAMED,
+        "literature": literature,
+        "provenance": provenance(study),
+        "bibtex": bibtex(findings.papers) if study.runs else "",
+    }
+    if study.searched is not None:
+        return context | {"metric": tables.NAMES[study.searched.metric], "results": {}}
+    return context | _figures(findings, visible)
+
+
+def _figures(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
+    """All figures, by where the template shows them."""
+    study = findings.study
+    beside = [] if findings.panels else stress.panels_beside(study)
+    limits = stress.limits(study, beside)
+    shown = stress.shown_scenes(study, findings.panels) if findings.panels else study.scenes
+    seen = [scene for scene in shown if scene in visible]
+    hidden = [scene for scene in study.scenes if scene not in visible]
+    results = {} if findings.panels or not study.tested else tables.results(study)
+    missing: dict[tuple[str, Any], list[int]] = {}
+    for scene, method, seed in study.missing:
+        missing.setdefault((scene, method), []).append(seed)
+    return {
+        "results": results,
+        "results_markdown": results_markdown(results) if results else "",
+        "shown": shown,
+        "hidden": [] if study.archived else hidden,
+        "missing": missing,
+        "forest": _forest(findings),
+        "panels_beside": beside,
+        "limits_beside": limits,
+        "against": _against(study),
+        "stress_pictures": _stress_pictures(study, findings.panels, findings.limits)
+        | _stress_pictures(study, beside, limits),
+        "closeups": _drawn(lambda scene: draw_closeup(study, scene), seen),
+        "costs": [] if findings.panels else [_cost(study, scene) for scene in study.tested],
+        "machines": sorted({outside(str(r.record.provenance.get("cpu"))) for r in study.runs}),
+        "maps": _drawn(lambda scene: draw_sigma_maps(study, scene), seen),
+        "has_members": lambda scene: has_members(study, scene),
+        "curves": _drawn(lambda scene: _curves(study, scene), shown),
+    }
+
+
+def _drawn(
+    draw: Callable[[str], Picture | None], scenes: Iterable[str]
+) -> list[tuple[str, Picture]]:
+    pictures = [(scene, draw(scene)) for scene in scenes]
+    return [(scene, picture) for scene, picture in pictures if picture is not None]
+
+
+def _forest(findings: Findings) -> Picture | None:
+    study = findings.study
+    if findings.panels or not findings.outcomes.comparisons:
+        return None
+    plot = forest_of(study, findings.outcomes)
+    alt = f"Differences of PSNR to {plot.against} with their intervals"
+    return forest_picture(study.out_dir, plot, alt)
+
+
+def _cost(study: Study, scene: str) -> SceneCost:
+    alt = f"PSNR against cost of {scene}"
+    pictures = [chart_picture(study.out_dir, charts, alt) for charts in cost_charts(study, scene)]
+    return SceneCost(scene, pictures, smallest(entries(study, scene)))
+
+
+def _curves(study: Study, scene: str) -> Picture | None:
+    chart = curves(study, scene)
+    if chart is None:
+        return None
+    alt = f"Quality over training time of {scene}"
+    return chart_picture(study.out_dir, (chart,), alt)
+
+
+def _against(study: Study) -> Callable[[Sequence[stress.Limit]], str]:
+    """What the gains of a stress are over."""
+
+    def against(limits: Sequence[stress.Limit]) -> str:
+        several = any(limit.against != study.baseline for limit in limits)
+        return "the baseline of the same options" if several else study.baseline.name
+
+    return against
+
+
+def _stress_pictures(
+    study: Study, panels: Sequence[stress.Panel], limits: Sequence[stress.Limit]
+) -> dict[str, Picture]:
+    pictures = {}
+    for panel in panels:
+        charts = stress_charts(study, panel, limits, _against(study)(limits))
+        alt = f"PSNR of {panel.title} against {panel.axis.label}"
+        pictures[panel.file] = chart_picture(study.out_dir, charts, alt)
+    return pictures
+
+
+def _error_rates(found: Sequence[SigmaComparison]) -> str:
+    """How often the tests of deviations err, by their numbers of seeds."""
+    sizes = {(c.n, c.other_n): c.size for c in found}
+    return ", ".join(
+        f"{100 * share:.1f} % (with {n if n == m else f'{n} and {m}'} seeds)"
+        for (n, m), share in sorted(sizes.items())
+    )

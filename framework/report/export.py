@@ -1,32 +1,37 @@
-"""For those who go on elsewhere: `runs.csv`, one row per complete run, and `comparisons.tex`, every
-comparison as a LaTeX table."""
+"""For further use: `runs.csv`, one row per complete run; `runs.jsonl`, the archive; and the tables
+for a paper, `results` as LaTeX, Markdown and CSV and `comparisons.tex`. Both LaTeX tables need the
+package booktabs."""
 
 from __future__ import annotations
 
+import csv
+import io
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+from tabulate import tabulate
 
 from framework.metrics.values import METRICS
 from framework.records.archive import Entry, archive
 from framework.records.provenance import NEUTRAL_KEYS
 from framework.records.record import Run, RunRecord
 from framework.records.run_files import Table
+from framework.report.provenance import code_of
+from framework.report.render import tex
 from framework.report.statistics.compare import Comparison
-from framework.report.statistics.estimates import Interval
-from framework.report.statistics.numbers import interval_text, p_text, signed
+from framework.report.statistics.estimates import Estimate, Interval
+from framework.report.statistics.numbers import format_difference, format_interval, format_p
 from framework.report.statistics.outcomes import Outcomes
 from framework.report.study.axes import VIEWS
-from framework.report.study.defaults import with_defaults
-from framework.report.study.labels import flatten, outside
-from framework.report.study.runs import FailedRun, ReportRun, Study
-from framework.report.text.provenance import code_of
+from framework.report.study.methods import Method
+from framework.report.study.plugins import with_defaults
+from framework.report.study.study import FailedRun, ReportRun, Study
+from framework.report.study.words import flatten, outside
+from framework.report.tables import Result, heading_of
 
-TABLE, LATEX = "runs.csv", "comparisons.tex"
+TABLE, LATEX, RESULTS = "runs.csv", "comparisons.tex", "results"
 ALSO, DOSE = "also.", "dose."  # begin the columns of plugins' metrics and of what the method did
-ESCAPES = {
-    **{character: f"\\{character}" for character in "&%$#_{}"},
-    **{"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"},
-    **{"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", "°": r"\textdegree{}"},
-}
+Results = Mapping[Method, Mapping[str, Result | None]]
 
 
 def runs_archive(study: Study) -> str:
@@ -52,36 +57,42 @@ def _failed_entry(run: FailedRun) -> Entry:
 
 
 def runs_csv(study: Study) -> str:
-    """The study as a tidy table, in the report's order: labels, seed, every option that differs
-    between its runs (by its full name), mean metrics over the test views, size and seconds. A
-    value that is missing is an empty cell."""
-    import pandas as pd
+    """The study as a tidy table, in the report's order.
 
-    measured = pd.DataFrame([_measured(run) for run in study.runs])
-    told = with_defaults([flatten(run.record.config) for run in study.runs])
-    options = pd.DataFrame(told).drop(columns=["seed", *NEUTRAL_KEYS], errors="ignore")
-    # an option that only some methods have differs too
-    if VIEWS in options:  # `all` of them by their number, as a table has no scene to count in
-        counted = [run.scene_label.data.get(VIEWS) for run in study.runs]
-        options[VIEWS] = [
-            n if n is not None else v for n, v in zip(counted, options[VIEWS], strict=True)
-        ]
-    differs = [name for name in options if options[name].map(repr).nunique() > 1]
+    Columns are labels, seed, every option that differs between its runs (by its full name), mean
+    metrics over the test views, size and seconds. A missing value is an empty cell.
+    """
+    measured = [_measured(run) for run in study.runs]
+    options = [dict(c) for c in with_defaults([flatten(run.record.config) for run in study.runs])]
+    for run, chosen in zip(study.runs, options, strict=True):
+        counted = run.scene_label.data.get(VIEWS)
+        if VIEWS in chosen and counted is not None:  # `all` of them as their number
+            chosen[VIEWS] = counted
+    # `method` and `scene` are labels here, never options
+    left_out = {"seed", "scene", "method", *NEUTRAL_KEYS}
+    names = [name for name in _columns(options) if name not in left_out]
+    differs = [name for name in names if len({repr(own.get(name)) for own in options}) > 1]
     labels = ["scene", "method", "seed"]
-    # one column stays one column: `method` is a label here, never an option
-    chosen = options[differs].drop(columns=labels, errors="ignore")
-    table = pd.concat([measured[labels], chosen, measured.drop(columns=labels)], axis=1)
-    return str(table.to_csv(index=False, lineterminator="\n"))
+    columns = [*labels, *differs, *(name for name in _columns(measured) if name not in labels)]
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, columns, lineterminator="\n", extrasaction="ignore")
+    writer.writeheader()
+    writer.writerows([{**own, **row} for own, row in zip(options, measured, strict=True)])
+    return buffer.getvalue()
+
+
+def _columns(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    return list(dict.fromkeys(name for row in rows for name in row))
 
 
 def _measured(run: ReportRun) -> dict[str, Any]:
     record = run.record
     return {
         "scene": run.scene,
-        "method": run.method,
+        "method": run.method.label,
         "seed": run.seed,
         **{metric: run.mean(metric) for metric in METRICS},
-        **{f"{ALSO}{name}": run.mean(name) for name in run.record.summary if name not in METRICS},
+        **{f"{ALSO}{name}": run.mean(name) for name in record.summary if name not in METRICS},
         **{f"{DOSE}{outside(name)}": _plain(value) for name, value in record.dose.items()},
         "gaussians": record.gaussians,
         "parameters": record.parameters,
@@ -98,45 +109,69 @@ def _measured(run: ReportRun) -> dict[str, Any]:
 
 
 def _plain(value: object) -> object:
-    """A dose's number or text; None stays None, which is an empty cell."""
     return outside(value) if isinstance(value, str) else value
 
 
+def results_files(results: Results) -> dict[str, str]:
+    """Name -> content of the table of results in three forms."""
+    metrics = list(next(iter(results.values())))
+    latex = tex("results.tex.jinja", results=results, metrics=metrics, heading_of=heading_of)
+    return {
+        f"{RESULTS}.tex": latex,
+        f"{RESULTS}.md": results_markdown(results) + "\n",
+        f"{RESULTS}.csv": _results_csv(results, metrics),
+    }
+
+
+def results_markdown(results: Results) -> str:
+    """The table with bold for the best and `<u>` for the second best."""
+    marks = {1: "**{}**", 2: "<u>{}</u>"}
+    rows = []
+    for method, columns in results.items():
+        row = {"Method": method.name.replace("|", "\\|").replace("<", "\\<")}
+        for metric, r in columns.items():
+            text = "–" if r is None else marks.get(r.rank, "{}").format(r.text)
+            sigma = f" ± {r.sigma_text}" if r is not None and r.sigma_text else ""
+            row[heading_of(metric)] = text + sigma
+        rows.append(row)
+    align = ["left", *["right"] * (len(rows[0]) - 1)]
+    return tabulate(rows, "keys", tablefmt="pipe", disable_numparse=True, colalign=align)
+
+
+def _results_csv(results: Results, metrics: list[str]) -> str:
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    names = [name for metric in metrics for name in (metric, f"{metric}_sigma")]
+    writer.writerow(["method", *names])
+    for method, columns in results.items():
+        cells = [columns[metric] for metric in metrics]
+        pairs = [(r.text, r.sigma_text) if r else ("", "") for r in cells]
+        writer.writerow([method.name, *(text for pair in pairs for text in pair)])
+    return buffer.getvalue()
+
+
 def comparisons_tex(found: Outcomes) -> str:
-    """A `tabular` of every comparison: over these scenes and over scenes like these (corrected for
-    all methods), and on every scene alone (uncorrected). Needs no package."""
-    lines = [
-        r"\begin{tabular}{lllrrlr}",
-        r"\hline",
-        r"Method & Against & On & $n$ & $\Delta$PSNR (dB) & 95\,\% interval & $p$ \\",
-        r"\hline",
-    ]
+    """A table of every comparison: over these scenes and over scenes like these (corrected for all
+    methods), and on every scene alone (uncorrected)."""
+    groups = []
     for method, c in found.comparisons.items():
         where = "these scenes" if len(c.scenes) > 1 else "the scene"
-        lines.append(_tex(c, where, c.n, c.difference, c.joint, c.p_joint))
+        rows = [_tex_row(c, where, c.these, c.joint, c.p_joint)]
         if c.like is not None:
             p = None if c.like.p is None else min(1.0, c.tests * c.like.p)
-            like = c.like_joint
-            lines.append(_tex(c, "scenes like these", c.like.n, c.like.mean, like, p))
+            rows.append(_tex_row(c, "scenes like these", c.like, c.like_joint, p))
         for scene, compared in found.by_scene.items():
             if method in compared:
                 own = compared[method]
-                lines.append(_tex(own, scene, own.n, own.difference, own.interval, own.p))
-        lines.append(r"\hline")
-    return "\n".join([*lines, r"\end{tabular}", ""])
+                rows.append(_tex_row(own, scene, own.these, own.interval, own.p))
+        groups.append(rows)
+    return tex("comparisons.tex.jinja", groups=groups)
 
 
-def _tex(
-    c: Comparison, on: str, n: int, difference: float, interval: Interval | None, p: float | None
-) -> str:
-    inside = "--" if interval is None else interval_text(interval)
-    chance = "--" if p is None else p_text(p).removeprefix("p ").removeprefix("= ")
-    words = [c.method, c.baseline, on, str(n), signed(difference), inside, chance]
-    return " & ".join(_escaped(word) for word in words) + r" \\"
-
-
-def _escaped(text: str) -> str:
-    """Text from outside as LaTeX prints it; numbers with a true minus sign."""
-    plain = "".join(ESCAPES.get(character, character) for character in text)
-    is_number = text[:1] in "+-" and text[1:2].isdigit()
-    return plain.replace("-", "$-$").replace("+", "$+$") if is_number else plain
+def _tex_row(
+    c: Comparison, on: str, found: Estimate, interval: Interval | None, p: float | None
+) -> list[str]:
+    inside = "--" if interval is None else format_interval(interval)
+    chance = "--" if p is None else format_p(p).removeprefix("p ").removeprefix("= ")
+    words = [c.method.name, c.baseline.name, on, str(found.n)]
+    return [*words, format_difference(found.mean), inside, chance]

@@ -5,21 +5,19 @@ Several folders are reported as one study; `--out` says where that report goes.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
-from framework.errors import (
-    Arguments,
-    UserError,
-    machine_line,
-    printable_line,
-    require,
-)
+from framework.errors import Arguments, UserError, printable_line, require
 from framework.files.limits import check_address_space
+
+BASELINE_HELP = (
+    "method that the others are compared with, by its display or registry name, as uar (default:"
+    " plain training)"
+)
 
 
 def main(arguments: list[str], prog: str) -> int:
-    """Exit status: 0, or 2 with one line on stderr for bad input, or where no run has finished."""
+    """The subcommand; exit status 0. Raises UserError for bad input, and if no run has finished."""
     parser = Arguments(prog=prog, description=__doc__)
     parser.add_argument(
         "study_dirs", type=Path, nargs="+", metavar="DIR", help="folder of a study, as reports/demo"
@@ -32,52 +30,41 @@ def main(arguments: list[str], prog: str) -> int:
         help="no pictures but of the embedded scene and no links to the runs: for a report that is"
         " passed on where photos may not be",
     )
-    parser.add_argument(
-        "--baseline",
-        default="",
-        metavar="METHOD",
-        help='what the others are compared with, by its name in the report, as "none +'
-        ' dropgaussian" (default: plain training)',
-    )
-    try:
-        options = parser.parse_args(arguments)
-        require(
-            options.out is not None or len(options.study_dirs) == 1,
-            f"--out: expected a folder for the report of {len(options.study_dirs)} studies, got"
-            " none; add --out DIR",
-        )
-        check_address_space()
-        _check_place(options.out or options.study_dirs[0])
-        from framework.report.build import built
+    parser.add_argument("--baseline", default="", metavar="METHOD", help=BASELINE_HELP)
 
-        path, study = built(
-            options.study_dirs,
-            options.title,
-            options.out,
-            not options.without_photos,
-            options.baseline,
-        )
-    except UserError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except Exception as error:
-        line = machine_line(error)
-        if line is None:
-            raise
-        print(f"error: {line}", file=sys.stderr)
-        return 2
-    print(f"report: {printable_line(str(path))}")
-    if not study.runs:
-        line = f"{path.parent}: expected a finished run, got {len(study.failed)} failed or damaged"
-        print(f"error: {printable_line(line)}; the report tells why", file=sys.stderr)
-        return 2
+    options = parser.parse_args(arguments)
+    require(
+        options.out is not None or len(options.study_dirs) == 1,
+        f"--out: expected a folder for the report of {len(options.study_dirs)} studies, got none;"
+        " add --out DIR",
+    )
+    check_address_space()
+    _check_place(options.out or options.study_dirs[0])
+    from framework.report.build import built
+
+    photos = not options.without_photos
+    report = built(options.study_dirs, options.title, options.out, photos, options.baseline)
+    tell("report", report.path, report.verdict)
+    require(
+        len(report.study.runs) > 0,
+        f"{report.path.parent}: expected a finished run, got {len(report.study.failed)} failed or"
+        " damaged; the report says why",
+    )
     return 0
+
+
+def tell(kind: str, path: Path, verdict: str) -> None:
+    """Print the verdict of a report, the path of its page and its own."""
+    if verdict:
+        print(printable_line(verdict))
+    print(f"page: {printable_line(str(path.with_suffix('.html')))}")
+    print(f"{kind}: {printable_line(str(path))}")
 
 
 def _check_place(out_dir: Path) -> None:
     """Raise UserError for a report inside a study, in the folder of a run or of all runs."""
     from framework.records import RUN_FOLDERS
-    from framework.report.study.folders import run_dirs
+    from framework.report.study.collect import run_dirs
 
     place = out_dir.resolve()
     if RUN_FOLDERS not in place.parts:  # nor is a large folder searched

@@ -23,12 +23,19 @@ from framework.compute import parallel, rng
 from framework.compute.stopwatch import Stopwatch
 from framework.files.locks import locked, remove_stale
 from framework.files.whole import following, remove_temporaries
-from framework.metrics.coadaptation import with_average, with_coadaptation
+from framework.metrics.coadaptation import with_average, with_coadaptation, with_rank
 from framework.metrics.evaluate import evaluate
 from framework.metrics.lpips import Lpips, load
 from framework.metrics.lpips_weights import chosen, fingerprint
-from framework.metrics.rank import with_rank
-from framework.metrics.values import COADAPTATION, Missing, ViewMetrics, measures
+from framework.metrics.values import (
+    COADAPTATION,
+    LPIPS_BOTH,
+    VIEWS,
+    Missing,
+    ViewMetrics,
+    evenly,
+    measures,
+)
 from framework.options import TrainerOptions
 from framework.records.cameras import write_cameras
 from framework.records.first_view import write_settings
@@ -44,6 +51,7 @@ from framework.records.provenance import (
 )
 from framework.records.record import (
     EXPOSURE,
+    LEARNED,
     LPIPS,
     POSE_CHECK,
     TRAIN_STAGE,
@@ -126,7 +134,8 @@ class Experiment:
                     self.config, files["depth"], shared, self.warmup, self.progress
                 )
                 warnings += preparation.warnings
-                record = self._new_record(identity, plugins, preparation)
+                preparation = self._with_fewer_test_views(preparation)
+                record = self._new_record(identity, plugins, preparation, len(scene.test))
                 record = self._train(record, preparation, shared, warnings)
         self.progress.done(_result(record))
         return record
@@ -135,8 +144,18 @@ class Experiment:
         """The complete record of the same run, unless it is to be repeated."""
         return None if self.config["force"] else find_complete(self.folder, identity)
 
+    def _with_fewer_test_views(self, preparation: Preparation) -> Preparation:
+        """Keep `metrics.views` of the test views, evenly spread."""
+        scene = preparation.scene
+        test = evenly(scene.test, self.config["metrics"].get(VIEWS, 0))
+        if len(test) < len(scene.test):
+            self.progress.note(
+                f"evaluates {len(test)} of {len(scene.test)} test views (metrics.views)"
+            )
+        return dataclasses.replace(preparation, scene=dataclasses.replace(scene, test=test))
+
     def _new_record(
-        self, identity: str, plugins: Mapping[str, str], preparation: Preparation
+        self, identity: str, plugins: Mapping[str, str], preparation: Preparation, n_test: int
     ) -> RunRecord:
         scene, check = preparation.scene, preparation.pose_check
         return RunRecord(
@@ -156,6 +175,8 @@ class Experiment:
                 "plugins": plugins,
                 **self.rasterizer.facts(),
                 "threads": parallel.threads(),
+                "test_views": {"evaluated": len(scene.test), "of": n_test},
+                LEARNED: registry.part("depth", self.config["depth"]).learned_weights(),
                 LPIPS: None if self.network is None else self.network.name,
                 POSE_CHECK: None if check is None else check.figures(),
             },
@@ -172,7 +193,7 @@ class Experiment:
         scene, exposures = preparation.training_scene(), preparation.exposures
         timings, facts = preparation.timings, dict(record.provenance)
         if exposures is not None:
-            self.progress.note(exposures.told())
+            self.progress.note(exposures.message())
             facts[EXPOSURE] = exposures.size
 
         def start(seed: int) -> Gaussians:
@@ -240,6 +261,8 @@ class Experiment:
             test,
             self.network,
             {name: registry.part("metric", {"name": name}) for name in names},
+            bool(options.get(LPIPS_BOTH)),
+            self.progress.stage,
         )
         metrics = with_average(metrics)
         if options.get(COADAPTATION):
@@ -312,6 +335,7 @@ def run_experiment(
     registry.discover()
     rasterizer = build_rasterizer(config)
     rasterizer.ready()
+    registry.part("depth", config["depth"]).ready()
     weights = chosen(config["metrics"]["lpips_weights"])
     network = None if weights is None else load(weights)  # a bad path must not cost a training
     with noted(progress), warnings_of() as warnings, Warmup(config, progress) as warmup:

@@ -9,25 +9,21 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from framework.compute import parallel
 from framework.errors import UserError, require
 from framework.files.whole import following, write_whole
 from framework.metrics.coadaptation import with_average
 from framework.metrics.evaluate import NO_LPIPS, lpips_of, mean_of
-from framework.metrics.values import AVERAGE, METRICS, Missing, ViewMetrics
+from framework.metrics.values import AVERAGE, LPIPS_BOTH, METRICS, Missing, ViewMetrics
 from framework.records.record import LPIPS, RunRecord, read_run, write_record
 from framework.records.run_files import METRICS_CSV, RENDERS, Table, metrics_csv
 
 if TYPE_CHECKING:
     from framework.metrics.lpips import Lpips
-
-MEASURED = (("lpips", True), ("lpips_01", False))  # and whether it is centred
 
 
 def lacks_lpips(record: RunRecord, network: Lpips | None) -> bool:
@@ -46,12 +42,10 @@ def with_lpips(run_dir: Path, record: RunRecord, network: Lpips | None) -> RunRe
     table = read_run(run_dir).metrics
     stems, views = table.texts["file"], _views(table, run_dir)
     pairs = [_saved_pair(run_dir / RENDERS, stem) for stem in stems]
-    tasks = [partial(lpips_of, x, y, network, fed) for _, fed in MEASURED for x, y in pairs]
-    found = iter(parallel.run_tasks(tasks))
-    values = {name: [next(found) for _ in pairs] for name, _ in MEASURED}
+    values = lpips_of(pairs, network, record.config["metrics"].get(LPIPS_BOTH, False))
     metrics = [
-        dataclasses.replace(view, **{name: values[name][i] for name in values})
-        for i, view in enumerate(views)
+        dataclasses.replace(view, lpips=lpips, lpips_01=lpips_01)
+        for view, lpips, lpips_01 in zip(views, values["lpips"], values["lpips_01"], strict=True)
     ]
     metrics = with_average(metrics)
     measured = [*values, AVERAGE] if AVERAGE in metrics[0].also else [*values]

@@ -40,7 +40,7 @@ def _remedies(own: str | None) -> Iterator[Remedy]:
     for other in CONVENTIONS if own else ():
         if other != own:
             text = f"they fit when read as {other}: scene.poses={other}"
-            yield text, partial(repaired, own=own or "", other=other)
+            yield text, partial(repaired, layout=own or "", other=other)
     upside_down = "they fit photos turned by 180 degrees: apply the EXIF orientation to the files"
     yield upside_down, _turned
     moved = "they fit if the scene lies {} than said: correct scene.near and scene.far"

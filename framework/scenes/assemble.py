@@ -1,7 +1,7 @@
 """From arrays to a `Scene`: views, fingerprint, and the rule for sparse points.
 
-A point reaches training only if at least two training views are in its track: a point that only
-test views support would leak what they saw.
+A point reaches training only if at least two training views are in its track. A point that only
+test views support would reveal what they show.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from framework.compute import portable
 from framework.errors import require
 from framework.files.limits import MODEL_CELLS
-from framework.scenes.cameras import check_bounds, check_places, check_rounding
+from framework.scenes.cameras import check_bounds, check_places, check_rounding, checked_pose
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,17 +28,22 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 ONE_PLACE = 0.01  # of the near bound; closer cameras see no parallax
-SKEWED = 1e-2  # by which a rotation times its transpose may differ from 1, as poses are rounded
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One image with its camera as arrays.
+    """One image with its camera, as arrays.
 
-    viewmat: [4, 4] world-to-camera (OpenCV axes). K: [3, 3] pixels. image: [H, W, 3] uint8.
-    depth: [H, W] float32 or None. mask: [H, W] float32 or None (all valid). lens: see `View`.
-    clear: the photo is transparent and was laid on paper. exif: (EXIF orientation, whether it was
-    applied) of a photo that is not stored upright, unless its size says that poses ignore that.
+    Attributes:
+        viewmat: [4, 4] world-to-camera (OpenCV axes).
+        K: [3, 3] in pixels.
+        image: [H, W, 3] uint8.
+        depth: [H, W] float32.
+        mask: [H, W] float32, 1 where pixels count; None if all do.
+        lens: see `View`.
+        clear: the photo was transparent and is composited over paper.
+        exif: (EXIF orientation, whether it was applied) of a photo that is not stored upright,
+            unless its size proves that poses ignore the orientation.
     """
 
     name: str
@@ -55,23 +60,38 @@ class Shot:
 
 @dataclass(frozen=True)
 class Tracks:
-    """Points of a sparse model. seen: [M, n] bool over all n images, in the order of the names."""
+    """Points of a sparse model. seen: [M, n] over the n images, sorted by name."""
 
     xyz: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     rgb: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.uint8))
     seen: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
 
-    def for_training(self, train: Sequence[int]) -> Tracks:
-        """The points at least two of the training images see; `seen` over these images only."""
+    def of_images(self, columns: Sequence[int]) -> Tracks:
+        """The tracks over other images, without points that lose all images but one.
+
+        columns: index in `seen` of each image, -1 for an image without tracks.
+        """
+        index = np.array(columns, dtype=np.intp)
         if not len(self.xyz):
-            return Tracks(seen=np.zeros((0, len(train)), dtype=bool))
+            return Tracks(seen=np.zeros((0, len(index)), dtype=bool))
+        if np.array_equal(index, np.arange(self.seen.shape[1])):
+            return self
+        seen = self.seen[:, index] & (index >= 0)
+        left = seen.sum(axis=1)
+        keep = (left >= 2) | (left == self.seen.sum(axis=1))
+        return Tracks(self.xyz[keep], self.rgb[keep], seen[keep])
+
+    def for_training(self, train: Sequence[int]) -> Tracks:
+        """The points that at least two training images see; `seen` over these images."""
+        if not len(self.xyz):
+            return self.of_images(train)
         seen = self.seen[:, list(train)]
         keep = seen.sum(axis=1) >= 2
         return Tracks(self.xyz[keep], self.rgb[keep], seen[keep])
 
 
 def untracked(xyz: NDArray[np.float64], rgb: NDArray[np.uint8], images: int) -> Tracks:
-    """Points that no image is listed as seeing. Raises UserError for too many of them."""
+    """Points without a track. Raises UserError for too many."""
     require(
         len(xyz) * images <= MODEL_CELLS,
         f"points: expected at most {MODEL_CELLS:,} points x images, got {len(xyz) * images:,};"
@@ -99,30 +119,19 @@ def _view(shot: Shot) -> View:
 
 
 def _check(shot: Shot) -> None:
-    """Raises UserError for what no photo or camera is, as a loader of one's own may hand over."""
-    for part, value, expected, ok in (
-        ("image", shot.image, "uint8 [H, W, 3]", shot.image.shape[2:] == (3,)),
+    """Raise UserError for arrays of other shapes or types, as of a loader plugin."""
+    image = shot.image
+    for part, value, expected, good in (
+        ("image", image, "uint8 [H, W, 3]", image.dtype == np.uint8 and image.shape[2:] == (3,)),
         ("viewmat", shot.viewmat, "[4, 4]", shot.viewmat.shape == (4, 4)),
-        ("K", shot.K, "[3, 3]", shot.K.shape == (3, 3)),
+        ("K", shot.K, "[3, 3]", shot.K.shape == (3, 3) and bool(np.isfinite(shot.K).all())),
     ):
-        typed = value.dtype == np.uint8 if part == "image" else bool(np.isfinite(value).all())
         require(
-            ok and typed,
+            good,
             f"view {shot.name}: expected {part} as {expected}, got {value.dtype}"
             f" {list(value.shape)}; repair the loader",
         )
-    turned = np.abs(portable.product(shot.viewmat[:3, :3], shot.viewmat[:3, :3].T) - np.eye(3))
-    require(
-        float(turned.max()) < SKEWED,
-        f"view {shot.name}: expected a rotation in viewmat, got one that scales or shears by"
-        f" {float(turned.max()):.2g}; repair the loader",
-    )
-    x, y, z = shot.viewmat[:3, :3]
-    require(
-        float((np.cross(x, y) * z).sum()) > 0,
-        f"view {shot.name}: expected a rotation in viewmat, got one that mirrors; turn two axes"
-        " around, not one or three (x is right, y down, z ahead)",
-    )
+    checked_pose(shot.viewmat, f"view {shot.name}")
 
 
 def _warn_of_orientations(where: str, shots: Sequence[Shot]) -> None:
@@ -212,9 +221,19 @@ def assemble(
     far: float,
     paper: float | None = None,
 ) -> Scene:
-    """The scene. `points.seen` is over the training shots, in their order. Test shots without tags
-    get that of their camera's place. paper: the grey in [0, 1] that transparent photos are laid on.
-    Raises UserError for bounds or places that no scene has."""
+    """Make a scene of shots and points.
+
+    Args:
+        name: of the scene.
+        protocol: name of the split.
+        train, test: the shots; test shots without tags get that of their camera's position.
+        points: `seen` is over the training shots, in their order.
+        near, far: depth bounds.
+        paper: grey value in [0, 1] behind transparent photos.
+
+    Raises:
+        UserError: a shot or a bound is invalid.
+    """
     from framework.scenes.placement import placement
     from framework.types import Scene, TrainingSet
 
@@ -232,6 +251,6 @@ def assemble(
     paper = paper if any(shot.clear for shot in train) else None
     training = TrainingSet(name, tuple(map(_view, train)), _points(points), near, far, paper)
     fingerprint = _fingerprint(protocol, train, test, points, (float(near), float(far)), paper)
-    found = placement(_centers(test), _centers(train))
-    tagged = [s if s.tags else replace(s, tags=t) for s, t in zip(test, found, strict=True)]
+    tags = placement(_centers(test), _centers(train))
+    tagged = [s if s.tags else replace(s, tags=tag) for s, tag in zip(test, tags, strict=True)]
     return Scene(name, protocol, training, tuple(map(_view, tagged)), fingerprint)

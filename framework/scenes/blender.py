@@ -1,13 +1,12 @@
 """`scene=blender`: a rendered object in the layout of NeRF's synthetic data set (Mildenhall et al.
-2020): `transforms_train.json` and `transforms_test.json` with their PNG files, each as
-`scene=transforms` reads one. Transparent photos are laid on white, as papers do; near and far are
-NeRF's.
+2020): `transforms_train.json` and `transforms_test.json` with PNG files, see `scene=transforms`.
 
-Without test views (`split=none`) `transforms_test.json` may be missing.
+Transparent photos are composited over white, as in papers; near and far are NeRF's. Without test
+views (`split=none`) `transforms_test.json` may be missing.
 
 `split=blender` is the literature's choice of few views (see `splits`), counted in the order of the
-files. `split=file` is for objects of your own: what the one file lists trains, evenly spaced, and
-all of the other tests.
+files. `split=file` is for your own objects: training views are evenly spaced in the one file, and
+all photos of the other are test views.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ from framework.errors import require
 from framework.files.opened import is_file
 from framework.files.paths import inside
 from framework.scenes.options import check_choice, check_folder_options
-from framework.scenes.splits import BLENDER_FILES, FILES, protocol, told, untested
-from framework.scenes.transforms import PAPERS, shot
+from framework.scenes.splits import BLENDER_FILES, FILES, file_protocol, protocol, untested
+from framework.scenes.transforms import PAPERS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -47,7 +46,7 @@ class Blender:
     path: str  # folder of the scene
     n_views: int | str = 8  # training views; all = every one that is not for testing
     downscale: int = 2  # photos are reduced by it, averaging boxes of pixels; 2 = papers' 400x400
-    paper: str = "white"  # what transparent photos are laid on: white, black
+    paper: str = "white"  # background of transparent photos: white, black
     near: float = 2.0
     far: float = 6.0
     split: str = "blender"  # which views train and which test: blender, file; none = no test
@@ -58,10 +57,10 @@ class Blender:
         check_choice("blender", "paper", self.paper, tuple(PAPERS))
 
     def load(self) -> Scene:
-        """The scene. Raises UserError where files and photos do not hold what they must."""
+        """Load the scene. Raises UserError if files and photos do not fit together."""
         from framework.scenes.assemble import Tracks, assemble
         from framework.scenes.images import scene_folder
-        from framework.scenes.photo import check_memory
+        from framework.scenes.photo import read_shots
         from framework.scenes.transforms_file import read_in_order, with_photos
 
         folder = scene_folder("blender", self.path)
@@ -78,18 +77,15 @@ class Blender:
         frames = with_photos(folder / TRAINING, [*first, *second])
         missing = {*range(len(first) + len(second))} - {*frames}
         split = self._split(len(first), len(first) + len(second), missing, where)
-        check_memory([frames[i].file for i in (*split.train, *split.test)], self.downscale)
-        train, test = (
-            [shot(frames[i], self.paper, self.downscale) for i in part]
-            for part in (split.train, split.test)
-        )
-        bounds, paper = (self.near, self.far), PAPERS[self.paper] / 255
+        paper = PAPERS[self.paper]
+        train, test = read_shots(lambda i: frames[i].photo(), split, self.downscale, paper)
         name = folder.resolve().name
         _warn_of_depths([s.viewmat for s in (*train, *test)], self.near, self.far, str(folder))
-        return assemble(name, self.split, train, test, Tracks(), *bounds, paper)
+        bounds = self.near, self.far
+        return assemble(name, self.split, train, test, Tracks(), *bounds, paper / 255)
 
     def _split(self, training: int, images: int, missing: set[int], where: str) -> Split:
-        """Of all frames in their order, the first `training` of which the one file lists."""
+        """Split `images` frames, the first `training` of which are of the training file."""
         counts = (training, images - training)
         require(
             not self.split.startswith("blender") or counts == BLENDER_FILES,
@@ -98,7 +94,7 @@ class Blender:
         )
         names = [f"{i:06d}" for i in range(images)]
         rule = protocol(self.split) if self.split not in FILES else None
-        rule = rule or told(names, names[:training], names[training:], self.split)
+        rule = rule or file_protocol(names, names[:training], names[training:], self.split)
         return rule.split(names, self.n_views, where, missing)
 
 
@@ -107,8 +103,8 @@ def _warn_of_depths(
 ) -> None:
     """Log a warning if the point that the cameras look at lies outside the depth bounds.
 
-    It is the point with the least squared distances to all optical axes, which exists unless these
-    are almost parallel. Cameras that look away from it are not around an object.
+    It has the least squared distance to all optical axes, and exists unless these are almost
+    parallel. Cameras that look away from it do not surround an object.
     """
     import numpy as np
 

@@ -1,9 +1,8 @@
-"""What a camera may be, whatever file it is from: every loader has its poses and lenses checked
-here, and `assemble` where they stand together.
+"""Checks of cameras, for all loaders.
 
-A pose is a rigid motion; a lens sees: its focal lengths and principal point are of the order of its
-image. The limits are far beyond any camera; what lies outside comes from a damaged or forged file,
-and would end as a division by zero or as a number without a meaning in a report.
+A pose is a rigid motion. Focal lengths and principal point are of the order of the image. The
+limits exceed any real camera; values beyond them come from a damaged or forged file, and would
+cause a division by zero or meaningless numbers in a report.
 """
 
 from __future__ import annotations
@@ -23,18 +22,18 @@ if TYPE_CHECKING:
 
     from framework.scenes.lens import Lens
 
-NOT_ROTATION = 1e-3  # largest deviation of the axes' products from those of a rotation
+NOT_ROTATION = 1e-3  # largest deviation of R^T R from the identity
 NOT_UNIT = 1e-2  # largest deviation of a quaternion's length from 1; below, it is normalised
-FARTHEST = 1e9  # scene units, of whatever is in a scene: float32 has to hold its cube
+FARTHEST = 1e9  # scene units; float32 must hold its cube
 FOCAL = (0.01, 1000.0)  # focal lengths, over the longer side of the image
-OFF_CENTER = 10.0  # of the principal point from the image's middle, over the longer side
+OFF_CENTER = 10.0  # offset of the principal point from the middle, over the longer side
 BENT = 100.0  # largest coefficient of a lens distortion
-ROUNDED = 0.5  # pixels by which float32 may round a place that is seen
-ASTRAY = 1000.0  # times the rig's size and the far bound: from there nothing is seen
+ROUNDED = 0.5  # pixels; largest error of a visible point in float32
+ASTRAY = 1000.0  # times the rig's size and the far bound; farther cameras see nothing
 
 
 def checked_pose(viewmat: NDArray[np.float64], where: str) -> NDArray[np.float64]:
-    """The [4, 4] world-to-camera. Raises UserError unless it is a rotation and a near place."""
+    """Return the [4, 4] world-to-camera. Raises UserError unless it is a rigid motion."""
     require(
         bool(np.isfinite(viewmat).all()),
         f"{where}: expected a finite pose, got NaN or infinity; correct it or remove the photo",
@@ -59,7 +58,7 @@ def checked_pose(viewmat: NDArray[np.float64], where: str) -> NDArray[np.float64
 
 
 def check_quaternion(quaternion: Sequence[float], where: str) -> None:
-    """Raise UserError unless the four numbers have a length of about 1."""
+    """Raise UserError unless the quaternion has a length of about 1."""
     length = math.hypot(*quaternion)
     require(
         abs(length - 1.0) <= NOT_UNIT,  # false for NaN too
@@ -69,7 +68,7 @@ def check_quaternion(quaternion: Sequence[float], where: str) -> None:
 
 
 def checked_lens(lens: Lens, where: str) -> Lens:
-    """The lens. Raises UserError for one that no photo is taken with."""
+    """Return the lens. Raises UserError for an impossible one."""
     numbers = (lens.fx, lens.fy, lens.cx, lens.cy, *astuple(lens.distortion))
     sides = f"{lens.width}x{lens.height}"
     require(
@@ -102,13 +101,13 @@ def checked_lens(lens: Lens, where: str) -> Lens:
 
 
 def near_points(xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """[M] whether each of the [M, 3] points is finite and within `FARTHEST` of the origin."""
+    """[M] whether each point [M, 3] is finite and within `FARTHEST` of the origin."""
     near: NDArray[np.bool_] = np.all(np.abs(xyz) <= FARTHEST, axis=1)
     return near
 
 
 def check_bounds(near: float, far: float, where: str) -> None:
-    """Raise UserError unless these are depths of a scene."""
+    """Raise UserError for invalid depth bounds."""
     require(
         1 / FARTHEST <= near < far <= FARTHEST,
         f"{where}: expected depth bounds {1 / FARTHEST:g} <= near < far <= {FARTHEST:g}, got"
@@ -119,9 +118,12 @@ def check_bounds(near: float, far: float, where: str) -> None:
 def check_places(
     centers: NDArray[np.float64], names: Sequence[str], far: float, where: str
 ) -> None:
-    """Raise UserError for a camera that stands out of sight of all others: a wrong position of a
-    test view would enter the mean of every method. centers: [n, 3]. The rig's size is the median
-    distance to the median place, which one wrong position does not move."""
+    """Raise UserError for a camera far from all others: a test view with a wrong position would
+    distort the mean of every method.
+
+    The rig's size is the median distance to the median position, which is robust to one wrong
+    position. centers: [n, 3].
+    """
     away = np.linalg.norm(centers - np.median(centers, axis=0), axis=1)
     most = ASTRAY * (float(np.median(away)) + far)
     farthest = int(away.argmax())
@@ -140,16 +142,24 @@ def _few(numbers: Sequence[float]) -> str:
 def check_rounding(
     centers: NDArray[np.float64], focal: float, near: float, far: float, where: str
 ) -> None:
-    """Raise UserError for a scene so far from the origin that float32, in which Gaussians are kept,
-    rounds what its cameras see: geographic coordinates, for instance. centers: [n, 3] of the
-    cameras. focal: the longest focal length in pixels."""
+    """Raise UserError for a scene so far from the origin that float32 is too coarse for it, as with
+    geographic coordinates.
+
+    Args:
+        centers: [n, 3] of the cameras.
+        focal: longest focal length in pixels.
+        near, far: depth bounds.
+        where: starts a message.
+    """
     places = np.abs(centers).max(axis=1) + min(near, far)
     away = float(places.max())
     pixels = away * float(np.finfo(np.float32).eps) * focal / near
     median = np.median(centers, axis=0)
     middle = ", ".join(f"{value:.6g}" for value in median)
     hint = f"subtract ({middle}) from all positions and points"
-    if 2 * float(np.abs(median).max()) < away:  # the scene is there, and something very near to it
+    if (
+        2 * float(np.abs(median).max()) < away
+    ):  # the scene is near the origin, but too close to a camera
         hint = "raise the near bound or scene.downscale"
     require(
         pixels <= ROUNDED,

@@ -1,20 +1,19 @@
 """`scene=colmap`: photos and a COLMAP sparse model (bin or txt).
 
-Of several models (`sparse/0`, `sparse/1`, `sparse`, nerfstudio's `colmap/sparse/0`) the one that
-has poses for most of the photos is used. Photos without a pose, and poses without a photo, are left
+Among several models (`sparse/0`, `sparse/1`, `sparse`, nerfstudio's `colmap/sparse/0`), the one
+with poses for most of the photos is used. Photos without a pose and poses without a photo are left
 out.
 
-Cameras: PINHOLE, SIMPLE_PINHOLE, and SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV (their photos are
-undistorted to a pinhole of the same focal lengths; pixels that the lens did not see get mask 0).
-Photos may have any size of the model's proportions, rounded (`images_4`); K is scaled by the exact
-ratio of the sizes. Near and far are the 0.1 and 99.9 percentiles, as in LLFF, of the depths at
-which the training views see points; see `points` for models without points or tracks. Pixels that
-are black in `masks/`, or transparent, do not count.
+Cameras: PINHOLE, SIMPLE_PINHOLE, and SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV, whose photos are
+undistorted to a pinhole of the same focal lengths (pixels outside the photo get mask 0). Photos may
+have any size of the model's proportions, rounded (`images_4`). Near and far are the 0.1 and 99.9
+percentiles, as in LLFF, of the depths of points in the training views; `points` handles models
+without points or tracks. Pixels that are black in `masks/`, or transparent, do not count.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,7 +48,7 @@ class Colmap:
         check_folder_options("colmap", self)
 
     def load(self) -> Scene:
-        """The scene. Raises UserError where folder, model and photos do not fit together."""
+        """Load the scene. Raises UserError if folder, model and photos do not fit together."""
         from framework.scenes.images import scene_folder
 
         folder = scene_folder("colmap", self.path)
@@ -71,11 +70,10 @@ def load_colmap(
         masks: the folder that has `masks/`; default `folder`.
     """
     from framework.scenes.assemble import assemble
-    from framework.scenes.conventions import decoded_all
-    from framework.scenes.formats import find_photo
+    from framework.scenes.conventions import decoded_as
     from framework.scenes.listed import find_photos, warn_unplaced
     from framework.scenes.masks import find_masks
-    from framework.scenes.photo import check_memory, photo_shot
+    from framework.scenes.photo import Photo, read_shots
     from framework.scenes.points import points_and_bounds
 
     require(
@@ -84,46 +82,33 @@ def load_colmap(
         " scene.images",
     )
     model = _model(folder, photos, options.model)
-    model = replace(model, viewmats=decoded_all(model.viewmats, Colmap.poses, options.poses))
     where = f"scene={loader}: {folder}"
-    files = find_photos([find_photo(photos, image) for image in model.names], where)
+    files = find_photos(photos, model.names, where)
     warn_unplaced(photos, files.values())
-    names = [model.names[i] for i in files]
+    names, lenses = [model.names[i] for i in files], [model.lenses[i] for i in files]
+    viewmats = [decoded_as(model.viewmats[i], Colmap.poses, options.poses) for i in files]
+    masked = find_masks(masks or folder, photos.name, names)
+    listed = [*map(Photo, files.values(), names, lenses, viewmats, masked)]
     split = protocol(options.split).split(names, options.n_views, where)
-    placed = [*files]
-    train, test = ([placed[k] for k in part] for part in (split.train, split.test))
-    check_memory([files[i] for i in (*train, *test)], options.downscale)
-    found = find_masks(masks or folder, photos.name, names)
-    mask_of = dict(zip(files, found, strict=True))
-    training, testing = (
-        [
-            photo_shot(
-                files[i],
-                model.names[i],
-                model.lenses[i],
-                model.viewmats[i],
-                options.downscale,
-                mask_of[i],
-            )
-            for i in part
-        ]
-        for part in (train, test)
-    )
+    train, test = read_shots(listed.__getitem__, split, options.downscale)
     tracks, near, far = points_and_bounds(
-        model.tracks, model.viewmats, train, training, options.near, options.far, where
+        model.tracks.of_images([*files]),
+        viewmats,
+        split.train,
+        train,
+        options.near,
+        options.far,
+        where,
     )
-    called = folder.resolve().name if name is None else name
-    return assemble(called, options.split, training, testing, tracks, near, far)
+    name = name or folder.resolve().name
+    return assemble(name, options.split, train, test, tracks, near, far)
 
 
 def _model(folder: Path, photos: Path, option: str) -> Model:
     from framework.scenes.colmap_model import choose_model
-    from framework.scenes.formats import find_photo
     from framework.scenes.listed import match_photos
 
-    chosen = choose_model(
-        folder, option, lambda m: len(match_photos([find_photo(photos, n) for n in m.names]))
-    )
+    chosen = choose_model(folder, option, lambda model: len(match_photos(photos, model.names)))
     if chosen is None:
         raise UserError(
             f"{folder}: expected a COLMAP model in sparse/0 or sparse (cameras, images, points3D as"

@@ -1,125 +1,170 @@
-"""Whether the files of a COLMAP model are whole and refer to each other rightly.
+"""Strict reader of a COLMAP sparse model, whose files may come from strangers.
 
-Layout of the binaries (COLMAP's documentation, "Output format"; little-endian): each file opens
-with a uint64 count. cameras: id int32, model int32, width and height uint64, the model's float64
-parameters. images: id int32, quaternion and translation 7 float64, camera id int32, name ended by
-0, uint64 n, n x (x, y float64, point id int64). points3D: id uint64, xyz 3 float64, rgb 3 uint8,
-error float64, uint64 n, n x (image id int32, point index int32).
+The layouts are in COLMAP's documentation, "Output format".
+
+Binary, little-endian; each file starts with a uint64 count:
+
+    cameras   id int32, model int32, width and height uint64, the model's float64 parameters
+    images    id int32, quaternion and translation 7 float64, camera id int32, name ended by 0,
+              uint64 n, n x (x, y float64, point id int64)
+    points3D  id uint64, xyz 3 float64, rgb 3 uint8, error float64, uint64 n,
+              n x (image id int32, index int32 of that image's n)
+
+Text, where `#` starts a comment; an image is two lines, of which the second may be empty:
+
+    cameras   id, model, width, height, parameters
+    images    id, quaternion, translation, camera id, name
+              x, y, point id, ...
+    points3D  id, xyz, rgb, error, track
+
+Rigs and frames of newer models repeat the poses and are not read.
 """
 
 from __future__ import annotations
 
 import logging
+import re
 import struct
+from array import array
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from framework.errors import UserError, require
-from framework.files.limits import MODEL_BYTES
-from framework.files.opened import is_file, read_bytes
+from framework.files.limits import MODEL_BYTES, MODEL_CELLS
+from framework.files.opened import is_file, read_bytes, read_text
 from framework.files.paths import inside
-from framework.scenes.cameras import check_quaternion
-from framework.scenes.colmap_text import check_text
+from framework.scenes.assemble import Tracks
+from framework.scenes.cameras import check_quaternion, near_points
 
 log = logging.getLogger(__name__)
 
-PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4)  # by COLMAP's camera model id
 STEMS = ("cameras", "images", "points3D")
+MODELS = {  # camera model -> number of its parameters, in the order of COLMAP's ids
+    **{"SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8},
+    **{"OPENCV_FISHEYE": 8, "FULL_OPENCV": 12, "FOV": 5, "SIMPLE_RADIAL_FISHEYE": 4},
+    **{"RADIAL_FISHEYE": 5, "THIN_PRISM_FISHEYE": 12, "RAD_TAN_THIN_PRISM_FISHEYE": 16},
+    **{"SIMPLE_DIVISION": 4, "DIVISION": 5, "SIMPLE_FISHEYE": 3, "FISHEYE": 4},
+}
+DAMAGED = "the file is damaged; copy it again or rebuild the model"
 
 
-class _Reader:
-    """Walks a binary file; whatever lies outside it raises UserError."""
+class Camera(NamedTuple):
+    """A camera as it is written; see `colmap_model` for the order of `params`."""
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.data, self.at = path, read_bytes(path, MODEL_BYTES), 0
-
-    def take(self, layout: str) -> tuple:
-        """The values of a struct layout at the current place."""
-        start = self.at
-        self.skip(struct.calcsize(layout))
-        return struct.unpack_from(layout, self.data, start)
-
-    def skip(self, n: int) -> None:
-        """Move n bytes on."""
-        if self.at + n > len(self.data):
-            raise UserError(
-                f"{self.path}: expected at least {self.at + n} bytes, got {len(self.data)}: the"
-                " file is truncated or damaged; copy it again or rebuild the model"
-            )
-        self.at += n
-
-    def text(self) -> str:
-        """A string ended by a zero byte."""
-        end = self.data.find(b"\0", self.at)
-        name = self.data[self.at : max(end, self.at)]
-        self.skip(max(end + 1 - self.at, 0) or len(self.data) + 1)
-        try:
-            return name.decode("utf-8")
-        except UnicodeDecodeError:
-            raise UserError(
-                f"{self.path}: expected image names in UTF-8, got {name[:60]!r}; rename the image"
-                " or rebuild the model"
-            ) from None
-
-    def finish(self) -> None:
-        """Nothing may follow the last record."""
-        rest = len(self.data) - self.at
-        require(rest == 0, f"{self.path}: expected its end, got {rest} more bytes; it is damaged")
+    id: int
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
 
 
-def _cameras(path: Path) -> set[int]:
-    reader, ids = _Reader(path), set()
-    for _ in range(reader.take("<Q")[0]):
-        camera, model, _, _ = reader.take("<iiQQ")
-        require(
-            0 <= model < len(PARAMETERS),
-            f"{path}: expected a camera model id from 0 to {len(PARAMETERS) - 1}, got {model};"
-            " the file is damaged or newer than this reader",
-        )
-        reader.skip(8 * PARAMETERS[model])
-        require(
-            camera not in ids, f"{path}: expected each camera once, got {camera} twice; rebuild it"
-        )
-        ids.add(camera)
-    reader.finish()
-    return ids
+class Image(NamedTuple):
+    """A registered image. pose: quaternion wxyz and translation, world-to-camera. points: number
+    of its 2D points."""
+
+    id: int
+    pose: tuple[float, ...]
+    camera: int
+    name: str
+    points: int
 
 
-def _images(path: Path, cameras: set[int]) -> dict[int, int]:
-    """image id -> number of its 2D points."""
-    reader, points, names = _Reader(path), {}, set()
-    for _ in range(reader.take("<Q")[0]):
-        image, *pose = reader.take("<i7d")
-        (camera,) = reader.take("<i")
-        name = reader.text()
-        (n,) = reader.take("<Q")
-        reader.skip(24 * n)
-        require(
-            camera in cameras and image not in points and name not in names,
-            f"{path}: expected image '{name[:80]}' to be listed once with a camera of cameras.bin,"
-            f" got id {image} with camera {camera}; rebuild the model",
-        )
-        check_quaternion(pose[:4], f"{path}: image '{name[:80]}'")
-        points[image] = n
-        names.add(name)
-    reader.finish()
-    return points
+class Point(NamedTuple):
+    """A 3D point. track: [n, 2] image id, and index of the image's 2D point."""
+
+    id: int
+    xyz: tuple[float, ...]
+    rgb: tuple[int, ...]
+    track: NDArray[np.int64]
 
 
-def _points(path: Path, images: dict[int, int]) -> None:
-    reader, ids = _Reader(path), set()
-    for _ in range(reader.take("<Q")[0]):
-        point = reader.take("<Q3d3Bd")[0]
-        (n,) = reader.take("<Q")
-        start = reader.at
-        reader.skip(8 * n)
-        track = struct.iter_unpack("<ii", reader.data[start : reader.at])
-        require(
-            point not in ids and all(0 <= i < images.get(image, 0) for image, i in track),
-            f"{path}: expected each point once, with a track of images in images.bin, got"
-            f" otherwise for point {point}; rebuild the model",
-        )
-        ids.add(point)
-    reader.finish()
+class Files(NamedTuple):
+    """A model's cameras by id, its images sorted by name, and its points."""
+
+    cameras: dict[int, Camera]
+    images: list[Image]
+    tracks: Tracks
+
+
+def read_files(folder: Path) -> Files:
+    """Read the model in `folder`; one of known poses may lack `points3D`.
+
+    Raises:
+        UserError: a file is missing or damaged.
+    """
+    files = _files(folder)
+    readers = [_Binary(file) if file.suffix == ".bin" else _Text(file) for file in files]
+    cameras: dict[int, Camera] = {}
+    for camera in readers[0].cameras():
+        _check(camera.id not in cameras, readers[0], "each camera once", camera.id)
+        cameras[camera.id] = camera
+    images: dict[int, Image] = {}
+    names: set[str] = set()
+    for image in readers[1].images():
+        once = image.id not in images and image.name not in names
+        expected = "each image once, with a camera that is listed"
+        _check(once and image.camera in cameras, readers[1], expected, image.name[:80])
+        check_quaternion(image.pose[:4], f"{files[1]}: image '{image.name[:80]}'")
+        images[image.id] = image
+        names.add(image.name)
+    in_order = sorted(images.values(), key=lambda image: image.name)
+    tracks = _tracks(readers[2], in_order) if len(readers) == len(STEMS) else Tracks()
+    return Files(cameras, in_order, tracks)
+
+
+def _tracks(reader: _Binary | _Text, images: Sequence[Image]) -> Tracks:
+    """The points in the order of their ids, collected in few bytes per point."""
+    n_points = {image.id: image.points for image in images}
+    column = {image.id: k for k, image in enumerate(images)}
+    ids: dict[int, int] = {}  # point id -> row
+    xyz, rgb, lengths, columns = array("d"), bytearray(), array("q"), array("q")
+    for point in reader.points():
+        image_ids, indices = point.track.T.tolist()
+        pairs = zip(image_ids, indices, strict=True)
+        listed = all(0 <= index < n_points.get(i, 0) for i, index in pairs)
+        expected = "each point once, with a track of listed images"
+        _check(listed and point.id not in ids, reader, expected, point.id)
+        ids[point.id] = len(ids)
+        xyz.extend(point.xyz)
+        rgb.extend(point.rgb)
+        lengths.append(len(image_ids))
+        columns.extend(column[i] for i in image_ids)
+    cells = len(ids) * len(images)
+    require(
+        cells <= MODEL_CELLS,
+        f"{reader.where}: expected at most {MODEL_CELLS:,} points x images, got {cells:,}; filter"
+        " the points or split the model",
+    )
+    seen = np.zeros((len(ids), len(images)), dtype=bool)
+    seen[np.repeat(np.arange(len(ids)), np.array(lengths)), np.array(columns)] = True
+    places, colours = np.array(xyz).reshape(-1, 3), np.frombuffer(rgb, np.uint8).reshape(-1, 3)
+    order = np.array([ids[i] for i in sorted(ids)], np.intp)
+    order = order[near_points(places[order])]
+    return Tracks(places[order], colours[order], seen[order])
+
+
+def _files(folder: Path) -> list[Path]:
+    """The files of the model, all of one suffix."""
+    for suffix in _order(folder):
+        files = [folder / f"{stem}{suffix}" for stem in STEMS]
+        missing = [file.name for file in files[:2] if not is_file(file)]
+        if not missing:
+            break
+    if not is_file(files[2]):
+        other = files[2].with_suffix(".txt" if suffix == ".bin" else ".bin")
+        missing += [files[2].name] if missing or is_file(other) else []
+        files = files[:2]
+    require(
+        not missing,
+        f"{folder}: expected cameras, images and points3D as .bin or .txt, missing"
+        f" {', '.join(missing)}; copy the whole model",
+    )
+    return [inside(folder, file.name) for file in files]
 
 
 def _order(folder: Path) -> tuple[str, str]:
@@ -139,35 +184,152 @@ def _order(folder: Path) -> tuple[str, str]:
     return ".txt", ".bin"
 
 
-def check(folder: Path) -> tuple[list[Path], dict[int, str]]:
-    """Check the files of a model; a model of known poses may lack `points3D`.
+def _check(good: bool, reader: _Binary | _Text, expected: str, got: object) -> None:
+    require(good, f"{reader.where}: expected {expected}, got '{got}'; {DAMAGED}")
 
-    Returns:
-        The cameras, images and points3D files that exist, as .bin or .txt, of both the newer ones;
-        and, of text files, the names of the images by id.
 
-    Raises:
-        UserError: a file is missing or damaged.
-    """
-    for suffix in _order(folder):
-        files = [folder / f"{stem}{suffix}" for stem in STEMS]
-        missing = [file.name for file in files[:2] if not is_file(file)]
-        if not missing:
-            break
-    other = f"points3D{'.txt' if suffix == '.bin' else '.bin'}"
-    if not is_file(files[2]):
-        missing += [files[2].name] if missing or is_file(folder / other) else []
-        files = files[:2]
-    require(
-        not missing,
-        f"{folder}: expected cameras, images and points3D as .bin or .txt, missing"
-        f" {', '.join(missing)}; copy the whole model",
-    )
-    for file in files:
-        inside(folder, file.name)
-    if suffix == ".txt":
-        return files, check_text(files)
-    images = _images(files[1], _cameras(files[0]))
-    if len(files) == len(STEMS):
-        _points(files[2], images)
-    return files, {}
+class _Binary:
+    """Reads a binary file; a record that reaches beyond its end raises UserError."""
+
+    def __init__(self, path: Path) -> None:
+        self.where, self.data, self.at = str(path), read_bytes(path, MODEL_BYTES), 0
+
+    def cameras(self) -> Iterator[Camera]:
+        for _ in range(self._take("<Q")[0]):
+            camera, model, width, height = self._take("<iiQQ")
+            _check(0 <= model < len(MODELS), self, f"a camera model id below {len(MODELS)}", model)
+            name = [*MODELS][model]
+            yield Camera(camera, name, width, height, self._take(f"<{MODELS[name]}d"))
+        self._finish()
+
+    def images(self) -> Iterator[Image]:
+        for _ in range(self._take("<Q")[0]):
+            number, *pose = self._take("<i7d")
+            (camera,) = self._take("<i")
+            name = self._text()
+            (n,) = self._take("<Q")
+            self._skip(24 * n)
+            yield Image(number, tuple(pose), camera, name, n)
+        self._finish()
+
+    def points(self) -> Iterator[Point]:
+        for _ in range(self._take("<Q")[0]):
+            number, x, y, z, red, green, blue, _, n = self._take("<Q3d3BdQ")
+            start = self.at
+            self._skip(8 * n)
+            track = np.frombuffer(self.data, "<i4", 2 * n, start).reshape(-1, 2)
+            yield Point(number, (x, y, z), (red, green, blue), track)
+        self._finish()
+
+    def _take(self, layout: str) -> tuple:
+        """The values of a struct layout."""
+        start = self.at
+        self._skip(struct.calcsize(layout))
+        return struct.unpack_from(layout, self.data, start)
+
+    def _skip(self, n: int) -> None:
+        end = self.at + n
+        require(
+            end <= len(self.data),
+            f"{self.where}: expected at least {end} bytes, got {len(self.data)}: the file is"
+            " truncated or damaged; copy it again or rebuild the model",
+        )
+        self.at = end
+
+    def _text(self) -> str:
+        """A string that ends with a zero byte."""
+        end = self.data.find(b"\0", self.at)
+        name = self.data[self.at : max(end, self.at)]
+        self._skip(end + 1 - self.at if end >= 0 else len(self.data) + 1)
+        try:
+            return name.decode("utf-8")
+        except UnicodeDecodeError:
+            raise UserError(
+                f"{self.where}: expected image names in UTF-8, got {name[:60]!r}; rename the image"
+                " or rebuild the model"
+            ) from None
+
+    def _finish(self) -> None:
+        rest = len(self.data) - self.at
+        require(rest == 0, f"{self.where}: expected its end, got {rest} more bytes; {DAMAGED}")
+
+
+class _Text:
+    """Reads a text file; `where` also names the line."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = self.where = str(path)
+        text = read_text(path, MODEL_BYTES)
+        self.lines = text.replace("\r\n", "\n").removesuffix("\n").split("\n")
+        if text and not text.endswith("\n"):
+            log.warning(
+                f"{path}: the last line has no newline; if the file is truncated, copy it again,"
+                " else add one"
+            )
+
+    def cameras(self) -> Iterator[Camera]:
+        for line in self._records("cameras"):
+            with self._damage(line):
+                number, model, width, height, *params = line.split()
+                camera = Camera(int(number), model, int(width), int(height), _floats(params))
+            yield camera
+
+    def images(self) -> Iterator[Image]:
+        lines = self._records("images", paired=True)
+        for line in lines:
+            with self._damage(line):
+                *words, name = line.split(maxsplit=9)
+                number, *pose, camera = words
+                if len(pose) != 7:
+                    raise ValueError("expected a pose of 7 numbers")
+                image = Image(int(number), _floats(pose), int(camera), name.rstrip(), 0)
+            triples = next(lines, "missing").split()
+            with self._damage(" ".join(triples[:12])):
+                x, y, points = (triples[k::3] for k in range(3))
+                if not len(_floats(x)) == len(_floats(y)) == len([*map(int, points)]):
+                    raise ValueError("expected triples of x, y and point id")
+            yield image._replace(points=len(points))
+
+    def points(self) -> Iterator[Point]:
+        for line in self._records("points"):
+            with self._damage(line):
+                number, x, y, z, red, green, blue, error, *track = line.split()
+                float(error)
+                rgb = tuple(bytes((int(red), int(green), int(blue))))
+                ids = np.array([int(word) for word in track], np.int64)
+                point = Point(int(number), _floats((x, y, z)), rgb, ids.reshape(-1, 2))
+            yield point
+
+    def _records(self, noun: str, paired: bool = False) -> Iterator[str]:
+        """The lines that are no comments; blank ones only as the second line of a pair. There must
+        be as many records as the header says, if it does."""
+        count = 0
+        for number, line in enumerate(self.lines, start=1):
+            if line.startswith("#") or not (line.strip() or (paired and count % 2)):
+                continue
+            count += 1
+            self.where = f"{self.path}: line {number}"
+            yield line
+        header = re.search(rf"^# Number of {noun}: (\d{{1,18}})", "\n".join(self.lines[:5]), re.M)
+        records = -(-count // 2) if paired else count
+        expected = int(header[1]) if header else records
+        require(
+            records == expected,
+            f"{self.path}: expected {expected} records, got {records}; the file is truncated or"
+            " damaged; copy it again or rebuild the model",
+        )
+
+    @contextmanager
+    def _damage(self, line: str) -> Iterator[None]:
+        """Raise UserError if the line does not hold the values that its record has."""
+        try:
+            yield
+        except (ValueError, OverflowError) as error:
+            raise UserError(
+                f"{self.where}: expected the values of COLMAP's format, got '{line[:80]}'"
+                f" ({str(error)[:80]}); {DAMAGED}"
+            ) from None
+
+
+def _floats(words: Sequence[str]) -> tuple[float, ...]:
+    return tuple(map(float, words))

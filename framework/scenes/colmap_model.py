@@ -1,32 +1,22 @@
-"""A COLMAP sparse model (bin or txt) as arrays, read by pycolmap after its files were checked.
-
-pycolmap 4.0 reads past the end of truncated binaries (a cut cameras.bin gives wrong numbers, a cut
-points3D.bin never ends), hence `colmap_files.check`.
-"""
+"""A COLMAP sparse model as lenses, poses and tracks, and the choice among several models."""
 
 from __future__ import annotations
 
 import logging
-import signal
-import tempfile
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from framework.errors import UserError, require
-from framework.files.limits import MODEL_BYTES, MODEL_CELLS
-from framework.files.opened import is_file, read_bytes
+from framework.files.opened import is_file
 from framework.files.paths import inside
-from framework.scenes import colmap_files
 from framework.scenes.assemble import Tracks, untracked
-from framework.scenes.cameras import checked_lens, checked_pose, near_points
-from framework.scenes.colmap_text import read_lines
+from framework.scenes.cameras import checked_lens, checked_pose
+from framework.scenes.colmap_files import MODELS, Camera, read_files
 from framework.scenes.lens import Distortion, Lens
 from framework.scenes.options import AUTO
 from framework.scenes.ply_vertices import read_coloured
@@ -34,6 +24,7 @@ from framework.scenes.ply_vertices import read_coloured
 log = logging.getLogger(__name__)
 
 PLY = "points3D.ply"  # written in place of points3D.bin by MASt3R's and other exports
+ROUNDED = 1e-12  # deviation of a unit quaternion's length by rounding
 SUPPORTED = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 
 
@@ -103,110 +94,53 @@ def choose_model(
     return best, models[best]
 
 
-def _lens(camera: Any, where: Path) -> Lens:
-    """The lens of a pycolmap camera. Raises UserError for a model that is not supported."""
-    name = camera.model.name
-    require(
-        name in SUPPORTED,
-        f"{where}: expected a camera model among {', '.join(SUPPORTED)}, got {name} (camera"
-        f" {camera.camera_id}); undistort with `colmap image_undistorter` first",
-    )
-    p = [float(v) for v in camera.params]
-    two_focals = name in ("PINHOLE", "OPENCV", "FULL_OPENCV")
-    fx, fy, cx, cy = p[:4] if two_focals else (p[0], p[0], p[1], p[2])
-    # after these come the model's coefficients, in the order of Distortion's fields
-    distortion = Distortion(*p[4 if two_focals else 3 :])
-    lens = Lens(camera.width, camera.height, fx, fy, cx, cy, distortion)
-    return checked_lens(lens, f"{where}: camera {camera.camera_id}")
-
-
-def _viewmat(image: Any, where: Path) -> NDArray[np.float64]:
-    viewmat = np.eye(4)
-    viewmat[:3] = np.asarray(image.cam_from_world().matrix(), dtype=np.float64)
-    return checked_pose(viewmat, f"{where}: image {image.name}")
-
-
-def _tracks(points: dict[int, Any], column: dict[int, int], where: Path) -> Tracks:
-    """column: image id -> index of its sorted name. Points in the order of their ids."""
-    ids = sorted(points)
-    cells = len(ids) * len(column)
-    require(
-        cells <= MODEL_CELLS,
-        f"{where}: expected at most {MODEL_CELLS:,} points x images, got {cells:,}; filter the"
-        " points or split the model",
-    )
-    seen = np.zeros((len(ids), len(column)), dtype=bool)
-    for row, point_id in enumerate(ids):
-        for element in points[point_id].track.elements:
-            seen[row, column[element.image_id]] = True
-    xyz = np.array([points[i].xyz for i in ids], dtype=np.float64).reshape(-1, 3)
-    rgb = np.array([points[i].color for i in ids], dtype=np.uint8).reshape(-1, 3)
-    good = near_points(xyz)
-    return Tracks(xyz[good], rgb[good], seen[good])
-
-
-def _pycolmap() -> Any:
-    """The module, without the handler it installs: a run that is told to end, as by a cluster's
-    time limit, would print the stack of its C++ code."""
-    before = signal.getsignal(signal.SIGTERM)
-    import pycolmap
-
-    if threading.current_thread() is threading.main_thread():  # no other one may
-        signal.signal(signal.SIGTERM, before)
-    return pycolmap
-
-
-@contextmanager
-def _quiet(pycolmap: Any) -> Iterator[None]:
-    """Keep pycolmap's own log lines off the screen: the UserError says it in one."""
-    before = pycolmap.logging.minloglevel
-    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
-    try:
-        yield
-    finally:
-        pycolmap.logging.minloglevel = before
-
-
-def _reconstruction(folder: Path) -> Any:
-    """pycolmap's reading of the checked cameras, images and points3D. Newer models also have rigs
-    and frames, which repeat the poses and cannot be checked: a copy without them is read."""
-    files, names = colmap_files.check(folder)
-    pycolmap = _pycolmap()
-    with tempfile.TemporaryDirectory() as copy, _quiet(pycolmap):
-        for file in files:
-            text = names and read_lines(file)  # pycolmap reads no byte order mark
-            content = text.encode() if text else read_bytes(file, MODEL_BYTES)
-            (Path(copy) / file.name).write_bytes(content)
-        if len(files) < len(colmap_files.STEMS):
-            binary = files[0].suffix == ".bin"
-            (Path(copy) / f"points3D{files[0].suffix}").write_bytes(bytes(8) if binary else b"")
-        try:
-            model = pycolmap.Reconstruction(copy)
-        except (ValueError, IndexError, RuntimeError, OSError, KeyError) as error:
-            reason = " ".join(str(error).split())[:120]
-            raise UserError(
-                f"{folder}: expected a readable COLMAP model, got damaged files ({reason});"
-                " rebuild it"
-            ) from None
-    for image, name in names.items():
-        model.image(image).name = name
-    return model
-
-
 def read_model(folder: Path) -> Model:
-    """The model in `folder`. Raises UserError for missing, damaged or unsupported files."""
-    model = _reconstruction(folder)
-    images = sorted((model.image(i) for i in model.reg_image_ids()), key=lambda image: image.name)
+    """Read the model in `folder`. Raises UserError for missing, damaged or unsupported files."""
+    cameras, images, tracks = read_files(folder)
     require(len(images) > 0, f"{folder}: expected images with poses, got none; rebuild the model")
-    used = {image.camera_id for image in images}  # another may be of a kind that is not read
-    lenses = {i: _lens(camera, folder) for i, camera in model.cameras.items() if i in used}
-    tracks = _tracks(dict(model.points3D), {im.image_id: k for k, im in enumerate(images)}, folder)
+    used = {image.camera for image in images}  # others may have models that are not supported
+    lenses = {i: _lens(cameras[i], folder) for i in used}
     if not len(tracks.xyz) and is_file(folder / PLY):
-        xyz, rgb = read_coloured(inside(folder, PLY))
-        tracks = untracked(xyz, rgb, len(images))
+        tracks = untracked(*read_coloured(inside(folder, PLY)), len(images))
     return Model(
         names=[image.name for image in images],
-        lenses=[lenses[image.camera_id] for image in images],
-        viewmats=[_viewmat(image, folder) for image in images],
+        lenses=[lenses[image.camera] for image in images],
+        viewmats=[_viewmat(image.pose, f"{folder}: image {image.name}") for image in images],
         tracks=tracks,
     )
+
+
+def _lens(camera: Camera, folder: Path) -> Lens:
+    where = f"{folder}: camera {camera.id}"
+    require(
+        camera.model in SUPPORTED,
+        f"{where}: expected a camera model among {', '.join(SUPPORTED)}, got {camera.model[:40]};"
+        " undistort with `colmap image_undistorter` first",
+    )
+    count = MODELS[camera.model]
+    require(
+        len(camera.params) == count,
+        f"{where}: expected {count} parameters, got {len(camera.params)}; rebuild the model",
+    )
+    two_focals = camera.model in ("PINHOLE", "OPENCV", "FULL_OPENCV")
+    # after focal lengths and principal point come coefficients in the order of Distortion's fields
+    fx, fy, cx, cy, *coefficients = (
+        camera.params if two_focals else camera.params[:1] + camera.params
+    )
+    lens = Lens(camera.width, camera.height, fx, fy, cx, cy, Distortion(*coefficients))
+    return checked_lens(lens, where)
+
+
+def _viewmat(pose: Sequence[float], where: str) -> NDArray[np.float64]:
+    """[4, 4] world-to-camera of a quaternion wxyz and a translation."""
+    length = math.hypot(*pose[:4])
+    scale = length if abs(length - 1) > ROUNDED else 1.0  # COLMAP uses unit quaternions as they are
+    w, x, y, z = (value / scale for value in pose[:4])
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    viewmat[:3, 3] = pose[4:]
+    return checked_pose(viewmat, where)

@@ -1,13 +1,12 @@
-"""How a file may write camera poses: `AXES_WAY`, for instance `opengl_c2w`.
+"""Conventions of camera poses in files: `AXES_WAY`, for instance `opengl_c2w`.
 
 Axes: `opencv` (x right, y down, z forward), `opengl` (x right, y up, z backward) or `llff` (x down,
-y right, z backward). Way: `c2w`, camera-to-world, or `w2c`, its inverse. Loaders decode poses under
-their layout's own convention; `scene.poses` decodes them under another one.
+y right, z backward). Way: `c2w`, camera-to-world, or `w2c`, its inverse. Loaders decode poses by
+their layout's convention; `scene.poses` chooses another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -27,27 +26,27 @@ AXES = {  # a vector in the file's camera axes -> in OpenCV's
 }
 
 
-def decoded_as(viewmat: NDArray[np.float64], own: str, other: str) -> NDArray[np.float64]:
-    """Decode under convention `other` a pose that was decoded under `own`.
+def decoded_as(viewmat: NDArray[np.float64], layout: str, other: str) -> NDArray[np.float64]:
+    """Decode under convention `other` a pose that was decoded under `layout`.
 
     Args:
-        viewmat: [4, 4] OpenCV world-to-camera, decoded under `own`.
-        own, other: two of `options.CONVENTIONS`.
+        viewmat: [4, 4] OpenCV world-to-camera, decoded under `layout`.
+        layout, other: two of `options.CONVENTIONS`.
 
     Returns:
         [4, 4] OpenCV world-to-camera.
     """
-    if own == other:
+    if layout == other:
         return viewmat
-    (axes, way), (new_axes, new_way) = own.split("_"), other.split("_")
+    (axes, way), (new_axes, new_way) = layout.split("_"), other.split("_")
     written = portable.product(_axes(axes).T, viewmat)  # the file's matrix as w2c
     if way != new_way:
         written = _inverse(written)
     return portable.product(_axes(new_axes), written)
 
 
-def repaired(training: TrainingSet, own: str, other: str) -> TrainingSet:
-    """The training set with its poses decoded under `other` instead of `own`."""
+def repaired(training: TrainingSet, layout: str, other: str) -> TrainingSet:
+    """The training set with its poses decoded under `other` instead of `layout`."""
     import torch
 
     views = [
@@ -55,19 +54,12 @@ def repaired(training: TrainingSet, own: str, other: str) -> TrainingSet:
             view,
             camera=replace(
                 view.camera,
-                viewmat=torch.from_numpy(decoded_as(view.camera.viewmat.numpy(), own, other)),
+                viewmat=torch.from_numpy(decoded_as(view.camera.viewmat.numpy(), layout, other)),
             ),
         )
         for view in training.views
     ]
     return replace(training, views=tuple(views))
-
-
-def decoded_all(
-    viewmats: Iterable[NDArray[np.float64]], own: str, other: str
-) -> list[NDArray[np.float64]]:
-    """`decoded_as` of every pose."""
-    return [decoded_as(viewmat, own, other) for viewmat in viewmats]
 
 
 def _axes(name: str) -> NDArray[np.float64]:
@@ -78,7 +70,7 @@ def _axes(name: str) -> NDArray[np.float64]:
 
 
 def _inverse(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of a rigid motion [4, 4]."""
+    """The inverse of a rigid motion [4, 4]."""
     inverse = np.eye(4)
     inverse[:3, :3] = pose[:3, :3].T
     inverse[:3, 3] = -portable.product(pose[:3, :3].T, pose[:3, 3])

@@ -19,7 +19,7 @@ from framework.scenes.formats import FORMAT_NAMES, FORMATS, pillow_formats, sign
 if TYPE_CHECKING:
     from PIL import Image
 
-_FILTERS = threading.Lock()  # of warnings are the process's, and threads read images
+_FILTERS = threading.Lock()  # threads read images, but warning filters are global
 EIGHT_BIT = {"1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr"}
 ORIENTATION = 0x0112  # EXIF tag
 TURNS: dict[int, str] = {  # EXIF orientation -> Pillow's transposition that makes a photo upright
@@ -27,16 +27,16 @@ TURNS: dict[int, str] = {  # EXIF orientation -> Pillow's transposition that mak
     **{6: "ROTATE_270", 7: "TRANSVERSE", 8: "ROTATE_90"},
 }
 SIDEWAYS = {5, 6, 7, 8}  # orientations that exchange width and height
-DARKEST = 16  # of 255: below it, all of a 16-bit photo is as dark as one of 12 bits
-DAMAGED = (OSError, SyntaxError, ValueError, EOFError)  # what Pillow raises; the last for HEIC
+DARKEST = 16  # of 255; a 16-bit photo below it probably has 12-bit values
+DAMAGED = (OSError, SyntaxError, ValueError, EOFError)  # raised by Pillow; the last for HEIC
 
 
 @contextmanager
 def opened(path: Path, most: int = IMAGE_PIXELS) -> Iterator[Image.Image]:
-    """Open an image and decode its header: it has at most `most` pixels, which also refuses a small
-    file that would unpack to a huge image. Whatever is wrong raises UserError.
+    """Open an image and decode its header. Raises UserError for whatever is wrong.
 
-    Pillow gets the bytes and not the file: of a file it allocates what a damaged length asks for.
+    Images of more than `most` pixels are refused, also small files that would unpack to them.
+    Pillow gets bytes, not the file: for a file it allocates whatever length a damaged header has.
     """
     from PIL import Image
 
@@ -106,14 +106,14 @@ def exif_of(image: Image.Image) -> Image.Exif:
 
 
 def _stored_size(image: Image.Image) -> tuple[int, int]:
-    """(width, height) as stored: newer versions of Pillow exchange them for a turned TIFF."""
+    """(width, height) as stored; newer versions of Pillow swap them for a turned TIFF."""
     tags = getattr(image, "tag_v2", None)
     return image.size if tags is None else (int(tags[256]), int(tags[257]))
 
 
 def has_16_bits(image: Image.Image) -> bool:
-    """Whether an image that is not loaded yet has 16 bits per channel, of which Pillow takes the
-    upper byte if there are several channels."""
+    """Whether an image, not loaded yet, has 16 bits per channel. Pillow keeps the upper byte of
+    several channels."""
     stored = [str(tile[3]) for tile in getattr(image, "tile", ()) if len(tile) > 3]
     return image.mode.startswith("I;16") or any(";16" in name for name in stored)
 
@@ -148,8 +148,7 @@ def _extrema(image: Image.Image) -> list[tuple[float, float]]:
 
 
 def turned(image: Image.Image, orientation: int) -> Image.Image:
-    """Make an image with this EXIF orientation upright. Not by `exif_transpose`, which writes EXIF
-    anew and fails on damaged ones."""
+    """Make an image upright. Pillow's `exif_transpose` would fail on damaged EXIF."""
     from PIL.Image import Transpose
 
     return image.transpose(Transpose[TURNS[orientation]]) if orientation in TURNS else image

@@ -1,20 +1,21 @@
-"""`scene=dtu`: a scan of the DTU data set in the layout of IDR and NeuS: `cameras_sphere.npz` (or
-`cameras.npz`), `mask/000.png` ..., and the 49 photos of the rig in `images/` or `image/`.
+"""`scene=dtu`: a scan of the DTU data set in the layout of IDR and NeuS.
 
-`world_mat_i` is the 3 x 4 projection K [R | t] of position i for the rig's 1600 x 1200 photos, in
-millimetres; photos may be smaller, by default they are reduced to the usual 400 x 300 pixels.
-Near and far are the depths of 425 to 935 mm that stereo on this rig searches (Yao et al. 2018,
-MVSNet, with CasMVSNet's end), unless given. Sparse points come from the COLMAP model with these
-poses, if there is one. Missing photos are left out; their positions keep their numbers. Transparent
-pixels do not count. Photos may also have the names of MVSNet's `Rectified/`, of light 3 as RegNeRF
-takes them: `rect_001_3_r5000.png` is position 0. Its `Cameras/` are not read.
+The layout is `cameras_sphere.npz` (or `cameras.npz`), `mask/000.png` ..., and the 49 photos of the
+rig in `images/` or `image/`. Photos may also have MVSNet's names in `Rectified/`, of light 3 as
+RegNeRF uses them: `rect_001_3_r5000.png` is position 0. MVSNet's `Cameras/` are not read.
 
-Protocol (see `splits`): tests measure the object only: PSNR over the mask, the other metrics with
-all else white in render and truth (RegNeRF; CoR-GS's `metrics_dtu.py`). Training (`train_mask`):
-- background: all but the black surroundings of the table, as DNGaussian and CoR-GS: pixels with
-  every channel below 30 / 255 (scan 110: 15) whose 49 pixels above, as far as the photo reaches,
-  are so dark too. These also push the opacity of the surroundings to 0; here they only have no say.
-- full: the whole photo, as pixelNeRF and RegNeRF.
+`world_mat_i` is the 3 x 4 projection K [R | t] of position i in millimetres, for photos of
+1600 x 1200. By default photos are reduced to the usual 400 x 300. Near and far are the depths of
+425 to 935 mm that stereo on this rig searches (Yao et al. 2018, MVSNet, with CasMVSNet's end).
+Sparse points come from the COLMAP model with these poses, if there is one. Missing photos are left
+out; the positions keep their numbers. Transparent pixels do not count.
+
+Protocol (see `splits`): tests measure the object only. PSNR covers the mask; the other metrics see
+white elsewhere in render and truth (RegNeRF; CoR-GS's `metrics_dtu.py`). Training (`train_mask`):
+- background: all but the black surroundings of the table, as in DNGaussian and CoR-GS. These are
+  pixels with every channel below 30 / 255 (scan 110: 15) under 49 pixels that are as dark. The
+  papers also push the opacity there to 0; here these pixels have no loss.
+- full: the whole photo, as in pixelNeRF and RegNeRF.
 - object: the object alone, which needs masks of the training photos.
 """
 
@@ -23,7 +24,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from framework.scenes.assemble import Shot
-    from framework.scenes.dtu_cameras import Calibration
     from framework.scenes.splits import Split
     from framework.types import Scene
 
@@ -76,34 +76,36 @@ class Dtu:
         check_choice("dtu", "train_mask", self.train_mask, TRAIN_MASKS)
 
     def load(self) -> Scene:
-        """The scene. Raises UserError where the folder does not hold what the layout asks for."""
+        """Load the scene. Raises UserError if the folder lacks a part of the layout."""
         from framework.scenes.assemble import assemble
         from framework.scenes.dtu_cameras import read_cameras
         from framework.scenes.images import photo_folder
         from framework.scenes.model_points import colmap_tracks
-        from framework.scenes.photo import check_memory
+        from framework.scenes.photo import Photo, read_shots
         from framework.scenes.points import points_and_bounds
 
         folder = scan_folder(self.path, self.scan)
         where = f"scene=dtu: {folder}"
-        beside = "mask/ and cameras_sphere.npz"
+        layout = "mask/ and cameras_sphere.npz"
         require(
             self.images != "auto" or not (folder / "Rectified").is_dir(),
             f"scene=dtu: expected images/, mask/ and cameras_sphere.npz of one scan, as IDR and"
             f" NeuS share DTU, in '{folder}', got MVSNet's layout (Rectified/, Cameras/), which is"
             " not read; download the scans in IDR's layout",
         )
-        files = _numbered(photo_folder("dtu", folder, self.images, ("images", "image"), beside))
+        files = _numbered(photo_folder("dtu", folder, self.images, ("images", "image"), layout))
         masks = _masks(folder, files)
         split = self._split([*files], where)
         cameras = read_cameras(folder, [*files])
-        factor = self._downscale(next(iter(files.values())))
-        check_memory([files[i] for i in (*split.train, *split.test)], factor)
-        train = [
-            self._training_shot(files[i], masks[i], cameras[i], factor, folder.name)
-            for i in split.train
-        ]
-        test = [cameras[i].shot(files[i], factor, masks[i]) for i in split.test]
+
+        def photo_at(i: int) -> Photo:
+            mask = masks[i] if i in split.test or self.train_mask == "object" else None
+            return Photo(files[i], files[i].name, cameras[i].lens, cameras[i].viewmat, mask)
+
+        train, test = read_shots(photo_at, split, self._downscale(next(iter(files.values()))))
+        if self.train_mask == "background":
+            level = DARK_SCAN_110 if folder.name.endswith("scan110") else DARK
+            train = [_without_background(shot, level) for shot in train]
         names, viewmats = [f.name for f in files.values()], [cameras[i].viewmat for i in files]
         points, near, far = points_and_bounds(
             colmap_tracks(folder, "the cameras' file", names, viewmats, self.model),
@@ -130,7 +132,7 @@ class Dtu:
         return rule.split(names, self.n_views, where, missing)
 
     def _downscale(self, file: Path) -> int:
-        """The factor that was asked for, or that which makes photos 400 pixels wide."""
+        """The option, or the factor that makes photos 400 pixels wide."""
         from framework.files.limits import PHOTO_PIXELS
         from framework.scenes.decoding import image_size
 
@@ -141,27 +143,19 @@ class Dtu:
         if width != factor * USUAL_WIDTH:
             log.warning(
                 f"{file}: photos of {width}x{height} are reduced to {width // factor}x"
-                f"{height // factor}, not the 400x300 of the usual protocol; for that take photos"
+                f"{height // factor}, not the 400x300 of the usual protocol; for that use photos"
                 " of 1600x1200 or 800x600"
             )
         return factor
 
-    def _training_shot(
-        self, file: Path, mask: Path, camera: Calibration, factor: int, scan: str
-    ) -> Shot:
-        """The photo with the mask that training uses."""
-        from dataclasses import replace
 
-        shot = camera.shot(file, factor, mask if self.train_mask == "object" else None)
-        if self.train_mask != "background":
-            return shot
-        level = DARK_SCAN_110 if scan.endswith("scan110") else DARK
-        kept = 1 - background(shot.image, level)
-        return replace(shot, mask=kept if shot.mask is None else kept * shot.mask)
+def _without_background(shot: Shot, level: int) -> Shot:
+    kept = 1 - background(shot.image, level)
+    return replace(shot, mask=kept if shot.mask is None else kept * shot.mask)
 
 
 def scan_folder(path: str, scan: int | None) -> Path:
-    """The folder of the scan. Raises UserError for an unknown one, listing those that are there."""
+    """The folder of the scan. Raises UserError for an unknown one, with a list of all."""
     from framework.scenes.images import scene_folder
 
     folder = scene_folder("dtu", path).resolve()
@@ -170,20 +164,24 @@ def scan_folder(path: str, scan: int | None) -> Path:
     for name in (f"dtu_scan{scan}", f"scan{scan}"):
         if (folder / name).is_dir():
             return folder / name
-    found = sorted(
+    scans = sorted(
         int(match.group(1))
         for entry in folder.iterdir()
         if (match := re.fullmatch(r"(?:dtu_)?scan(\d+)", entry.name))
     )
     raise UserError(
         f"scene=dtu: expected scan {scan} in {folder} as dtu_scan{scan} or scan{scan}, found scans:"
-        f" {', '.join(map(str, found)) or 'none'}; correct scene.scan or scene.path"
+        f" {', '.join(map(str, scans)) or 'none'}; correct scene.scan or scene.path"
     )
 
 
 def background(image: NDArray[np.uint8], level: int) -> NDArray[np.float32]:
-    """[H, W] float32, 1 for the pixels of `image` [H, W, 3] that are darker than `level` in every
-    channel and so are the DARK_RUN - 1 above each, as far as the image reaches."""
+    """Find the dark surroundings of the table.
+
+    Returns:
+        [H, W] float32, 1 for pixels of `image` [H, W, 3] that are darker than `level` in every
+        channel, if the DARK_RUN - 1 pixels above (as far as the image reaches) are too.
+    """
     import numpy as np
 
     dark = image.max(axis=2) < level
@@ -193,7 +191,7 @@ def background(image: NDArray[np.uint8], level: int) -> NDArray[np.float32]:
 
 
 def _numbered(folder: Path) -> dict[int, Path]:
-    """The images of `folder` by their position on the rig, from 0, after which they are named."""
+    """The images of `folder` by the rig position in their names, from 0."""
     from framework.scenes.images import list_images
 
     images = list_images(folder)

@@ -1,7 +1,7 @@
-"""The cameras of a DTU scan from `cameras_sphere.npz`: projections to intrinsics and poses.
+"""The cameras of a DTU scan from the projections in `cameras_sphere.npz`.
 
 P = K [R | t] is split by the RQ decomposition of its left 3 x 3 block (Hartley & Zisserman, 2004,
-section 6.2.4), K with positive diagonal and K[2, 2] = 1.
+section 6.2.4), with a positive diagonal of K and K[2, 2] = 1.
 """
 
 from __future__ import annotations
@@ -17,10 +17,8 @@ from framework.compute import portable
 from framework.errors import UserError, require
 from framework.files.arrays import read_npz
 from framework.files.opened import is_file
-from framework.scenes.assemble import Shot
 from framework.scenes.cameras import checked_lens, checked_pose
 from framework.scenes.lens import Lens
-from framework.scenes.photo import photo_shot
 
 FILES = ("cameras_sphere.npz", "cameras.npz")
 WIDTH, HEIGHT = 1600, 1200  # of the photos the projections are for
@@ -30,18 +28,14 @@ MOST_SKEW = 1e-3  # of the focal length
 
 @dataclass(frozen=True)
 class Calibration:
-    """viewmat: [4, 4] world-to-camera, millimetres. lens: for photos of 1600 x 1200."""
+    """viewmat: [4, 4] world-to-camera in millimetres. lens: for photos of 1600 x 1200."""
 
     viewmat: NDArray[np.float64]
     lens: Lens
 
-    def shot(self, file: Path, downscale: int, mask: Path | None) -> Shot:
-        """Read the photo that was taken with it."""
-        return photo_shot(file, file.name, self.lens, self.viewmat, downscale, mask)
-
 
 def read_cameras(folder: Path, positions: Sequence[int]) -> dict[int, Calibration]:
-    """Calibrations of the positions. Raises UserError unless all are there and sound."""
+    """Read the calibrations of the positions. Raises UserError for missing or invalid ones."""
     path = next((folder / name for name in FILES if is_file(folder / name)), None)
     if path is None:
         raise UserError(
@@ -56,7 +50,7 @@ def read_cameras(folder: Path, positions: Sequence[int]) -> dict[int, Calibratio
 
 
 def decompose(matrix: NDArray, where: str) -> Calibration:
-    """The calibration of a projection, [3, 4] or [4, 4]; `where` opens the error."""
+    """The calibration of a projection, [3, 4] or [4, 4]; `where` starts a message."""
     good = matrix.shape in ((3, 4), (4, 4)) and matrix.dtype.kind in "fiu"
     require(
         good and bool((np.abs(matrix.astype(np.float64)) <= LARGEST).all()),
@@ -87,9 +81,10 @@ def decompose(matrix: NDArray, where: str) -> Calibration:
 
 
 def _triangular(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """K and R [3, 3] with K R = `matrix`, K upper triangular with a positive diagonal, R
-    orthogonal: Gram and Schmidt's from the last row up. Twice, as the rounding of one pass shows in
-    R."""
+    """Split `matrix` into K R, with K upper triangular, its diagonal positive, and R orthogonal.
+
+    Gram-Schmidt from the last row up, twice, as one pass leaves rounding errors in R.
+    """
     K, rotation = np.eye(3), matrix
     for _ in range(2):
         upper, rows = np.zeros((3, 3)), np.zeros((3, 3))

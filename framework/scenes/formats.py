@@ -1,6 +1,4 @@
-"""Which files of a folder are photos, which formats are read, and how a photo that a file names is
-found although its name was written on another system.
-"""
+"""Photo files: which formats are read, and how a listed photo is found under another spelling."""
 
 from __future__ import annotations
 
@@ -16,16 +14,16 @@ from framework.files.paths import inside
 
 log = logging.getLogger(__name__)
 
-FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")  # of Pillow, which knows others that run programs
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")  # some of Pillow's other formats run programs
 FORMAT_NAMES = "PNG, JPEG, WebP, TIFF or BMP"
 SUFFIXES = {".png", ".jpg", ".jpeg", ".jfif", ".webp", ".tif", ".tiff", ".bmp"}
 HEIC = {".heic", ".heif", ".hif"}
-# Pillow plugins, not dependencies: their wheels hold libheif (LGPL), the second one's x265 (GPL)
+# optional Pillow plugins: their wheels contain libheif (LGPL) and, the second one, x265 (GPL)
 HEIF_READERS = ("pi_heif", "pillow_heif")
 RAW = {
     *(".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".sr2", ".orf", ".rw2", ".raf"),
     *(".pef", ".srw", ".raw", ".3fr", ".iiq"),
-}  # some of them are TIFF files, of which Pillow would read the thumbnail
+}  # some are TIFF files, of which Pillow would read the thumbnail
 UNREAD = RAW | {".gif", ".avif", ".jxl", ".jp2", ".exr", ".hdr", ".tga", ".ppm", ".psd"}
 VIDEO = {".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm"}
 SIGNATURES = {
@@ -44,8 +42,8 @@ def signature(start: bytes) -> str | None:
 
 
 def pillow_formats(path: Path) -> tuple[str, ...]:
-    """The formats that Pillow may take a file for. Raises UserError for RAW photos, and for HEIC
-    without a reader."""
+    """The formats that Pillow may try. Raises UserError for RAW photos, and for HEIC without a
+    reader."""
     suffix = path.suffix.lower()
     if suffix in RAW:
         raise UserError(
@@ -100,17 +98,17 @@ def listed(names: Sequence[str]) -> str:
 
 
 def find_photo(folder: Path, name: str) -> Path:
-    """Find the photo that a file of cameras names.
+    """Find a photo by the name in a file of cameras.
 
-    Where no file has exactly this name, a backslash separates folders, upper and lower case are
-    equal, the suffix may be missing, and of an absolute path (of another computer) the longest end
-    that exists inside `folder` counts, at last the bare name in `folder/images`.
+    If no file has exactly this name, a backslash also separates folders, case is ignored, and the
+    suffix may be missing. Of an absolute path (of another computer), the longest end that exists
+    in `folder` counts, or else the bare name in `folder/images`.
 
     Returns:
         The file; `folder / name` if there is none.
 
     Raises:
-        UserError: the name leads out of the folder, or several files fit equally well.
+        UserError: the name leads out of the folder, or several files match.
     """
     windows = PureWindowsPath(name)
     absolute = bool(windows.drive) or name.startswith(("/", "\\"))
@@ -131,7 +129,7 @@ def find_photo(folder: Path, name: str) -> Path:
 
 
 def _match(folder: Path, parts: Sequence[str]) -> Path | None:
-    """The file at `folder/parts`, upper or lower case, of which the suffix may be missing."""
+    """The file at `folder/parts`, in any case, with or without suffix."""
     path = folder
     for k, part in enumerate(parts):
         last = k == len(parts) - 1

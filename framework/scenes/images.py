@@ -1,6 +1,7 @@
-"""Image files of a scene: listing and reading. Pixels are 8-bit RGB; those of 16 bits lose their
-lower byte. EXIF orientations are applied only where `photo.reading` says so: structure from motion
-mostly ignores them, so that poses belong to the stored pixels.
+"""Image files of a scene: listing and reading.
+
+Pixels are 8-bit RGB; 16-bit values lose their lower byte. EXIF orientations are applied only where
+`photo` requires it: structure from motion mostly ignores them, so poses belong to stored pixels.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-# of photos: the usual size of the sparse-view benchmarks, an eighth, and the full one
+# folders of photos: an eighth, as in sparse-view benchmarks, else full size
 EIGHTH_OR_FULL = ("images_8", "images")
-MASK_STRETCH = 1.02  # by which the two axes of a resized mask may differ
+MASK_STRETCH = 1.02  # largest ratio of the two axes' scales of a resized mask
 
 
 def scene_folder(loader: str, path: str) -> Path:
-    """The scene's folder. Raises UserError if it is none."""
+    """The scene's folder. Raises UserError if there is none."""
     folder = Path(path).expanduser()
     require(
         folder.is_dir(),
@@ -36,13 +37,16 @@ def scene_folder(loader: str, path: str) -> Path:
     )
     real = folder.resolve()
     if real.name:
-        inside(real.parent, real.name)  # a text: it names the scene in records
+        inside(real.parent, real.name)  # it names the scene in records
     return folder
 
 
 def list_images(folder: Path) -> list[Path]:
-    """The photos of `folder`, sorted by name; warns about pictures that are not read. Raises
-    UserError if there are none, or if one is a link that leads out of the folder."""
+    """List the photos of `folder` by name; warn about pictures in other formats.
+
+    Raises:
+        UserError: there are none, or one is a link that leads out of the folder.
+    """
     entries = sorted(folder.glob("*")) if folder.is_dir() else []
     images = [inside(folder, path.name) for path in entries if is_photo(path)]
     unread = unread_files(folder) if entries else []
@@ -57,16 +61,23 @@ def list_images(folder: Path) -> list[Path]:
     return images
 
 
-def photo_folder(loader: str, folder: Path, images: str, names: Sequence[str], beside: str) -> Path:
-    """The folder of the photos inside a scene's: `images`, or for "auto" the first of `names` that
-    is there. Raises UserError if none is, with the layout: beside is what else belongs to it."""
+def photo_folder(loader: str, folder: Path, images: str, names: Sequence[str], layout: str) -> Path:
+    """The folder of a scene's photos.
+
+    Args:
+        loader: for messages.
+        folder: the scene.
+        images: `scene.images`; "auto" is the first of `names` that exists.
+        names: the layout's folders of photos.
+        layout: the layout's other files, for messages.
+    """
     if images != AUTO:
         return inside(folder, images)
     for name in names:
         if (folder / name).is_dir():
             return inside(folder, name)
     raise UserError(
-        f"scene={loader}: expected {'/ or '.join(names)}/ with the photos, and {beside}, in"
+        f"scene={loader}: expected {'/ or '.join(names)}/ with the photos, and {layout}, in"
         f" '{folder}', found no folder of photos; correct scene.path, or set scene.images"
     )
 
@@ -76,7 +87,7 @@ def read_image(path: Path, factor: int = 1, turn: int = 1) -> NDArray[np.uint8]:
 
     Args:
         path: the file; one of more than `IMAGE_PIXELS` needs a factor above 1.
-        factor: the image is reduced by it while it is read, averaging boxes of pixels.
+        factor: reduces the image while it is read, by box means.
         turn: the EXIF orientation to apply; 1 keeps the pixels as stored.
 
     Returns:
@@ -98,15 +109,15 @@ def read_masked(
     Args:
         path: the photo.
         mask: a picture, black where the photo does not count.
-        factor: as of `read_image`, of both.
-        turn: as of `read_image`, of the photo.
-        paper: grey value 0 to 255 that a transparent photo is laid on, alpha blending the stored
-            (sRGB) values as the NeRF synthetic data set is used.
+        factor: see `read_image`; for both.
+        turn: see `read_image`; for the photo.
+        paper: grey value 0 to 255 behind a transparent photo; alpha blends the stored (sRGB)
+            values, as for the NeRF synthetic data set.
 
     Returns:
-        Pixels [H, W, 3]; a mask [H, W] that is 0 where `mask` is black or, without paper, the photo
-        is transparent (alpha below one half), None where all pixels count; and whether the photo is
-        transparent.
+        Pixels [H, W, 3]; a mask [H, W], or None if all pixels count; and whether the photo is
+        transparent. The mask is 0 where `mask` is black, and, without paper, where alpha is below
+        one half.
 
     Raises:
         UserError: a file is damaged, the mask has another shape, or no pixel counts.
@@ -120,7 +131,7 @@ def read_masked(
         opaque = (alpha >= 128).astype(np.float32)
         valid = opaque if valid is None else valid * opaque
     elif alpha is not None:
-        for row, a in zip(rgb, alpha, strict=True):  # by rows: float64 takes eight times as much
+        for row, a in zip(rgb, alpha, strict=True):  # by rows to save memory
             share = a[:, None].astype(np.float64) / 255.0
             row[:] = np.rint(row * share + float(paper or 0) * (1.0 - share))
     require(
@@ -138,14 +149,14 @@ def _pixels(
     import numpy as np
 
     with opened(path, PHOTO_PIXELS if factor > 1 else IMAGE_PIXELS) as stored:
-        # Pillow turns a TIFF as it loads it, which is undone
+        # Pillow turns a TIFF when it loads it; this is undone
         by_pillow = orientation(stored) if stored.format == "TIFF" else 1
         image = eight_bit(path, stored)
         clear = image.has_transparency_data
         mode = "RGBA" if clear else "RGB"
         image = image if image.mode == mode else image.convert(mode)
         image = turned(turned(image, {6: 8, 8: 6}.get(by_pillow, by_pillow)), turn)
-        if factor > 1:  # an incomplete last row or column is cut
+        if factor > 1:  # without an incomplete last row or column
             width, height = (side // factor * factor for side in image.size)
             image = image.reduce(factor, (0, 0, width, height))
         pixels = np.asarray(image, dtype=np.uint8)
@@ -161,11 +172,12 @@ def _pixels(
 
 
 def read_mask(path: Path, height: int, width: int, factor: int = 1) -> NDArray[np.float32]:
-    """[H, W] float32, 1 where the first channel is at least one half of white, else 0. factor: as
-    of `read_image`.
+    """Read a mask [H, W] float32: 1 where the first channel is at least half of white, else 0.
 
-    A mask of another size is resized. Raises UserError for a missing or damaged file or one of
-    another shape.
+    A mask of another size is resized. factor: see `read_image`.
+
+    Raises:
+        UserError: the file is missing or damaged, or has other proportions.
     """
     import cv2
     import numpy as np

@@ -1,11 +1,13 @@
-"""Lens distortion and its removal: every photo reaches training as a pinhole would have taken it.
+"""Lens distortion and its removal: training gets every photo as a pinhole would have taken it.
 
-The model is OpenCV's (its calib3d documentation), for x, y in units of the focal length from the
+The model is OpenCV's (its calib3d documentation). With x, y in units of the focal length from the
 principal point and r^2 = x^2 + y^2:
-x_distorted = x q + 2 p1 x y + p2 (r^2 + 2 x^2)
-y_distorted = y q + p1 (r^2 + 2 y^2) + 2 p2 x y
-q = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6).
-COLMAP's FULL_OPENCV cameras have it; SIMPLE_RADIAL, RADIAL and OPENCV are special cases of it.
+
+    x_distorted = x q + 2 p1 x y + p2 (r^2 + 2 x^2)
+    y_distorted = y q + p1 (r^2 + 2 y^2) + 2 p2 x y
+    q = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
+
+COLMAP's FULL_OPENCV cameras use it. SIMPLE_RADIAL, RADIAL and OPENCV are special cases.
 """
 
 from __future__ import annotations
@@ -30,11 +32,6 @@ class Distortion:
     k4: float = 0.0
     k5: float = 0.0
     k6: float = 0.0
-
-    @property
-    def none(self) -> bool:
-        """Whether the lens is a pinhole."""
-        return not any(astuple(self))
 
     @property
     def terms(self) -> tuple[float, ...]:
@@ -62,8 +59,12 @@ class Lens:
 def distorted_pixels(
     height: int, width: int, K: NDArray[np.float64], lens: Distortion
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """For each pinhole pixel its place (u, v) in the stored photo, each [H, W], in pixels with
-    centres at +0.5; and whether the radial model is still monotonic there, [H, W]."""
+    """Where a pinhole's pixels are in the stored photo.
+
+    Returns:
+        u, v: [H, W] in pixels with centres at +0.5; and whether the radial model is monotonic
+        there, [H, W].
+    """
     import numpy as np
 
     x = (np.arange(width) + 0.5 - K[0, 2]) / K[0, 0]
@@ -83,12 +84,14 @@ def distorted_pixels(
 def undistort(
     image: NDArray[np.uint8], K: NDArray[np.float64], lens: Distortion
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
-    """The photo [H, W, 3] as a pinhole K would have taken it; and the mask [H, W] of the pixels
-    that the photo covers, None if it covers all.
+    """Resample the photo [H, W, 3] as a pinhole K would have taken it.
 
-    Interpolated over 8 x 8 pixels (Lanczos), which keeps the photo's detail. Bilinear, it loses
-    detail that is hard to predict: test photos then score more than 1 dB higher on LLFF fern, even
-    with a wrong lens (`benchmarks/results/lens.md`).
+    Interpolates over 8 x 8 pixels (Lanczos), which keeps detail. A bilinear filter removes detail
+    that is hard to predict: test photos then score more than 1 dB higher on LLFF fern, even with a
+    wrong lens (`benchmarks/results/lens.md`).
+
+    Returns:
+        The image, and the mask [H, W] of the pixels that the photo covers, None if it covers all.
     """
     import cv2
     import numpy as np

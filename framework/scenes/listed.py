@@ -1,36 +1,34 @@
-"""Photos that a pose file lists, and those of them that the scene's folder holds."""
+"""Finds the photos that a pose file lists."""
 
 from __future__ import annotations
 
 import logging
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from framework.errors import require
 from framework.files.opened import is_file
 from framework.files.paths import inside
-from framework.scenes.formats import SUFFIXES, listed
+from framework.scenes.formats import SUFFIXES, find_photo, listed
 
 log = logging.getLogger(__name__)
 
 
-def match_photos(paths: Sequence[Path]) -> dict[int, Path]:
-    """Find the listed photos.
+def match_photos(folder: Path, names: Sequence[str]) -> dict[int, Path]:
+    """Find the photos that a pose file lists, see `find_photo`.
 
     A converted photo counts: `a.jpg` or `A.PNG` for a listed `a.png` that is missing, if it is the
     only image of that stem and no other photo of the list.
 
     Returns:
         The file of each photo that exists, by its index in the list.
-
-    Raises:
-        UserError: a converted photo is a link that leads out of its folder.
     """
+    paths = [find_photo(folder, name) for name in names]
     exact = {i: file for i, file in enumerate(paths) if is_file(file)}
     missing = {i: file for i, file in enumerate(paths) if i not in exact}
     images = _by_stem({file.parent for file in missing.values()}, {*exact.values()})
-    stems = Counter(_stem(file) for file in missing.values())
+    stems = Counter(map(_stem, missing.values()))
     converted = {
         i: inside(file.parent, images[stem][0].name)
         for i, file in missing.items()
@@ -51,38 +49,36 @@ def _by_stem(folders: Iterable[Path], taken: set[Path]) -> dict[str, list[Path]]
     return images
 
 
-def find_photos(paths: Sequence[Path], where: str) -> dict[int, Path]:
-    """Find the listed photos; log a warning about missing and converted ones.
-
-    Returns:
-        The file of each photo that exists, by its index in the list.
+def find_photos(folder: Path, names: Sequence[str], where: str) -> dict[int, Path]:
+    """`match_photos`, with a warning about missing and converted photos.
 
     Raises:
-        UserError: none exists.
+        UserError: no photo exists.
     """
-    found = match_photos(paths)
-    missing = [file.name for i, file in enumerate(paths) if i not in found]
+    files = match_photos(folder, names)
+    missing = [PurePosixPath(name).name for i, name in enumerate(names) if i not in files]
     require(
-        len(found) > 0,
-        f"{where}: expected {len(paths)} photos, but all are missing ({listed(missing)}); restore"
+        len(files) > 0,
+        f"{where}: expected {len(names)} photos, but all are missing ({listed(missing)}); restore"
         " them or choose another folder of photos",
     )
     if missing:
         log.warning(
-            f"{where}: {len(missing)} of {len(paths)} photos are missing and left out"
+            f"{where}: {len(missing)} of {len(names)} photos are missing and left out"
             f" ({listed(missing)}); restore them, or remove them from the list"
         )
-    converted = [f"{f.name} for {paths[i].name}" for i, f in found.items() if f != paths[i]]
+    pairs = [(file.name, PurePosixPath(names[i]).name) for i, file in files.items()]
+    converted = [f"{file} for {name}" for file, name in pairs if file != name]
     if converted:
         log.warning(
             f"{where}: {len(converted)} photos have another name than listed"
             f" ({listed(converted)}); make sure that they are the same photos"
         )
-    return found
+    return files
 
 
 def warn_unplaced(photos: Path, placed: Iterable[Path]) -> None:
-    """Log a warning about images beside the placed photos that the model has no pose for."""
+    """Log a warning about images next to the placed photos that have no pose in the model."""
     files = {*placed}
     others = {file for folder in {f.parent for f in files} for file in folder.iterdir()} - files
     names = sorted(file.name for file in others if file.suffix.lower() in SUFFIXES)

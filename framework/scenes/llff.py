@@ -1,19 +1,19 @@
-"""`scene=llff`: `poses_bounds.npy` beside `images_8/`, as the LLFF data set comes.
+"""`scene=llff`: `poses_bounds.npy` and `images_8/`, the layout of the LLFF data set.
 
-A row of `poses_bounds.npy` holds a 3 x 5 matrix, row-major, and the near and far depth bounds. Its
-columns are the camera's down, right and backward axes in the world, its centre, and (height, width,
-focal) in pixels of the full-size photo (Mildenhall et al. 2019, LLFF's `poses/pose_utils.py`). Row
-i belongs to the i-th image in sorted order. The principal point is the image's middle. Photos may
-have any size of these proportions, rounded (`images_4`, `images_8`).
+A row of `poses_bounds.npy` is a 3 x 5 matrix, row-major, and the near and far depth bounds. The
+columns of the matrix are the camera's down, right and backward axes in the world, its centre, and
+(height, width, focal) in pixels of the full-size photo (Mildenhall et al. 2019, LLFF's
+`poses/pose_utils.py`). Row i belongs to the i-th image in sorted order. The principal point is the
+middle of the image. Photos may have any size of these proportions, rounded (`images_4`).
 
-The poses were found with a lens (COLMAP's SIMPLE_RADIAL) whose distortion the layout does not hold
-and the usual evaluation ignores; `k1` removes it from the photos, test photos included.
+The poses were estimated with a lens (COLMAP's SIMPLE_RADIAL) whose distortion is not in the layout
+and which the usual evaluation ignores. `k1` removes it from the photos, also from test photos.
 
-Sparse points come from the COLMAP model `sparse/0` where there is one (else there are none); it
-must have the same poses. Near and far are the bounds of the training rows, unless given.
+Sparse points come from the COLMAP model in `sparse/0`, if there is one with the same poses. Near
+and far are the bounds of the training rows, unless given.
 
-If there are more or fewer photos than rows, the images of the model that has the rows' poses say
-which photo a row belongs to; without such a model the folder is refused.
+If there are more or fewer photos than rows, the model that has the rows' poses shows which photo a
+row belongs to. Without such a model the folder is refused.
 """
 
 from __future__ import annotations
@@ -63,43 +63,37 @@ class Llff:
         check_option(self, "scene", "k1", -1 < self.k1 < 1, expected)
 
     def load(self) -> Scene:
-        """The scene. Raises UserError where the folder does not hold what the layout asks for."""
+        """Load the scene. Raises UserError if the folder lacks a part of the layout."""
         from framework.scenes.assemble import assemble
-        from framework.scenes.conventions import decoded_all
+        from framework.scenes.conventions import decoded_as
         from framework.scenes.images import EIGHTH_OR_FULL, photo_folder, scene_folder
         from framework.scenes.masks import find_masks
         from framework.scenes.model_points import colmap_tracks
-        from framework.scenes.photo import check_memory, photo_shot
+        from framework.scenes.photo import Photo, read_shots
         from framework.scenes.points import points_and_bounds
 
         folder = scene_folder("llff", self.path)
-        source = folder / "poses_bounds.npy"
+        source, where = folder / "poses_bounds.npy", f"scene=llff: {folder}"
         photos = photo_folder("llff", folder, self.images, EIGHTH_OR_FULL, source.name)
         rows = _read_poses(source)
         viewmats = [_viewmat(row, f"{source}: row {i}") for i, row in enumerate(rows)]
-        viewmats = decoded_all(viewmats, Llff.poses, self.poses)
-        listed, files = self._pair(folder, photos, viewmats)
-        placed, names = [*files], [listed[i] for i in files]
-        rows, viewmats = rows[placed], [viewmats[i] for i in placed]
-        lenses = [
-            _lens(row, self.k1, f"{source}: row {i}") for row, i in zip(rows, placed, strict=True)
-        ]
-        split = protocol(self.split).split(names, self.n_views, f"scene=llff: {folder}")
-        paths, masks = [*files.values()], find_masks(folder, photos.name, names)
-        check_memory([paths[i] for i in (*split.train, *split.test)], self.downscale)
-        train, test = (
-            [
-                photo_shot(paths[i], names[i], lenses[i], viewmats[i], self.downscale, masks[i])
-                for i in part
-            ]
-            for part in (split.train, split.test)
-        )
-        tracks = colmap_tracks(folder, source.name, names, viewmats, self.model)
-        bounds = rows[list(split.train), 15:]
-        near = float(bounds[:, 0].min()) if self.near is None else self.near
-        far = float(bounds[:, 1].max()) if self.far is None else self.far
+        viewmats = [decoded_as(viewmat, Llff.poses, self.poses) for viewmat in viewmats]
+        row_names, files = self._pair(folder, photos, viewmats)
+        names, viewmats = [row_names[i] for i in files], [viewmats[i] for i in files]
+        lenses = [_lens(rows[i], self.k1, f"{source}: row {i}") for i in files]
+        masks = find_masks(folder, photos.name, names)
+        listed = [*map(Photo, files.values(), names, lenses, viewmats, masks)]
+        split = protocol(self.split).split(names, self.n_views, where)
+        train, test = read_shots(listed.__getitem__, split, self.downscale)
+        bounds = rows[[*files]][list(split.train), 15:]
         points, near, far = points_and_bounds(
-            tracks, viewmats, split.train, train, near, far, f"scene=llff: {folder}"
+            colmap_tracks(folder, source.name, names, viewmats, self.model),
+            viewmats,
+            split.train,
+            train,
+            float(bounds[:, 0].min()) if self.near is None else self.near,
+            float(bounds[:, 1].max()) if self.far is None else self.far,
+            where,
         )
         return assemble(folder.resolve().name, self.split, train, test, points, near, far)
 
@@ -107,7 +101,6 @@ class Llff:
         self, folder: Path, photos: Path, viewmats: list[NDArray[np.float64]]
     ) -> tuple[list[str], dict[int, Path]]:
         """The name of each row's photo, and the photos that exist by their row's index."""
-        from framework.scenes.formats import find_photo
         from framework.scenes.images import list_images
         from framework.scenes.listed import find_photos, warn_unplaced
         from framework.scenes.model_points import same_poses
@@ -123,9 +116,9 @@ class Llff:
                 f" {len(viewmats)} rows and {len(files)} images in {photos.name}; remove the"
                 " surplus or restore what is missing"
             )
-        found = find_photos([find_photo(photos, name) for name in names], str(photos))
-        warn_unplaced(photos, found.values())
-        return names, found
+        matched = find_photos(photos, names, str(photos))
+        warn_unplaced(photos, matched.values())
+        return names, matched
 
 
 def _warn_of_numbers(files: list[Path]) -> None:
@@ -148,7 +141,7 @@ def _warn_of_numbers(files: list[Path]) -> None:
 
 
 def _read_poses(path: Path) -> NDArray[np.float64]:
-    """[n, 17] rows. Raises UserError unless they are complete and sensible."""
+    """[n, 17] rows. Raises UserError unless they are complete and plausible."""
     import numpy as np
 
     from framework.files.arrays import read_npy

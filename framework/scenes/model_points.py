@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -38,10 +38,13 @@ def moved(xyz: NDArray[np.float64], world: NDArray[np.float64]) -> NDArray[np.fl
 
 @dataclass(frozen=True)
 class _Fit:
-    """A model compared with the poses of the photos.
+    """A comparison of a model with the poses of the photos.
 
-    columns: [n] index of each photo's image in the model, -1 without one. away: largest distance of
-    two paired camera centres. size: radius of the rig. world: [4, 4] from the model's world.
+    Attributes:
+        columns: [n] index of each photo's image in the model, -1 without one.
+        away: largest distance of two paired camera centres.
+        size: radius of the rig.
+        world: [4, 4] from the model's world.
     """
 
     columns: NDArray[np.intp]
@@ -51,7 +54,7 @@ class _Fit:
 
     @property
     def photos(self) -> int:
-        """Photos with the same place in the model; 0 if any differs."""
+        """Number of photos with the same position in the model; 0 if any differs."""
         pairs = int((self.columns >= 0).sum())
         return pairs if pairs > 1 and self.away <= SAME_POSE * self.size else 0
 
@@ -64,15 +67,15 @@ def colmap_tracks(
     model: str = AUTO,
     worlds: Sequence[NDArray[np.float64]] = (np.eye(4),),
 ) -> Tracks:
-    """Read the points of the scene's COLMAP model whose poses are those of the photos.
+    """Read the points of the scene's COLMAP model that has the poses of the photos.
 
     Args:
         folder: the scene.
-        source: what the poses come from, for messages.
-        names: the photos in sorted order; the model's names may differ if it has as many images.
+        source: of the poses, for messages.
+        names: the photos in sorted order. Names in the model may differ if it has as many images.
         viewmats: [4, 4] world-to-camera of each photo.
         model: `scene.model`.
-        worlds: [4, 4] transforms from the model's world to that of the poses, to be tried.
+        worlds: [4, 4] transforms to try, from the model's world to that of the poses.
 
     Returns:
         The points with tracks over the photos; no points without a model.
@@ -92,7 +95,9 @@ def colmap_tracks(
     path, read = chosen
     best = fit(read)
     if best.photos:
-        return _over_photos(read.tracks, best)
+        tracks = read.tracks.of_images(best.columns.tolist())
+        unmoved = bool((best.world == np.eye(4)).all())
+        return tracks if unmoved else replace(tracks, xyz=moved(tracks.xyz, best.world))
     error = _mismatch(path, source, names, read, best)
     if folder / "colmap" not in path.parents:
         raise error
@@ -150,16 +155,3 @@ def _mismatch(path: Path, source: str, names: Sequence[str], model: Model, fit: 
         f"{path}: expected the {len(names)} images of {source}, got {len(model.names)} with other"
         " names; remove the folder (then there are no sparse points) or rebuild the model"
     )
-
-
-def _over_photos(tracks: Tracks, fit: _Fit) -> Tracks:
-    """Tracks over the photos, without points of two or more images that are not among them."""
-    if (
-        np.array_equal(fit.columns, np.arange(tracks.seen.shape[1]))
-        and (fit.world == np.eye(4)).all()
-    ):
-        return tracks
-    seen = tracks.seen[:, fit.columns] & (fit.columns >= 0)
-    left = seen.sum(axis=1)
-    keep = (left >= 2) | (left == tracks.seen.sum(axis=1))
-    return Tracks(moved(tracks.xyz[keep], fit.world), tracks.rgb[keep], seen[keep])

@@ -1,4 +1,4 @@
-"""Checks that several loaders' options share."""
+"""Checks of options that several loaders share."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CONVENTIONS = ("opencv_c2w", "opencv_w2c", "opengl_c2w", "opengl_w2c", "llff_c2w
 
 
 def check_n_views(loader: str, n_views: int | str, all_too: bool = False) -> None:
-    """A positive integer; `all` too where a folder has a number of photos."""
+    """Check for a positive integer; `all_too` also allows `all`."""
     whole = isinstance(n_views, int) and not isinstance(n_views, bool) and n_views >= 1
     require(
         whole or (all_too and n_views == ALL),
@@ -24,15 +24,15 @@ def check_n_views(loader: str, n_views: int | str, all_too: bool = False) -> Non
 
 
 def check_folder_options(loader: str, options: Any, files: bool = False) -> None:
-    """Check what loaders of a folder share, as far as these options have it.
+    """Check the options that loaders of a folder share, as far as they exist.
 
     Args:
         loader: name of the loader.
         options: its options.
-        files: whether the scene's files may give the split.
+        files: whether the scene's files may define the split.
 
     Raises:
-        UserError: an option has no sensible value.
+        UserError: an option is invalid.
     """
     require(
         isinstance(options.path, str) and options.path != "",
@@ -61,17 +61,17 @@ def check_folder_options(loader: str, options: Any, files: bool = False) -> None
 
 
 def _check_range(loader: str, near: float | None, far: float | None) -> None:
-    """Depth bounds, of which either may be None."""
-    given = [bound for bound in (near, far) if bound is not None]
+    """Check depth bounds, of which either may be None."""
+    bounds = [bound for bound in (near, far) if bound is not None]
     require(
-        all(0 < bound < math.inf for bound in given) and given == sorted(set(given)),
+        all(0 < bound < math.inf for bound in bounds) and bounds == sorted(set(bounds)),
         f"scene={loader}: expected 0 < near < far, got near={near}, far={far}; correct scene.near"
         " and scene.far",
     )
 
 
 def check_choice(loader: str, option: str, value: str, choices: tuple[str, ...]) -> None:
-    """One of a few words."""
+    """Check that a value is one of `choices`."""
     require(
         value in choices,
         f"scene={loader}: expected {option} to be one of {', '.join(choices)}, got '{value}';"

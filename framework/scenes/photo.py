@@ -1,14 +1,13 @@
 """From a stored photo and its camera to a `Shot`: undistorted, then box-downscaled.
 
-A photo may have another size than its camera, if the proportions are the same; K is scaled.
-
-Photos are read one at a time and reduced at once, so a scene never needs much more memory than its
-reduced views; what those need is checked from the file headers before the first photo is decoded.
+A photo may have another size than its camera if the proportions are the same; K is scaled. Photos
+are read one at a time and reduced at once. The memory of the reduced views is checked from the file
+headers before the first photo is decoded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,13 +24,43 @@ from framework.scenes.lens import PINHOLE, Distortion, Lens, undistort
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from framework.scenes.splits import Split
+
 BYTES_PER_PIXEL = 12  # three float32
-REACH = 6  # pixels from which taking a lens out mixes a pixel: half of 8, and what overshoots
+REACH = 6  # pixels from which undistortion mixes a pixel: half of 8, and overshoots
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A photo that is not read yet, and its camera.
+
+    Attributes:
+        viewmat: [4, 4] world-to-camera.
+        mask: a picture, black where the photo does not count.
+        sized: the lens' size is stated elsewhere than by the photo.
+    """
+
+    file: Path
+    name: str
+    lens: Lens
+    viewmat: NDArray[np.float64]
+    mask: Path | None = None
+    sized: bool = True
+
+
+def read_shots(
+    photo_at: Callable[[int], Photo], split: Split, downscale: int, paper: int | None = None
+) -> tuple[list[Shot], list[Shot]]:
+    """Read the training and the test photos of a split; `photo_at` takes their indices."""
+    train, test = ([photo_at(i) for i in part] for part in (split.train, split.test))
+    check_memory([photo.file for photo in (*train, *test)], downscale)
+    shots = [read_shot(photo, downscale, paper) for photo in (*train, *test)]
+    return shots[: len(train)], shots[len(train) :]
 
 
 def check_memory(files: Sequence[Path], downscale: int) -> None:
-    """Raise UserError if the downscaled images would take more than 4 GiB, or one is too large to
-    be read without reducing it."""
+    """Raise UserError if the downscaled images would take more than 4 GiB, or if one is too large
+    to be read at full size."""
     pixels = 0
     for file in files:
         width, height = image_size(file, PHOTO_PIXELS)
@@ -49,53 +78,41 @@ def check_memory(files: Sequence[Path], downscale: int) -> None:
     )
 
 
-@dataclass(frozen=True)
-class Reading:
-    """How to read a photo.
-
-    Attributes:
-        K: [3, 3] intrinsics of the pixels that are read.
-        factor: by which the photo is reduced while it is read; 1 unless it is very large.
-        turn: EXIF orientation to apply; 1 for none.
-        exif: see `Shot`.
-    """
-
-    K: NDArray[np.float64]
-    factor: int = 1
-    turn: int = 1
-    exif: tuple[int, bool] | None = None
-
-
-def reading(file: Path, lens: Lens, downscale: int, sized: bool = True) -> Reading:
-    """Decide how to read the photo of a camera.
+def read_shot(photo: Photo, downscale: int = 1, paper: int | None = None) -> Shot:
+    """Read a photo, undistort and reduce it.
 
     Args:
-        file: the photo.
-        lens: its camera.
+        photo: with its camera.
         downscale: `scene.downscale`.
-        sized: whether the lens' size is known from elsewhere than the photo.
+        paper: grey value behind a transparent photo; None masks transparent pixels.
 
     Raises:
-        UserError: the photo has other proportions than the camera, also with its EXIF orientation.
+        UserError: a file is damaged, or the photo has other proportions than the camera, also with
+            its EXIF orientation.
     """
-    width, height, orientation = image_header(file, PHOTO_PIXELS)
+    lens = photo.lens
+    width, height, orientation = image_header(photo.file, PHOTO_PIXELS)
     upright = (height, width) if orientation in SIDEWAYS else (width, height)
-    scale, upright_scale = resize_scale(lens, width, height), resize_scale(lens, *upright)
-    turn = orientation if scale is None and upright_scale is not None else 1
-    doubtful = orientation != 1 and (upright_scale is not None or not sized)
-    scale = scale or upright_scale
+    as_stored, as_upright = resize_scale(lens, width, height), resize_scale(lens, *upright)
+    turn = orientation if as_stored is None and as_upright is not None else 1
+    doubtful = orientation != 1 and (as_upright is not None or not photo.sized)
+    scale = as_stored or as_upright
     if scale is None:
         exif = f" and EXIF orientation {orientation}" if orientation != 1 else ""
         raise UserError(
-            f"{file}: expected the camera's {lens.width}x{lens.height} pixels or a photo of the"
-            f" same proportions, got {width}x{height}{exif}; use the photos that the poses were"
+            f"{photo.file}: expected the camera's {lens.width}x{lens.height} pixels or a photo of"
+            f" the same proportions, got {width}x{height}{exif}; use the photos that the poses were"
             " found from, or choose another scene.images"
         )
     sx, sy = scale
+    factor = downscale if width * height > IMAGE_PIXELS else 1  # reduces very large photos at once
     K = intrinsics(lens.fx * sx, lens.fy * sy, lens.cx * sx, lens.cy * sy)
-    factor = downscale if width * height > IMAGE_PIXELS else 1
     K[:2] /= factor
-    return Reading(K, factor, turn, (orientation, turn != 1) if doubtful else None)
+    image, valid, clear = read_masked(photo.file, photo.mask, factor, turn, paper)
+    shot = _undistorted(Shot(photo.name, photo.viewmat, K, image, mask=valid), lens.distortion)
+    shot = downscaled(shot, downscale // factor, share=1.0 if shot.lens else 0.5)
+    exif_turn = (orientation, turn != 1) if doubtful else None
+    return replace(shot, exif=exif_turn, clear=clear and paper is not None)
 
 
 def resize_scale(lens: Lens, width: int, height: int) -> tuple[float, float] | None:
@@ -108,66 +125,25 @@ def resize_scale(lens: Lens, width: int, height: int) -> tuple[float, float] | N
     return (sx, sy) if abs(sx - sy) < slack else None
 
 
-def pinhole_shot(
-    name: str,
-    viewmat: NDArray[np.float64],
-    K: NDArray[np.float64],
-    image: NDArray[np.uint8],
-    distortion: Distortion = PINHOLE,
-    mask: NDArray[np.float32] | None = None,
-    downscale: int = 1,
-) -> Shot:
-    """The shot of `image` [H, W, 3], of which counts where `mask` [H, W] is 1."""
-    if not distortion.none:
-        image, covered = undistort(image, K, distortion)
-        if mask is not None:  # only what is made of pixels that count alone
-            import cv2
+def _undistorted(shot: Shot, distortion: Distortion) -> Shot:
+    if distortion == PINHOLE:
+        return shot
+    image, covered = undistort(shot.image, shot.K, distortion)
+    if shot.mask is not None:  # pixels that are mixed from valid ones only
+        import cv2
 
-            white = cv2.erode((255 * mask).astype(np.uint8), np.ones((2 * REACH + 1,) * 2))
-            kept, _ = undistort(np.repeat(white[..., None], 3, axis=2), K, distortion)
-            whole = (kept[..., 0] == 255).astype(np.float32)
-            covered = whole if covered is None else covered * whole
-        shot = Shot(name, viewmat, K, image, mask=covered, lens=distortion.terms)
-        return downscaled(shot, downscale, share=1.0)
-    return downscaled(Shot(name, viewmat, K, image, mask=mask), downscale)
-
-
-def photo_shot(
-    file: Path,
-    name: str,
-    lens: Lens,
-    viewmat: NDArray[np.float64],
-    downscale: int = 1,
-    mask: Path | None = None,
-    paper: int | None = None,
-    sized: bool = True,
-) -> Shot:
-    """Read a photo with its camera, undistort and reduce it.
-
-    Args:
-        file: the photo.
-        name: of the view.
-        lens: its camera.
-        viewmat: [4, 4] world-to-camera.
-        downscale: `scene.downscale`.
-        mask: a picture, black where the photo does not count.
-        paper: grey value that a transparent photo is laid on; None: what is transparent does not
-            count.
-        sized: see `reading`.
-
-    Raises:
-        UserError: a file is damaged or has other proportions.
-    """
-    how = reading(file, lens, downscale, sized)
-    image, valid, clear = read_masked(file, mask, how.factor, how.turn, paper)
-    rest = downscale // how.factor
-    shot = pinhole_shot(name, viewmat, how.K, image, lens.distortion, valid, rest)
-    return replace(shot, exif=how.exif, clear=clear and paper is not None)
+        white = cv2.erode((255 * shot.mask).astype(np.uint8), np.ones((2 * REACH + 1,) * 2))
+        kept, _ = undistort(np.repeat(white[..., None], 3, axis=2), shot.K, distortion)
+        whole = (kept[..., 0] == 255).astype(np.float32)
+        covered = whole if covered is None else covered * whole
+    return replace(shot, image=image, mask=covered, lens=distortion.terms)
 
 
 def downscaled(shot: Shot, factor: int, share: float = 0.5) -> Shot:
-    """Box means over factor x factor pixels; a last, incomplete row or column is cut. A pixel's
-    mask is 1 where at least `share` of what it covers is valid."""
+    """Box means over factor x factor pixels; an incomplete last row or column is cut.
+
+    share: the part of a box that must be valid for its mean to be valid.
+    """
     if factor == 1:
         return shot
     require(

@@ -1,12 +1,11 @@
 """The vertices of a PLY file (Turk 1994): a header, then the elements it names, as text or binary.
 
-Only what points need is read: one element `vertex` of scalar properties, with nothing but scalars
-before it. The header is checked against the file before anything is allocated.
+Only files of points are read: one element `vertex` of scalar properties, and only scalars before
+it. The header is checked against the file's size before anything is allocated.
 """
 
 from __future__ import annotations
 
-import io
 import os
 import re
 from dataclasses import dataclass
@@ -35,8 +34,7 @@ COUNT = re.compile(r"\d{1,15}", re.ASCII)
 
 @dataclass(frozen=True)
 class _Header:
-    """begin: of the body, bytes. before: the rows, or bytes, that stand before the vertices. dtype:
-    of a vertex. text: whether the body is text."""
+    """begin: of the body, in bytes. before: rows (text) or bytes before the vertices."""
 
     begin: int
     before: int
@@ -46,23 +44,26 @@ class _Header:
 
 
 def read_vertices(path: Path) -> NDArray[Any]:
-    """[count] structured array of the vertices. Raises UserError for a file that has none such."""
+    """[count] structured array of the vertices. Raises UserError for a file without vertices."""
     with open_regular(path, PLY_BYTES) as file:
         size, header = os.fstat(file.fileno()).st_size, _header(path, file.read(HEADER_BYTES))
-        # a value of text takes a digit and what ends it, the last one perhaps without the latter
-        row = 2 * len(_names(header.dtype)) if header.text else header.dtype.itemsize
+        # a value in text takes a digit and a separator, except for the very last one
+        row = 2 * len(header.dtype.names or ()) if header.text else header.dtype.itemsize
         least = header.before + header.count * row - header.text
         require(
             least <= size - header.begin,
             f"{path}: expected at least {least:,} bytes after the header, got"
             f" {size - header.begin:,}; the file is damaged, write it again",
         )
-        file.seek(header.begin)
-        return _as_text(path, header, file.read()) if header.text else _as_binary(header, file)
+        if header.text:
+            file.seek(header.begin)
+            return _text_rows(path, header, file.read())
+        file.seek(header.begin + header.before)
+        return np.fromfile(file, header.dtype, header.count)
 
 
 def read_coloured(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Read positions [M, 3] and uchar colours [M, 3]. Raises UserError for another PLY file."""
+    """Read positions [M, 3] and uchar colours [M, 3]. Raises UserError if the file lacks them."""
     require(
         is_file(path),
         f"{path}: expected a PLY file of coloured points, found none; correct scene.points",
@@ -84,12 +85,7 @@ def read_coloured(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     return xyz[good], rgb[good]
 
 
-def _as_binary(header: _Header, file: io.BufferedReader) -> NDArray[Any]:
-    file.seek(header.before, io.SEEK_CUR)
-    return np.fromfile(file, header.dtype, header.count)
-
-
-def _as_text(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
+def _text_rows(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
     try:
         lines = body.decode("ascii").splitlines()[header.before :][: header.count]
         rows = np.empty(0, header.dtype)
@@ -120,44 +116,45 @@ def _header(path: Path, head: bytes) -> _Header:
     )
     order, before = ORDERS[form], 0
     for name, count, properties in _elements(path, lines):
-        if name != "vertex" and not properties and count:
-            raise UserError(
-                f"{path}: expected scalars before the vertices, got the list element '{name[:40]}';"
-                " write the vertices first"
+        kinds = [(p, kind if order is None else order + kind) for p, kind in properties or []]
+        dtype = np.dtype(kinds)
+        if name == "vertex":
+            require(
+                bool(dtype.names), f"{path}: expected vertices of scalars, got lists or nothing"
             )
-        if name != "vertex":
-            size = np.dtype([(n, k) for n, k in properties]).itemsize if count else 0
-            before += count if order is None else count * size
-            continue
-        dtype = np.dtype([(n, k if order is None else order + k) for n, k in properties])
+            return _Header(end.end(), before, count, dtype, order is None)
         require(
-            len(_names(dtype)) > 0, f"{path}: expected vertices of scalars, got lists or nothing"
+            bool(dtype.names) or count == 0,
+            f"{path}: expected scalars before the vertices, got the list element '{name[:40]}';"
+            " write the vertices first",
         )
-        return _Header(end.end(), before, count, dtype, order is None)
+        before += count if order is None else count * dtype.itemsize
     raise UserError(f"{path}: expected an element 'vertex', got none; it holds no points")
 
 
-def _names(dtype: np.dtype[Any]) -> tuple[str, ...]:
-    return dtype.names or ()
+Element = tuple[str, int, list[tuple[str, str]] | None]
 
 
-def _elements(path: Path, lines: list[list[str]]) -> list[tuple[str, int, list[tuple[str, str]]]]:
-    """(name, count, its scalar properties, or none where it has a list) of every element."""
-    found: list[tuple[str, int, list[tuple[str, str]]]] = []
-    lists: set[int] = set()
+def _elements(path: Path, lines: list[list[str]]) -> list[Element]:
+    """Name, count and scalar properties of every element; None if it has a list."""
+    elements: list[Element] = []
     for words in lines:
+        name, count, properties = elements[-1] if elements else ("", 0, [])
         match words:
             case ["element", name, number] if COUNT.fullmatch(number):
-                found.append((name, int(number), []))
-            case ["property", "list", *_] if found:
-                lists.add(len(found) - 1)
-            case ["property", kind, name] if kind in KINDS and found:
-                names = [n for n, _ in found[-1][2]]
-                require(name not in names, f"{path}: expected each property once, got two '{name}'")
-                found[-1][2].append((name, KINDS[kind]))
+                elements.append((name, int(number), []))
+            case ["property", "list", *_] if elements:
+                elements[-1] = (name, count, None)
+            case ["property", kind, added] if kind in KINDS and elements:
+                require(
+                    added not in dict(properties or []),
+                    f"{path}: expected each property once, got two '{added}'",
+                )
+                if properties is not None:
+                    properties.append((added, KINDS[kind]))
             case ["element" | "property", *_]:
                 raise UserError(
                     f"{path}: expected 'element NAME COUNT' and 'property TYPE NAME', got"
                     f" '{' '.join(words)[:60]}'; write the file again"
                 )
-    return [(n, c, [] if i in lists else p) for i, (n, c, p) in enumerate(found)]
+    return elements

@@ -1,8 +1,8 @@
-"""The sparse points that training gets, and the depth bounds they give.
+"""The sparse points for training, and the depth bounds from them.
 
 Points with tracks, as of a COLMAP model, need two training views in their track (see
 `assemble.Tracks.for_training`). Points without tracks, as of a PLY file, a scanner or a network,
-are seen by the training views that they project into. Without any points they are triangulated
+are seen by the training views that they project into. Without any points, they are triangulated
 from the training photos.
 """
 
@@ -27,12 +27,12 @@ MOST_BEHIND = 0.2  # share of points behind the cameras that see them
 
 log = logging.getLogger(__name__)
 
-FEWEST = 20  # points to know bounds from
+FEWEST = 20  # points for reliable bounds
 PERCENTILES = (0.1, 99.9)  # of the depths, as LLFF's poses_bounds.npy has them
 POINTS_PER_CELL = 4  # of the grid in which near points hide far ones
 MOST = 200_000  # points without tracks
 CORRELATION = 0.1  # of colours: 0.5 to 0.9 for the open scenes, below 0.1 in another world
-HIDDEN = 1.5  # times the depth of the nearest point in its cell: from there a point is hidden
+HIDDEN = 1.5  # times the depth of the nearest point in its cell; deeper points are hidden
 
 
 def points_and_bounds(
@@ -53,7 +53,7 @@ def points_and_bounds(
         shots: the training views.
         near: `scene.near`, None if it is not set.
         far: `scene.far`, None if it is not set.
-        where: opens a message.
+        where: starts a message.
 
     Returns:
         The points that at least two training views see, near and far. If no training view sees a
@@ -82,14 +82,13 @@ def points_and_bounds(
 def see_untracked(
     tracks: Tracks, train: Sequence[int], shots: Sequence[Shot], where: str
 ) -> Tracks:
-    """Let points without a track be seen by the training views that they project into.
+    """Make points without a track visible to the training views that they project into.
 
-    If no track has more than one image, as of networks that predict a depth per image, tracks only
-    name the images that the points come from: those of training views are treated alike.
-
-    Of more than `MOST` points every k-th counts. Logs a warning, as points of unknown origin may
-    know what the test photos show. Points whose colours do not match the photos, as of another
-    world than the poses', are left out with a warning.
+    If no track has more than one image, as of networks that predict a depth per image, the tracks
+    only name the images that the points come from. Points of training views then count as without
+    a track. Of more than `MOST` points every k-th is used. Logs a warning, as points of unknown
+    origin may contain information of test photos. Points whose colours do not match the photos, as
+    of another world than the poses', are left out with a warning.
     """
     images = tracks.seen.sum(axis=1)
     chosen = images == 0
@@ -152,8 +151,8 @@ def _same_colours(
     pixels: Sequence[Pixels],
     visible: Sequence[NDArray[np.bool_]],
 ) -> bool:
-    """Whether grey values of points correlate with those of the pixels where they are seen. Too few
-    points, or points of a single colour, pass if any is seen."""
+    """Whether the grey values of points correlate with those of their pixels. Too few points, or
+    points of one colour, pass if any is visible."""
     theirs, ours = [np.zeros(0)], [np.zeros(0)]
     for shot, (u, v, _), seen in zip(shots, pixels, visible, strict=True):
         theirs.append(rgb[seen].mean(axis=1))
@@ -167,11 +166,11 @@ def _same_colours(
 def depth_bounds(
     tracks: Tracks, viewmats: Sequence[NDArray[np.float64]], train: Sequence[int], where: str
 ) -> tuple[float, float]:
-    """(near, far): 0.1 and 99.9 percentiles of the depths at which the training views see points
-    that at least two of them see.
+    """(near, far): 0.1 and 99.9 percentiles of the depths in the training views of points that at
+    least two of them see.
 
-    What a single one sees was found with the help of test photos: such points count only where the
-    training views share fewer than `FEWEST`, and that is told. Raises UserError without any.
+    Other points were found with the help of test photos. They count only if the training views
+    share fewer than `FEWEST`, with a warning. Raises UserError without any points.
     """
     shared = tracks.for_training(train)
     counted = int(tracks.seen[:, list(train)].any(1).sum())
@@ -179,8 +178,8 @@ def depth_bounds(
         tracks, viewmats, train = shared, [viewmats[i] for i in train], range(len(train))
     else:
         log.warning(
-            "%s: the training photos share %d sparse points, too few to know near and far from;"
-            " points that they share with test photos count too",
+            "%s: the training photos share %d sparse points, too few for near and far; points that"
+            " they share with test photos count too",
             where,
             len(shared.xyz),
         )

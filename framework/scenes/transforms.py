@@ -1,17 +1,18 @@
-"""`scene=transforms`: photos with a `transforms.json`, as instant-ngp, NeRF and nerfstudio use it.
+"""`scene=transforms`: photos and a `transforms.json` of instant-ngp, NeRF or nerfstudio.
 
-Each of `frames` has a `file_path` (relative to the file, with or without the suffix) and a
+Each of `frames` has a `file_path` (relative to the file, with or without suffix) and a
 `transform_matrix`, camera-to-world with OpenGL axes (x right, y up, z backward). Intrinsics are
-`fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` or `camera_angle_x` (radians), once for all or per frame;
-`k1`, `k2`, `k3`, `p1`, `p2` are OpenCV's, and the photos are undistorted. The world of the file is
-kept: `applied_transform`, `scale` and `aabb_scale` say how others turned or framed it. Transparent
-photos are laid on white or black, on which renders are then drawn too.
+`fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` or `camera_angle_x` (radians), once for all or per frame. `k1`,
+`k2`, `k3`, `p1`, `p2` are OpenCV's, and the photos are undistorted. The world of the file is kept:
+`applied_transform`, `scale` and `aabb_scale` are ignored. Transparent photos are composited over
+white or black, which is then also the background of renders.
 
-`split=llff` names no standard of these scenes; it is the usual every-8th rule on the sorted paths.
-`split=file` takes the file's own `test_filenames` (or `val_filenames`) and `train_filenames`.
-A frame's `mask_path` is a picture, black where the photo does not count; frames without one use
+`split=llff` is the usual every-8th rule on the sorted paths; these scenes have no standard split.
+`split=file` uses the file's `test_filenames` (or `val_filenames`) and `train_filenames`.
+A frame's `mask_path` is a picture, black where the photo does not count. Frames without one use
 `masks/` (see `masks`). Frames without a photo are left out.
-Points come from the COLMAP model whose poses are those of the file, also after nerfstudio's
+
+Points come from the COLMAP model with the poses of the file, also after nerfstudio's
 `applied_transform`, else from the PLY file of its `ply_file_path`. Depth bounds are those of the
 training views' points, as in `scene=colmap`, unless given.
 """
@@ -27,10 +28,10 @@ from typing import TYPE_CHECKING
 from framework.errors import UserError, require
 from framework.files.paths import inside
 from framework.scenes.options import check_choice, check_folder_options
-from framework.scenes.splits import FILES, Split, protocol, told
+from framework.scenes.splits import FILES, Split, file_protocol, protocol
 
 if TYPE_CHECKING:
-    from framework.scenes.assemble import Shot, Tracks
+    from framework.scenes.assemble import Tracks
     from framework.scenes.transforms_file import Frame
     from framework.types import Scene
 
@@ -52,7 +53,7 @@ class Transforms:
     n_views: int | str = 12  # training views; all = every one that is not for testing
     file: str = "transforms.json"  # of cameras and photos, inside path
     downscale: int = 1  # photos are reduced by it, averaging boxes of pixels
-    paper: str = "white"  # what transparent photos are laid on: white, black
+    paper: str = "white"  # background of transparent photos: white, black
     points: str = "auto"
     model: str = "auto"  # folder of the COLMAP model inside path; auto = that of the most photos
     near: float | None = None
@@ -65,10 +66,10 @@ class Transforms:
         check_choice("transforms", "paper", self.paper, tuple(PAPERS))
 
     def load(self) -> Scene:
-        """The scene. Raises UserError where file and photos do not hold what they must."""
+        """Load the scene. Raises UserError if file and photos do not fit together."""
         from framework.scenes.assemble import Tracks, assemble
         from framework.scenes.images import scene_folder
-        from framework.scenes.photo import check_memory
+        from framework.scenes.photo import read_shots
         from framework.scenes.points import points_and_bounds
         from framework.scenes.transforms_file import read_frames, with_photos
 
@@ -78,11 +79,8 @@ class Transforms:
         where = f"scene=transforms: {folder}"
         frames = [*with_photos(file, listed).values()]
         split = self._split(file, [f.name for f in frames], {f.name for f in listed}, where)
-        check_memory([frames[i].file for i in (*split.train, *split.test)], self.downscale)
-        train, test = (
-            [shot(frames[i], self.paper, self.downscale) for i in part]
-            for part in (split.train, split.test)
-        )
+        paper = PAPERS[self.paper]
+        train, test = read_shots(lambda i: frames[i].photo(), split, self.downscale, paper)
         tracks, near, far = points_and_bounds(
             self._tracks(folder, file, frames),
             [f.viewmat for f in frames],
@@ -92,39 +90,38 @@ class Transforms:
             self.far,
             where,
         )
-        if self.points == "none":  # then they gave bounds only
+        if self.points == "none":  # they only gave the bounds
             tracks = Tracks()
-        name, paper = folder.resolve().name, PAPERS[self.paper] / 255
-        return assemble(name, self.split, train, test, tracks, near, far, paper)
+        name = folder.resolve().name
+        return assemble(name, self.split, train, test, tracks, near, far, paper / 255)
 
     def _split(self, file: Path, names: list[str], listed: set[str], where: str) -> Split:
-        """By the rule, or by what the file says; warns where the rule trains on its test photos."""
+        """Split by a rule or by the file; warns if the rule trains on the file's test photos."""
         from framework.scenes.transforms_file import read_roles
 
         train, test = read_roles(file)
-        own = told(names, train, test, self.split)
+        by_file = file_protocol(names, train, test, self.split)
         if self.split in FILES:
             require(
                 bool(test),
                 f"{file}: expected test_filenames or val_filenames for scene.split={self.split},"
-                " got none; name test photos there or take scene.split=llff",
+                " got none; name test photos there or use scene.split=llff",
             )
-            known = {*listed, *(splitext(name)[0] for name in listed)}
-            strange = sorted((train | test) - known)
+            strange = sorted((train | test) - {*listed, *(splitext(name)[0] for name in listed)})
             require(
                 not strange,
                 f"{file}: expected the photos of train_filenames and test_filenames among its"
                 f" frames, {len(strange)} are not (first: {strange[0] if strange else ''}); correct"
-                " their names or take scene.split=llff",
+                " their names or use scene.split=llff",
             )
             require(
-                bool(own.divide(len(names))[1]),
+                bool(by_file.divide(len(names))[1]),
                 f"{file}: expected the test photos that it names, got none of them; restore them or"
-                " take scene.split=llff",
+                " use scene.split=llff",
             )
-            return own.split(names, self.n_views, where)
+            return by_file.split(names, self.n_views, where)
         split = protocol(self.split).split(names, self.n_views, where)
-        both = sorted(set(own.divide(len(names))[1]) & set(split.train))
+        both = sorted(set(by_file.divide(len(names))[1]) & set(split.train))
         if both:
             log.warning(
                 f"{file} names test photos, and scene.split={self.split} trains on {len(both)} of"
@@ -153,23 +150,3 @@ class Transforms:
         except UserError as error:
             log.warning(f"{error}; the points of ply_file_path are not used")
             return tracks
-
-
-def shot(frame: Frame, paper: str, downscale: int) -> Shot:
-    """The photo of a frame with its camera and mask, reduced; transparent ones on that of
-    `PAPERS`. Raises UserError for a bad file or one of other proportions."""
-    from framework.files.limits import PHOTO_PIXELS
-    from framework.scenes.decoding import image_size
-    from framework.scenes.photo import photo_shot
-
-    lens = frame.lens(*image_size(frame.file, PHOTO_PIXELS))
-    return photo_shot(
-        frame.file,
-        frame.name,
-        lens,
-        frame.viewmat,
-        downscale,
-        frame.mask,
-        PAPERS[paper],
-        sized={"w", "h"} <= frame.values.keys(),
-    )

@@ -1,4 +1,4 @@
-"""Reading and checking a `transforms.json`; see `transforms` for what is in it."""
+"""Reads and checks a `transforms.json`; see `transforms` for its content."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from numpy.typing import NDArray
 
 from framework.compute import portable
 from framework.errors import UserError, require
-from framework.files.limits import TEXT_BYTES
+from framework.files.limits import PHOTO_PIXELS, TEXT_BYTES
 from framework.files.opened import is_file, read_text
 from framework.scenes.cameras import checked_lens, checked_pose
 from framework.scenes.conventions import decoded_as
+from framework.scenes.decoding import image_size
 from framework.scenes.formats import find_photo
 from framework.scenes.lens import Distortion, Lens
 from framework.scenes.listed import find_photos
 from framework.scenes.masks import find_masks
+from framework.scenes.photo import Photo
 
 FULL = "FULL_OPENCV"
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", FULL)
@@ -36,14 +38,21 @@ NUMBERS = (
 # what nerfstudio applied to a COLMAP model before it wrote applied_transform
 OLD_NERFSTUDIO = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
 OPENGL_TO_OPENCV = np.array([1.0, -1.0, -1.0])  # the signs of a camera's axes
-OWN_POSES = "opengl_c2w"  # of the layout
+LAYOUT_POSES = "opengl_c2w"  # of the layout
 
 
 @dataclass(frozen=True)
 class Frame:
-    """name: the file path as written, suffix included. file: the photo; the transforms.json where
-    only cameras are read. viewmat: [4, 4] OpenCV world-to-camera. values: the intrinsics that apply
-    to it; where: opens an error about them. mask: a picture, black where nothing counts."""
+    """A frame of the file.
+
+    Attributes:
+        name: the file path as written, with suffix.
+        file: the photo; the transforms.json where only cameras are read.
+        viewmat: [4, 4] OpenCV world-to-camera.
+        values: its intrinsics.
+        where: starts a message about it.
+        mask: a picture, black where the photo does not count.
+    """
 
     name: str
     file: Path
@@ -52,8 +61,14 @@ class Frame:
     where: str
     mask: Path | None = None
 
+    def photo(self) -> Photo:
+        """The photo, with a lens of its size unless the file gives one."""
+        lens = self.lens(*image_size(self.file, PHOTO_PIXELS))
+        sized = {"w", "h"} <= self.values.keys()
+        return Photo(self.file, self.name, lens, self.viewmat, self.mask, sized)
+
     def lens(self, width: int, height: int) -> Lens:
-        """The intrinsics, for a photo of width x height where the file states no size.
+        """The intrinsics, for a photo of width x height if the file gives no size.
 
         fl_x, else from camera_angle_x = 2 atan(w / (2 fl_x)); fl_y likewise, else fl_x. The
         principal point is the middle unless given.
@@ -85,12 +100,12 @@ class Frame:
         return size / view * cosine / sinc
 
 
-def read_frames(path: Path, poses: str = OWN_POSES) -> list[Frame]:
-    """The frames, sorted by name; photos may be missing. Raises UserError for what is unsound."""
+def read_frames(path: Path, poses: str = LAYOUT_POSES) -> list[Frame]:
+    """Read the frames, sorted by name; see `read_in_order`."""
     return sorted(read_in_order(path, poses), key=lambda frame: frame.name)
 
 
-def read_in_order(path: Path, poses: str = OWN_POSES) -> list[Frame]:
+def read_in_order(path: Path, poses: str = LAYOUT_POSES) -> list[Frame]:
     """Read the frames in the file's order; photos may be missing.
 
     Args:
@@ -98,13 +113,13 @@ def read_in_order(path: Path, poses: str = OWN_POSES) -> list[Frame]:
         poses: how it writes poses, see `options.CONVENTIONS`.
 
     Raises:
-        UserError: something is unsound.
+        UserError: a value is invalid.
     """
     frames = []
     for frame in read_cameras(path):
         name, file = _relative(path.parent, frame.name)
         mask = frame.mask and find_photo(path.parent, str(frame.mask))
-        viewmat = decoded_as(frame.viewmat, OWN_POSES, poses)
+        viewmat = decoded_as(frame.viewmat, LAYOUT_POSES, poses)
         frames.append(replace(frame, name=name, file=file, mask=mask, viewmat=viewmat))
     _check_once(path, [frame.name for frame in frames])
     return frames
@@ -119,7 +134,7 @@ def with_photos(path: Path, frames: Sequence[Frame]) -> dict[int, Frame]:
     Raises:
         UserError: no photo exists.
     """
-    files = find_photos([frame.file for frame in frames], str(path))
+    files = find_photos(path.parent, [frame.name for frame in frames], str(path))
     kept = {i: replace(frames[i], file=file) for i, file in files.items()}
     bare = {i: frame.name for i, frame in kept.items() if frame.mask is None}
     photos = next((name.split("/")[0] for name in bare.values() if name.startswith("images")), "")
@@ -142,7 +157,7 @@ class Extras:
 
 
 def read_extras(path: Path) -> Extras:
-    """Read `ply_file_path` and `applied_transform`. Raises UserError for what is unsound."""
+    """Read `ply_file_path` and `applied_transform`. Raises UserError for invalid ones."""
     data = _read_json(path)
     ply = _text(data, "ply_file_path", str(path))
     applied = data.get("applied_transform", OLD_NERFSTUDIO)
@@ -164,29 +179,28 @@ def read_extras(path: Path) -> Extras:
 
 
 def read_cameras(path: Path) -> list[Frame]:
-    """The frames in the file's order, whether there are photos or not; names as written. Raises
-    UserError for what is unsound."""
+    """Read the frames in the file's order, without looking for photos; names as written. Raises
+    UserError for invalid values."""
     data = _read_json(path)
     entries = data.get("frames")
     if not isinstance(entries, list) or not entries:
         raise UserError(f"{path}: expected a list 'frames' of photos, got none; is it complete?")
     common = _values(data, str(path))
-    _check_once(path, _file_paths(path, entries))  # before a file is looked for
+    _check_once(path, _file_paths(path, entries))  # before files are looked up
     frames = []
     for i, entry in enumerate(entries):
         where = f"{path}: frame {i} ({entry['file_path'][:200]})"
         viewmat = _viewmat(entry.get("transform_matrix"), where)
         values = _merged(common, _values(entry, where))
         mask = _text(entry, "mask_path", where)
-        own = None if mask is None else Path(mask)
-        frames.append(Frame(entry["file_path"], path, viewmat, values, where, own))
+        file = None if mask is None else Path(mask)
+        frames.append(Frame(entry["file_path"], path, viewmat, values, where, file))
     return frames
 
 
 def read_roles(path: Path) -> tuple[set[str], set[str]]:
-    """(names of the photos that the file lets train, of those that it tests on), with or without
-    their suffix; both are empty where it says nothing. Raises UserError for what is no list of
-    names."""
+    """The names of the file's training and test photos, with or without suffix; empty sets if it
+    has none. Raises UserError for anything but lists of names."""
     data = _read_json(path)
     roles = []
     for key in ("train_filenames", "test_filenames", "val_filenames"):
@@ -200,13 +214,16 @@ def read_roles(path: Path) -> tuple[set[str], set[str]]:
     return train, test or val
 
 
-def _merged(common: Mapping[str, float], own: Mapping[str, float]) -> dict[str, float]:
-    """Intrinsics of one frame: its own come first, its own focal length or angle of view before
-    the common ones of that axis, and one across before those of both, as half of each is none."""
+def _merged(common: Mapping[str, float], frame: Mapping[str, float]) -> dict[str, float]:
+    """Intrinsics of a frame. Its own focal length or angle of view along x replaces the common ones
+    of both axes, its own along y the common ones of y."""
     across, up = ("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")
-    gone = {*across, *up} if any(key in own for key in across) else set[str]()
-    gone |= {*up} if any(key in own for key in up) else set()
-    return {**{key: value for key, value in common.items() if key not in gone}, **own}
+    replaced: set[str] = set()
+    if frame.keys() & {*across}:
+        replaced |= {*across, *up}
+    if frame.keys() & {*up}:
+        replaced |= {*up}
+    return {**{key: value for key, value in common.items() if key not in replaced}, **frame}
 
 
 def _text(entry: Mapping[str, Any], key: str, where: str) -> str | None:
@@ -270,11 +287,11 @@ def _values(entry: Mapping[str, Any], where: str) -> dict[str, float]:
         value = entry[key]
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
         require(
-            number and abs(value) <= sys.float_info.max,  # an integer may be beyond all floats
+            number and abs(value) <= sys.float_info.max,  # an integer may exceed all floats
             f"{where}: expected {key} to be a finite number, got {value}; correct it",
         )
         values[key] = float(value)
-    rational = () if model == FULL else ("k4", "k5", "k6")  # k4 of nerfstudio is another term
+    rational = () if model == FULL else ("k4", "k5", "k6")  # nerfstudio's k4 is another term
     odd = [key for key in (*rational, *UNSUPPORTED) if values.get(key, 0.0) != 0.0]
     require(
         not odd,
@@ -285,7 +302,7 @@ def _values(entry: Mapping[str, Any], where: str) -> dict[str, float]:
 
 
 def _relative(folder: Path, file_path: str) -> tuple[str, Path]:
-    """The path of a photo from the folder, as written if there is no such photo; and the photo."""
+    """The path of a photo from the folder, as written if it does not exist; and the photo."""
     file = find_photo(folder, file_path)
     exists = is_file(file)
     return file.relative_to(folder).as_posix() if exists else file_path.removeprefix("./"), file
@@ -304,6 +321,6 @@ def _viewmat(matrix: Any, where: str) -> NDArray[np.float64]:
     )
     viewmat = np.eye(4)
     viewmat[:3, :3] = (pose[:3, :3] * OPENGL_TO_OPENCV).T
-    with np.errstate(over="ignore", invalid="ignore"):  # refused in the next line
+    with np.errstate(over="ignore", invalid="ignore"):  # refused by checked_pose
         viewmat[:3, 3] = -portable.product(viewmat[:3, :3], pose[:3, 3])
     return checked_pose(viewmat, f"{where}: transform_matrix")

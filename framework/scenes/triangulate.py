@@ -1,6 +1,6 @@
-"""Sparse points of photos with known poses: SIFT matches that fit the poses, triangulated.
+"""Triangulates sparse points of photos with known poses from SIFT matches.
 
-Only the given photos take part, so that points of training views owe nothing to test views.
+Only the training photos are used, so the points are independent of the test photos.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def triangulate(shots: Sequence[Shot], where: str) -> Tracks:
 
     Args:
         shots: pinhole photos with their poses; masked pixels have no features.
-        where: opens a message.
+        where: starts a message.
 
     Returns:
         A point per match, seen by its two photos.

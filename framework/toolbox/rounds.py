@@ -116,7 +116,7 @@ class RoundsCapacity(PullCapacity):
 
 def training_information(ctx: StepContext) -> TrainingInformation:
     """Information of the training views on the current Gaussians, of all pixels: surfaces continue
-    where a photo's mask ends, and other views see them (benchmarks/results/presets.md)."""
+    where a photo's mask ends, and other views see them (docs/decisions.md)."""
     from framework.fisher.information import FisherInformation
 
     total, colours = None, []

@@ -7,7 +7,7 @@ mask's pixels, where surfaces continue.
 
 The second camera (Binocular-Guided 3DGS, Han et al. 2024) needs no photo: rendered from beside the
 photo and moved back by the depth, Gaussians at a wrong depth are in the wrong place. It counts
-where both renders show the same surface. `benchmarks/results/presets.md` has how the constants were
+where both renders show the same surface. docs/decisions.md explains how the constants were
 chosen.
 """
 

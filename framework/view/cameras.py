@@ -1,4 +1,7 @@
-"""The cameras of a run as its `transforms.json` tells them (`framework.records.cameras`)."""
+"""The cameras of a run from its `transforms.json` (see `framework.records.cameras`).
+
+Not read by `framework.scenes`, which would import numba.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +26,14 @@ LARGEST = 1e12  # of a number in the file; far beyond any camera
 
 @dataclass(frozen=True)
 class RunCamera:
-    """name: of the view. tests: whether it tested, and did not train. viewmat: [4, 4] OpenCV
-    world-to-camera. lens: pixels of the pictures that the run worked with. exposure: [3] factors of
-    the photo's colours to those of the model."""
+    """A camera of a run.
+
+    Attributes:
+        tests: whether it is a test view.
+        viewmat: [4, 4] OpenCV world-to-camera.
+        lens: in pixels of the pictures that the run used.
+        exposure: [3] factors of the photo's colours to those of the model.
+    """
 
     name: str
     tests: bool
@@ -35,23 +43,23 @@ class RunCamera:
 
     @property
     def center(self) -> NDArray[np.float64]:
-        """[3], in the world."""
+        """[3] in the world."""
         return np.asarray(-self.viewmat[:3, :3].T @ self.viewmat[:3, 3])
 
 
 def read_cameras(run_dir: Path) -> tuple[tuple[RunCamera, ...], float]:
-    """The cameras, test views first, and the depth in front of which nothing is drawn.
+    """Read the cameras, test views first, and the depth where rendering begins.
 
-    Raises UserError where the file is missing or is not what a run writes.
+    Raises UserError if the file is missing or was not written by a run.
     """
     path = run_dir / TRANSFORMS
-    told = read_json(path, RUN_BYTES)
-    frames = told.get("frames") if isinstance(told, Mapping) else None
+    content = read_json(path, RUN_BYTES)
+    frames = content.get("frames") if isinstance(content, Mapping) else None
     if not isinstance(frames, list):
         raise UserError(f"{path}: expected a list 'frames' of cameras, got none; run again")
-    test = told.get("test_filenames", [])
+    test = content.get("test_filenames", [])
     _check(path, isinstance(test, list), "a list 'test_filenames'", test)
-    near = told.get("near_plane", NEAR)
+    near = content.get("near_plane", NEAR)
     _check(path, _is_number(near) and near > 0, "a positive near_plane", near)
     cameras = [_camera(path, i, frame, test) for i, frame in enumerate(frames)]
     names = {camera.name for camera in cameras}
@@ -85,7 +93,7 @@ def _camera(path: Path, number: int, frame: Any, test: Sequence[Any]) -> RunCame
 
 
 def upward(cameras: Sequence[RunCamera]) -> list[float]:
-    """[3] unit: where the cameras, taken together, have their upper side."""
+    """[3] unit vector: the mean up direction of the cameras."""
     total = sum((-camera.viewmat[1, :3] for camera in cameras), np.zeros(3))
     length = float(np.linalg.norm(total))
     return [0.0, -1.0, 0.0] if length < 1e-3 else [float(v) for v in total / length]

@@ -1,11 +1,16 @@
-"""The Gaussians of a run in few bytes, for the page to unpack (`assets/model.js`).
+"""Packs the Gaussians of a run for the page, which unpacks them in `assets/model.js`.
 
-Little endian, one array after the other, all of it gzip: means [N, 3] float32 as they are;
-log_scales [N, 3] as 16 bits between their extremes; quats [N, 4] of unit length as 16 bits with a
-sign; opacities [N] as 16 bits from 0 to 1; sh0 [N, 3] as 16 bits between its extremes; shN
-[M, K-1, 3] as a byte each, 128 + 127 sign(v) sqrt(|v| / range) with the largest |v| of its degree
-as the range: fine where most are, near 0. What is stored of the scales and colours is so exact that
-a picture made of it differs from one of the originals by far less than its 8 bits.
+Little-endian arrays, one after the other, then gzip:
+
+    means [N, 3]      float32
+    log_scales [N, 3] 16 bits between the extremes
+    quats [N, 4]      of unit length, 16 bits with a sign
+    opacities [N]     16 bits from 0 to 1
+    sh0 [N, 3]        16 bits between the extremes
+    shN [M, K-1, 3]   8 bits: 128 + 127 sign(v) sqrt(|v| / range), with the largest |v| of the
+                      degree as range; this is finer near 0, where most values are
+
+A picture of the packed Gaussians differs from one of the originals by far less than its 8 bits.
 """
 
 from __future__ import annotations
@@ -20,15 +25,21 @@ import numpy as np
 from framework.records.ply import Splats
 
 LEVELS = 65535
-SIZES = (-40.0, 40.0)  # of log_scales that have a meaning in float32
+SIZES = (-40.0, 40.0)  # of log_scales whose exponentials float32 can hold
 COLOURS = (-1e3, 1e3)
 DEGREES = ((0, 3), (3, 8), (8, 15))  # the coefficients of SH degree 1, 2 and 3
 
 
 @dataclass(frozen=True)
 class Packed:
-    """count: N. banded: M. rest: K - 1. log_scales, sh0: (lowest, highest). bands: the range of
-    each degree. text: the bytes, gzip and base64."""
+    """Packed Gaussians.
+
+    Attributes:
+        count, banded, rest: N, M and K - 1.
+        log_scales, sh0: (lowest, highest).
+        bands: range of each degree.
+        text: gzip in base64.
+    """
 
     count: int
     banded: int
@@ -40,7 +51,7 @@ class Packed:
 
 
 def packed(splats: Splats) -> Packed:
-    """The Gaussians as the page takes them."""
+    """Pack the Gaussians."""
     rest = splats.shN.shape[1]
     banded = len(splats.shN) if rest else 0
     scales, scale_range = _levels(splats.log_scales, *SIZES)
@@ -61,7 +72,7 @@ def packed(splats: Splats) -> Packed:
 
 
 def _levels(values: Any, lowest: float, highest: float) -> tuple[np.ndarray, tuple[float, float]]:
-    """Values as 16 bits between their extremes, and these."""
+    """Values as 16 bits between their extremes, and the extremes."""
     clipped = np.clip(values.astype(np.float64), lowest, highest)
     low, high = (float(clipped.min()), float(clipped.max())) if clipped.size else (0.0, 0.0)
     width = max(high - low, 1e-12)
@@ -69,7 +80,7 @@ def _levels(values: Any, lowest: float, highest: float) -> tuple[np.ndarray, tup
 
 
 def _unit(quats: np.ndarray) -> np.ndarray:
-    """[N, 4] float64 of length 1; one of length 0 stays."""
+    """[N, 4] float64 of length 1, or 0 if the length is 0."""
     wide = quats.astype(np.float64)
     lengths = np.linalg.norm(wide, axis=1, keepdims=True)
     return np.asarray(wide / np.where(lengths > 0, lengths, 1.0))

@@ -1,7 +1,7 @@
-"""The page: one HTML file that needs nothing else, no network and no other file.
+"""Makes the page: one HTML file that needs neither network nor other files.
 
-As in reports, texts from outside are escaped, data is JSON in which `<` cannot occur, and the
-content security policy allows the page's own script and style by their hashes alone.
+As in reports, texts from outside are escaped and data is JSON without `<`. The content security
+policy allows only the page's own script and style, by their hashes.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from framework.view.runs import ViewedRun
 
 ASSETS = Path(__file__).parent / "assets"
 SCRIPTS = ("math", "model", "shaders", "renderer", "camera", "input", "page")
-SETTINGS = ("capacity", "depth", "init")  # named where they tell two runs apart
+SETTINGS = ("capacity", "depth", "init")  # named if two runs differ in them
 
 
 def view_page(runs: Sequence[ViewedRun], photos: bool = True) -> str:
-    """The page of one run, or of two beside each other (`framework.view.check_together`).
+    """The page of one run, or of two side by side (`framework.view.check_together`).
 
-    photos: whether it holds those of the runs. Raises UserError for a photo that is none.
+    photos: include the photos. Raises UserError for a damaged one.
     """
     models = [packed(run.splats) for run in runs]
     script = '"use strict";\n(() => {\n' + "".join(_asset(f"{n}.js") for n in SCRIPTS) + "})();\n"
@@ -52,7 +52,7 @@ def view_page(runs: Sequence[ViewedRun], photos: bool = True) -> str:
 
 
 def labels(runs: Sequence[ViewedRun]) -> list[str]:
-    """What each run is called, as short as tells them apart."""
+    """Short names that distinguish the runs."""
     methods = [run.record.methods for run in runs]
     differing = [key for key in SETTINGS if len({m.get(key) for m in methods}) > 1]
     named = []
@@ -66,7 +66,7 @@ def labels(runs: Sequence[ViewedRun]) -> list[str]:
 
 
 def _facts(run: ViewedRun, name: str) -> str:
-    """HTML of what a run is, and of its warnings."""
+    """HTML about a run and its warnings."""
     psnr = run.record.summary.get("psnr")
     tested = f" · test PSNR {psnr:.2f} dB" if isinstance(psnr, float) else ""
     lines = [f"{name} · {len(run.splats.means):,} Gaussians{tested}"]
@@ -77,7 +77,7 @@ def _facts(run: ViewedRun, name: str) -> str:
 def _data(
     runs: Sequence[ViewedRun], models: Sequence[Packed], names: Sequence[str], photos: bool
 ) -> dict[str, Any]:
-    """What the page's script reads: runs, cameras, photos, where it looks first."""
+    """The data for the page's script: runs, cameras, photos and the first camera."""
     cameras = {c.name: c for run in reversed(runs) for c in reversed(run.cameras)}
     ordered = sorted(reversed(cameras.values()), key=lambda camera: not camera.tests)
     files = {name: file for run in reversed(runs) for name, file in run.photos.items()}
@@ -109,7 +109,7 @@ def _run(run: ViewedRun, model: Packed, name: str) -> dict[str, Any]:
 
 def _camera(camera: RunCamera, runs: Sequence[ViewedRun], places: dict[str, int]) -> dict[str, Any]:
     lens = camera.lens
-    exposures = [{own.name: own.exposure for own in run.cameras} for run in runs]
+    exposures = [{c.name: c.exposure for c in run.cameras} for run in runs]
     return {
         "name": printable_line(camera.name),
         "role": "test" if camera.tests else "train",

@@ -1,4 +1,4 @@
-"""A run's folder as the page shows it: record, Gaussians, cameras, where its photos are."""
+"""Reads a run's folder for the page: record, Gaussians, cameras, paths of photos."""
 
 from __future__ import annotations
 
@@ -23,13 +23,18 @@ from framework.view.cameras import RunCamera, read_cameras
 
 FEW = 6  # runs that a message names
 USUAL = "reports/STUDY/runs/RUN"
-SAME = 1e-4  # of the rig's size, and of an axis: how far one camera may lie apart in two runs
+SAME = 1e-4  # of the rig's size, and of an axis: largest difference of a camera in two runs
 
 
 @dataclass(frozen=True)
 class ViewedRun:
-    """near: the depth in front of which nothing is drawn. photos: view -> its file, for those that
-    the run has kept. psnr: test view -> dB, None where it is infinite."""
+    """What the page shows of a run.
+
+    Attributes:
+        near: depth where rendering begins.
+        photos: view -> file of its photo, if the run kept it.
+        psnr: test view -> dB, None if it is infinite.
+    """
 
     folder: Path
     record: RunRecord
@@ -48,7 +53,7 @@ class ViewedRun:
 def find_run(path: Path) -> Path:
     """The folder of a run: `path`, or the only run of the study there.
 
-    Raises UserError where there is none or several.
+    Raises UserError if there is none, or more than one.
     """
     if is_file(path / RECORD):
         return path
@@ -57,31 +62,30 @@ def find_run(path: Path) -> Path:
         f"{path}: expected the folder of a run, found {'a file' if path.exists() else 'nothing'};"
         f" it is the one that holds {RECORD}, as {USUAL}",
     )
-    found = sorted(record.parent for record in path.glob(f"{RUN_FOLDERS}/*/{RECORD}"))
-    names = ", ".join(str(run) for run in found[:FEW]) + (" ..." if len(found) > FEW else "")
+    runs = sorted(record.parent for record in path.glob(f"{RUN_FOLDERS}/*/{RECORD}"))
+    names = ", ".join(str(run) for run in runs[:FEW]) + (" ..." if len(runs) > FEW else "")
     got = (
-        f"{len(found)} runs; name one: {names}"
-        if found
+        f"{len(runs)} runs; name one: {names}"
+        if runs
         else f"neither {RECORD} nor runs; name one as {USUAL}"
     )
-    require(len(found) == 1, f"{path}: expected the folder of a run, got one with {got}")
-    return found[0]
+    require(len(runs) == 1, f"{path}: expected the folder of a run, got one with {got}")
+    return runs[0]
 
 
 def read_viewed(folder: Path) -> ViewedRun:
-    """All that the page needs. Raises UserError for a run that failed, or whose files are not what
-    a run writes."""
+    """Read a run. Raises UserError for a failed run or damaged files."""
     run = read_run(folder)
     record = run.record
     require(
         record.status == "complete",
         f"{folder}: expected a complete run, got one that failed"
-        f" ({record.error or 'it tells no reason'}); run it again",
+        f" ({record.error or 'no reason given'}); run it again",
     )
     splats = read_splats(inside(folder, PLY))
     cameras: tuple[RunCamera, ...] = ()
     near = NEAR
-    if os.path.lexists(folder / TRANSFORMS):  # runs of before have none
+    if os.path.lexists(folder / TRANSFORMS):  # absent in old runs
         cameras, near = read_cameras(folder)
     texts, values = run.metrics.texts, run.metrics.numbers["psnr"]
     files = {
@@ -89,27 +93,27 @@ def read_viewed(folder: Path) -> ViewedRun:
     }
     training = record.scene.training if record.scene else ()
     files |= dict(zip(training, photo_files(training), strict=True))
-    there = {view: inside(folder, name) for view, name in files.items() if is_file(folder / name)}
+    photos = {view: inside(folder, name) for view, name in files.items() if is_file(folder / name)}
     psnr = {
         view: float(value) if math.isfinite(value) else None
         for view, value in zip(texts["view"], values, strict=True)
     }
-    return ViewedRun(folder, record, splats, cameras, near, there, psnr)
+    return ViewedRun(folder, record, splats, cameras, near, photos, psnr)
 
 
 def check_together(runs: Sequence[ViewedRun]) -> None:
-    """Raise UserError unless the runs are of one scene: a camera of one sees the same in all."""
+    """Raise UserError unless the runs are of one scene, with equal cameras."""
     first = runs[0]
-    own = {camera.name: camera for camera in first.cameras}
+    named = {camera.name: camera for camera in first.cameras}
     for other in runs[1:]:
         where = f"{other.folder}: expected a run of the same scene as {first.folder}"
         if not first.cameras or not other.cameras:
             require(
                 first.scene == other.scene,
-                f"{where}, got {other.scene} beside {first.scene}; choose two of one scene",
+                f"{where}, got {other.scene} and {first.scene}; choose two of one scene",
             )
             continue
-        common = [(own[c.name], c) for c in other.cameras if c.name in own]
+        common = [(named[c.name], c) for c in other.cameras if c.name in named]
         if not common:
             raise UserError(f"{where}, got no camera of the same name; choose two of one scene")
         centers = np.array([a.center for a, _ in common])

@@ -1,8 +1,8 @@
-"""Shows one page on this machine, and nothing else: whatever is asked for but `/` is not there.
+"""Serves one page on this machine; every path but `/` is an error.
 
-Bound to 127.0.0.1, so that no other machine reaches it. A page from elsewhere that a browser here
-has open could have its own name resolve to 127.0.0.1 and read what is served (DNS rebinding): a
-request that names another host is refused.
+The server is bound to 127.0.0.1, so other machines cannot reach it. A web page that is open in a
+browser here could let its name resolve to 127.0.0.1 to read what is served (DNS rebinding), so
+requests with another host name are refused.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from typing import Any
 from framework.errors import UserError
 
 HOST = "127.0.0.1"
-PATIENCE_S = 30.0  # for a request that does not come to its end
+PATIENCE_S = 30.0  # for an incomplete request
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves `page` under `address`. port: 0 for any free one. Raises UserError where the port may
-    not be had."""
+    """Serves `page` under `address`. port: 0 for any free one. Raises UserError if the port is not
+    available."""
 
     daemon_threads = True
 
@@ -38,16 +38,16 @@ class PageServer(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """Where a browser finds the page."""
+        """The URL of the page."""
         return f"http://{HOST}:{self.server_port}/"
 
     @property
     def hosts(self) -> set[str]:
-        """What requests may call this server."""
+        """Host names that requests may use."""
         return {f"{name}:{self.server_port}" for name in (HOST, "localhost")}
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that went away is no error of ours."""
+        """Ignore browsers that closed the connection."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)
 
@@ -65,7 +65,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, body: bool) -> None:
         if self.headers.get("Host") not in self.server.hosts:
-            return self.send_error(403, "Ask for localhost")
+            return self.send_error(403, "Use localhost")
         if self.path.partition("?")[0] != "/":
             return self.send_error(404)
         self.send_response(200)
@@ -79,11 +79,11 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(self.server.page)
 
     def log_message(self, format: str, *arguments: Any) -> None:
-        """Nobody asked for a log."""
+        """Log nothing."""
 
 
 def show(page: str, port: int, browse: bool) -> None:
-    """Serve the page until Ctrl-C, and say where. browse: open a browser, if there is one."""
+    """Serve the page until Ctrl-C and print its URL. browse: open a browser, if there is one."""
     with PageServer(page, port) as server:
         seen = browse and _has_screen()
         hint = "" if seen or not browse else "; no screen here: open it where there is one"
@@ -97,7 +97,7 @@ def show(page: str, port: int, browse: bool) -> None:
 
 
 def _has_screen() -> bool:
-    """Whether a browser would have a window; one inside the terminal would only disturb."""
+    """Whether a browser would have a window."""
     if os.environ.get("BROWSER") or not sys.platform.startswith("linux"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -4,11 +4,11 @@ Pixel coordinates have the centre of pixel (0, 0) at (0.5, 0.5). `depth` arrays 
 are target-camera z, positive for points that paint and occlude, negative (same magnitude) for
 points that only occlude. A projected row coordinate of `OUTSIDE` marks a pixel without a point.
 
-`project` divides the source rows among its blocks, all others divide the target rows into bands;
-every target pixel sees its points in source order, so threads cannot change a bit. A band has its
-own accumulators with a border of one pixel, so that the four taps of a point need no bounds check;
-what falls on the border belongs to another band, or to nobody: `z_min` [blocks, cells] and `sums`
-[blocks, 5 cells], flat over (band rows + 2) x (W + 2) cells, float32.
+`project` divides the source rows among its blocks; all others divide the target rows into bands.
+Every target pixel gets its points in source order, so threads cannot change a bit. Each band has
+accumulators `z_min` [blocks, cells] and `sums` [blocks, 5 cells], float32, flat over
+(band rows + 2) x (W + 2) cells. The border of one pixel saves bounds checks of the four taps of a
+point; its values are ignored.
 """
 
 from __future__ import annotations
@@ -221,11 +221,11 @@ def resolve(
         for col in range(width):
             k = np.uint64(5 * ((row - top + 1) * (width + 2) + col + 1))
             w = total[k + np.uint64(4)]
-            known = w >= least
-            inverse = ONE / w if known else ZERO
+            has_depth = w >= least
+            inverse = ONE / w if has_depth else ZERO
             image[0, row, col] = min(total[k] * inverse, most)
             image[1, row, col] = min(total[k + np.uint64(1)] * inverse, most)
             image[2, row, col] = min(total[k + np.uint64(2)] * inverse, most)
             depth[row, col] = total[k + np.uint64(3)] * inverse
             weight[row, col] = w
-            valid[row, col] = known
+            valid[row, col] = has_depth

@@ -6,12 +6,13 @@ planar [3, H, W]. A source pixel (col, row) with depth z lands in the target at
     (x, y, w) = K_t R K_s^-1 (col, row, 1) + K_t t / z,   target depth z' = w z,
 
 with (R, t) the pose of the source relative to the target. Written with 1/z, everything but the
-depth itself is dimensionless: scaling a scene changes nothing. Two passes (soft z-buffer, the
-z_min-relative form, compare Niklaus & Liu, "Softmax splatting", CVPR 2020): the nearest depth
-z_min of every target pixel, then weights bilinear x exp(-(z' - z_min) / (temperature z_min)).
+depth is dimensionless: scaling a scene changes nothing. The first pass finds the nearest depth
+z_min of every target pixel. The second one blends with weights
+bilinear x exp(-(z' - z_min) / (temperature z_min)), the z_min-relative form of a soft z-buffer
+(compare Niklaus & Liu, "Softmax splatting", CVPR 2020).
 
-Pixels at a depth discontinuity mix two surfaces: they still hide what lies behind them, but paint
-nothing. Results are bit-identical on any number of threads.
+Pixels at a depth discontinuity mix two surfaces: they hide what is behind them, but paint nothing.
+Results are bit-identical on any number of threads.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ REFINE_ABOVE = 1.4  # magnification from which bilinear footprints of single pix
 
 @dataclass(frozen=True)
 class Support:
-    """A training view made ready to be warped, any number of times.
+    """A training view prepared for warping.
 
     inverse_depth: [H, W] float32, 0 = unknown. paints: [H, W] bool, False where unknown or at a
     depth edge. color: [H, W, 3] float32, contiguous.
@@ -76,9 +77,14 @@ class Support:
 
 @dataclass(frozen=True)
 class Warped:
-    """What the supports tell about a camera: image [3, H, W], in [0, 1] where theirs are, depth
-    [H, W] in scene units and mask [H, W] in {0, 1}, all float32; image and depth are 0 outside the
-    mask. weight: [H, W], accumulated, about 1 per support that sees the pixel's surface."""
+    """The supports seen from a camera.
+
+    Attributes:
+        image: [3, H, W] float32, 0 outside the mask.
+        mask: [H, W] float32, 0 or 1.
+        depth: [H, W] float32 in scene units, 0 outside the mask.
+        weight: [H, W], accumulated; about 1 per support that sees the pixel's surface.
+    """
 
     image: Tensor
     mask: Tensor
@@ -177,12 +183,12 @@ def _prepare(view: View, depth_map: DepthMap) -> Support:
             f"prepare: view {view.name} is {size[0]}x{size[1]} (rows x columns), its depth map"
             f" {tuple(depth.shape)}, confidence {tuple(depth_map.confidence.shape)}"
         )
-    known = torch.isfinite(depth) & (depth > 0) & (depth_map.confidence > 0)
+    valid = torch.isfinite(depth) & (depth > 0) & (depth_map.confidence > 0)
     if view.mask is not None:
-        known &= view.mask > 0
-    inverse = torch.where(known, 1.0 / depth, 0.0).to(torch.float32).contiguous()
+        valid &= view.mask > 0
+    inverse = torch.where(valid, 1.0 / depth, 0.0).to(torch.float32).contiguous()
     color = view.image.to(torch.float32).permute(1, 2, 0).contiguous()
-    return Support(view.camera, inverse, (known & ~_depth_edge(inverse)).contiguous(), color)
+    return Support(view.camera, inverse, (valid & ~_depth_edge(inverse)).contiguous(), color)
 
 
 def _depth_edge(inverse: Tensor) -> Tensor:
@@ -195,8 +201,8 @@ def _depth_edge(inverse: Tensor) -> Tensor:
         n = inverse.shape[dim]
         if n < 3:
             continue
-        before, here, after = (inverse.narrow(dim, i, n - 2) for i in range(3))
-        jump = (before - 2 * here + after).abs() > EDGE * here
+        before, middle, after = (inverse.narrow(dim, i, n - 2) for i in range(3))
+        jump = (before - 2 * middle + after).abs() > EDGE * middle
         edge.narrow(dim, 1, n - 2).logical_or_(jump & (before > 0) & (after > 0))
     return edge
 

@@ -1,13 +1,13 @@
-"""`augment=euclidean`: the support views of a pseudo view chosen by distance.
+"""`augment=euclidean`: a pseudo view warped from the views whose cameras are near.
 
-As SAFI, with the distance of the camera centres d_k in the place of the information I_k: all views
-with d_k <= eta min d are warped. What it lacks beside SAFI is any notion of what the cameras see.
+Like SAFI, with the distance d_k of the camera centres instead of the information I_k: all views
+with d_k <= eta min d are warped. A control for SAFI that ignores what the cameras see.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from framework.plugin import StepContext, register
 from framework.toolbox.warping import ThresholdAugmenter, center_distances
@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 @register("augment", "euclidean")
 @dataclass(frozen=True)
 class Euclidean(ThresholdAugmenter):
-    """eta: a view supports if its camera centre is at most eta x the smallest distance away."""
+    """eta: a view is a support if its camera centre is at most eta x the smallest distance away."""
+
+    title: ClassVar[str] = "Euclidean"
+    paper: ClassVar[str] = "safi_uar"
 
     def scores(self, ctx: StepContext, selection: Any, camera: Camera) -> tuple[list[float], Any]:
         return center_distances(ctx.views, camera), selection

@@ -1,4 +1,4 @@
-"""`augment=none`: train on the real views only."""
+"""`augment=none`: train on real views only."""
 
 from __future__ import annotations
 

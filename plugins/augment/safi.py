@@ -1,15 +1,15 @@
-"""`augment=safi`: the support views of a pseudo view chosen by Fisher information.
+"""`augment=safi`: a pseudo view warped from the views that Fisher information selects.
 
-For a perturbed camera x' every training view k is scored by the information that x' would add to
-it, I_k = 1/2 tr(F(x') F(x_k)^-1). F is diagonal and taken at the warmed-up Gaussians theta_0. A
-small I_k means that view k already determines what x' would show. All views with
-I_k <= eta min I are warped into x'.
+For a perturbed camera x', every training view k is scored by the information that x' would add to
+it, I_k = 1/2 tr(F(x') F(x_k)^-1), with diagonal F of the Gaussians theta_0 after the warm-up. A
+small I_k means that view k already contains what x' shows. All views with I_k <= eta min I are
+warped into x'.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from framework.plugin import StepContext, register
 from framework.toolbox.warping import ThresholdAugmenter
@@ -25,13 +25,14 @@ APPROXIMATIONS = ("diagonal", "block")
 
 @dataclass(frozen=True)
 class Snapshot:
-    """theta_0 and the information of the training views about it.
+    """theta_0 and what the training views determine about it.
 
     Attributes:
         gaussians: detached copies.
-        unknown: for each of the K views the variances [N, P] of the diagonal parameters.
-        blocks, prior: with approximation "block" the views' blocks [N, 6, 6] and their prior [6].
-
+        sh_degree: the active degree.
+        unknown: for each of the K views the variances [N, P] of the parameters with a diagonal.
+        blocks: the information [N, 6, 6] of the other parameters for each view, () if diagonal.
+        prior: [6] prior of the blocks, None if diagonal.
         epoch: when it was taken.
     """
 
@@ -46,14 +47,16 @@ class Snapshot:
 @register("augment", "safi")
 @dataclass(frozen=True)
 class Safi(ThresholdAugmenter):
-    """eta: a view supports if I_k is at most eta x the smallest. form: "trace", the paper's bound,
-    or "log", the gain itself, for which eta should be about 1.05. Its ratios are near 1.
-    approximation: "diagonal" information, or the "block" of every Gaussian's mean and log-scale.
+    """eta: a view is a support if I_k is at most eta x the smallest. form: "trace", the paper's
+    bound, or "log", the gain itself, whose ratios are near 1, so use an eta of about 1.05.
+    approximation: "diagonal" information, or the "block" of each Gaussian's mean and log-scale.
     regulariser: prior precision as a share of the median diagonal of the training views. With much
-    less than 1 the trace only counts what a view does not see, and the scores' ratios explode.
-    downscale: the Fisher passes run on images smaller by this integer factor. refresh_epochs:
-    epochs after which theta_0 is taken again; 0 = never.
-    """
+    less than 1, the trace counts only what a view does not show. downscale: factor by which images
+    are reduced for Fisher passes. refresh_epochs: epochs after which theta_0 is taken again; 0 =
+    never."""
+
+    title: ClassVar[str] = "SAFI"
+    paper: ClassVar[str] = "safi_uar"
 
     form: str = "trace"
     approximation: str = "diagonal"
@@ -64,8 +67,8 @@ class Safi(ThresholdAugmenter):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.check("form", self.form in FORMS, f"one of {', '.join(FORMS)}")
-        known = self.approximation in APPROXIMATIONS
-        self.check("approximation", known, f"one of {', '.join(APPROXIMATIONS)}")
+        valid = self.approximation in APPROXIMATIONS
+        self.check("approximation", valid, f"one of {', '.join(APPROXIMATIONS)}")
         self.check("regulariser", 0 < self.regulariser <= 1e3, "a number in (0, 1000]")
         self.check("downscale", 1 <= self.downscale <= 16, "an integer in [1, 16]")
         self.check("refresh_epochs", self.refresh_epochs >= 0, "an integer >= 0")
@@ -135,11 +138,9 @@ class Safi(ThresholdAugmenter):
         camera: Camera,
         mask: Tensor | None = None,
     ) -> tuple[Tensor | None, Tensor]:
-        """Fisher information of theta_0 in `camera`, float64, with lengths in scene extents.
-
-        Returns:
-            None and the diagonal [N, 14], or blocks [N, 6, 6] and the rest's diagonal [N, 8].
-        """
+        """Fisher information of theta_0 in `camera`, of a photo's `mask` [H, W] alone, float64,
+        lengths in scene extents: None and the [N, 14] diagonal; or the blocks [N, 6, 6] and the
+        diagonal [N, 8] of the others."""
         import torch
 
         factor = min(self.downscale, camera.width, camera.height)

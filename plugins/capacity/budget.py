@@ -1,14 +1,12 @@
-"""`capacity=budget`: a fixed number of Gaussians, placed where they help most.
+"""`capacity=budget`: a fixed number of Gaussians, allocated where they matter most.
 
-The initialisation usually makes more Gaussians than the budget. From `start` to `until` rounds
-bring the number to it in equal ratios. Every round drops the Gaussians whose removal changes the
-training images least (`fisher.scores.removal_energy`). It splits the share `grow` of the others
-with the largest gradient, by default all, so Gaussians move to where they are missing.
-
-With many views few epochs lie between rounds, and splits are judged before they are trained. Below
-ten epochs `grow` falls with the square of their number (chosen by experiment, see
-`benchmarks/results/capacity.md`). After `until` the number is exact and stays, unless growth by at
-most a quarter per round did not reach it.
+The initialization usually proposes more than the budget. From `start` to `until`, rounds reach the
+budget in equal ratios. Each round prunes the Gaussians whose removal would change the training
+images least (`fisher.scores.removal_energy`) and splits those with the largest gradients, up to the
+share `grow` of the kept ones, so that Gaussians move to where they are missing. With many views few
+epochs lie between rounds, and split Gaussians would be judged before they are trained: below ten
+epochs, `grow` falls with the square of their number (chosen by trial). After `until` the number
+stays constant, unless growth by at most a quarter per round cannot reach it.
 """
 
 from __future__ import annotations
@@ -26,8 +24,7 @@ GROWTH = 1.25  # largest ratio of the numbers after and before a round
 @register("capacity", "budget")
 @dataclass(frozen=True)
 class Budget(RoundsCapacity):
-    """gaussians: the number from `until` on; before, the initialisation's may be larger. Joined
-    members (`trainer.members`) have it together."""
+    """gaussians: the number from `until` on; members (`trainer.members`) share it."""
 
     gaussians: int = 5000
 
@@ -47,7 +44,7 @@ class Budget(RoundsCapacity):
             f" brought to the budget, got start={start}, every={self.every}, until={self.until}",
         )
 
-    def selected(self, ctx: StepContext, known: TrainingInformation) -> Selection:
+    def selected(self, ctx: StepContext, information: TrainingInformation) -> Selection:
         import torch
 
         from framework.fisher.scores import removal_energy
@@ -56,15 +53,17 @@ class Budget(RoundsCapacity):
         wanted = self._wanted(n, self.rounds_left(ctx))
         grow = self.grow * self.settled(ctx) ** 2 if self.growing(ctx) else 0.0
         n_kept = min(n, math.ceil(wanted / (1 + grow)))
-        energy = removal_energy(known.total.diagonal, ctx.gaussians.opacity_logits)
+        energy = removal_energy(information.total.diagonal, ctx.gaussians.opacity_logits)
         keep = torch.zeros(n, dtype=torch.bool)
         keep[energy.argsort(descending=True, stable=True)[:n_kept]] = True
         splits = min(wanted - n_kept, n_kept) if self.rounds_left(ctx) > 0 else 0
         return Selection(keep, splits)
 
     def _interval(self, ctx: StepContext) -> int:
-        """Rounds are at least about an epoch apart, since a round costs two epochs; the last is at
-        `until`."""
+        """At least about an epoch, with the last round at `until`.
+
+        A round costs two epochs, so with many views rounds would cost more than the training.
+        """
         every, views = super()._interval(ctx), len(ctx.views)
         until = max(1, math.floor(self.until * ctx.n_steps))
         return every if every >= views else max(every, until // max(1, until // views))

@@ -1,11 +1,11 @@
-"""`capacity=edge_split`: a large Gaussian that covers edges of a photo is split in two.
+"""`capacity=edge_split`: split large Gaussians that cover edges of a photo.
 
-DropoutGS (Xu et al. 2025, edge-guided splitting), in addition to adaptive density control. A
-Gaussian is split if its largest standard deviation is above a share of the scene's extent and its
-edge score is above a threshold. The score is the mean of the photo's edges (Sobel) under the
-Gaussian, weighted by its blend weights. These are the derivative of the image by its colour, so one
-render gives them all. The score uses the step's view alone, as the paper does not define its sum
-over pixels. Combine it with another capacity, as `capacity=[adc,edge_split]`.
+DropoutGS (Xu et al. 2025, edge-guided splitting): in addition to adaptive density control, split
+Gaussians whose largest standard deviation exceeds a share of the scene's extent and whose edge
+score exceeds a threshold. The score is the mean of the photo's Sobel edges under the Gaussian,
+weighted by its blend weights, which are the derivatives of the image by its colour; one render
+gives them all. It uses the step's view only, because the paper's normalization over views is
+unclear. Combine it with another capacity: `capacity=[adc,edge_split]`.
 """
 
 from __future__ import annotations
@@ -25,14 +25,19 @@ if TYPE_CHECKING:
 @register("capacity", "edge_split")
 @dataclass(frozen=True)
 class EdgeSplit(Capacity):
-    """Splits large Gaussians on edges."""
+    """score: least edge score of a Gaussian that is split. large: least standard deviation of such
+    a Gaussian, in scene extents. every: share of the training between two rounds. at_most: share of
+    the Gaussians that a round splits."""
+
+    title: ClassVar[str] = "Edge-guided splitting"
+    paper: ClassVar[str] = "dropoutgs"
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.1, "stop": 0.7}
 
-    score: float = 0.1  # least edge score of a Gaussian that is split
-    large: float = 0.01  # its least standard deviation, in scene extents
-    every: float = 0.05  # share of the training between two rounds
-    at_most: float = 0.05  # share of the Gaussians that a round splits
+    score: float = 0.1
+    large: float = 0.01
+    every: float = 0.05
+    at_most: float = 0.05
 
     def __post_init__(self) -> None:
         self.check("score", 0 <= self.score <= 1, "a number in [0, 1]")
@@ -72,8 +77,8 @@ def edge_scores(ctx: StepContext, view: View) -> Tensor:
         shN=torch.zeros_like(ctx.gaussians.shN),
     )
     rgb = ctx.render(view.camera, grey).rgb
-    (found,) = torch.autograd.grad((rgb[:2] * edges).sum(), [grey.sh0])
-    weighted, weight = found[:, 0, 0], found[:, 0, 1]
+    (sums,) = torch.autograd.grad((rgb[:2] * edges).sum(), [grey.sh0])
+    weighted, weight = sums[:, 0, 0], sums[:, 0, 1]
     return torch.where(weight > 0, weighted / weight.clamp(min=1e-12), 0.0)
 
 

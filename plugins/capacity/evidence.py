@@ -1,43 +1,43 @@
-"""`capacity=evidence`: add and prune Gaussians and SH bands by their Bayesian evidence.
+"""`capacity=evidence`: add and prune Gaussians and SH bands by Bayesian evidence.
 
-A Gaussian, or its SH bands above 0 (`framework.toolbox.bands`), is removed unless it raises the
-evidence of the training photos.
-
-Derivation. Pixels are image + noise of variance s2. With parameters a priori from N(m, diag(v)),
-the Laplace approximation of the evidence (MacKay 1992) with Gaussian i over that without is
+Model. Pixels are the image plus noise of variance s2. With a prior N(m, diag(v)) of the parameters,
+the Laplace approximation of the log evidence (MacKay 1992) changes by the following when Gaussian i
+is added:
 
     log Z_i / Z_0 = G_i - C_i,    G_i = log-likelihood with it - without it,
-    C_i = 1/2 log det(I + V^(1/2) F_i V^(1/2) / s2) + log 2,
+    C_i = 1/2 log det(I + V^(1/2) F_i V^(1/2) / s2) + log 2.
 
-with F_i its Fisher information of all training views for unit noise. The cost is half the
-log-determinant, relative to the prior spread v, plus one bit for its existence. Pixels are linear
-in one Gaussian's opacity. So at an optimum, where residuals are orthogonal to their change by it,
-G_i = E_i / (2 s2), with E_i the squared change of the images without it (`scores.removal_energy`).
-The noise s2 is the mean squared residual of the training pixels, at least that of 8-bit images; v
-is the spread of the current Gaussians (empirical Bayes). So there are no parameters to set.
+F_i is its Fisher information from all training views for unit noise. The cost C_i is half the
+log-determinant, relative to the prior variance v, and one bit for its existence. Pixels are linear
+in the opacity of one Gaussian. At an optimum, where residuals are orthogonal to their change,
+G_i = E_i / (2 s2), where E_i is the squared change of the images without it
+(`scores.removal_energy`). The noise s2 is the mean squared residual of the training pixels, but at
+least that of 8-bit images. v is the spread of the current Gaussians (empirical Bayes). No constant
+is set by hand.
 
-Approximations:
-- Gaussians are independent: the others are not refitted when one is removed. `G_i` is too large
-  then, and too many stay. Rounds with training between them compensate for it.
-- `F_i` is the 6x6 block of mean and log-scale and a diagonal.
-- The residuals' effect on prior means and their correlation are left out. `correlated` counts
-  the channels' correlation. Scaling `G` by that of neighbouring pixels too removes the scene, see
-  `benchmarks/results/capacity.md`.
+Approximations. Blocks of different Gaussians are independent: the others are not refitted when one
+is removed, so G_i and the number of Gaussians are too large. Pruning in rounds with training in
+between compensates for that. F_i is the 6x6 block of mean and log-scale and a diagonal.
+Correlations of residuals are ignored, except that `correlated` accounts for colour channels.
+Accounting for neighbouring pixels in the same way prunes the whole scene.
 
-Growth proposes Gaussians (those with the largest gradient are split), evidence decides. Errors that
-training has not fixed yet count as noise, and new Gaussians are not yet at their optimum. Both
-remove too much. Therefore:
-- The first round is at `start`, until which the trainer uses small images
-  (`trainer.coarse_until`). Without detail 19 of 20 Gaussians would be removed.
-- A round removes at most `pace` of the Gaussians, those with the least gain first, as gains hold
-  one at a time. It removes more where k Gaussians together lower the evidence even if all of them
-  change the same pixels in the same direction. Their change is then at most k times the sum of
-  their energies (Cauchy-Schwarz).
-- With many views few epochs lie between rounds. Below ten the pace falls with their number. It
-  falls with its square root once nothing grows and rates fall. Rounds are
-  at least `APART` epochs apart (a round costs about two epochs).
+Growth proposes Gaussians by splitting those with the largest gradients, and evidence decides. Early
+in the training two errors prune too much: residuals that training will still reduce count as noise,
+and Gaussians have not reached their final gain. Therefore:
 
-`start`, `pace` and `until` were chosen by experiment, see `benchmarks/results/capacity.md`.
+- No round comes before `start`. Until then training images are small (`trainer.coarse_until`), and
+  19 of 20 Gaussians would be pruned.
+
+- A round prunes at most the share `pace`, smallest gain first, because gains hold for one removal
+  at a time. It prunes more if k Gaussians are not worth their cost even if all of them changed the
+  same pixels in the same direction: they change the images by at most k times the sum of their
+  energies (Cauchy-Schwarz).
+
+- With many views few epochs lie between rounds. Below ten epochs the pace falls with their number,
+  and with its square root once growth has ended. There are at least `APART` epochs between rounds,
+  because a round costs about two.
+
+`start`, `pace` and `until` were chosen by trial (docs/decisions.md).
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ log = logging.getLogger(__name__)
 
 CRITERIA = ("laplace", "correlated", "bic")
 APART = 2  # epochs from one round to the next at least, if a round comes at all
-FEWEST, HANDFUL = 8, 16  # always kept; a warning is given at this number
+FEWEST, HANDFUL = 8, 16  # always kept; a warning appears at this number
 ROUNDING_VARIANCE = (1 / 255) ** 2 / 12  # of 8-bit images
 NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
 
@@ -72,12 +72,13 @@ NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
 @register("capacity", "evidence")
 @dataclass(frozen=True)
 class Evidence(RoundsCapacity):
-    """criterion: "laplace", as derived, "correlated" or "bic". The second is the same with the
-    residuals' correlation between the colour channels; with "bic" the cost is k/2 log(number of
-    pixel values) for k parameters (Schwarz 1978). pace: share of the Gaussians that a round removes
-    at most. It is that of a round ten epochs after the one before; sooner, less. A larger one keeps
-    fewer, for less PSNR (`benchmarks/results/capacity.md`).
-    """
+    """criterion: "laplace", as derived; "correlated" also accounts for the correlation of residuals
+    between colour channels; with "bic" the cost is k/2 log(number of pixel values) for k parameters
+    (Schwarz 1978). pace: largest share of the Gaussians that a round prunes, for a round ten epochs
+    after the previous one; sooner, less. A larger pace keeps fewer Gaussians and costs PSNR."""
+
+    title: ClassVar[str] = "Evidence"
+    paper: ClassVar[str] = "mackay"
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.25, "stop": 0.75}
 
@@ -92,26 +93,26 @@ class Evidence(RoundsCapacity):
     def splits_again(self, ctx: StepContext) -> bool:
         return self.growing(ctx)  # the last round only drops
 
-    def selected(self, ctx: StepContext, known: TrainingInformation) -> Selection:
+    def selected(self, ctx: StepContext, information: TrainingInformation) -> Selection:
         import torch
 
         noise, values = self._noise(ctx)
-        gain, cost = self._evidence(ctx.gaussians, known, noise, values)
-        unpaid = gain <= cost
+        gain, cost = self._evidence(ctx.gaussians, information, noise, values)
+        too_costly = gain <= cost
         n, gone = len(gain), removable(gain, cost, self._pace(ctx))
         gone = gone[: max(0, n - FEWEST)]
-        ctx.log("unpaid", float(unpaid.sum()))
-        if n - len(gone) <= HANDFUL < n:  # warn once, when the number falls below
+        ctx.log("unpaid", float(too_costly.sum()))
+        if n - len(gone) <= HANDFUL < n:  # once, on the way down
             log.warning(
-                "capacity=evidence: almost no Gaussian raises the evidence, because the training"
-                " views show little but the background colour; a few are kept",
+                "capacity=evidence: hardly any Gaussian is worth its cost: the training views"
+                " show little but the background colour; a handful is kept",
             )
         keep = torch.ones(n, dtype=torch.bool)
         keep[torch.from_numpy(gone)] = False
-        n_kept, n_paid = n - len(gone), n - int(unpaid.sum())
+        n_kept, n_paid = n - len(gone), n - int(too_costly.sum())
         if self.growing(ctx):
             return Selection(keep, min(round(self.grow * n_kept), n_paid))
-        bands, sh0 = self._bands(ctx, known, noise, values)
+        bands, sh0 = self._bands(ctx, information, noise, values)
         if bands is not None:
             ctx.log("bands_dropped", float((keep & ~bands)[: len(ctx.gaussians.shN)].sum()))
         return Selection(keep, 0, bands, sh0)
@@ -121,39 +122,41 @@ class Evidence(RoundsCapacity):
         return max(super()._interval(ctx), min(APART * len(ctx.views), first))
 
     def _pace(self, ctx: StepContext) -> float:
-        """The share that a round may remove, with so many views."""
+        """The largest share that a round may prune, given the number of views."""
         settled = self.settled(ctx)
         return self.pace * (settled if self.growing(ctx) else math.sqrt(settled))
 
     def _noise(self, ctx: StepContext) -> tuple[float, float]:
-        """(s2 as the criterion takes it, number of training values)."""
+        """Return the noise variance s2 of the criterion and the number of training values."""
         noise, values, channels = residual_noise(ctx)
         ctx.log("noise", math.sqrt(noise))
         return noise * channels if self.criterion == "correlated" else noise, values
 
     def _evidence(
-        self, gaussians: Gaussians, known: TrainingInformation, noise: float, values: float
+        self, gaussians: Gaussians, information: TrainingInformation, noise: float, values: float
     ) -> tuple[Array, Array]:
-        """(G, C), each [N] nats."""
+        """Return the gain G and the cost C, each [N] in nats."""
         import numpy as np
 
         from framework.fisher.scores import removal_energy
 
-        energy = removal_energy(known.total.diagonal, gaussians.opacity_logits).numpy()
+        energy = removal_energy(information.total.diagonal, gaussians.opacity_logits).numpy()
         if self.criterion == "bic":
             size = np.full(len(energy), 14.0)
             size[: len(gaussians.shN)] += 3 * gaussians.shN.shape[1]
             cost = 0.5 * size * math.log(values)
         else:
-            cost = description_cost(gaussians, known.total, noise)
+            cost = description_cost(gaussians, information.total, noise)
         return energy / (2 * noise), cost
 
     def _bands(
-        self, ctx: StepContext, known: TrainingInformation, noise: float, values: float
+        self, ctx: StepContext, information: TrainingInformation, noise: float, values: float
     ) -> tuple[Tensor | None, Tensor | None]:
-        """(whose SH bands pay [N] bool, sh0 with the mean colour of those whose do not); None where
-        none go. Judged when nothing grows any more and all bands are in use, as what they gain is
-        learned slowly; all that do not pay go at once."""
+        """Decide which Gaussians keep their SH bands, after growth and with all bands active.
+
+        Returns:
+            [N] bool, and sh0 with the mean colour of those that lose their bands; or None, None.
+        """
         import numpy as np
         import torch
 
@@ -163,26 +166,26 @@ class Evidence(RoundsCapacity):
         if not 0 < gaussians.sh_degree == ctx.sh_degree:
             return None, None
         centers = [view.camera.center for view in ctx.views]
-        found = bands_evidence(gaussians, centers, known.colours, noise)
-        cost = found.cost
+        evidence = bands_evidence(gaussians, centers, information.colours, noise)
+        cost = evidence.cost
         if self.criterion == "bic":
             cost = np.full(len(cost), 1.5 * gaussians.shN.shape[1] * math.log(values))
-        pays = torch.zeros(len(gaussians), dtype=torch.bool)
-        pays[: len(cost)] = torch.from_numpy(found.gain > cost)
-        gone = torch.from_numpy(found.gain <= cost)
+        kept = torch.zeros(len(gaussians), dtype=torch.bool)
+        kept[: len(cost)] = torch.from_numpy(evidence.gain > cost)
+        gone = torch.from_numpy(evidence.gain <= cost)
         if not gone.any():
             return None, None
         sh0 = gaussians.sh0.clone()
-        sh0[: len(gone)][gone] = torch.from_numpy(found.sh0).to(sh0)[gone][:, None]
-        return pays, sh0
+        sh0[: len(gone)][gone] = torch.from_numpy(evidence.sh0).to(sh0)[gone][:, None]
+        return kept, sh0
 
 
 def residual_noise(ctx: StepContext) -> tuple[float, float, float]:
     """Measure the residuals of all valid training pixels.
 
     Returns:
-        Their variance, the number of their values, and the factor (1 to 3) by which correlated
-        channels count less than independent ones.
+        Their variance, the number of values, and the factor, 1 to 3, by which correlated channels
+        of a pixel are worth less than independent ones.
     """
     import numpy as np
 
@@ -199,8 +202,7 @@ def residual_noise(ctx: StepContext) -> tuple[float, float, float]:
 
 
 def channel_products(residual: Array, mask: Any) -> Array:
-    """[3, 3] the sums over the pixels, weighted by mask [H, W] if there is one, of the products of
-    the channels of residual [3, H, W]."""
+    """Sum the products of the channels of `residual` [3, H, W] over the (masked) pixels: [3, 3]."""
     import numpy as np
 
     sums, pair = np.empty((3, 3)), np.empty_like(residual[0])
@@ -214,8 +216,11 @@ def channel_products(residual: Array, mask: Any) -> Array:
 
 
 def description_cost(gaussians: Gaussians, information: FisherInformation, noise: float) -> Array:
-    """C [N] in nats, at noise variance `noise`. Higher SH bands count as if seen from everywhere,
-    where the addition theorem makes a coefficient's mean information that of sh0."""
+    """Compute the cost C [N] in nats at the noise variance `noise`.
+
+    Higher SH bands count as if seen from all directions. By the addition theorem, the mean
+    information of a coefficient then equals that of sh0.
+    """
     import numpy as np
 
     from framework.compute.portable import log1p, log_det
@@ -224,10 +229,10 @@ def description_cost(gaussians: Gaussians, information: FisherInformation, noise
     g = gaussians
     columns = (g.means, g.log_scales, g.quats, g.opacity_logits[:, None], g.sh0[:, 0])
     prior = np.concatenate([_spread(column) for column in columns])
-    known = information.diagonal.double().numpy() * prior / noise
+    precision = information.diagonal.double().numpy() * prior / noise
     root = np.sqrt(prior[:6])
     block = information.block.double().numpy() * np.outer(root, root) / noise
-    logs = log_det(block + np.eye(6)) + log1p(known[:, 6:]).sum(1)
+    logs = log_det(block + np.eye(6)) + log1p(precision[:, 6:]).sum(1)
     if g.sh_degree > 0:
         higher = information.diagonal[: len(g.shN), SH0:].double().numpy() / noise
         each = log1p(higher * prior_variance(g)).sum(1)
@@ -237,9 +242,9 @@ def description_cost(gaussians: Gaussians, information: FisherInformation, noise
 
 
 def _spread(column: Tensor) -> Array:
-    """Return [P] variances of normal distributions with the quartiles of these [N, P] values.
+    """Variance [P] of normal distributions with the quartiles of `values` [N, P].
 
-    Their mean over all P is used, so the result does not depend on the world's axes.
+    It is averaged over P, so that it does not depend on the axes of the world.
     """
     import numpy as np
 
@@ -248,9 +253,9 @@ def _spread(column: Tensor) -> Array:
 
 
 def removable(gain: Array, cost: Array, pace: float) -> NDArray[np.int64]:
-    """Choose which of N Gaussians to remove now, least gain first.
+    """Return which of N Gaussians to prune, smallest gain first.
 
-    At most a share `pace` of all, or as many as lower the evidence together in the worst case.
+    At most the share `pace` of all, or as many as are not worth their cost even in the worst case.
     """
     import numpy as np
 

@@ -1,19 +1,17 @@
-"""`capacity=fisher_prune`: drop the Gaussians to which images are least sensitive (PUP-3DGS).
+"""`capacity=fisher_prune`: prune the Gaussians to which the images are least sensitive (PUP-3DGS).
 
-Hanson et al. 2025, "PUP 3D-GS: principled uncertainty pruning for 3D Gaussian splatting". The
-sensitivity is log det of the 6x6 Fisher block of mean and log-scale, summed over the training
-views. The paper prunes 80 % after 30,000 steps, trains 5,000, prunes half of the rest and trains
-5,000 more. The defaults are the same shares of a training of any length.
-
-Two things differ from its code. A block that few views leave singular gets a relative prior
-(`uncertainty` in `framework.fisher.scores`), as all such Gaussians would tie at minus infinity. And
-the views are taken at full resolution.
+PUP 3D-GS (Hanson et al. 2025). The sensitivity is log det of the 6x6 Fisher block of mean and
+log-scale, summed over the training views. The paper prunes 80 % after 30,000 steps, trains 5,000,
+prunes half of the rest and trains 5,000 more; the defaults are the same shares of a training of any
+length. There are two differences from its code. A block that few views leave singular gets a
+relative prior (`uncertainty` in `framework.fisher.scores`), without which all such Gaussians would
+tie at minus infinity. Views are used at full resolution.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from framework.plugin import Capacity, Edits, StepContext, StepStats, register
 
@@ -24,11 +22,13 @@ if TYPE_CHECKING:
 @register("capacity", "fisher_prune")
 @dataclass(frozen=True)
 class FisherPrune(Capacity):
-    """first: share of the Gaussians that the first round drops. again: share of the rest that every
-    later round drops. rounds: number of rounds. begin: share of the training before the first
-    round. What is left of it is fine-tuning, divided evenly among the rounds. regulariser: prior
-    precision as a share of the median diagonal of the blocks.
-    """
+    """first: share of the Gaussians that the first round prunes. again: share of the rest that
+    every later round prunes. rounds: number of rounds. begin: share of the training before the
+    first round; the rest is fine-tuning, divided evenly among the rounds. regulariser: prior
+    precision as a share of the median diagonal of the blocks."""
+
+    title: ClassVar[str] = "PUP 3D-GS"
+    paper: ClassVar[str] = "pup"
 
     first: float = 0.8
     again: float = 0.5
@@ -67,8 +67,8 @@ class FisherPrune(Capacity):
         from framework.fisher.scores import uncertainty
         from framework.toolbox.rounds import training_information
 
-        known = training_information(ctx).total
-        scores = uncertainty(known.block, known.visible, ctx.extent, self.regulariser)
+        information = training_information(ctx).total
+        scores = uncertainty(information.block, information.visible, ctx.extent, self.regulariser)
         keep = torch.zeros(len(ctx.gaussians), dtype=torch.bool)
         keep[scores.argsort(stable=True)[:n]] = True
         return keep

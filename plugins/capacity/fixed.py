@@ -1,4 +1,4 @@
-"""`capacity=fixed`: the number of Gaussians stays what the initialisation made it."""
+"""`capacity=fixed`: keep the number of initial Gaussians."""
 
 from __future__ import annotations
 

@@ -1,13 +1,11 @@
-"""`capacity=gradient_decay`: opacities fade, more so where the loss's gradient is small.
+"""`capacity=gradient_decay`: opacities decay, less so where their gradient is large.
 
-StereoGS (2026), the gradient-based decay of its project page. After each step an opacity o is
-multiplied by 1 - (1 - decay) exp(-relief g / mean(g)) with g = |dL/do| of the step. So Gaussians
-without effect disappear, and those that the photos need stay. The mean is over Gaussians with a
-gradient, so it does not depend on how much of the scene a photo shows.
-
-Gradients are those of the logits before the step. They are converted to opacities by the values
-after it, which differ by one step of the optimizer. The trainer lets opacities fade by default too:
-`trainer.opacity_decay=1` turns that off. It works alone or with another capacity, as
+StereoGS (2026, gradient-aware decay): after each step an opacity o is multiplied by
+1 - (1 - decay) exp(-relief g / mean(g)) with g = |dL/do|. Unneeded Gaussians vanish and supported
+ones stay. The mean is over Gaussians with a gradient, so that the visible share of the scene does
+not matter. Gradients are those of the logits before the step, converted to opacities by the values
+after it, which differ by one optimizer step. The trainer decays opacities by default as well;
+`trainer.opacity_decay=1` disables that. Use it alone or with another capacity:
 `capacity=[adc_paper,gradient_decay]`.
 """
 
@@ -27,8 +25,11 @@ LOWEST = -30.0  # no logit fades below, as in the trainer's own decay
 @register("capacity", "gradient_decay")
 @dataclass(frozen=True)
 class GradientDecay(Capacity):
-    """decay: what an opacity without a gradient is multiplied by after a step. relief: how much
-    less one fades that has a gradient; 0 = all alike."""
+    """decay: factor of an opacity without a gradient after a step. relief: how much less opacities
+    with a gradient decay; 0 = all alike."""
+
+    title: ClassVar[str] = "Gradient-aware decay"
+    paper: ClassVar[str] = "stereogs"
 
     gradients: ClassVar[tuple[str, ...]] = ("opacity_logits",)
 

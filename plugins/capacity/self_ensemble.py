@@ -1,14 +1,12 @@
-"""`capacity=self_ensemble`: the second of two fields is perturbed where its renders are uncertain.
+"""`capacity=self_ensemble`: perturb a second field where renders are uncertain.
 
-SE-GS (Zhao et al. 2025): a second field is trained with the model and perturbed now and then, and
-the model is kept similar to it at unseen cameras (`reg=co_register`). Uncertain pixels are those
-that changed most over the last three renders of the model from cameras between training cameras, at
-a quarter of the size. The second field is not used for this, since its own noise would increase it.
-
-In the largest 5 % of those pixels, if the change is above 0.01, Gaussians of the second field get
-noise of a ratio that falls exponentially. It acts on opacity logits and on log-scales times their
-mean size, and on means times the scene's extent (its code: the mean coordinate, at least 1). The
-optimizer's moments stay. Combine it as `capacity=[adc,self_ensemble] reg=co_register`.
+SE-GS (Zhao et al. 2025): a second field is trained and perturbed from time to time, and
+`reg=co_register` keeps the model similar to it in unseen views. Uncertain pixels are the 5 % that
+changed most over the last three renders of the model from cameras between training cameras (at a
+quarter of the size), if the change exceeds 0.01. Gaussians there get noise with an exponentially
+decreasing ratio: on opacity logits and log-scales relative to their mean size, on means relative to
+the scene's extent (paper's code: the mean coordinate, at least 1). Optimizer moments are kept.
+Combine it with another capacity: `capacity=[adc,self_ensemble] reg=co_register`.
 """
 
 from __future__ import annotations
@@ -31,7 +29,12 @@ SHAKEN = ("means", "log_scales", "opacity_logits")
 
 @dataclass(frozen=True)
 class Watched:
-    """cameras: where it is looked from. looks: the last renders of each, [L, 3, H, W]."""
+    """Renders for the uncertainty.
+
+    Attributes:
+        cameras: the unseen cameras.
+        looks: the last renders of each, [L, 3, H, W].
+    """
 
     cameras: tuple[Camera, ...]
     looks: tuple[Tensor, ...] = ()
@@ -40,10 +43,13 @@ class Watched:
 @register("capacity", "self_ensemble")
 @dataclass(frozen=True)
 class SelfEnsemble(Capacity):
-    """every: share of the training between two perturbations. cameras: from how many it is looked.
-    uncertain: share of the pixels that count as uncertain. least: change below which none does.
-    It is the standard deviation of the looks, mean of 5 x 5 pixels and the channels. first, last:
-    ratio of the noise, at the beginning and at the end."""
+    """every: share of the training between two perturbations. cameras: number of unseen cameras.
+    uncertain: share of the pixels that count as uncertain. least: smaller changes never count; the
+    change is the standard deviation of the renders, mean of 5x5 pixels and the channels. first,
+    last: noise ratio at the beginning and the end."""
+
+    title: ClassVar[str] = "Self-ensembling"
+    paper: ClassVar[str] = "segs"
 
     second_field: ClassVar[bool] = True
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.9}

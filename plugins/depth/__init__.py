@@ -1,1 +1,1 @@
-"""Depth providers beside the project's own, which are in framework/depth: a file each."""
+"""Additional depth providers, one file each; the project's own are in framework/depth."""

@@ -1,1 +1,1 @@
-"""Initializers beside the project's own, which are in framework/initialize: a file each."""
+"""Additional initializers, one file each; the project's own are in framework/initialize."""

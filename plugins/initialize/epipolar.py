@@ -1,19 +1,17 @@
-"""`init=epipolar`: a Gaussian for every pixel whose match lies on its epipolar line.
+"""`init=epipolar`: one Gaussian per pixel whose match lies on its epipolar line.
 
 NexusGS (Zheng et al. 2025): a pixel is matched with its two nearest views. The match is moved onto
-its epipolar line, or refused if it is a pixel or more away. Of two depths the one is kept that a
-small error of the match changes less.
-
-NexusGS matches by optical flow, a network. Here a pair of views is matched by the plane sweep,
-which gives depth, and then freely, by the best correlation within a few pixels. Matches off the
-line are refused, and both views have to agree, since the search is short.
+its epipolar line, or rejected if it is a pixel or more away. Of two depths, the one less sensitive
+to an error of the match is kept. NexusGS matches by optical flow, a network. Here a pair of views
+is matched by the plane sweep and then freely, by the best correlation among places some pixels
+around; places that match better off the line are rejected. Both views of a pair must agree.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from framework.errors import require
 from framework.plugin import Initializer, register
@@ -32,16 +30,23 @@ REACH = 2  # pixels around the swept match that are searched
 @register("init", "epipolar")
 @dataclass(frozen=True)
 class Epipolar(Initializer):
-    """Gaussians on pixels with a match on the epipolar line."""
+    """partners: number of nearest views to match with. off_line: distance from the epipolar line,
+    in pixels, at which a match is rejected. similar: least correlation of the matched windows.
+    tolerance: largest relative depth difference between the two views of a pair. share: random
+    share of the matched pixels that become Gaussians; 1 = all. radius: of the compared window.
+    scale_factor: standard deviation in units of the mean spacing. opacity: of every Gaussian."""
 
-    partners: int = 2  # views with which a pixel is matched, the nearest
-    off_line: float = 1.0  # pixels from its epipolar line at which a match is refused
-    similar: float = 0.3  # least correlation of the matched windows
-    tolerance: float = 0.03  # largest relative difference of depths of two views that agree
-    share: float = 0.2  # of the matched pixels that become a Gaussian, drawn at random; 1 = all
-    radius: int = 3  # of the compared window, in pixels
-    scale_factor: float = 1.0  # standard deviation in units of the mean spacing of the Gaussians
-    opacity: float = 0.1  # of every Gaussian
+    title: ClassVar[str] = "Epipolar"
+    paper: ClassVar[str] = "nexusgs"
+
+    partners: int = 2
+    off_line: float = 1.0
+    similar: float = 0.3
+    tolerance: float = 0.03
+    share: float = 0.2
+    radius: int = 3
+    scale_factor: float = 1.0
+    opacity: float = 0.1
 
     def __post_init__(self) -> None:
         self.check("partners", 1 <= self.partners <= 100, "an integer from 1 to 100")
@@ -56,9 +61,8 @@ class Epipolar(Initializer):
     def build(
         self, training: TrainingSet, depth: tuple[DepthMap, ...], sh_degree: int, seed: int
     ) -> Gaussians:
-        """Make round Gaussians on the matched pixels, as large as the pixels they represent.
-        `depth` is not used. Raises UserError when hardly any pixel has a match.
-        """
+        """Round Gaussians on the matched pixels, each as large as the pixels it stands for.
+        `depth` plays no part. Raises UserError when hardly any pixel has a match."""
         import numpy as np
         import torch
 
@@ -67,15 +71,15 @@ class Epipolar(Initializer):
         from framework.initialize.isotropic import isotropic_gaussians
 
         places, colours, sizes = [], [], []
-        for view, found in zip(training.views, self.depths(training), strict=True):
-            valid = found > 0
+        for view, z in zip(training.views, self.depths(training), strict=True):
+            valid = z > 0
             if view.mask is not None:
                 valid &= view.mask.numpy() > 0.5
-            at = unproject(torch.from_numpy(found), view.camera).numpy()
+            at = unproject(torch.from_numpy(z), view.camera).numpy()
             K = view.camera.K
             places.append(at[valid])
             colours.append(view.image.numpy()[:, valid].T)
-            sizes.append(found[valid] / math.sqrt(float(K[0, 0] * K[1, 1])))
+            sizes.append(z[valid] / math.sqrt(float(K[0, 0] * K[1, 1])))
         xyz, rgb, size = (np.concatenate(parts) for parts in (places, colours, sizes))
         require(
             len(xyz) >= FEWEST,
@@ -107,7 +111,7 @@ class Epipolar(Initializer):
             (i, j): sweep_view(training, images, i, [j], bounds[i], options)[0]
             for i, j in sorted(wanted | {(j, i) for i, j in wanted})
         }
-        found = []
+        maps = []
         for i, (_, partners) in enumerate(pairs):
             matches = []
             for j in partners:
@@ -115,18 +119,14 @@ class Epipolar(Initializer):
                 agreed = agreeing_views(*pair, 0, [1], self.tolerance) > 0
                 z = swept[i, j] * agreed
                 matches.append(self._on_line(z, images[i], images[j], cameras[i], cameras[j]))
-            found.append(least_sensitive(matches, images[i].shape))
-        return found
+            maps.append(least_sensitive(matches, images[i].shape))
+        return maps
 
     def _on_line(
         self, z: np.ndarray, image: np.ndarray, other: np.ndarray, camera: Camera, source: Camera
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Move the free match onto the epipolar line.
-
-        Returns:
-            Its depth [H, W], 0 where it is refused, and the depth's relative change for a pixel
-            along the line [H, W].
-        """
+        """Depth [H, W] of the free match moved onto the line, 0 where it is refused, and by what
+        share of itself a pixel along the line changes it [H, W]."""
         import numpy as np
 
         line = Line.of(z, camera, source)
@@ -141,10 +141,12 @@ class Epipolar(Initializer):
 
 @dataclass(frozen=True)
 class Line:
-    """The epipolar lines of a view's pixels in another, at their matches; all [H, W].
+    """Epipolar lines of a view's pixels in another view, at their matches; all [H, W].
 
-    u, v: the match, pixels. du, dv: direction of the line there, length 1, towards larger depth.
-    dz: change of depth per pixel on it.
+    Attributes:
+        u, v: the match, pixels.
+        du, dv: unit direction of the line, towards larger depth.
+        dz: change of depth per pixel along it.
     """
 
     u: np.ndarray
@@ -155,9 +157,8 @@ class Line:
 
     @classmethod
     def of(cls, z: np.ndarray, camera: Camera, source: Camera) -> Line:
-        """Derivative at depth z [H, W]: with p(z) = z A x + t, a = A x and u = p_0 / p_2,
-        du/dz = (a_0 p_2 - p_0 a_2) / p_2^2 (`framework.depth.transfer`).
-        """
+        """At depth z [H, W], from p(z) = z A x + t, u = p_0 / p_2: du/dz = (a_0 p_2 - p_0 a_2) /
+        p_2^2 with a = A x (`framework.depth.transfer`)."""
         import numpy as np
 
         from framework.depth.transfer import pixel_transfer
@@ -176,12 +177,10 @@ class Line:
 def free_match(
     image: np.ndarray, other: np.ndarray, u: np.ndarray, v: np.ndarray, radius: int
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Find every pixel's best match around (u, v) in `other`, at most `REACH` pixels away each way.
+    """How far (pixels, [H, W] each way) the best match of every pixel lies from (u, v) in `other`,
+    at most `REACH` each way and finer than a pixel by parabolas, and its correlation [H, W].
 
     Windows are warped by (u, v), so that slanted surfaces keep their form.
-
-    Returns:
-        The offsets ([H, W] each way, subpixel) and the correlation [H, W].
     """
     import numpy as np
 
@@ -200,8 +199,8 @@ def free_match(
     y, x = np.indices(image.shape)
 
     def score(i: np.ndarray, j: np.ndarray) -> np.ndarray:
-        found: np.ndarray = scores[np.clip(i, 0, n - 1), np.clip(j, 0, n - 1), y, x]
-        return found
+        chosen: np.ndarray = scores[np.clip(i, 0, n - 1), np.clip(j, 0, n - 1), y, x]
+        return chosen
 
     top = score(row, column)
     finer = []
@@ -225,8 +224,8 @@ def sampled(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     fx, fy = x - column, y - row
     top = image[row, column] * (1 - fx) + image[row, column + 1] * fx
     low = image[row + 1, column] * (1 - fx) + image[row + 1, column + 1] * fx
-    found: np.ndarray = top * (1 - fy) + low * fy
-    return found
+    values: np.ndarray = top * (1 - fy) + low * fy
+    return values
 
 
 def least_sensitive(
@@ -237,7 +236,7 @@ def least_sensitive(
     import numpy as np
 
     depth, least = np.zeros(shape), np.full(shape, np.inf)
-    for found, sensitivity in matches:
-        better = (found > 0) & (sensitivity < least)
-        depth, least = np.where(better, found, depth), np.where(better, sensitivity, least)
+    for candidate, sensitivity in matches:
+        better = (candidate > 0) & (sensitivity < least)
+        depth, least = np.where(better, candidate, depth), np.where(better, sensitivity, least)
     return depth

@@ -1,20 +1,18 @@
-"""`init=patch_growth`: points of consistent depth, and points around them that all photos confirm.
+"""`init=patch_growth`: consistent points, and places around them that all photos confirm.
 
-The growth of points in the code of Binocular-Guided 3DGS (Han et al. 2024, `triangulate.py`, not in
-its text), which needs no network. In every round some points are drawn, and places around them from
-a normal distribution. A place stays if the patches of the photos around its projections have an
-SSIM of at least 0.95 over 5 x 5 pixels.
-
-Its first points are those that a network matched. Here they are of the fused depth of `depth=`, or
-the scene's sparse points. Its normal distribution is 10 scene units wide. Here the width is a share
-of the point's depth.
+Point growth in the code of Binocular-Guided 3DGS (Han et al. 2024, `triangulate.py`; its text does
+not mention it). In each round some points are drawn, places are drawn around them from a normal
+distribution, and a place is kept if the photos' patches around its projections are similar, SSIM of
+5x5 pixels of at least 0.95. Its first points are a network's matches; here they come from fused
+depth or the scene's sparse points. Its normal distribution is 10 scene units wide; here its width
+is a share of the point's depth.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from framework.errors import require
 from framework.plugin import Initializer, register
@@ -36,18 +34,26 @@ TOLERANCE = 0.03  # relative difference of depth up to which two views show one 
 @register("init", "patch_growth")
 @dataclass(frozen=True)
 class PatchGrowth(Initializer):
-    """Points that grow where all photos confirm them."""
+    """seeds: source of the first points: "depth" (fused pixels that several views confirm) or
+    "points" (sparse points). per_pixel: most points from depth per training pixel. growth: most
+    grown points, relative to the first ones; each round adds its share. rounds: of growth. drawn:
+    points that a round grows from. samples: places around each of them. spread: their standard
+    deviation, in mean depths of the point. similar: least SSIM of the patches, for all pairs of
+    views that contain the place. patch: patch size in pixels. opacity: of every Gaussian."""
 
-    seeds: str = "depth"  # first points: of the fused "depth", or the sparse "points"
-    per_pixel: float = 0.07  # largest number of points of the depth, per training pixel
-    growth: float = 1.0  # largest number of grown points, in units of the first; rounds share it
-    rounds: int = 200  # of growth
-    drawn: int = 100  # points from which a round grows
-    samples: int = 50  # places around each of them
-    spread: float = 0.05  # their standard deviation, in the points' mean depths
-    similar: float = 0.95  # least SSIM of the patches of all pairs of views that have the place
-    patch: int = 5  # edge of a patch in pixels
-    opacity: float = 0.1  # of every Gaussian
+    title: ClassVar[str] = "Patch growth"
+    paper: ClassVar[str] = "binocular"
+
+    seeds: str = "depth"
+    per_pixel: float = 0.07
+    growth: float = 1.0
+    rounds: int = 200
+    drawn: int = 100
+    samples: int = 50
+    spread: float = 0.05
+    similar: float = 0.95
+    patch: int = 5
+    opacity: float = 0.1
 
     def __post_init__(self) -> None:
         self.check("seeds", self.seeds in SEEDS, f"one of {', '.join(SEEDS)}")
@@ -128,8 +134,13 @@ class PatchGrowth(Initializer):
 
 @dataclass(frozen=True)
 class Photo:
-    """A prepared view: image [3, H, W] float64, the mean and variance [3, H, W] of the patch around
-    every pixel, and whether that patch lies in image and mask [H, W] bool.
+    """A view prepared for matching.
+
+    Attributes:
+        camera: of the view.
+        image: [3, H, W] float64.
+        mean, variance: [3, H, W], of the patch around each pixel.
+        whole: [H, W] bool, whether the patch lies in image and mask.
     """
 
     camera: Camera
@@ -154,7 +165,13 @@ class Photo:
 
 
 class At(NamedTuple):
-    """Pixels of a photo: rows and columns [M], and which of them count [M] bool."""
+    """Pixels of a photo.
+
+    Attributes:
+        photo: the photo.
+        row, column: [M].
+        there: [M] bool, which of them count.
+    """
 
     photo: Photo
     row: np.ndarray
@@ -169,13 +186,11 @@ class At(NamedTuple):
 def confirmed(
     places: np.ndarray, photos: Sequence[Photo], similar: float, patch: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Check places [M, 3] against all photos that have them in their image, two or more.
+    """Of places [M, 3]: which all photos confirm that have them in their image, two or more [M]
+    bool, and their mean colour there [M, 3].
 
-    A patch is the one around the pixel that contains the projection. SSIM of two patches
-    is the mean over the colours, with population moments and without weights.
-
-    Returns:
-        Whether all of these photos confirm it [M] bool, and their mean colour there [M, 3].
+    A patch is the one around the pixel that contains the projection. SSIM is of two patches, mean
+    over the colours, population moments without weights.
     """
     import numpy as np
 
@@ -233,5 +248,5 @@ def ssim(a: At, b: At, shared: np.ndarray | None) -> np.ndarray:
         shared = np.sqrt(var_a * var_b) + 1e-9
     light = (2 * mean_a * mean_b + C1) / (mean_a * mean_a + mean_b * mean_b + C1)
     red, green, blue = light * (2 * shared + C2) / (var_a + var_b + C2)
-    found: np.ndarray = (red + green + blue) / 3
-    return found
+    mean: np.ndarray = (red + green + blue) / 3
+    return mean

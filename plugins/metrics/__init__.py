@@ -1,1 +1,1 @@
-"""Metrics beside the project's own, which are in framework/metrics: a file each."""
+"""Additional metrics, one file each; the project's own are in framework/metrics."""

@@ -1,7 +1,7 @@
-"""`reg=anchor_dropout`: random Gaussians are left out together with their nearest neighbours.
+"""`reg=anchor_dropout`: drop random Gaussians together with their nearest neighbours.
 
-ReDI-GS (2026, its DropAnSH): the neighbours of a single dropped Gaussian replace it. So anchors are
-drawn at a rate that grows from 0 to p, and each is dropped with its k nearest others.
+ReDI-GS (2026, DropAnSH): neighbours replace a single dropped Gaussian. Therefore anchors are drawn
+at a rate that grows from 0 to p, and each also drops its k nearest neighbours.
 """
 
 from __future__ import annotations
@@ -21,9 +21,12 @@ if TYPE_CHECKING:
 @register("reg", "anchor_dropout")
 @dataclass(frozen=True)
 class AnchorDropout(Regularizer):
-    """p: share of anchors at the end. neighbours: of each that go with it. refresh: share of the
-    training between two searches for neighbours. A changed set of Gaussians is searched at once.
-    compensate: kept ones divided by their share; what ReDI-GS does was not found."""
+    """p: share of anchors at the end. neighbours: dropped with each anchor. refresh: share of the
+    training between two searches for neighbours; a changed set of Gaussians is searched at once.
+    compensate: divide the kept opacities by the kept share (unknown for ReDI-GS)."""
+
+    title: ClassVar[str] = "Anchor dropout"
+    paper: ClassVar[str] = "dropansh"
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 
@@ -47,8 +50,8 @@ class AnchorDropout(Regularizer):
         check_kind(self.name, state, tuple, type(None))
         if state is None:
             return
-        rows, made, of_version = state
-        check_count(self.name, made)
+        rows, step, of_version = state
+        check_count(self.name, step)
         check_count(self.name, of_version, version)
         n = len(gaussians)
         shape = (n, None) if of_version == version else (None, None)

@@ -1,13 +1,12 @@
-"""`reg=binocular`: a render from beside a photo, moved back by its depth, should be the photo.
+"""`reg=binocular`: a render from a shifted camera, warped back by depth, should match the photo.
 
-Binocular-Guided 3DGS (Han et al. 2024, arXiv 2410.18822, section 3.1). The camera is moved by t
-along its x axis. The render there is warped into the photo by the disparity -f t / D of the photo's
-rendered depth D. The loss is the mean over all pixels of |mask (warped - photo)|, with gradients
-into both renders.
+Binocular-Guided 3DGS (Han et al. 2024, arXiv 2410.18822, section 3.1). The camera moves by t along
+its x axis. The render there is warped into the photo by the disparity -f t / D of the photo's
+rendered depth D, and compared with it: mean over all pixels of |mask (warped - photo)|. The paper's
+code also smooths the disparity, mean of exp(-0.33 |dI|) |d(mask d)| along each axis, with dI the
+channel sum of central differences; the text does not mention it. Gradients flow into both renders.
 
-Its code also smooths the disparity, by the mean of exp(-0.33 |dI|) |d(mask d)| along each axis.
-There dI is the sum over channels of central differences. The text does not mention it. The trainer
-has a variant, `trainer.binocular`, see `framework.train.depth_priors`.
+The trainer has a similar term, `trainer.binocular` (`framework.train.binocular`).
 """
 
 from __future__ import annotations
@@ -33,6 +32,9 @@ class Binocular(Regularizer):
     """shift: largest move of the camera, in mean distances to the next camera. smooth: weight of
     the disparity's smoothness, in pixels."""
 
+    title: ClassVar[str] = "Binocular"
+    paper: ClassVar[str] = "binocular"
+
     # the last third of 30,000 steps
     defaults: ClassVar[dict[str, float]] = {"start": 0.667}
 
@@ -50,10 +52,10 @@ class Binocular(Regularizer):
         if view.pseudo:
             return None
         t = self.shift * ctx.spacing * float(ctx.rng("shift").uniform(-1, 1))
-        beside = moved_aside(view.camera, t)
-        other = ctx.render(beside, ctx.gaussians, background=ctx.behind)
+        shifted = moved_aside(view.camera, t)
+        other = ctx.render(shifted, ctx.gaussians, background=ctx.behind)
         depth = render.expected_depth
-        warped, valid, _ = seen_through(other.rgb, depth, view.camera, beside)
+        warped, valid, _ = seen_through(other.rgb, depth, view.camera, shifted)
         if view.mask is not None:
             valid = valid & (view.mask > 0.5)
         loss = ((warped - view.image).abs() * valid).mean()

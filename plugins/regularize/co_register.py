@@ -1,9 +1,9 @@
-"""`reg=co_register`: two trainings of one scene should agree on cameras without photos.
+"""`reg=co_register`: two trainings of one scene should agree in views without photos.
 
-CoR-GS (Zhang et al. 2024, arXiv 2405.12110, section 3.3): a second field is trained with the first.
-At a camera between training cameras each is compared with the other's render, by (1 - w) L1 +
-w (1 - SSIM) without a gradient into the other. Only the first is evaluated. It takes more than
-twice the time.
+CoR-GS (Zhang et al. 2024, arXiv 2405.12110, section 3.3): a second field is trained in parallel. At
+a camera between training cameras each is compared with the other's render, (1 - w) L1 +
+w (1 - SSIM), without a gradient into the other. Only the first is evaluated. Takes more than twice
+the time.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.plugin import Regularizer, StepContext, register
+from framework.plugin import Regularizer, StepContext, Variant, register
 from framework.toolbox.elsewhere import unseen_camera
 
 if TYPE_CHECKING:
@@ -23,10 +23,15 @@ if TYPE_CHECKING:
 @register("reg", "co_register")
 @dataclass(frozen=True)
 class CoRegister(Regularizer):
-    """ssim_weight: w. second_drawn: the second field starts from another draw of the initial
-    Gaussians. Otherwise from those of the first, as in CoR-GS, where random splits make them
-    differ. With a capacity without draws (`evidence`) both would stay equal up to rounding.
-    """
+    """ssim_weight: w. second_drawn: initialize the second field with a different draw of Gaussians.
+    As in CoR-GS, it otherwise starts with the same ones and random splits make them differ; with a
+    capacity that draws nothing (`evidence`), both would stay identical."""
+
+    title: ClassVar[str] = "Co-regularization"
+    paper: ClassVar[str] = "corgs"
+    variants: ClassVar[dict[str, Variant]] = {
+        "co_register_drawn": Variant("second_drawn", True, "Co-regularization (2 draws)", "corgs"),
+    }
 
     second_field: ClassVar[bool] = True
     defaults: ClassVar[dict[str, float]] = {"start": 0.05}
@@ -43,8 +48,8 @@ class CoRegister(Regularizer):
         if ctx.other is None or view.pseudo:
             return None
         camera = unseen_camera(ctx, ctx.rng("camera"), view.camera)  # each field its own
-        own, other = (
+        seen, other = (
             ctx.render(camera, gaussians, background=ctx.behind)
             for gaussians in (ctx.gaussians, ctx.other)
         )
-        return photometric_loss(own.rgb, Target.of(other.rgb), self.ssim_weight)
+        return photometric_loss(seen.rgb, Target.of(other.rgb), self.ssim_weight)

@@ -1,10 +1,10 @@
-"""`reg=cycle_warp`: a render from an unseen camera, seen back from a photo, should be the photo.
+"""`reg=cycle_warp`: a render from an unseen camera, warped back, should match the photo.
 
-GeoAug (2022) renders at a random camera and warps that back onto the photo by its depth. It is a
-loss and not a pseudo view; `reg=binocular` is its case of a camera to the side. ICO-GS (2026)
-counts only what returns: a point of the photo, moved by the unseen camera's depth, has to return to
-within a share of the largest depth (0.01). Both are combined here: a camera between training
-cameras, L1 on what passes, in the last sixth of the training as in ICO-GS.
+GeoAug (2022) renders from a random camera and warps the result onto the photo by its depth, as a
+loss. ICO-GS (2026) counts only consistent pixels: a point of the photo, at the unseen camera's
+depth where it lands, must return to within a share of the largest depth (0.01). Here the camera
+lies between training cameras, with L1 on consistent pixels, in the last sixth of the training as in
+ICO-GS. `reg=binocular` is the special case of a shifted camera.
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 @register("reg", "cycle_warp")
 @dataclass(frozen=True)
 class CycleWarp(Regularizer):
-    """tolerance: largest difference of depth on return, as a share of the photo's largest depth."""
+    """tolerance: largest depth difference on return, as a share of the photo's largest depth."""
+
+    title: ClassVar[str] = "Cycle warp"
+    paper: ClassVar[str] = "icogs"
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.833}
 

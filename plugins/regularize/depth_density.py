@@ -1,10 +1,10 @@
-"""`reg=depth_density`: dropout of Gaussians, of near and crowded ones more often.
+"""`reg=depth_density`: dropout that prefers near and crowded Gaussians.
 
-D2GS (2025, depth and density guided dropout): half of a Gaussian's score is its nearness to the
-cameras and half its density. The near third is dropped with the score as probability, the middle
-third with 0.7 times and the far third with 0.3 times the score. The paper does not state how its
-rate (0.05 to 0.3 over the training) and the scores combine, and others could not reproduce the
-reported PSNR. Here probabilities are scaled so that their mean is the rate.
+D2GS (2025, depth- and density-guided dropout): the score of a Gaussian is half its nearness to the
+cameras and half its local density. The near third is dropped with the score as probability, the
+middle third with 0.7 and the far third with 0.3 times that. The paper does not state how its rate
+(0.05 to 0.3 over the training) and the scores combine, and others could not reproduce its PSNR.
+Here probabilities are scaled so that their mean is the rate.
 """
 
 from __future__ import annotations
@@ -27,10 +27,13 @@ NEIGHBOURS = 3
 @register("reg", "depth_density")
 @dataclass(frozen=True)
 class DepthDensity(Regularizer):
-    """first, last: mean drop rate at the beginning and the end of the training, linear between.
-    refresh: share of the training after which scores are measured again. compensate: kept ones
-    are scaled up, times 1 / (1 - their odds). A render then absorbs as much in expectation, as in
-    DropGaussian, on which D2GS is based."""
+    """first, last: mean drop rate at the beginning and the end of the training, linear in between.
+    refresh: share of the training after which scores are measured again. compensate: divide kept
+    opacities by their probability to be kept, as in DropGaussian, on which D2GS builds; the paper
+    does not state it."""
+
+    title: ClassVar[str] = "DD-Drop"
+    paper: ClassVar[str] = "d2gs"
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 
@@ -52,8 +55,8 @@ class DepthDensity(Regularizer):
         check_kind(self.name, state, tuple, type(None))
         if state is None:
             return
-        scores, made, of_version = state
-        check_count(self.name, made)
+        scores, step, of_version = state
+        check_count(self.name, step)
         check_count(self.name, of_version, version)
         check_tensor(self.name, scores, len(gaussians) if of_version == version else None)
 

@@ -1,13 +1,12 @@
-"""`reg=depth_local_global`: depth should match patch by patch, first by means, then by opacities.
+"""`reg=depth_local_global`: patchwise match of normalized depth (DNGaussian).
 
-DNGaussian (Li et al. 2024, arXiv 2403.06912). Before the update on the photo, one step of the
-optimizer moves the centres alone, with all opacities at 0.95 ("hard" depth), and one the opacities
-alone ("soft" depth). Rendered and known depth are compared in patches of a random size. They are
-centred by the patch's mean and divided by the patch's deviation (local) or the image's (global).
-
-The loss is 0.1 local + 1 global, with the mean over residuals above a margin of their squares (its
-code for a dense start: a margin of 0.01; in DropoutGS 0.1 global). Known depth is that of `depth=`;
-only its relative values in a patch count.
+DNGaussian (Li et al. 2024, arXiv 2403.06912): before the update on the photo, one optimizer step
+moves the means only, with all opacities at 0.95 ("hard" depth), and one the opacities only ("soft"
+depth). Rendered and known depth are compared in patches of a random size. The patch mean is
+subtracted, and the result is divided by the deviation of the patch (local) or of the image
+(global). The loss is 0.1 local + 1 global: mean square of residuals above a margin. Its code for a
+start from dense points uses a margin of 0.01, DropoutGS 0.1 global. Known depth is that of
+`depth=`; only its relief within a patch matters.
 """
 
 from __future__ import annotations
@@ -33,15 +32,20 @@ SHARE = 0.01  # of the image's deviation that a patch's is kept above
 @register("reg", "depth_local_global")
 @dataclass(frozen=True)
 class DepthLocalGlobal(Regularizer):
-    """Compares normalised depth patch by patch."""
+    """smallest, largest: patch size in pixels, drawn uniformly. margin: smaller residuals do not
+    count. whole: weight of the global loss. soft_from: share of the training before which only
+    means move."""
+
+    title: ClassVar[str] = "DNGaussian depth"
+    paper: ClassVar[str] = "dngaussian"
 
     defaults: ClassVar[dict[str, float]] = {"weight": 1.0}
 
-    smallest: int = 5  # smallest edge of a patch in pixels
-    largest: int = 17  # largest edge of a patch in pixels
-    margin: float = 2.5e-4  # residuals below it do not count
-    whole: float = 1.0  # weight of the loss divided by the image's deviation
-    soft_from: float = 0.167  # share of the training before which only centres move
+    smallest: int = 5
+    largest: int = 17
+    margin: float = 2.5e-4
+    whole: float = 1.0
+    soft_from: float = 0.167
 
     def __post_init__(self) -> None:
         self.check("smallest", self.smallest >= 2, "an integer >= 2")
@@ -51,22 +55,22 @@ class DepthLocalGlobal(Regularizer):
         self.check("soft_from", 0 <= self.soft_from <= 1, "a share in [0, 1]")
 
     def substeps(self, ctx: StepContext, state: Any, view: View) -> Iterator[SubStep]:
-        known = known_depth(ctx, view)
-        if known is None:
+        reference = known_depth(ctx, view)
+        if reference is None:
             return
         rng = ctx.rng("patches")
         names = [("means",)] + [("opacity_logits",)] * (ctx.progress >= self.soft_from)
         for moved in names:
             loss = self._loss(
-                ctx, view, moved[0], known, int(rng.integers(self.smallest, self.largest + 1))
+                ctx, view, moved[0], reference, int(rng.integers(self.smallest, self.largest + 1))
             )
             if loss is not None:
                 yield loss, moved
 
     def _loss(
-        self, ctx: StepContext, view: View, moved: str, known: tuple[Tensor, Tensor], patch: int
+        self, ctx: StepContext, view: View, moved: str, reference: tuple[Tensor, Tensor], patch: int
     ) -> Tensor | None:
-        """The loss of one render in which only the parameter `moved` has a gradient."""
+        """Of one render in which only the parameter `moved` has a gradient."""
         import torch
 
         gaussians = ctx.gaussians.detach().replace(**{moved: getattr(ctx.gaussians, moved)})
@@ -75,12 +79,12 @@ class DepthLocalGlobal(Regularizer):
             opaque = torch.full_like(gaussians.opacity_logits, logit)
             gaussians = gaussians.replace(opacity_logits=opaque)
         seen = ctx.render(view.camera, gaussians)
-        valid = known[1] & (seen.alpha.detach() > SEEN)
-        return compared(seen.expected_depth, known[0], valid, patch, self.margin, self.whole)
+        valid = reference[1] & (seen.alpha.detach() > SEEN)
+        return compared(seen.expected_depth, reference[0], valid, patch, self.margin, self.whole)
 
 
 def compared(
-    rendered: Tensor, known: Tensor, valid: Tensor, patch: int, margin: float, whole: float
+    rendered: Tensor, reference: Tensor, valid: Tensor, patch: int, margin: float, whole: float
 ) -> Tensor | None:
     """0.1 local + `whole` global loss of two depth maps [H, W] over whole patches of `valid`
     pixels; None without any such patch."""
@@ -96,7 +100,7 @@ def compared(
     if not inside.any():
         return None
     loss = rendered.new_zeros(())
-    pair = [tiles(values)[inside] for values in (rendered, known)]
+    pair = [tiles(values)[inside] for values in (rendered, reference)]
     spread = [values.std().detach() for values in pair]
     for weight, local in ((LOCAL, True), (whole, False)):
         normal = []

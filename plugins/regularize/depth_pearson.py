@@ -1,9 +1,8 @@
-"""`reg=depth_pearson`: rendered depth should be correlated with the known one.
+"""`reg=depth_pearson`: rendered depth should correlate with known depth.
 
-FSGS (Zhu et al. 2024, arXiv 2312.00451, eq. 8): 1 - Pearson's correlation over the pixels of a
-photo. It is invariant to scale and offset, so the depth may be a network's or, by default, the
-plane sweep's. FSGS also compares unseen cameras with a network's depth of the render, which is left
-out here.
+FSGS (Zhu et al. 2024, arXiv 2312.00451, eq. 8): 1 - Pearson correlation over the pixels of a photo,
+which ignores scale and offset. Known depth is that of `depth=`. FSGS also compares at unseen
+cameras, with a network's depth of the render; this part is not implemented.
 """
 
 from __future__ import annotations
@@ -25,7 +24,10 @@ FEWEST = 16  # pixels
 @register("reg", "depth_pearson")
 @dataclass(frozen=True)
 class DepthPearson(Regularizer):
-    """inverse: compare inverse depths, whose noise is even over the image for a matcher."""
+    """inverse: compare inverse depths, whose error is even over the image for stereo."""
+
+    title: ClassVar[str] = "Pearson depth"
+    paper: ClassVar[str] = "fsgs"
 
     defaults: ClassVar[dict[str, float]] = {"weight": 0.05}
 
@@ -33,10 +35,10 @@ class DepthPearson(Regularizer):
 
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
         """1 - correlation over the pixels of known depth where something is rendered."""
-        known = known_depth(ctx, view)
-        if known is None:
+        reference = known_depth(ctx, view)
+        if reference is None:
             return None
-        depth, valid = known
+        depth, valid = reference
         valid = valid & (render.alpha.detach() > SEEN)
         if int(valid.sum()) < FEWEST:
             return None

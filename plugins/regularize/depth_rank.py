@@ -1,9 +1,9 @@
-"""`reg=depth_rank`: what is known to be nearer should be rendered nearer.
+"""`reg=depth_rank`: pixels that are known to be nearer should be rendered nearer.
 
-SparseNeRF (Wang et al. 2023, its training code). For random pairs of pixels whose first is nearer
-by the known depth: the mean of max(d1 - d2 + margin, 0). For neighbours of similar known depth: the
-mean of max(|d1 - d2| - margin, 0). Depths are in units of the scene's near bound, so margins mean
-the same everywhere. Only the order of the known depth counts.
+SparseNeRF (Wang et al. 2023, its training code): mean max(d1 - d2 + margin, 0) over random pairs of
+pixels whose first is nearer in the known depth, and mean max(|d1 - d2| - margin, 0) over neighbours
+of similar known depth. Depths are in units of the scene's near bound, so that margins are
+independent of the scene's scale. Only the order of the known depth matters.
 """
 
 from __future__ import annotations
@@ -23,14 +23,19 @@ if TYPE_CHECKING:
 @register("reg", "depth_rank")
 @dataclass(frozen=True)
 class DepthRank(Regularizer):
-    """A ranking loss on depth."""
+    """pairs: random pairs of pixels per render. margin: by how much the nearer pixel should be
+    nearer, in near bounds. continuity: weight of the neighbour term relative to the pair term.
+    alike: relative difference of known depth below which neighbours should stay together."""
+
+    title: ClassVar[str] = "Depth ranking"
+    paper: ClassVar[str] = "sparsenerf"
 
     defaults: ClassVar[dict[str, float]] = {"weight": 0.5}
 
-    pairs: int = 2048  # random pairs of pixels per render
-    margin: float = 1e-4  # by how much the nearer one should be nearer, in near bounds
-    continuity: float = 0.01  # weight of the term of neighbours, relative to that of pairs
-    alike: float = 0.01  # largest relative difference of neighbours that stay together
+    pairs: int = 2048
+    margin: float = 1e-4
+    continuity: float = 0.01
+    alike: float = 0.01
 
     def __post_init__(self) -> None:
         self.check("pairs", self.pairs >= 1, "an integer >= 1")
@@ -42,10 +47,10 @@ class DepthRank(Regularizer):
         """Mean hinge over pairs plus `continuity` times that over neighbours."""
         import torch
 
-        known = known_depth(ctx, view)
-        if known is None:
+        reference = known_depth(ctx, view)
+        if reference is None:
             return None
-        depth, valid = known
+        depth, valid = reference
         valid = valid & (render.alpha.detach() > SEEN)
         places = valid.reshape(-1).nonzero()[:, 0]
         if len(places) < 2:
@@ -56,9 +61,9 @@ class DepthRank(Regularizer):
         flat, sure = rendered.reshape(-1), depth.reshape(-1)
         nearer = torch.where(sure[first] < sure[second], first, second)
         farther = first + second - nearer
-        told = sure[nearer] < sure[farther]
+        ordered = sure[nearer] < sure[farther]
         hinge = (flat[nearer] - flat[farther] + self.margin).clamp(min=0)
-        total = (hinge * told).sum() / told.sum().clamp(min=1)
+        total = (hinge * ordered).sum() / ordered.sum().clamp(min=1)
         return total + self.continuity * self._continuity(rendered, depth, valid)
 
     def _continuity(self, rendered: Tensor, depth: Tensor, valid: Tensor) -> Tensor:

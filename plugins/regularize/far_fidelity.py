@@ -1,8 +1,8 @@
-"""`reg=far_fidelity`: distant pixels of a photo count twice, as few Gaussians are seen there.
+"""`reg=far_fidelity`: far pixels of the photo count twice.
 
-D2GS (Song et al., ICLR 2026), its distance-aware fidelity: L1 once more, over the twentieth of the
-pixels with the largest depth. Its depth is a network's. Here it is that of `depth=`, and pixels
-without depth do not take part.
+D2GS (Song et al., ICLR 2026, distance-aware fidelity): L1 again over the 5 % of the pixels with the
+largest depth. Its depth is a network's; here it is that of `depth=`, and pixels without depth do
+not take part.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 @register("reg", "far_fidelity")
 @dataclass(frozen=True)
 class FarFidelity(Regularizer):
-    """share: of the pixels with known depth, the farthest, that count once more."""
+    """share: of the pixels with known depth, the farthest, that count again."""
+
+    title: ClassVar[str] = "DAFE"
+    paper: ClassVar[str] = "d2gs"
 
     defaults: ClassVar[dict[str, float]] = {"weight": 1.0}
 
@@ -33,10 +36,10 @@ class FarFidelity(Regularizer):
 
     def loss(self, ctx: StepContext, state: Any, view: View, render: Render) -> Tensor | None:
         """Mean absolute difference to the photo over the farthest pixels and the channels."""
-        known = known_depth(ctx, view)
-        if known is None:
+        reference = known_depth(ctx, view)
+        if reference is None:
             return None
-        depth, valid = known
+        depth, valid = reference
         if view.mask is not None:
             valid = valid & (view.mask > 0.5)
         n = int(self.share * int(valid.sum()))

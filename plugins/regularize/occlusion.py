@@ -1,8 +1,9 @@
-"""`reg=occlusion`: the space right in front of the cameras should be transparent.
+"""`reg=occlusion`: penalize opacity close to the training cameras.
 
-FreeNeRF (Yang et al. 2023, section 3.4): the mean density of the first samples of every ray. For
-Gaussians, it is the mean opacity of those within `depth` near bounds of a training camera that sees
-them. Where photos overlap too little to place near objects, these become a wall before a lens.
+FreeNeRF (Yang et al. 2023, section 3.4) penalizes the density of the first samples of every ray.
+Here it is the mean opacity of Gaussians within `depth` near bounds of a training camera that sees
+them. Where photos overlap too little to place near content, it ends up right in front of a
+camera.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ if TYPE_CHECKING:
 @register("reg", "occlusion")
 @dataclass(frozen=True)
 class Occlusion(Regularizer):
-    """depth: how far from the camera a Gaussian is too near, in near bounds."""
+    """depth: distance below which a Gaussian is too near, in near bounds."""
+
+    title: ClassVar[str] = "Occlusion"
+    paper: ClassVar[str] = "freenerf"
 
     defaults: ClassVar[dict[str, float]] = {"weight": 0.01}
 
@@ -35,7 +39,7 @@ class Occlusion(Regularizer):
         from framework.compute.tensors import sigmoid
         from framework.geometry import project
 
-        if view.pseudo:  # no photo was taken there, so nearness is no artefact
+        if view.pseudo:  # no photo was taken there, so nothing is too near
             return None
         _, z = project(ctx.gaussians.means.detach(), view.camera)
         near = (render.radii > 0) & (z < self.depth * ctx.near)

@@ -1,8 +1,8 @@
-"""`reg=opacity_noise`: opacities of a training render are multiplied by noise around 1.
+"""`reg=opacity_noise`: multiply opacities of training renders by noise around 1.
 
-With noise no Gaussian can rely on the exact opacity of another. It is the second of two strategies
-against co-adaptation (Chen et al. 2025, arXiv 2508.12720). The opacity is clamp(o (1 + e), 0, 1)
-with e from N(0, sigma^2), cut off at sigma.
+No Gaussian can then rely on the exact opacity of another. The second of two strategies against
+co-adaptation (Chen et al. 2025, arXiv 2508.12720): o <- clamp(o (1 + e), 0, 1) with e from
+N(0, sigma^2), clipped at sigma.
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class OpacityNoise(Regularizer):
     """sigma: standard deviation of the noise, and its largest size."""
+
+    title: ClassVar[str] = "Opacity noise"
+    paper: ClassVar[str] = "coadapt"
 
     drops: ClassVar[bool] = False
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}

@@ -1,9 +1,9 @@
-"""`reg=patch_smoothness`: depth should be smooth in small patches of cameras without photos.
+"""`reg=patch_smoothness`: smooth depth in small patches of unseen views.
 
-RegNeRF (Niemeyer et al. 2022, section 3.2 and its code): the sum over 8 x 8 patches of the squared
-differences of neighbouring depths, times the patch's coverage (without a gradient). Its weight
-falls from a large value over the first 512 of 70,000 steps. Depth is in scene extents here, and
-cameras lie between training cameras, since evaluation poses may not be used.
+RegNeRF (Niemeyer et al. 2022, section 3.2 and its code): sum over 8x8 patches of the squared
+differences of neighbouring depths, times the patch's coverage (without a gradient), with a weight
+that decays from a large value over the first 512 of 70,000 steps. Here depth is in scene extents
+and cameras lie between training cameras, because evaluation poses must stay unknown.
 """
 
 from __future__ import annotations
@@ -23,9 +23,12 @@ if TYPE_CHECKING:
 @register("reg", "patch_smoothness")
 @dataclass(frozen=True)
 class PatchSmoothness(Regularizer):
-    """patch: edge of a patch in pixels. initial: weight in the first step, in units of the last.
-    RegNeRF's is 4000 (400 to 0.1); the default 1 lets nothing fall. falling: share of the training
-    over which it falls to that, exponentially."""
+    """patch: patch size in pixels. initial: weight in the first step relative to the last (RegNeRF:
+    4000); the default 1 is constant. falling: share of the training over which it decays,
+    exponentially."""
+
+    title: ClassVar[str] = "Patch smoothness"
+    paper: ClassVar[str] = "regnerf"
 
     defaults: ClassVar[dict[str, float]] = {"weight": 0.1}
 
@@ -50,11 +53,9 @@ class PatchSmoothness(Regularizer):
 
 
 def roughness(depth: Tensor, alpha: Tensor, patch: int) -> Tensor:
-    """Mean roughness of whole patches of an image [H, W], times its alpha.
-
-    A patch's roughness is the mean over its pixels, without the last row and column, of
-    (d_ij - d_i,j+1)^2 + (d_ij - d_i+1,j)^2. Pairs with a pixel that shows nothing do not count.
-    """
+    """Mean over whole patches of the image [H, W] of the mean over a patch's pixels, but the last
+    row and column, of (d_ij - d_i,j+1)^2 + (d_ij - d_i+1,j)^2, times its alpha. A pixel that shows
+    nothing has no depth, so a pair with one does not count."""
     from framework.toolbox.elsewhere import SEEN
 
     rows, columns = (n // patch * patch for n in depth.shape)
@@ -65,8 +66,8 @@ def roughness(depth: Tensor, alpha: Tensor, patch: int) -> Tensor:
         return values[:rows, :columns].reshape(rows // patch, patch, columns // patch, patch)
 
     tiles, weights, shown = cut(depth), cut(alpha.detach()), cut(alpha > SEEN)
-    here = weights[:, :-1, :, :-1] * shown[:, :-1, :, :-1]
+    coverage = weights[:, :-1, :, :-1] * shown[:, :-1, :, :-1]
     down = (tiles[:, 1:, :, :-1] - tiles[:, :-1, :, :-1]).square() * shown[:, 1:, :, :-1]
     right = (tiles[:, :-1, :, 1:] - tiles[:, :-1, :, :-1]).square() * shown[:, :-1, :, 1:]
-    mean: Tensor = ((down + right) * here).mean()
+    mean: Tensor = ((down + right) * coverage).mean()
     return mean

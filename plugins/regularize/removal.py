@@ -1,9 +1,8 @@
-"""`reg=removal`: Gaussians are left out at random, and opacities are reduced for evaluation.
+"""`reg=removal`: drop random Gaussians at a constant rate; scale opacities in tests.
 
-The first of two strategies against co-adaptation (Chen et al. 2025, arXiv 2508.12720). A training
-render leaves out a constant share p. The evaluated Gaussians are complete, with opacities times
-1 - p, so that both absorb as much in expectation. `reg=uniform` with compensation scales in
-training instead.
+The first of two strategies against co-adaptation (Chen et al. 2025, arXiv 2508.12720): a training
+render leaves out a share p. The evaluation uses all Gaussians with opacities times 1 - p, so that
+both absorb the same in expectation. `reg=uniform` with `compensate` scales in training instead.
 """
 
 from __future__ import annotations
@@ -24,6 +23,9 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Removal(Regularizer):
     """p: share of the Gaussians that a render leaves out."""
+
+    title: ClassVar[str] = "Removal"
+    paper: ClassVar[str] = "coadapt"
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 

@@ -1,13 +1,11 @@
-"""`reg=sharpness`: the gradient is taken where the loss is larger nearby, so that minima are flat.
+"""`reg=sharpness`: sharpness-aware minimization of the means.
 
-Sharpness-aware minimisation for Gaussians (FASR 2026 after Foret et al. 2021). Every Gaussian's
-parameters are moved by rho along its gradient, and the gradient there is mixed with the original
-one, g <- (1 - share) g + share g'.
-
-Here only means are moved, in units of the Gaussian's mean scale, which FASR reports as most of the
-gain (20.56 dB of 20.78, from 19.81). All use the same rho, while in FASR rho and the share follow
-the frequency of the photo under the Gaussian. A step takes twice as long, so it acts late by
-default (FASR: the last eighth keeps three quarters of its gain).
+FASR (2026, after Foret et al. 2021): the parameters of each Gaussian are moved by rho along its
+gradient, and the gradient there is mixed with the original one, g <- (1 - share) g + share g'. Here
+only means are moved, in units of the Gaussian's mean scale, which gives most of FASR's gain (20.56
+dB of 20.78, from 19.81). All move by the same rho, while FASR adapts rho and the share to the
+frequency of the photo. A step takes twice as long, so it acts late by default (FASR: the last
+eighth keeps three quarters of its gain).
 """
 
 from __future__ import annotations
@@ -28,6 +26,9 @@ class Sharpness(Regularizer):
     """rho: how far means are moved, in standard deviations of the Gaussian. share: of the gradient
     there in what the optimizer gets."""
 
+    title: ClassVar[str] = "Sharpness"
+    paper: ClassVar[str] = "fasr"
+
     defaults: ClassVar[dict[str, float]] = {"start": 0.875}
 
     rho: float = 0.1
@@ -38,14 +39,14 @@ class Sharpness(Regularizer):
         self.check("share", 0 < self.share <= 1, "a share in (0, 1]")
 
     def gradient(
-        self, ctx: StepContext, state: Any, found: Mapping[str, Tensor], at: GradientAt
+        self, ctx: StepContext, state: Any, gradients: Mapping[str, Tensor], at: GradientAt
     ) -> Mapping[str, Tensor]:
         import torch
 
         from framework.compute.portable import exp
         from framework.compute.tensors import root
 
-        gaussians, pull = ctx.gaussians, found["means"]
+        gaussians, pull = ctx.gaussians, gradients["means"]
         x, y, z = pull.double().unbind(1)
         length = root(x * x + y * y + z * z)[:, None]
         direction = (pull / length.clamp(min=1e-30)).float()
@@ -55,5 +56,5 @@ class Sharpness(Regularizer):
         share = self.share
         return {
             name: ((1 - share) * gradient + share * there[name]).contiguous()
-            for name, gradient in found.items()
+            for name, gradient in gradients.items()
         }

@@ -1,17 +1,17 @@
 """`reg=uar`: uncertainty-aware dropout of Gaussians (UAR).
 
-U_i = -log det F_i, with F_i the Fisher information of the training views about the mean and
-log-scale of Gaussian i. At progress t the C p(t) N least uncertain Gaussians are candidates, and
-each is dropped with probability 1/C for one step: p(t) N in expectation. So supervision moves to
-the Gaussians that few views determine, which are never dropped themselves.
+The uncertainty of Gaussian i is U_i = -log det F_i, where F_i is the Fisher information of the
+training views about its mean and log-scale. At progress t, the C p(t) N least uncertain Gaussians
+are candidates, and each is dropped with probability 1/C for one step, p(t) N in expectation. This
+moves supervision to uncertain Gaussians, which are never dropped.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
-from framework.plugin import StepContext, register
+from framework.plugin import StepContext, Variant, register
 from framework.toolbox.dropout import DropoutRegularizer
 
 if TYPE_CHECKING:
@@ -25,8 +25,13 @@ FORMS = ("block", "diagonal")
 
 @dataclass(frozen=True)
 class Ranking:
-    """order: [M] int64, the Gaussians that any training view sees, the least uncertain first.
-    step, version: when it was made, and of which set of Gaussians."""
+    """Gaussians by uncertainty.
+
+    Attributes:
+        order: [M] int64, the Gaussians that any training view shows, least uncertain first.
+        step: when it was computed.
+        version: of the set of Gaussians.
+    """
 
     order: Tensor
     step: int
@@ -38,16 +43,21 @@ class Ranking:
 class Uar(DropoutRegularizer):
     """Options, with the paper's symbols.
 
-    mode: a dropped opacity is multiplied by 0 ("hard") or by `soft_scale` ("soft"). soft_scale: the
-    paper's lambda. p: drop rate. schedule: "linear" gives p(t) = p x progress of the whole training
-    (as DropGaussian's), "constant" keeps p. candidate_factor: candidates per dropped Gaussian, C.
-    refresh: steps between rankings. form: "block", log det of the 6x6 block, or "diagonal", of its
-    diagonal. The latter misses information about combinations of parameters. regulariser: prior
-    precision as a share of the median diagonal of F. compensate: scale the kept candidates up, so
-    that every opacity keeps its expectation. It is by (1 - s/C) / (1 - 1/C), s the factor of the
-    dropped. scale_tested: evaluate the candidates' opacities times 1 - (1 - s)/C instead, which is
-    their expectation.
+    mode: multiply a dropped opacity by 0 ("hard") or by `soft_scale` ("soft"). soft_scale: lambda.
+    p: drop rate. schedule: "linear" gives p(t) = p x progress of the whole training, as in
+    DropGaussian, "constant" keeps p. candidate_factor: C, candidates per dropped Gaussian. refresh:
+    steps between rankings. form: "block", log det of the 6x6 block, or "diagonal", of its diagonal,
+    which ignores correlations. regulariser: prior precision as a share of the median diagonal of F.
+    compensate: brighten the kept candidates so that every opacity keeps its expectation, by the
+    factor (1-s/C)/(1-1/C), with s the factor of dropped ones. scale_tested: instead evaluate
+    candidates at their mean opacity in training, 1 - (1 - s)/C times.
     """
+
+    title: ClassVar[str] = "UAR"
+    paper: ClassVar[str] = "safi_uar"
+    variants: ClassVar[dict[str, Variant]] = {
+        "uar_hard": Variant("mode", "hard", "UAR (hard)", "safi_uar"),
+    }
 
     mode: str = "soft"
     candidate_factor: float = 2.0
@@ -138,8 +148,8 @@ class Uar(DropoutRegularizer):
 
         from framework.fisher.scores import uncertainty
 
-        known, *views = ctx.views
-        first = ctx.fisher(known.camera, mask=known.mask)
+        first_view, *views = ctx.views
+        first = ctx.fisher(first_view.camera, mask=first_view.mask)
         blocks, visible = first.block.double(), first.visible
         del first  # one at a time, and sums in place: new memory takes longer than the sums
         for view in views:

@@ -1,17 +1,16 @@
-"""`reg=uniform`: dropout of Gaussians at random, every one with the same probability.
+"""`reg=uniform`: dropout of random Gaussians, all with the same probability.
 
-A step's render leaves out a share p(t) of the Gaussians, so that none can rely on others to hide
-its errors. With `compensate` the other opacities are multiplied by 1 / (1 - p(t)), which keeps
-every opacity's expectation. That is DropGaussian (Park et al., CVPR 2025), whose p and span
-`reg=dropgaussian` has.
+A training render leaves out a share p(t) of the Gaussians, so that none can rely on others to hide
+its errors. With `compensate` the kept opacities are multiplied by 1 / (1 - p(t)), which keeps their
+expectation: DropGaussian (Park et al., CVPR 2025); `reg=dropgaussian` has its p and span.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from framework.plugin import StepContext, register
+from framework.plugin import StepContext, Variant, register
 from framework.toolbox.dropout import DropoutRegularizer
 
 if TYPE_CHECKING:
@@ -26,10 +25,15 @@ COUNTS = ("bernoulli", "exact")
 class Uniform(DropoutRegularizer):
     """p: drop rate. schedule: "linear" gives p(t) = p x progress of the whole training, "constant"
     keeps p. count: "bernoulli" drops each Gaussian with probability p(t), "exact" drops p(t) N of
-    them, rounded. compensate: multiply the kept opacities by 1 / (1 - share dropped in
-    expectation). As DropGaussian does; a factor may take an opacity above 1, where the renderer's
-    clamp of alpha holds. scale_tested: evaluate opacities times 1 - p(t) instead.
-    """
+    them, rounded. compensate: multiply the kept opacities by 1 / (1 - expected share dropped), as
+    in DropGaussian; the renderer clamps alpha if that exceeds 1. scale_tested: instead evaluate
+    opacities times 1 - p(t)."""
+
+    title: ClassVar[str] = "Uniform dropout"
+    paper: ClassVar[str] = "safi_uar"
+    variants: ClassVar[dict[str, Variant]] = {
+        "dropgaussian": Variant("compensate", True, "DropGaussian", "dropgaussian"),
+    }
 
     count: str = "bernoulli"
 

@@ -1,1 +1,1 @@
-"""Scene loaders beside the project's own, which are in framework/scenes: a file each."""
+"""Additional scene loaders, one file each; the project's own are in framework/scenes."""

@@ -62,7 +62,7 @@ class There(Tensor):
 
 
 def _of_lists(index: Any) -> Any:
-    """Of an index with lists one with tensors; torch's own would hold no numbers."""
+    """Replace lists in an index by tensors; those torch creates would hold no numbers."""
     whole = index if isinstance(index, tuple) else (index,)
     whole = tuple(torch.tensor(i).to(DEVICE) if isinstance(i, list) else i for i in whole)
     return whole if isinstance(index, tuple) else whole[0]

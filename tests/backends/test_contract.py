@@ -67,7 +67,7 @@ def test_a_render_without_depth_has_none(rasterizer: Rasterizer) -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("degree", [0, None])
 def test_gradients(rasterizer: Rasterizer, seed: int, degree: int | None) -> None:
-    """Of the photometric loss, with a mask, in every parameter and the projected means."""
+    """The photometric loss with a mask, in every parameter and the projected means."""
     case = scene(seed)
     photo = torch.rand(3, case.camera.height, case.camera.width, generator=_draws(seed))
     mask = sure(case).float()
@@ -99,7 +99,7 @@ def test_gradients(rasterizer: Rasterizer, seed: int, degree: int | None) -> Non
 
 
 def test_a_loss_of_all_that_is_rendered(rasterizer: Rasterizer) -> None:
-    """By autograd through the colours, alpha and depth, as a regularizer's term is."""
+    """Autograd through colours, alpha and depth, as for a regularizer's term."""
     case = scene(3)
 
     def taken(who: Rasterizer) -> list[Tensor]:

@@ -32,7 +32,7 @@ class OnCPU(StandIn):
 
 @pytest.fixture
 def calls() -> Iterator[Calls]:
-    """Of each function, what a render calls it with and gets; of a scene that is seen by the
+    """Arguments and result of each function in a render of a scene that is seen by the
     stand-in."""
     case, found = scene(3), {}
 
@@ -57,7 +57,7 @@ def test_it_is_the_version_that_is_pinned() -> None:
 
 @pytest.mark.parametrize("function", stand_in.FUNCTIONS, ids=lambda f: f.__name__)
 def test_the_parameters_are_those_of_the_stand_in(function: FunctionType) -> None:
-    """By name, order and default; the package's may have more behind."""
+    """Names, order and defaults agree; the package may have further parameters."""
     assert getattr(gsplat, function.__name__) is getattr(wrapper, function.__name__)
     own = inspect.signature(function).parameters.values()
     theirs = inspect.signature(getattr(gsplat, function.__name__)).parameters.values()
@@ -66,7 +66,7 @@ def test_the_parameters_are_those_of_the_stand_in(function: FunctionType) -> Non
 
 @pytest.mark.parametrize("name", [f.__name__ for f in stand_in.FUNCTIONS])
 def test_our_arguments_pass_its_checks(calls: Calls, name: str) -> None:
-    """Of shapes, types and contiguity: each function gets as far as its kernel."""
+    """Shapes, types and contiguity are valid: each function reaches its kernel."""
 
     class AtTheKernel(Exception):
         pass

@@ -22,7 +22,7 @@ SMALL, LARGE, OPAQUE, CLEAR = 0.05, 0.5, 0.5, 0.004
 
 
 def gaussians(*rows: tuple[float, float]) -> Gaussians:
-    """One Gaussian per (largest scale, opacity); the other attributes tell them apart."""
+    """One Gaussian per (largest scale, opacity); the other attributes distinguish them."""
     n = len(rows)
     scales, opacities = torch.tensor(rows).unbind(1)
     index = torch.arange(n, dtype=torch.float32)

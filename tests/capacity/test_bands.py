@@ -38,7 +38,7 @@ def evidence(subject: Gaussians, noise: float = NOISE) -> BandsEvidence:
 
 @pytest.mark.parametrize("degree", [1, 3])
 def test_the_gain_is_what_the_best_single_colour_misses(degree: int) -> None:
-    """Of one Gaussian alone: a pixel is weight x colour, whatever the colour."""
+    """For a single Gaussian, a pixel is weight x colour, whatever the colour."""
     subject = coloured(1, degree)
     found = evidence(subject)
     rows = []
@@ -107,7 +107,7 @@ def test_bands_stay_where_they_pay() -> None:
 
 
 def bands_kept(criterion: str, noise: float) -> int:
-    """Of 60 Gaussians before views with this much noise, the same in all channels."""
+    """60 Gaussians in front of views with this noise, the same in all channels."""
     ctx = replace(watched(coloured(60, 1), 69), sh_degree=1)
     draws = stream(0, "noise").normal(0, noise, (3, 1, *ctx.views[0].image.shape[1:]))
     views = tuple(

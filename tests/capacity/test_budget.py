@@ -49,7 +49,7 @@ def longer(ctx: StepContext) -> StepContext:
 def test_many_views_have_rounds_an_epoch_apart_and_one_at_until(
     steps: int, views: int, interval: int
 ) -> None:
-    """A round looks at every view, so rounds by share alone would be dearer than the training."""
+    """A round looks at every view, so rounds by share alone would cost more than the training."""
     ctx = watched()
     many = replace(ctx, n_steps=steps, views=(ctx.views * views)[:views])
     due = [

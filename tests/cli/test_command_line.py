@@ -86,7 +86,10 @@ def test_the_defaults(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> Non
     assert (config["seed"], config["threads"], config["study"]) == (0, 0, "embedded")
     assert (config["force"], config["metrics"]) == (
         False,
-        {"lpips_weights": None, "also": None, "coadaptation": False},
+        {
+            **{"lpips_weights": None, "lpips_both": False, "views": 0},
+            **{"also": None, "coadaptation": False},
+        },
     )
     assert "none+none seed 0 · finished" in capsys.readouterr().out
 

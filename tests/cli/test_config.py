@@ -1,4 +1,4 @@
-"""The typed configuration: every choice composes, and a run's name says what changed."""
+"""The typed configuration: every choice composes, and a run's name contains what changed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The documents say what is so: their commands run, their tables are complete."""
+"""The documents are correct: their commands run, their tables are complete."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_every_command_of_the_documents_runs(
     Path("DIR").mkdir()
     # a sweep's seeds all start alike, and the test of the command line has three of them
     command = re.sub(r"scene\.path=\S+", "scene.path=DIR", command)
-    command = command.replace("NAME", "uar")  # stands for the reader's own plugin
+    command = command.replace("NAME", "uar")  # in place of the reader's plugin
     words = [re.sub(r"^seed=.*,.*", "seed=0,1", word) for word in command.split()]
     given = {word.split("=")[0] for word in words}
     for word in list(words):

@@ -32,7 +32,7 @@ class OfMine(Regularizer):
 
 
 def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """The command line in a process and an empty folder of its own."""
+    """The command line in a separate process and an empty folder."""
     return subprocess.run(
         [sys.executable, str(ROOT / "run.py"), *words],
         cwd=folder,

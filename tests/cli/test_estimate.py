@@ -1,4 +1,4 @@
-"""What a study tells about its time, before and after."""
+"""The time that a study prints before and after its runs."""
 
 from __future__ import annotations
 
@@ -28,6 +28,16 @@ def test_a_study_tells_its_time(runs: FakeRuns, capsys: pytest.CaptureFixture[st
     # 4 runs of 100 x 0.1 s + 2 s; the trials have loaded the scene
     assert "estimate: about 48 s for 4 runs (from 2 trials of" in told
     assert re.search(r"^4 runs took .+ \(estimated 48 s\)$", told, re.MULTILINE)
+
+
+def test_only_the_estimate_is_printed_and_nothing_trained(
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["seed=0,1", "trainer.steps=100", "estimate=only", "-m"]) == 0
+    told = capsys.readouterr().out
+    assert "estimate: about " in told and " runs took " not in told
+    assert main(["seed=0,1", "estimate=maybe", "-m"]) == 2
+    assert "estimate: expected true, false or only, got 'maybe'" in capsys.readouterr().err
 
 
 def test_nothing_is_tried_unasked(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:

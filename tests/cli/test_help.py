@@ -1,4 +1,4 @@
-"""`--help` says what every option means."""
+"""`--help` explains every option."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_every_option_has_a_meaning(group: str) -> None:
         silent = {option[0] for option in rows(group, name)} - set(told)
         assert not silent, f"{group}={name}: what do {silent} mean?"
         cut = [text for text in told.values() if text.endswith("...")]
-        assert not cut, f"{group}={name}: a shorter first sentence, or the rest is not told: {cut}"
+        assert not cut, f"{group}={name}: shorten the first sentence, which help cuts off: {cut}"
 
 
 def test_the_help_shows_them(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""What a command line asks of Hydra: honest uses work, and a study of too many runs is refused
+"""Hydra's command line: valid uses work, and a study of too many runs is refused
 before its runs are listed."""
 
 from __future__ import annotations

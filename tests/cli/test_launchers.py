@@ -41,7 +41,7 @@ def test_failures_in_other_processes_reach_the_exit_code(tmp_path: Path) -> None
 
 
 def test_workers_end_with_the_command_that_started_them(tmp_path: Path) -> None:
-    """Killed, so that nothing can tell them."""
+    """Killed, so no process can report them."""
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason="no joblib launcher here")
     line = "hydra/launcher=joblib hydra.launcher.n_jobs=2 trainer.steps=100000 seed=0,1"
     line += " scene.width=64 scene.height=48 scene.supersampling=1"

@@ -158,7 +158,7 @@ ELSEWHERE |= {"corruption", "strength", "corruption_seed"}
     "method", ["baseline", "uniform", "dropgaussian", "uar_hard", "dba", "full_set", "safi_uar"]
 )
 def test_the_page_of_the_paper_names_every_option_that_acts(method: str) -> None:
-    """But those that say how long a training may be, what is measured, and how depth is spoiled;
+    """All but the length of a training, the metrics and the corruption of depth;
     weights act on pseudo views alone, which the page has."""
     page = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
     for word in ("augment.weight=1", "augment.every=1", "augment.roll=false", "reg.p=0.2"):

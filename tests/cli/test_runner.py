@@ -81,8 +81,8 @@ def test_a_run_and_its_report(tmp_path: Path) -> None:
     [
         ('from framework.errors import UserError; raise UserError("a: expected b, got c")', 2,
          "error: a: expected b, got c\n"),
-        ('from framework.files.locks import Busy; raise Busy("x: expected nobody")', 3,
-         "error: x: expected nobody; then repeat the same command\n"),
+        ('from framework.files.locks import Busy; raise Busy("x: expected no other")', 3,
+         "error: x: expected no other; then repeat the same command\n"),
         ('raise PermissionError(13, "Permission denied", "/secret")', 2,
          "error: /secret: expected what may be opened, got 'Permission denied'; change its rights"
          " or choose another, and run the same again\n"),
@@ -145,7 +145,7 @@ def test_streams_may_be_closed(tmp_path: Path) -> None:
 
 
 def test_a_run_goes_on_without_a_reader(tmp_path: Path) -> None:
-    """As after `| head -1`: what it tells then goes nowhere, and the rest is as ever."""
+    """As after `| head -1`: the output is discarded, and the rest is unchanged."""
     body = """
 def run_experiment(config, run_dir, progress, overrides):
     progress.done("begun")

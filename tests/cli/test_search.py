@@ -99,7 +99,7 @@ def test_it_refuses_in_one_line(
 
 
 class Fake:
-    """A slot whose runs take no time. done: the words of all that were asked for."""
+    """A slot whose runs take no time. done: the words of all requested runs."""
 
     done: list[list[str]]
     kill_after: int

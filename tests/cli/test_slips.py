@@ -1,4 +1,4 @@
-"""Slips of a newcomer: each ends in one line that says what to type instead."""
+"""Slips of a newcomer: each ends in one line with the correct words."""
 
 from __future__ import annotations
 

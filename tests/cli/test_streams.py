@@ -1,4 +1,4 @@
-"""A run goes on whatever becomes of its standard streams, and slips are one line."""
+"""A run survives the loss of its standard streams, and mistakes give one line."""
 
 from __future__ import annotations
 

@@ -17,7 +17,6 @@ from framework.command.config.schema import ROOT
 from framework.command.studies.failures import kind_of
 from framework.errors import mendable, os_line, out_of_memory
 from framework.files import cache
-from framework.report.main import main as report
 from tests.cli.conftest import FakeRuns, runs
 
 __all__ = ["runs"]  # the fixture
@@ -157,7 +156,7 @@ def test_a_report_without_memory(
         raise MemoryError("Unable to allocate 9 GiB")
 
     monkeypatch.setattr("framework.report.build.built", fail)
-    assert report([str(tmp_path)], "report") == 2
+    assert main(["report", str(tmp_path)]) == 2
     assert capsys.readouterr().err.startswith("error: memory: expected room")
 
 

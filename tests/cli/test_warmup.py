@@ -38,7 +38,7 @@ def warm(config: Any) -> None:
 
 
 def test_what_is_compiled_already_is_loaded_beside(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a thread that says nothing, and a failure there is no failure here."""
+    """A silent thread does it, and its failure does not affect the run."""
     config, seen = composed(), list[tuple[str, bool]]()
 
     def loads(*_: object) -> None:

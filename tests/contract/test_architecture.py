@@ -1,4 +1,4 @@
-"""docs/architecture.md says what is so: its files and names exist, its rooms are the rooms. The
+"""docs/architecture.md is correct: its files and names exist, its packages are complete. The
 files and names in CONTRIBUTING.md and README.md exist, too."""
 
 from __future__ import annotations

@@ -24,34 +24,34 @@ def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-# Top to bottom: whoever stands in a line may import from the lines below it, never from above.
-# A folder is a room, its `__init__.py` the door: `__all__` there says what other rooms may take.
+# Top to bottom: a package may import from those below it, never from above. `__all__` in the
+# `__init__.py` of a package lists what others may use. Comments appear in docs/rooms.png.
 ROOMS = (
-    "command",  # what a user types, and what they are told
-    "report",  # records -> report
-    "view",  # a run in the browser
-    "exports",  # a finished run -> pictures, videos, files of other programs
-    "run",  # scene -> depth -> start -> training -> measures -> record
-    "train",  # the step loop
-    "toolbox",  # common parts of method families; the plugins stand beside it
-    "plugin",  # the contracts
+    "command",  # command line -> configurations and runs
+    "report",  # records -> findings -> report
+    "view",  # one or two runs in the browser
+    "exports",  # pictures, videos, files for other programs
+    "run",  # scene -> depth -> training -> evaluation -> record
+    "train",  # the training loop
+    "toolbox",  # code shared by plugins
+    "plugin",  # the plugin interface
     "registry",  # name -> plugin
-    "backends",  # who draws: one contract for several rasterizers
-    "fisher",  # information of the Gaussians, and scores from it
-    "warp",  # the soft z-buffer
-    "initialize",  # the first Gaussians
-    "depth",  # of the training views
-    "scenes",  # photos, cameras, points
-    "records",  # a run on disk
+    "backends",  # one rasterizer interface, three implementations
+    "fisher",  # Fisher information and scores
+    "warp",  # warping by depth, soft z-buffer
+    "initialize",  # initial Gaussians
+    "depth",  # depth of the training views
+    "scenes",  # photos, cameras, points, splits
+    "records",  # files of a run
     "metrics",  # PSNR, SSIM, FLIP, LPIPS
-    "kernels",  # Gaussians -> pixels and back
-    "geometry",  # points to pixels and back
+    "kernels",  # rasterization, forward and backward
+    "geometry",  # projection, rotations
     "shapes",  # checks of values
-    "types",  # the values everybody speaks of
-    "options",  # the trainer's
-    "compute",  # how kernels run
+    "types",  # shared types
+    "options",  # options of the trainer
+    "compute",  # compilation, threads, random streams
     "files",  # reading and writing safely
-    "errors",  # the ground
+    "errors",  # one-line errors
 )
 MOST_ROOMS, MOST_FILES = 18, 8  # folders, and files that lie in none
 
@@ -129,7 +129,7 @@ def room(module: str) -> str:
 
 
 def climbs(path: Path, module: str = "") -> list[str]:
-    """The imports of a file, or of a text that stands for `module`, that go up or to a room that
+    """The imports of a file, or of a text in place of `module`, that go up or to a room that
     the list lacks."""
     own, found = room(module or module_of(path)), []
     for other_module, _ in taken(path):

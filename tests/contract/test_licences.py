@@ -38,7 +38,7 @@ def test_no_dependency_is_copyleft(name: str) -> None:
         told = licence(name)
     except PackageNotFoundError:
         pytest.skip(f"{name}: not installed here, an extra")
-    assert told, f"{name}: its licence is not told"
+    assert told, f"{name}: no licence in its metadata"
     # "or" leaves the choice, as of packages under BSD or GPL
     assert not all(COPYLEFT.search(part) for part in re.split(r"\s+OR\s+|; ", told)), told
 

@@ -206,7 +206,7 @@ def test_wrong_answers_name_their_plugin() -> None:
 
 
 def self_made() -> object:
-    """Of a class that is not the framework's."""
+    """A class from outside the framework."""
     return Path()
 
 

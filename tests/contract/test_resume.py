@@ -98,7 +98,7 @@ def test_a_training_taken_up_again_ends_with_the_same_bits(
 def test_updates_of_pseudo_views_alone_are_taken_up_too(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A training has more updates than steps then, and Adam counts them; what is told in the end is
+    """A training has more updates than steps then, and Adam counts them; the final report is
     of the whole training."""
     chosen = plugins(**ACTING)
     augment = chosen.each["augment"]

@@ -1,4 +1,4 @@
-"""What a training computes is rounded alike by every processor: no function is asked of a library
+"""What a training computes is rounded alike by every processor: no function comes from a library
 that rounds it by the processor, or by its maker (docs/bits.md)."""
 
 from __future__ import annotations

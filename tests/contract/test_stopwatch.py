@@ -9,7 +9,7 @@ from framework.compute.stopwatch import Stopwatch
 
 
 class Clock:
-    """Stands in for the module `time`; every look at it takes a second."""
+    """Replaces the module `time`; every look at it takes a second."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -32,6 +32,6 @@ def test_a_pause_does_not_count(clock: Clock) -> None:
     watch = Stopwatch(wall_s=5)
     with watch.paused() as before:
         clock.now += 1000
-        assert watch.wall_s > 1000  # what is told of the pause is what it gave, not this
+        assert watch.wall_s > 1000  # the pause is reported separately
     after = watch.wall_s
     assert 5 < before < after < 20

@@ -39,7 +39,7 @@ ALL = [(group, name) for group in registry.GROUPS for name in sorted(registry.ta
 NEUTRAL = {"augment": "none", "reg": "none", "capacity": "fixed"}
 ACTING = {"augment": "safi", "reg": "uar", "capacity": "adc"}
 SEEN_ELSEWHERE = (  # a second field is the first one's twin here
-    "co_prune",  # of twins nobody is far from the other
+    "co_prune",  # identical twins are never far apart
     "self_ensemble",  # moves the second alone
 )
 EAGER: dict[str, dict[str, Any]] = {
@@ -113,7 +113,7 @@ def test_the_same_training_has_the_same_bits(group: str, name: str) -> None:
 
 @pytest.mark.parametrize(("group", "name"), ALL)
 def test_these_trainings_are_long_enough_to_act(group: str, name: str) -> None:
-    """Otherwise the tests here would pass for want of anything to test. A plugin that fails here
+    """Otherwise the tests here would pass without testing anything. A plugin that fails here
     needs options in `EAGER` that make it act within 20 steps of SH degree 1."""
     plugin = registry.lookup(group, name)
     if not getattr(plugin, "idle", False) and name not in SEEN_ELSEWHERE:

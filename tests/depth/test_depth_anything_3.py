@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import builtins
 import hashlib
-import importlib.util
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -185,17 +183,6 @@ def test_sky_invalid_values_and_contradicted_pixels_get_no_confidence(
     assert float(maps[0].confidence[40:].max()) > 0
 
 
-def test_without_confidence_of_its_own_all_known_pixels_count(
-    monkeypatch: pytest.MonkeyPatch, weights: Path
-) -> None:
-    scene = equal_views()
-    network = stand_in(scene)
-    network.change = lambda answer: setattr(answer, "conf", None)
-    install(monkeypatch, network)
-    maps = provider(weights, tolerance=0.0).estimate(scene)
-    assert all(float(m.confidence.min()) == 1 for m in maps)
-
-
 def test_units_of_its_own_are_refused_when_nothing_aligns_them(
     monkeypatch: pytest.MonkeyPatch, weights: Path
 ) -> None:
@@ -231,28 +218,6 @@ def test_what_cannot_work_ends_in_one_line(monkeypatch: pytest.MonkeyPatch, weig
         provider(weights).fingerprint(scene)
 
 
-def test_a_name_of_the_hub_is_downloaded_once_asked(
-    monkeypatch: pytest.MonkeyPatch, weights: Path
-) -> None:
-    asked: list[tuple[str, str]] = []
-
-    def snapshot_download(name: str, revision: str, allow_patterns: list[str]) -> str:
-        asked.append((name, revision))
-        if name == "someone/else":
-            raise OSError("not found")
-        return str(weights)
-
-    hub = ModuleType("huggingface_hub")
-    hub.snapshot_download = snapshot_download  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "huggingface_hub", hub)
-    scene = equal_views()
-    install(monkeypatch, stand_in(scene))
-    build_provider("depth_anything_3", {"revision": "abc"}).estimate(scene)
-    assert asked == [("depth-anything/DA3-BASE", "abc")]
-    with pytest.raises(UserError, match=r"'someone/else' .*OSError \(not found\)"):
-        build_provider("depth_anything_3", {"weights": "someone/else"}).fingerprint(scene)
-
-
 def test_the_fingerprint_follows_the_weights(
     monkeypatch: pytest.MonkeyPatch, weights: Path
 ) -> None:
@@ -282,30 +247,3 @@ def test_without_the_package_one_line_says_what_to_install(
         ) as error:
             getattr(provider(weights), call)(equal_views())
         assert "\n" not in str(error.value)
-
-
-def test_the_command_line_refuses_before_training(weights: Path) -> None:
-    if importlib.util.find_spec("depth_anything_3") is not None:
-        pytest.skip("the package is installed here")
-    command = [sys.executable, "run.py", "experiment=smoke", "depth=depth_anything_3"]
-    command += [f"depth.weights={weights}", f"hydra.run.dir={weights}/run"]
-    root = Path(__file__).parents[2]
-    done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    last = done.stderr.strip().splitlines()[-1]
-    assert last.startswith("error: depth=depth_anything_3: expected the package")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"align": "point"}, "align: expected one of points, plane_sweep, none"),
-        ({"process_res": 13}, "process_res: expected at least 14"),
-        ({"weights": ""}, "weights: expected a name on the hub or a folder, got nothing"),
-        ({"tolerance": 1.0}, r"tolerance: expected a share in \[0, 1\)"),
-        ({"device": ""}, "device: expected a torch device"),
-    ],
-)
-def test_bad_options_are_named(options: dict[str, object], message: str) -> None:
-    with pytest.raises(UserError, match=message):
-        build_provider("depth_anything_3", options)

@@ -13,7 +13,7 @@ from framework.depth.matching.aggregate import aggregate_columns, aggregate_rows
 from framework.depth.matching.match import COST_ONE
 from framework.depth.matching.select import select_planes
 from framework.depth.matching.sweep import cost_volume, grey
-from framework.depth.plane_sweep import PlaneSweep
+from framework.depth.providers import PlaneSweep
 from framework.depth.transfer import pixel_transfer
 from tests.depth.plane import plane_depth, plane_scene
 

@@ -33,14 +33,6 @@ def test_confident_pixels_are_within_one_and_three_percent(maps: tuple[DepthMap,
         assert (error[confident] < 0.03).mean() > 0.99
 
 
-def test_maps_have_the_size_and_range_of_the_contract(maps: tuple[DepthMap, ...]) -> None:
-    for found, of in zip(maps, plane_scene().views, strict=True):
-        assert found.depth.shape == found.confidence.shape == of.image.shape[1:]
-        assert found.depth.dtype == found.confidence.dtype == torch.float32
-        assert bool((found.depth > 0).all())
-        assert 0 <= float(found.confidence.min()) <= float(found.confidence.max()) <= 1
-
-
 def test_thread_count_does_not_change_a_bit(maps: tuple[DepthMap, ...]) -> None:
     try:
         for threads in (1, 2, 3):
@@ -108,24 +100,6 @@ def test_views_without_any_overlap_are_refused() -> None:
     one_place = (views[0], replace(views[0], name="again"))
     with pytest.raises(UserError, match=r"all cameras are at one place, .* take photos from"):
         sweep(TrainingSet("one place", one_place, no_points(2), 3.5, 7.5))
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"planes": 2}, "depth.planes: expected 3 to 2048, got 2"),
-        ({"radius": 0}, "radius: expected 1 to 15 pixels"),
-        (
-            {"penalty_small": 0.9, "penalty_large": 0.5},
-            "penalty_large: expected a number from",
-        ),
-        ({"tolerance": 1.5}, r"tolerance: expected a share in \(0, 1\)"),
-        ({"plane": 64}, "did you mean 'planes'"),
-    ],
-)
-def test_bad_options_are_named(options: dict[str, float], message: str) -> None:
-    with pytest.raises(UserError, match=message):
-        build_provider("plane_sweep", options)
 
 
 def test_images_smaller_than_the_window_are_refused() -> None:

@@ -1,4 +1,4 @@
-"""The code blocks of a page: files that it tells the reader to write, and commands to type."""
+"""The code blocks of a page: files for the reader to write, and commands to type."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -27,8 +28,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_its_blocks_run(page: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     try:
         with as_before():
+            namespace: dict[str, Any] = {}  # of the page's Python blocks
             for block in blocks(page):
-                obey(block, capsys)
+                obey(block, capsys, namespace)
             if page.stem == "own-photos":  # what the README speaks of is there now
                 for block in blocks(ROOT / "README.md"):
                     obey(_filled(block), capsys)
@@ -37,20 +39,25 @@ def test_its_blocks_run(page: Path, folder: Path, capsys: pytest.CaptureFixture[
 
 
 def _filled(block: Block) -> Block:
-    """A block of the README with folders for its names; make says what it would do, and the viewer
-    writes its page, as nobody would close it."""
+    """A block of the README with folders for its names; make prints its commands, and the viewer
+    writes its page instead of waiting."""
     run = next(Path("reports/mine/runs").iterdir())
     text = block.text.replace("path=DIR", "path=photos").replace("make ", f"make -nC {ROOT} ")
     return replace(block, text=text.replace("view RUN", f"view --static -- {run}"))
 
 
-def obey(block: Block, capsys: pytest.CaptureFixture[str]) -> None:
-    """Write the file or run the commands of a block."""
+def obey(
+    block: Block, capsys: pytest.CaptureFixture[str], namespace: dict[str, Any] | None = None
+) -> None:
+    """Write the file, run the commands or execute the Python code of a block."""
     if block.title:
         Path(block.title).parent.mkdir(parents=True, exist_ok=True)
         Path(block.title).write_text(block.text, encoding="utf-8")
         return
     if block.language in SHOWN:
+        return
+    if block.language == "python":
+        exec(block.text, namespace)
         return
     assert block.language == "bash", f"a block of {block.language}: give it a title or make it text"
     for line in block.lines():

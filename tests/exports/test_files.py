@@ -14,8 +14,7 @@ import torch
 from framework.errors import UserError
 from framework.exports.export import main
 from framework.exports.formats import SUFFIXES, packed
-from framework.exports.given import read_given
-from framework.exports.opened import open_run
+from framework.exports.opened import open_run, read_named_cameras
 from framework.exports.rig import rig
 from framework.exports.upright import moved_camera, moved_gaussians, turned_bands, upright
 from framework.kernels import rasterize
@@ -192,7 +191,7 @@ def test_the_command_writes_cameras_and_the_first_view(
     told = json.loads((run / "export" / "settings.json").read_text())
     assert told["background"]["color"] == pytest.approx([0.25, 0.5, 0.75])
     first = np.array(told["camera"]["position"]) * [-1, -1, 1]
-    given = read_given(run / "export" / "cameras.json")
+    given = read_named_cameras(run / "export" / "cameras.json")
     assert min(np.linalg.norm(one.camera.center.numpy() - first) for one in given) < 1e-6
 
     opened = open_run(run)
@@ -216,7 +215,7 @@ def test_a_users_cameras_are_not_written_over(tmp_path: Path) -> None:
     run, mine = run_folder(tmp_path / "run", side_by_side()), tmp_path / "mine"
     mine.mkdir()
     (mine / "transforms.json").write_text("poses")
-    with pytest.raises(UserError, match=r"mine with a transforms\.json of its own, which would be"):
+    with pytest.raises(UserError, match=r"whose transforms\.json would be"):
         main([str(run), "--out", str(mine)], "export")
     assert (mine / "transforms.json").read_text() == "poses"
     assert [main([str(run), "--out", str(tmp_path / "new")], "export") for _ in range(2)] == [0, 0]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from framework.exports import export
-from framework.exports.flight import flight, lens_of, looking, usual_seconds
+from framework.exports.flight import flight, lens_of, looking
 from framework.exports.opened import open_run
 from framework.exports.rig import rig
 from framework.exports.upright import moved_camera, upright
@@ -74,10 +74,6 @@ def test_sides_are_even() -> None:
     lens = lens_of(side_by_side(), 33)
     assert (lens.width, lens.height) == (32, 24)
     assert float(lens.K[0, 0]) == pytest.approx(50 * 32 / 48)
-
-
-def test_a_spline_takes_longer_with_more_cameras() -> None:
-    assert usual_seconds("spline", 3) < usual_seconds("spline", 8) <= usual_seconds("spline", 99)
 
 
 def above_a_field(n: int = 6) -> list[Camera]:

@@ -14,20 +14,16 @@ import torch
 import yaml
 from PIL import Image
 
-from framework.depth.from_file import DepthFile
+from framework.depth.providers import DepthFile
 from framework.depth.read import load_map
 from framework.errors import UserError
 from framework.exports import export, render, video
-from framework.exports.flight import flight, lens_of
-from framework.exports.formats import packed
-from framework.exports.given import read_given
-from framework.exports.opened import open_run
 from framework.files.opened import read_bytes
 from framework.metrics.lpips import load as load_lpips
 from framework.records.ply import read_ply, write_ply
 from framework.records.record import read_run, write_failed
 from framework.report.build import build_report
-from framework.scenes.images import read_image, read_masked
+from framework.scenes.images import read_image
 from framework.train.resume.checkpoint import pack, unpack
 from framework.types import Gaussians, Scene
 from framework.view import find_run, read_viewed, view_page
@@ -130,15 +126,15 @@ def _study(folder: Path) -> None:
 
 
 def _reported(folder: Path) -> None:
-    """The report tells the sound run whatever the others are; a damaged one in a line."""
+    """The report always lists the sound run, and each damaged one in a line."""
     path = build_report(folder)
     told = path.read_text(encoding="utf-8")
-    assert "(runs/sound/)" in told, "the sound run is not told"
+    assert "(runs/sound/)" in told, "the sound run is missing"
     (folder / "report.html").read_text(encoding="utf-8")
     rows = [line for line in told.splitlines() if "| damaged |" in line]
     if rows:
         assert all(len(row) < 1500 for row in rows)
-        raise UserError("a damaged run is told")
+        raise UserError("a damaged run is listed")
 
 
 def _table(folder: Path) -> None:
@@ -152,15 +148,6 @@ def _table(folder: Path) -> None:
 
 def _viewed(folder: Path) -> None:
     view_page([read_viewed(find_run(folder))], True)
-
-
-def _exported(folder: Path) -> None:
-    run = open_run(folder / "runs" / "run")
-    lens = lens_of([given.camera for given in run.cameras], 64)
-    for kind in ("spline", "spiral", "orbit"):
-        flight(run, kind, 3, lens)
-    for kind in ("ply", "splat", "spz"):
-        packed(run.gaussians, run.background, kind)
 
 
 def _photo(name: str, mode: str) -> Step:
@@ -246,9 +233,6 @@ READERS: dict[str, Reader] = {
         _scene("transforms", points="points.ply", **BOUNDS),
     ),
     "image png": Reader(_photo("a.png", "RGB"), ("a.png",), lambda f: read_image(f / "a.png")),
-    "image png alpha": Reader(
-        _photo("a.png", "RGBA"), ("a.png",), lambda f: read_masked(f / "a.png", None, paper=255)
-    ),
     "image jpeg": Reader(_photo("a.jpg", "RGB"), ("a.jpg",), lambda f: read_image(f / "a.jpg")),
     **{
         f"image {suffix}": Reader(
@@ -286,24 +270,6 @@ READERS: dict[str, Reader] = {
         ),
         _viewed,
     ),
-    "exported run": Reader(
-        lambda f: seen_run(f, run_name="run"),
-        ("runs/run/transforms.json", "runs/run/point_cloud.ply"),
-        _exported,
-    ),
-    "given cameras": Reader(
-        lambda f: seen_run(f, run_name="run"),
-        ("runs/run/cameras.json",),
-        lambda f: read_given(f / "runs" / "run" / "cameras.json"),
-    ),
-    "compared runs": Reader(
-        commands.two_runs, tuple(f"runs/b/{name}" for name in RUN), commands.compared
-    ),
-    "leaderboard": Reader(
-        commands.two_studies,
-        (*(f"one/runs/b0/{name}" for name in RUN), "two/runs.jsonl"),
-        commands.all_studies,
-    ),
     "video of a run": Reader(
         commands.small_run,
         SHOWN,
@@ -329,18 +295,6 @@ READERS: dict[str, Reader] = {
     "prepared png": Reader(
         lambda f: commands.photo(f, "png"), ("a.png",), commands.prepared("a.png", 128)
     ),
-    **(
-        {
-            "prepared heic": Reader(
-                lambda f: commands.photo(f, "heic"), ("a.heic",), commands.prepared("a.heic", 64)
-            )
-        }
-        if commands.HAS_HEIC
-        else {}
-    ),
-    "frames of a video": Reader(commands.film, ("a.avi",), commands.frames),
-    "kept poses": Reader(commands.kept_poses, ("poses.json",), commands.poses_told),
-    "request to view": Reader(commands.request, ("asked.line",), commands.answered),
     "photo names": Reader(_named, ("photo.line",), _renamed),
     "lpips weights": Reader(
         _lpips,

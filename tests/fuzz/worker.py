@@ -1,91 +1,68 @@
-"""A process that reads mutated files, within limits of memory and time.
+"""Reads mutated files of one reader in a separate process, with limits of memory and time.
 
-    python -m tests.fuzz.worker RESULTS SEED FIRST LAST READER...
+    python -m tests.fuzz.worker RESULTS READER CASES SEED
 
-For every reader and number from FIRST to LAST - 1 a line goes into RESULTS before the case and one
-with its outcome after it; so whoever started this process sees at which case it died.
-`read`: the reader took it. `refused`: its documented error, one line. All else is a bug.
-A case may take 5 s of CPU time (SIGPROF ends the process), 60 s by the clock (SIGALRM) and 1 GiB
-beyond what the process had after reading every valid example.
+For every case a line goes into RESULTS before it is read and another one with the outcome: `read`,
+`refused` (the documented error in one line), or anything else, which is a bug. A case may take 5 s
+of CPU time (SIGPROF ends the process), 60 s by the clock (SIGALRM) and 1 GiB more than the valid
+example.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import resource
 import signal
+import subprocess
 import sys
 import tempfile
-import time
 import traceback
 from pathlib import Path
 
-import numpy as np
-
+from framework.command.config.schema import ROOT
 from framework.compute.rng import stream
 from framework.errors import LONGEST
-from tests.fuzz.mutate import mutate
+from tests.fuzz.mutate import mutate, put_back, put_special
 from tests.fuzz.readers import READERS, Reader
-from tests.fuzz.special import put_back, put_special
 
 CPU_S = 5.0
-WAIT_S = 60.0  # by the clock: for a pipe to which nobody writes, say
-SPECIAL = 0.06  # of the cases have something in the file's place that is no file
+WAIT_S = 60.0
+SPECIAL = 0.06  # share of cases with something else than a file in the file's place
 MEMORY = 1 << 30
 
 
+def fuzz(results: Path, reader: str, cases: int, seed: int) -> list[str]:
+    """Read mutated files in a worker; the outcome of each case, the last one of a crash."""
+    command = [sys.executable, "-m", "tests.fuzz.worker", str(results), reader]
+    code = subprocess.call([*command, str(cases), str(seed)], cwd=ROOT)
+    begun, *outcomes = results.read_text(encoding="utf-8").split("begun\n")
+    assert begun == "", "the worker failed before its first case"
+    return [outcome.strip() or f"the process ended with {code}" for outcome in outcomes]
+
+
 def main(arguments: list[str]) -> None:
-    results, seed, first, last, *names = arguments
-    with tempfile.TemporaryDirectory() as folder, open(results, "a", encoding="utf-8") as out:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # libpng and its like complain there
-        pristine = {name: _prepare(READERS[name], Path(folder) / name) for name in names}
-        _limit_memory()
-        for name in names:
-            for index in range(int(first), int(last)):
-                draw = stream(int(seed), f"fuzz/{name}/{index}")
-                special = bool(draw.random() < SPECIAL)
-                begun = {"reader": name, "index": index, "special": special}
-                print(json.dumps(begun), file=out, flush=True)
-                since = time.process_time()
-                outcome = _case(name, Path(folder) / name, pristine, special, draw)
-                ended = {"outcome": outcome, "cpu_s": time.process_time() - since}
-                print(json.dumps(ended), file=out, flush=True)
-
-
-def _prepare(reader: Reader, folder: Path) -> dict[str, bytes]:
-    """Write the valid example and read it; the bytes of its files."""
-    folder.mkdir()
-    reader.make(folder)
-    reader.read(folder)
-    return {name: (folder / name).read_bytes() for name in reader.files}
-
-
-def _limit_memory() -> None:
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    limit = pages * resource.getpagesize() + MEMORY
-    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-
-
-def _case(
-    name: str,
-    folder: Path,
-    pristine: dict[str, dict[str, bytes]],
-    special: bool,
-    draw: np.random.Generator,
-) -> str:
-    files = pristine[name]
-    file = list(files)[int(draw.integers(len(files)))]
-    others = [data for other in pristine.values() for data in other.values()]
-    if special:
-        put_special(folder / file, draw)
-    else:
-        (folder / file).write_bytes(mutate(file, files[file], others, draw))
-    try:
-        return _outcome(READERS[name], folder)
-    finally:
-        put_back(folder / file, files[file])
+    results, name, cases, seed = arguments
+    reader = READERS[name]
+    with tempfile.TemporaryDirectory() as made, open(results, "w", encoding="utf-8") as out:
+        folder = Path(made)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # libraries complain there
+        reader.make(folder)
+        reader.read(folder)
+        files = {file: (folder / file).read_bytes() for file in reader.files}
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        limit = pages * resource.getpagesize() + MEMORY
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+        for index in range(int(cases)):
+            draw = stream(int(seed), f"fuzz/{name}/{index}")
+            file = list(files)[int(draw.integers(len(files)))]
+            if draw.random() < SPECIAL:
+                put_special(folder / file, draw)
+            else:
+                (folder / file).write_bytes(mutate(file, files[file], draw))
+            print("begun", file=out, flush=True)
+            print(" ".join(_outcome(reader, folder).split()), file=out, flush=True)
+            put_back(folder / file, files[file])
 
 
 def _outcome(reader: Reader, folder: Path) -> str:

@@ -1,6 +1,6 @@
 """The numbers are those that were committed, on a simulated lesser processor, too.
 
-A change that is meant to change numbers commits the new ones beside it:
+A change that is meant to change numbers commits the new ones with it:
 `python benchmarks/safety/determinism.py --update`.
 """
 

@@ -1,5 +1,5 @@
-"""What methods of the literature ask of a training: several plugins, a second field, other renders,
-steps and gradients of their own."""
+"""What methods of the literature need: several plugins, a second field, other renders, steps and
+gradients."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class Half2(Half):
 
 @dataclass(frozen=True)
 class Elsewhere(Regularizer):
-    """A render of its own in the loss: from another camera, with factors, with parts detached."""
+    """An extra render in the loss: from another camera, with factors, with parts detached."""
 
     names: tuple[str, ...] = ()
 
@@ -117,7 +117,7 @@ def test_a_loss_may_render_from_elsewhere_and_leave_parts_alone() -> None:
 
 @dataclass(frozen=True)
 class Sub(Regularizer):
-    """Two steps of its own; the second sees what the first did."""
+    """Two extra steps; the second sees the result of the first."""
 
     def substeps(self, ctx: StepContext, state: Any, view: View) -> Iterator[SubStep]:
         before = ctx.gaussians.means.detach().clone()
@@ -277,7 +277,7 @@ def test_a_second_field_has_parameters_draws_and_capacity_of_its_own(tmp_path: A
 
 
 def test_what_the_photos_hold_on_to_fades_less() -> None:
-    """By hand: opacity 1/2, gradients in it 0, 1, 2 and so 0, 1, 2 times their mean."""
+    """Computed by hand: opacity 1/2, gradients in it 0, 1, 2 and so 0, 1, 2 times their mean."""
     gaussians = textured_plane(0)[2].rows(0, 3).replace(opacity_logits=torch.zeros(3))
     fade(gaussians, torch.tensor([0.0, 0.25, -0.5]), Fading(decay=0.9, spare=0.5))
     expected = 0.5 * (1 - 0.1 * (-0.5 * torch.tensor([0.0, 1.0, 2.0])).exp())

@@ -33,7 +33,7 @@ STEPS, K = 12, 3  # four epochs
 
 @dataclass(frozen=True)
 class Darker(Augmenter):
-    """One pseudo view in every epoch that `every` divides; says of each of its tries why it made
+    """One pseudo view in every epoch that `every` divides; logs for each of its tries why it made
     none."""
 
     every: int = 1
@@ -132,7 +132,7 @@ def test_the_second_camera_is_beside_photos_of_the_last_third_alone(
     assert dark and not any(beside[update.index("dark")] for update, beside in dark)
     plain, _ = train(plugins(**darker()), **own_pace, binocular=0.0)
     assert parameters_sha256(plain.gaussians) != parameters_sha256(trained.gaussians)
-    # what is told of the loss is the photos' alone, until the term has moved something
+    # the reported loss is that of the photos alone, until the term has moved something
     assert plain.dose["loss.real"][0] == trained.dose["loss.real"][0]
 
 

@@ -1,4 +1,4 @@
-"""What a training tells of choices that change nothing, and limits that hold whatever is set."""
+"""Warnings about choices without effect, and limits that always hold."""
 
 from __future__ import annotations
 

@@ -293,7 +293,7 @@ def test_a_view_is_made_ready_once_while_it_is_the_same() -> None:
     assert heavier is not first and heavier.view.weight == 2
     image.mul_(0.5)  # its plugin may change what is its own
     torch.testing.assert_close(items.get(pseudo, 2).view.image, torch.full((3, 8, 8), 0.3))
-    with torch.inference_mode():  # as a network makes them: nobody counts the writes into these
+    with torch.inference_mode():  # as from a network: their writes are not counted
         made = View("pseudo-1", camera, 0.5 * image, torch.ones(16, 16), tags=(PSEUDO,))
     assert items.get(made, 2) is not items.get(made, 2)
     items.begin([replace(pseudo, name="pseudo-3")])

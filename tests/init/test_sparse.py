@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +10,7 @@ import torch
 
 from framework.compute.rng import stream
 from framework.errors import UserError
-from framework.initialize import INITIALIZERS, Sparse, background_color, random_background
+from framework.initialize import Sparse, background_color, random_background
 from framework.options import BACKGROUNDS
 from framework.types import Gaussians
 from tests.init.synthetic import camera, points, scene
@@ -53,12 +51,6 @@ def test_too_few_points_name_the_way_out(n: int) -> None:
         build(np.zeros((n, 3)))
 
 
-def test_options_out_of_range() -> None:
-    for options in ({"opacity": 0.0}, {"scale_factor": -1.0}):
-        with pytest.raises(UserError, match=r"init\.\w+: expected"):
-            Sparse(**options)
-
-
 def test_mean_background_counts_valid_pixels_of_all_sizes() -> None:
     training, _ = scene([camera(0.0), camera(0.1, 0.0, 80, 60)])
     mask = torch.zeros(48, 64)
@@ -86,15 +78,3 @@ def test_fixed_and_random_backgrounds() -> None:
     for kind in BACKGROUNDS:
         with pytest.raises(UserError, match="expected valid pixels in the training views"):
             background_color(kind, replace(training, views=(nothing,)))
-
-
-def test_registry_builds_from_defaults_and_imports_lightly() -> None:
-    assert {"stereo", "sparse"} <= set(INITIALIZERS)
-    for name in ("stereo", "sparse"):
-        assert INITIALIZERS[name]().opacity == 0.1
-    code = (
-        "import sys, framework.initialize;"
-        "print([m for m in ('torch', 'numba', 'numpy', 'scipy') if m in sys.modules])"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "[]"

@@ -101,4 +101,4 @@ def test_the_second_camera_waits_for_the_steps_that_the_views_pay_for() -> None:
     assert share(75, 3, pace_steps=0) == 0.667
     once = schedule.paced(TrainerOptions(steps=600), 3)
     tuned = schedule.paced(tuning_options(once, 30), 3)
-    assert tuned.binocular_from == 0.667  # of its own steps, as in the members
+    assert tuned.binocular_from == 0.667  # a share of its steps, as in the members

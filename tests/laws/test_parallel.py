@@ -42,7 +42,7 @@ def test_every_block_runs_once_and_no_two_threads_share_what_is_their_own(thread
 
 
 def test_threads_help_each_other() -> None:
-    """The first block ends when all others are done, those of its own thread's range too."""
+    """The first block ends when all others are done, also those of the same thread's range."""
     set_threads(2)
     others, all_done = set(range(1, 8)), threading.Event()
 

@@ -46,7 +46,7 @@ def test_renders_may_wait_while_the_number_of_threads_changes() -> None:
 
 
 def test_same_bits_in_another_process_with_a_cold_cache(tmp_path: Path) -> None:
-    """The child compiles every kernel of a step anew. Those of Fisher information a fresh clone
+    """The child compiles every kernel of a step again. Those of Fisher information a fresh clone
     compiles (`tests/golden/test_bits.py`)."""
     command = [sys.executable, "-m", "tests.laws.render_bits", "2"]
     child = subprocess.run(

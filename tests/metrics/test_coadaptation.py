@@ -33,7 +33,7 @@ def test_the_variance_counts_where_all_renders_show_something() -> None:
         alpha = torch.tensor([[1.0, 0.9 if len(given) < RENDERS else 0.5]])
         return Render(rgb, alpha, alpha, torch.ones(1))
 
-    found = coadaptation(render, 50, [CAMERA], np.random.default_rng(0))
+    found = coadaptation(render, 50, CAMERA, np.random.default_rng(0))
     shares = [float(factors.mean()) for factors in given]
     assert len(shares) == 5 and 0.3 < np.mean(shares) < 0.7
     assert found == pytest.approx(np.var(shares), rel=1e-5)
@@ -42,7 +42,7 @@ def test_the_variance_counts_where_all_renders_show_something() -> None:
 
 def test_nothing_seen_has_no_score() -> None:
     empty = Render(torch.zeros(3, 1, 2), torch.zeros(1, 2), torch.zeros(1, 2), torch.ones(1))
-    assert math.isnan(coadaptation(lambda *_: empty, 3, [CAMERA], np.random.default_rng(0)))
+    assert math.isnan(coadaptation(lambda *_: empty, 3, CAMERA, np.random.default_rng(0)))
 
 
 def test_the_mean_of_errors() -> None:

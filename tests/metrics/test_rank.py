@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from framework.metrics.coadaptation import effective_rank, with_rank
 from framework.metrics.evaluate import evaluate_view
-from framework.metrics.rank import effective_rank, with_rank
 from framework.metrics.values import Missing
 from tests.record.fakes import make_view
 

@@ -1,4 +1,4 @@
-"""A photo seen again from beside it: the gradient, where the camera is, and when."""
+"""Binocular consistency: the gradient, where the camera is, and when."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_where_a_mask_has_no_photo_nothing_is_asked(name: str) -> None:
 
 def test_the_step_s_gradient_is_that_of_both_renders() -> None:
     """What the term adds to the gradient in every parameter, with a penalty or without one, against
-    autograd through two renders; the loss that is told stays the photo's."""
+    autograd through two renders; the reported loss stays that of the photo."""
     case = random_case(6, n=60, margin=0.1)
     params = case.gaussians.map(lambda t: t.detach().requires_grad_())
     camera = case.camera

@@ -147,7 +147,7 @@ def test_what_does_not_fit_is_refused() -> None:
 
 @pytest.mark.parametrize(("length", "width"), [(0.5, 0.01), (2.0, 0.003), (8.0, 0.002)])
 def test_needles(length: float, width: float) -> None:
-    """Up to hundreds of pixels long and thinner than one: what they tell about each of their
+    """Up to hundreds of pixels long and thinner than one: the information on each of their
     parameters, which would be lost if the moments were taken along the image's axes."""
     n = 6
     draw = torch.Generator().manual_seed(int(1000 * width))

@@ -57,7 +57,7 @@ def test_direct_is_autograd(seed: int, masked: bool, weight: float, smooth: floa
     assert direct[1]["means"].abs().sum() > 0
     rough = view_gradient(params, replace(item, smoothing=None), "here", rendering)
     assert (bits(rough) == bits(direct)) == (smooth == 0)
-    assert rough[0] == direct[0]  # the loss that is told is the photo's
+    assert rough[0] == direct[0]  # the reported loss is that of the photo
     assert (direct[2].height, direct[2].width) == size
 
 
@@ -76,14 +76,14 @@ def test_a_loss_that_is_not_finite_is_told_and_the_next_is_as_ever(penalty: Any)
 
 @pytest.mark.parametrize("change", [lambda rgb: rgb[:, :-1], lambda rgb: rgb.astype(np.float64)])
 def test_a_gradient_that_does_not_fit_is_refused(change: Any) -> None:
-    """Kernels check no bounds, and compile anew for another type."""
+    """Kernels do not check bounds, and compile again for another type."""
     case = random_case(1)
     with pytest.raises(UserError, match=r"expected a float32 gradient of shape \[3, 47, 33\]"):
         render_gradient(case.gaussians, case.camera, change)
 
 
 def on_screen(gaussians: Gaussians, case: Case, degree: int | None = None) -> ScreenGradient:
-    """Of a loss with another gradient in every pixel."""
+    """The gradient of a loss that differs in every pixel."""
     return render_gradient(
         gaussians,
         case.camera,
@@ -127,7 +127,7 @@ def test_an_update_from_the_screen_is_that_of_the_whole_gradient(degree: int, th
 
 def test_bands_that_open_late_have_the_bits_of_those_updated_all_along() -> None:
     """Bands without a gradient are passed over; once they had one they are not, whatever the degree
-    of the step is and whatever optimizer goes on."""
+    of the step is and whatever optimizer follows."""
     case = random_case(3, n=900, footprint=1.0)
     whole, pieces = case.gaussians.clone(), case.gaussians.clone()
     by_step, from_screen = Adam(whole), Adam(pieces)
@@ -151,7 +151,7 @@ def test_an_update_from_the_screen_names_what_is_not_finite() -> None:
     assert {"means", "opacity_logits", "sh0"} <= set(broken)
     still = torch.isfinite(params.opacity_logits)
     assert torch.isnan(params.opacity_logits[found.radii > 0]).any() and still.any()
-    assert torch.equal(params.opacity_logits[still], logits[still])  # nothing decayed beside it
+    assert torch.equal(params.opacity_logits[still], logits[still])  # nothing else decayed
 
 
 def test_a_gradient_is_used_once() -> None:

@@ -1,4 +1,4 @@
-"""Memory that a step lends again is nobody else's at that time."""
+"""Memory that a step reuses has no other owner at that time."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ def context(
         sh_degree: int | None = None,
         mask: Tensor | None = None,
     ) -> FisherInformation:
-        assert others is not None, "the plugin is not expected to ask for the current Fisher"
+        assert others is not None, "the plugin should not need the current Fisher"
         how = {"background": torch.zeros(3), "sh_degree": sh_degree, "mask": mask}
         return fisher_information(others, camera, **how)
 

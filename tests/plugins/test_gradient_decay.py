@@ -42,7 +42,7 @@ def decay(**options: Any) -> dict[str, Any]:
 
 
 def test_the_factor_is_the_papers() -> None:
-    """By hand: opacities 1/2, 1/2, 4/5 and 1/2 with |dL/do| 1, 2, 3 and 0, of which the mean of
+    """Computed by hand: opacities 1/2, 1/2, 4/5 and 1/2 with |dL/do| 1, 2, 3 and 0. The mean of
     those above 0 is 2; dL/dlogit is o (1 - o) times dL/do."""
     gaussians = wall_of_gaussians(4).replace(
         opacity_logits=torch.tensor([0.0, 0.0, 1.3862943611198906, 0.0])
@@ -68,7 +68,7 @@ def test_the_factor_is_the_papers() -> None:
 def test_the_most_opaque_and_the_faintest_stay_finite() -> None:
     logits = torch.tensor([60.0, 60.0, -29.999, -80.0])
     faded, _ = fade(logits, torch.tensor([1.0, 0.0, 0.0, 0.0]), 0.9, 1e5)
-    # held on to with all there is: as it was; else 0.9 as a logit; faded out
+    # fully held: unchanged; else 0.9 as a logit; faded out
     assert faded[0] == 60 and float(faded[1]) == pytest.approx(2.1972246)
     assert faded[2:].tolist() == [LOWEST, LOWEST]
 

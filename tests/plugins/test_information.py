@@ -21,7 +21,7 @@ from framework.fisher.scores import (
 def information_gain(
     candidate: torch.Tensor, reference: torch.Tensor, regulariser: float, form: str = "trace"
 ) -> float:
-    """Of one view over another, under the prior of the candidate alone."""
+    """Gain of one view over another, under the prior of the candidate alone."""
     prior = shared_prior([candidate], regulariser)
     return information_gains(candidate, [reference], prior, form)[0]
 

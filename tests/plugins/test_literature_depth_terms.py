@@ -174,7 +174,7 @@ def test_what_is_near_to_a_camera_should_be_transparent() -> None:
 
 
 def test_what_is_finer_than_open_frequencies_pays() -> None:
-    """By hand in float64: discs at depth z, limits of 2^octaves / pi pixels that halve."""
+    """Computed by hand in float64: discs at depth z, limits of 2^octaves / pi pixels that halve."""
     plugin = Frequency(octaves=2.0, opened=0.5)
     assert plugin.limit(0.0) == pytest.approx(4 / math.pi)
     assert plugin.limit(0.25) == pytest.approx(2 / math.pi)

@@ -35,7 +35,7 @@ def test_removal_drops_a_share_and_thins_the_rest_in_the_end() -> None:
 
 
 def test_anchors_take_their_neighbours_along() -> None:
-    """Two far groups of three: who goes, goes with its group."""
+    """Two distant groups of three: a dropped Gaussian takes its group with it."""
     n = 300
     group = torch.arange(n) // 3
     means = torch.stack([10.0 * group, torch.arange(n) % 3 * 0.1, torch.zeros(n)], 1)
@@ -69,7 +69,7 @@ def test_near_and_crowded_ones_are_dropped_more_often() -> None:
     bare = DepthDensity(first=0.2, last=0.2, compensate=False).opacity_factors(ctx, None)[0]
     assert bare is not None and torch.equal(bare, (factors > 0).float())
     again = DepthDensity().opacity_factors(ctx, state)[1]
-    assert again is state  # not measured anew for the same set
+    assert again is state  # not measured again for the same set
 
 
 def test_a_score_is_half_nearness_and_half_crowding_and_less_for_far_ones() -> None:

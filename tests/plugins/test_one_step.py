@@ -1,7 +1,7 @@
 """Which tensors of the Gaussians a method changes that acts in one step of a training.
 
-On three tiny views, in the second of two steps: Adam's first one goes by the sign of the gradient
-alone, and some methods begin with nothing. Photos weigh nothing beside a loss term, so that what
+On three tiny views, in the second of two steps: Adam's first one depends on the gradient's sign
+only, and some methods begin with nothing. Photos weigh nothing beside a loss term, so that what
 moves is what the term pulls at.
 """
 
@@ -32,7 +32,7 @@ CHANGED: dict[str, set[str]] = {
     "co_register": ALL,
     "cycle_warp": ALL,
     "depth_density": ALL,
-    "depth_local_global": {"means", "opacity_logits"},  # each in a step of its own
+    "depth_local_global": {"means", "opacity_logits"},  # each in a separate step
     "depth_pearson": SHAPE,
     "depth_rank": SHAPE,
     "far_fidelity": ALL,
@@ -125,7 +125,7 @@ def second(trainer: Trainer) -> Field:
 
 
 def test_co_pruning_leaves_in_both_fields_what_the_other_has() -> None:
-    """By all distances in float64 between the fields as the step left them."""
+    """All distances in float64 between the fields after the step."""
     rested, acted = rested_and_acted(1, name="co_prune", distance=0.5, every=1.0)
     one, other = rested.field.params.detach(), second(rested).params.detach()
     apart = torch.cdist(one.means.double(), other.means.double())

@@ -1,4 +1,4 @@
-"""SAFI and the warping augmenter it stands on."""
+"""SAFI and the warping augmenter that it is built on."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_snapshot_is_frozen_unless_refreshed() -> None:
 
 
 def test_what_a_mask_leaves_out_of_a_photo_is_unknown() -> None:
-    """The left half of the photos does not count: no view knows what lies there alone."""
+    """The left half of the photos does not count: no view has information on what is only there."""
     now = context()
     mask = torch.ones(now.views[0].image.shape[1:])
     mask[:, : mask.shape[1] // 2] = 0

@@ -18,7 +18,7 @@ from tests.plugins.fakes import Log, context, stage
 from tests.warp.stage import camera
 
 METHODS: list[type[WarpingAugmenter]] = [Dba, Euclidean, FullSet, Safi]
-# the stage's training cameras stand at (-0.5, 0), (0.5, 0.1) and (0, -0.4)
+# the stage's training cameras are at (-0.5, 0), (0.5, 0.1) and (0, -0.4)
 
 
 def chosen(plugin: WarpingAugmenter, x: float, y: float, **pose: float) -> list[int]:

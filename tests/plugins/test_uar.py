@@ -155,7 +155,7 @@ def test_expectation_of_every_candidate(mode: str, factor: float, compensate: bo
 
 def test_the_diagonal_form_ignores_what_parameters_tell_together() -> None:
     """Equal diagonals, one Gaussian with strong correlations: the block form finds it less certain,
-    the diagonal form cannot tell it apart."""
+    the diagonal form cannot distinguish it."""
     block = torch.eye(6).repeat(N, 1, 1)
     block[7, 0, 1] = block[7, 1, 0] = 0.9
     seen = torch.ones(N, dtype=torch.bool)

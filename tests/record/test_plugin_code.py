@@ -64,7 +64,7 @@ def test_an_edit_is_another_run_only_for_those_that_use_the_file(
 
 
 def test_an_edit_during_a_study_changes_nothing(tmp_path: Path) -> None:
-    """The process goes on with what it imported."""
+    """The process keeps what it imported."""
     first = plugin_code._sources(None)
     assert plugin_code._sources(None) is first
 

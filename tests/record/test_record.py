@@ -162,7 +162,7 @@ def test_doses_are_read_and_flat(run_dir: Path) -> None:
     content = json.loads(path.read_text())
     assert read_record(path).dose == {}
     path.write_text(json.dumps({k: v for k, v in content.items() if k != "dose"}))
-    assert read_record(path).dose == {}  # of before doses were kept
+    assert read_record(path).dose == {}  # written before doses
     dose = {"views_asked": 42, "coverage_mean": 0.4, "how": "text", "none": None}
     path.write_text(json.dumps(content | {"dose": dose}))
     assert read_record(path).dose == dose
@@ -298,7 +298,7 @@ def test_reading_needs_no_torch(run_dir: Path) -> None:
 def test_a_run_whose_files_go_while_it_is_written_is_not_complete(
     run_dir: Path, monkeypatch: pytest.MonkeyPatch, disturbed: str, got: str
 ) -> None:
-    """Before, the record told of renders that were gone, and the study ended well."""
+    """The record must not name missing renders in a study that ends well."""
     old = read_record(run_dir / "record.json")
     view = make_view(0)
 

@@ -1,5 +1,5 @@
-"""The trackers' own packages write to the disk, and what they wrote is read back. Each in a process
-of its own, as they keep threads and settings; skipped where the extra is not installed."""
+"""The trackers' own packages write to the disk, and what they wrote is read back. Each runs in
+a separate process, as they keep threads and settings; skipped where the extra is not installed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ print(json.dumps([run.data.metrics, run.data.params, [[m.step, m.value] for m in
 
 
 def process(folder: Path, code: str, *words: str) -> str:
-    """What a Python program printed, run in `folder`, with all trackers told to stay in it."""
+    """What a Python program printed, run in `folder`, with all trackers confined to it."""
     places = {
         "MLFLOW_TRACKING_URI": (folder / "mlruns").as_uri(),
         "MLFLOW_ALLOW_FILE_STORE": "true",

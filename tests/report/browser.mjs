@@ -16,13 +16,6 @@ async function visit(width, scheme) {
   await tab.emulateMediaFeatures([{ name: "prefers-color-scheme", value: scheme }]);
   await tab.goto(page);
   await tab.waitForSelector(".chart svg g path");
-  const spot = await tab.evaluate(() => {
-    const mark = document.querySelector(".chart svg g path[stroke=none]");
-    mark.scrollIntoView({ block: "center" });
-    const box = mark.getBoundingClientRect();
-    return [box.x + box.width / 2, box.y + box.height / 2];
-  });
-  await tab.mouse.move(...spot);
   const found = await tab.evaluate(() => {
     const table = [...document.querySelectorAll("table")].find((t) => t.tBodies[0].rows.length > 1);
     const cells = () => [...table.tBodies[0].rows].map((row) => parseFloat(row.cells[1].textContent));
@@ -45,29 +38,22 @@ async function visit(width, scheme) {
     viewer.querySelector(".beside").click();
     const [one, two] = [...viewer.querySelectorAll(".pane")];
     const besides = !two.hidden && one.querySelector(".render").src !== two.querySelector(".render").src;
-    const tip = document.querySelector(".tip");
     const clipped = [...document.querySelectorAll(".scroll, figure")]
       .filter((part) => part.scrollWidth > part.clientWidth + 1).length;
-    const rows = () => [...document.querySelectorAll("tbody tr")].filter((row) => !row.hidden).length;
-    const marks = () => document.querySelectorAll(".forest g.row").length;
-    const all = [rows(), marks()];
-    const chip = [...document.querySelectorAll('[data-of="methods"] button')].pop();
+    const shown = (selector) => [...document.querySelectorAll(selector)].filter((part) => getComputedStyle(part).display !== "none").length;
+    const all = [shown("tbody tr"), shown("svg [data-method]")];
+    const chip = [...document.querySelectorAll('[data-of="method"] button')].pop();
     chip.click();
-    const fewer = [rows(), marks()];
+    const fewer = [shown("tbody tr"), shown("svg [data-method]")];
     const link = document.querySelector("a.permalink").href;
     chip.click();
-    const option = [...document.querySelectorAll(".filter .chips")].find((c) => c.textContent.startsWith("augment"));
-    const safi = [...option.querySelectorAll("button")].find((b) => b.textContent === "safi");
-    safi.click();
-    const without = [rows(), marks()];
-    safi.click();
+    const text = document.querySelector(".chart text"), ink = getComputedStyle(text).fill;
     return {
-      besides, link, without,
+      besides, link, ink, all, fewer, clipped,
       rising, falling, start: slide(0), middle: slide(1.25), end: slide(2),
       changed: render.src !== before, loaded: render.naturalWidth > 0,
-      tip: tip.style.visibility === "visible" && tip.textContent,
       overflow: document.documentElement.scrollWidth - document.documentElement.clientWidth,
-      clipped, all, fewer, again: [rows(), marks()],
+      again: [shown("tbody tr"), shown("svg [data-method]")],
       background: getComputedStyle(document.body).backgroundColor,
     };
   });
@@ -75,8 +61,7 @@ async function visit(width, scheme) {
   await tab.goto(found.link);
   await tab.waitForSelector(".chart svg g path");
   const linked = await tab.evaluate(() => [
-    [...document.querySelectorAll("tbody tr")].filter((row) => !row.hidden).length,
-    document.querySelectorAll(".forest g.row").length,
+    [...document.querySelectorAll("tbody tr")].filter((row) => !row.hasAttribute("data-off")).length,
     document.querySelector('.pane select[data-key="1"]').value,
     document.querySelector(".pane[hidden]") === null,
   ]);

@@ -8,20 +8,23 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from framework.report.figures import files
+from framework.report.figures import chart
 
-DRAWING = ("test_browser", "test_figures", "test_palette", "test_report")  # look at the charts
+DRAWING = ("test_browser", "test_figures", "test_page", "test_report")  # look at the charts
 
 
 @pytest.fixture(autouse=True)
 def blank_charts(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Charts are pictures of one pixel, but in the modules that look at them."""
     if request.module.__name__.rpartition(".")[2] not in DRAWING:
-        monkeypatch.setattr(files, "_save", save_blank)
+        monkeypatch.setattr(chart, "save", save_blank)
 
 
-def save_blank(figure: object, folder: Path, name: str) -> None:
+def save_blank(figure: object, folder: Path, name: str, kind: str) -> bytes:
     buffer = io.BytesIO()
-    Image.new("RGB", (1, 1)).save(buffer, "PNG")
-    (folder / f"{name}.png").write_bytes(buffer.getvalue())
-    (folder / f"{name}.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg"/>')
+    if kind == "png":
+        Image.new("RGB", (1, 1)).save(buffer, "PNG")
+    else:
+        buffer.write(b'<svg xmlns="http://www.w3.org/2000/svg"/>')
+    (folder / f"{name}.{kind}").write_bytes(buffer.getvalue())
+    return buffer.getvalue()

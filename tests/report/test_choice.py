@@ -3,91 +3,23 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import re
-from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-import yaml
+import pytest
 
-from framework.metrics.values import METRICS, Missing
-from framework.records.archive import ARCHIVE, Entry, archive
-from framework.records.record import Run, RunRecord, SceneInfo, StageTime
-from framework.records.run_files import Table
 from framework.report import build_report
-from framework.report.figures.tradeoff import entries, train_s, worth
+from framework.report.costs import choices, entries, paying, smallest, train_s
+from framework.report.findings import contests
 from framework.report.statistics.bootstrap import sd_interval
 from framework.report.statistics.compare import block
 from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
-from framework.report.text import budgets
-from framework.report.text.capacities import contests
-from tests.record.fakes import fake_run, make_config
+from tests.record.fakes import fake_run
+from tests.report.studies import Row, first_screen, labelled, row, table
 
-BUDGETS = {"steps": "trainer.steps", "budget": "init.budget"}  # by their short names
-
-Row = dict[str, object]
-
-
-def row(scene: str, method: str, seed: int, psnr: float | str, **more: object) -> Row:
-    """A run of a study; PSNR with a noise of 0.01 dB that seed and method decide."""
-    noise = 0.01 * ((seed * 7 + len(method)) % 5 - 2)
-    value = psnr if isinstance(psnr, str) else psnr + noise
-    known = {"scene": scene, "method": method, "seed": seed, "psnr": value}
-    rest = {"gaussians": 100, "train_wall_s": 10, "train_cpu_s": 10}
-    return known | rest | {"run": f"{scene}-{method}-s{seed}".replace(" ", "")} | more
-
-
-def table(folder: Path, rows: Iterable[Row]) -> Path:
-    """A folder in which an archive of these runs is all that there is."""
-    folder.mkdir(parents=True, exist_ok=True)
-    entries = [Entry(_run(folder, one)) for one in rows]
-    (folder / ARCHIVE).write_text(archive(entries), encoding="utf-8")
-    return folder
-
-
-def _run(folder: Path, one: Row) -> Run:
-    pair, *options = str(one["method"]).split(", ")
-    augment, reg = pair.split(" + ")
-    config = make_config(augment, reg, int(str(one["seed"])))
-    for option in options:
-        key, _, value = option.partition("=")
-        group, _, name = BUDGETS.get(key, key).partition(".")
-        config[group][name or "name"] = yaml.safe_load(value)
-    name, _, conditions = str(one["scene"]).partition(" (")
-    config["scene"] = {"name": name} | dict(
-        (key, yaml.safe_load(value))
-        for key, _, value in (c.partition("=") for c in conditions.rstrip(")").split(", ") if c)
-    )
-    fingerprint = hashlib.sha256(str(one["scene"]).encode()).hexdigest()
-    cpu, _, cores = str(one.get("cpu", "cpu, 2 cores")).partition(", ")
-    views = tuple(map(str, range(int(str(one.get("scene.n_views", 0))))))
-    seconds = StageTime(float(str(one["train_wall_s"])), float(str(one["train_cpu_s"])))
-    record = RunRecord(
-        identity="",
-        config=config,
-        overrides=(),
-        scene=SceneInfo(name, str(one.get("protocol", "own")), fingerprint, views, ()),
-        timings={"train": seconds},
-        provenance={"cpu": cpu, "cores": int(cores.split()[0])},
-        gaussians=int(str(one["gaussians"])),
-        parameters_sha256=hashlib.sha256(str(one["run"]).encode()).hexdigest(),
-        summary={
-            key: float(str(one[key])) if one.get(key, "") != "" else Missing("not measured")
-            for key in METRICS
-        },
-    )
-    metrics = Table(
-        {key: [] for key in ("view", "tags", "file", "missing")},
-        {k: np.zeros(0) for k in (*METRICS, "render_s")},
-    )
-    course = Table({}, {key: np.zeros(0) for key in ("step", "seconds", "test_psnr")})
-    return Run(folder / "runs" / str(one["run"]), record, metrics, course)
-
-
-def first_lines(folder: Path, out: Path) -> str:
-    return build_report(folder, out_dir=out).read_text(encoding="utf-8").partition("How to read")[0]
+LEVELS = (18.0, 18.1, 18.2, 22.0, 22.1)  # of seeds, of which one method may lack the best
 
 
 def study(means: dict[str, float], seeds: int = 5) -> list[Row]:
@@ -97,35 +29,32 @@ def study(means: dict[str, float], seeds: int = 5) -> list[Row]:
 def test_what_gains_on_a_bad_start_is_not_advised_over_a_good_one(tmp_path: Path) -> None:
     means = {"none + none": 25.0, "safi + none": 25.0}
     means |= {"none + none, init=sparse": 20.0, "safi + none, init=sparse": 22.0}
-    text = first_lines(table(tmp_path / "t", study(means)), tmp_path / "out")
-    assert "**Use none + none (plain training) on fern: nothing was shown to be better than" in text
-    assert re.search(r"safi \+ none, init=sparse gains 2\.\S+ dB \([^)]*\) against none", text)
+    text = first_screen(table(tmp_path / "t", study(means)))
+    assert "**Use the baseline on fern: no method is significantly better than it" in text
+    assert re.search(r"SAFI, init=sparse: \+2\.\S+ dB \(.*\) compared with Baseline, init", text)
 
 
 def test_a_variant_of_plain_training_that_is_better_is_advised(tmp_path: Path) -> None:
     means = {"none + none": 20.0, "safi + none": 21.0}
     means |= {"none + none, init=rich": 25.0, "safi + none, init=rich": 25.0}
-    text = first_lines(table(tmp_path / "t", study(means)), tmp_path / "out")
-    assert "**Use none + none, init=rich: it gains 5.0" in text
+    text = first_screen(table(tmp_path / "t", study(means)))
+    assert "**Use Baseline, init=rich: it gains 5.0" in text
 
 
 def test_what_is_better_than_one_plain_training_alone_is_told(tmp_path: Path) -> None:
     rows = study({"none + none": 20.0, "safi + none": 21.0})
     for method in ("none + none, init=rich", "safi + none, init=rich"):
         rows += [row("fern", method, k, 20.5 + 3 * (k - 2)) for k in range(5)]
-    text = first_lines(table(tmp_path / "t", rows), tmp_path / "out")
-    assert (
-        "fern: safi + none is better than it, but is not shown to be better than every plain"
-        in text
-    )
+    text = first_screen(table(tmp_path / "t", rows))
+    assert "fern: SAFI is significantly better than it, but not better than every baseline" in text
 
 
 def test_a_method_without_runs_on_every_scene_is_told_as_such(tmp_path: Path) -> None:
     rows = [row(s, "none + none", k, 20.0) for s in "ab" for k in range(4)]
     rows += [row("a", "safi + none", k, 21.0) for k in range(4)]
     rows += [row(s, "dba + none", k, 20.0) for s in "ab" for k in range(4)]
-    text = first_lines(table(tmp_path / "t", rows), tmp_path / "out")
-    assert "safi + none is better than it where compared, not on all scenes" in text
+    text = first_screen(table(tmp_path / "t", rows))
+    assert "SAFI is significantly better where compared, but did not run on all scenes" in text
 
 
 def test_what_is_advised_over_the_baseline_is_not_told_as_alike(tmp_path: Path) -> None:
@@ -137,10 +66,10 @@ def test_what_is_advised_over_the_baseline_is_not_told_as_alike(tmp_path: Path) 
     }
     seeds = {"none + none": (2, 3), "none + uar": (2, 3, 10, 11), "safi + none": (10, 11)}
     rows = [row("a", m, k, f"{values[m][k % 2]}") for m, own in seeds.items() for k in own]
-    text = first_lines(table(tmp_path / "t", rows), tmp_path / "out")
-    assert "**Use none + uar: it gains" in text
-    alike = re.search(r"Not told apart from none \+ uar: ([^\n]*)", text)
-    assert alike is not None and "safi + none" in alike[1] and "none + none" not in alike[1]
+    text = first_screen(table(tmp_path / "t", rows))
+    assert "**Use UAR: it gains" in text
+    alike = re.search(r"Not significantly different from UAR: ([^\n]*)", text)
+    assert alike is not None and "SAFI" in alike[1] and "Baseline" not in alike[1]
 
 
 def test_a_metric_that_some_seeds_lack_says_of_how_many_it_is(tmp_path: Path) -> None:
@@ -157,32 +86,31 @@ def test_a_metric_that_some_seeds_lack_says_of_how_many_it_is(tmp_path: Path) ->
 
 
 def test_more_time_pays_is_corrected_for_all_others(tmp_path: Path) -> None:
-    """It is the data that tells who stands on the front, so being alone there is no single test."""
+    """The data choose who is on the front, so being alone there is no single test."""
     gains = (0.08, 0.28, 0.06, 0.2, 0.15)
     fast = [row("a", "none + none", k, 20.0, train_wall_s=5, train_cpu_s=5) for k in range(5)]
     slow = [row("a", "safi + none", k, 20.0 + gain) for k, gain in enumerate(gains)]
     worse = [row("a", f"none + none, trainer.x={i}", k, 19.0) for i in range(9) for k in range(5)]
     for others, indices in (([], [0, 1]), (worse, [0])):
         found = entries(collect(table(tmp_path / f"{len(others)}", fast + slow + others)), "a")
-        kept = worth(found, train_s)
-        assert [found[k].method for k in kept] == ["none + none", "safi + none"][: len(indices)]
-
-
-LEVELS = (18.0, 18.1, 18.2, 22.0, 22.1)  # of seeds, which one method may lack the best of
+        kept = paying(found, train_s)
+        assert [found[k].method.label for k in kept] == ["none + none", "safi + none"][
+            : len(indices)
+        ]
 
 
 def test_advice_by_time_is_by_pairs(tmp_path: Path) -> None:
     """A method that lacks the easy seeds is no worse for it: the advice is that of the verdict."""
     slow = [row("a", "none + none", k, v, train_cpu_s=12) for k, v in enumerate(LEVELS)]
     fast = [row("a", "safi + none", k, LEVELS[k] + 0.5) for k in range(3)]
-    text = build_report(table(tmp_path / "t", slow + fast), out_dir=tmp_path / "o").read_text()
-    assert "**Use safi + none: it gains 0.5" in text
-    (advice,) = budgets.advice(collect(tmp_path / "t"), "a")
-    assert re.search(r": safi \+ none, .*; every other choice within that time is really", advice)
+    study = collect(table(tmp_path / "t", slow + fast))
+    assert "**Use SAFI: it gains 0.5" in first_screen(tmp_path / "t")
+    (choice,) = choices(study, "a")
+    assert choice.entry is not None and str(choice.entry.method) == "SAFI"
 
 
 def test_more_time_pays_by_pairs(tmp_path: Path) -> None:
-    """Not where it is the pairs that tell it to be worse, and so where only they tell that it is
+    """Not if the pairs show that it is worse, and so if only they show that it is
     better."""
     full = [row("a", "none + none", k, v) for k, v in enumerate(LEVELS)]
     for seconds, kept in ((5, ["safi + none"]), (20, ["none + none", "safi + none"])):
@@ -191,21 +119,7 @@ def test_more_time_pays_by_pairs(tmp_path: Path) -> None:
             for k in range(3)
         ]
         found = entries(collect(table(tmp_path / f"{seconds}", full + part)), "a")
-        assert [found[k].method for k in worth(found, train_s)] == kept
-
-
-def test_what_is_really_better_is_not_told_as_worse(tmp_path: Path) -> None:
-    """Of the advised family the quickest that is nearly as good may lie below another method."""
-    values = {"none + none": (20.0, 20.0), "none + none, steps=9": (20.02, 20.1)}
-    values |= {"safi + none": (20.05, 20.05)}
-    rows = [
-        row("a", m, k, f"{v[k % 2] + 0.001 * k}", train_cpu_s=9 + len(m), train_wall_s=9 + len(m))
-        for m, v in values.items()
-        for k in range(4)
-    ]
-    advice = "".join(budgets.advice(collect(table(tmp_path, rows)), "a"))
-    assert "really worse" not in advice
-    assert "safi + none, steps=800 takes 20.0 s and is really better, by 0.05 dB" in advice
+        assert [found[k].method.label for k in paying(found, train_s)] == kept
 
 
 def test_a_baseline_without_a_seed_on_all_scenes_is_no_crash(tmp_path: Path) -> None:
@@ -213,7 +127,7 @@ def test_a_baseline_without_a_seed_on_all_scenes_is_no_crash(tmp_path: Path) -> 
     for extra in ("", ", init=rich"):
         rows += [row(s, f"safi + none{extra}", k, 21.0) for s in "ab" for k in range(3)]
     rows += [row(s, "none + none, init=rich", k, 20.0) for s in "ab" for k in range(3)]
-    assert first_lines(table(tmp_path / "t", rows), tmp_path / "out").startswith("# out")
+    assert first_screen(table(tmp_path / "t", rows)).startswith("# t_report")
 
 
 def test_what_gains_with_few_steps_is_not_advised_over_many(tmp_path: Path) -> None:
@@ -221,8 +135,10 @@ def test_what_gains_with_few_steps_is_not_advised_over_many(tmp_path: Path) -> N
     means |= {"none + none, steps=3000": 25.0, "safi + none, steps=3000": 24.0}
     rows = [one | {"trainer.steps": int(str(one["method"])[-3:]) or 3000} for one in study(means)]
     found = outcomes(collect(table(tmp_path, rows)))
-    assert found.comparisons["safi + none, steps=300"].significant
-    assert found.best == "none + none, steps=300", "the first of its budgets stands for the family"
+    assert labelled(found.comparisons)["safi + none, steps=300"].significant
+    assert found.best.label == "none + none, steps=300", (
+        "the first of its budgets represents the family"
+    )
 
 
 def test_the_best_is_chosen_by_pairs(tmp_path: Path) -> None:
@@ -231,8 +147,9 @@ def test_the_best_is_chosen_by_pairs(tmp_path: Path) -> None:
     low += [row("fern", "dba + none", k, 19.2) for k in range(3, 10)]
     means = {"none + none": 20.0, "safi + none": 20.1, "dba + none": 20.2}
     found = outcomes(collect(table(tmp_path, [*study(means, 3), *low])))
-    assert found.psnr["dba + none"].mean < found.psnr["safi + none"].mean
-    assert found.best == "dba + none"
+    psnr = labelled(found.psnr)
+    assert psnr["dba + none"].mean < psnr["safi + none"].mean
+    assert found.best.label == "dba + none"
 
 
 def test_pairs_that_lack_none_are_kept() -> None:
@@ -247,13 +164,8 @@ def test_a_scene_with_one_seed_does_not_take_the_others_away(tmp_path: Path) -> 
     means = {"none + none": 20.0, "safi + none": 21.0}
     rows = [row(s, m, k, v) for s in "abc" for k in range(4) for m, v in means.items()]
     rows += [row("d", m, 0, v) for m, v in means.items()]
-    text = first_lines(table(tmp_path / "t", rows), tmp_path / "out")
-    assert re.search(r"\*\*Use safi \+ none: it gains 1.* on 3 of these 4 scenes\.\*\*", text)
-    assert "Compared where two seeds or more are common: safi + none on a, b and c." in text
-    more = [row(s, "dba + none", k, 20.5) for s in "abc" for k in range(4)]
-    more.append(row("d", "dba + none", 0, 20.5))
-    text = first_lines(table(tmp_path / "more", [*rows, *more]), tmp_path / "out2")
-    assert "Compared where two seeds or more are common: all on a, b and c." in text
+    text = first_screen(table(tmp_path / "t", rows))
+    assert re.search(r"\*\*Use SAFI: it gains 1.* on 3 of these 4 scenes\.\*\*", text)
 
 
 def test_intervals_say_how_many_comparisons_they_hold_for(tmp_path: Path) -> None:
@@ -263,14 +175,14 @@ def test_intervals_say_how_many_comparisons_they_hold_for(tmp_path: Path) -> Non
     ]
     rows += [row(s, "safi + none", 0, 20.0 + len(s)) for s in "abc"]
     text = build_report(table(tmp_path / "t", rows), out_dir=tmp_path / "out").read_text("utf-8")
-    assert "widened to hold for all 2 comparisons at once" in text
+    assert "corrected for all 2 comparisons at once" in text
 
 
 def test_single_seeds_on_many_scenes_are_corrected_for_all_methods(tmp_path: Path) -> None:
     means = {"none + none": 20.0, "safi + none": 20.3, "dba + none": 20.2}
     rows = [row(s, m, 0, v + len(s) / 9) for s in ("a", "bb", "ccc") for m, v in means.items()]
     found = outcomes(collect(table(tmp_path, rows))).comparisons
-    assert {c.tests for c in found.values()} == {2} and found["safi + none"].p is None
+    assert {c.tests for c in found.values()} == {2} and labelled(found)["safi + none"].p is None
 
 
 def test_a_stress_on_one_scene_hides_no_other(tmp_path: Path) -> None:
@@ -282,7 +194,7 @@ def test_a_stress_on_one_scene_hides_no_other(tmp_path: Path) -> None:
                          run_name=f"{augment}{views}-{seed}")  # fmt: skip
             fake_run(tmp_path, augment, seed=seed, gain=3.0 * (augment == "safi"), scene="fern")
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert "## Comparisons" in text and "## Along a stress" in text
+    assert "## Comparisons" in text and "### Along a stress" in text
     assert "on these 4 conditions of 2 scenes" in text.split("\n\n")[1]
     assert "fox, along training views" in text
 
@@ -295,15 +207,15 @@ def test_a_stress_with_one_seed_at_one_strength_keeps_the_others(tmp_path: Path)
                 condition = {"n_views": views}
                 fake_run(tmp_path, augment, "none", seed, gain, condition=condition, run_name=name)
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert text.split("\n\n")[1].startswith("**Use safi + none where it helps")
-    assert "safi + none helps at 4 and 3 training views (" in text
+    assert text.split("\n\n")[1].startswith("**Use SAFI where it helps")
+    assert "SAFI helps at 4 and 3 training views (" in text
 
 
 def test_a_method_without_a_psnr_anywhere_is_no_crash(tmp_path: Path) -> None:
     rows = study({"none + none": 20.0, "safi + none": 21.0})
     rows[3]["psnr"] = ""
-    text = first_lines(table(tmp_path / "t", rows), tmp_path / "out")
-    assert text.startswith("# out\n\n**")
+    text = first_screen(table(tmp_path / "t", rows))
+    assert text.startswith("# t_report\n\n**")
 
 
 def test_no_advice_by_time_across_machines(tmp_path: Path) -> None:
@@ -313,7 +225,7 @@ def test_no_advice_by_time_across_machines(tmp_path: Path) -> None:
         for one in rows
     ]
     text = build_report(table(tmp_path / "t", fast), out_dir=tmp_path / "out").read_text("utf-8")
-    assert "made on different machines (old, 2 cores: 5 runs of none + none; new" in text
+    assert "made on different machines (old, 2 cores: 5 runs of Baseline; new" in text
     assert "Within 15" not in text
     same = [one | {"cpu": "old, 2 cores"} for one in rows]
     text = build_report(table(tmp_path / "s", same), out_dir=tmp_path / "out2").read_text("utf-8")
@@ -341,3 +253,25 @@ def test_all_views_are_counted_in_a_table(tmp_path: Path) -> None:
     report = build_report(tmp_path)
     with (report.parent / "runs.csv").open(encoding="utf-8") as file:
         assert sorted(one["scene.n_views"] for one in csv.DictReader(file)) == ["1", "2"]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "expected"),
+    [((16000, 4000, 9), "b"), ((4000, 16000, 9), "a"), ((100, 101, 100), None)],
+)
+def test_the_smallest_of_the_good_is_named(
+    tmp_path: Path, sizes: tuple[int, ...], expected: str | None
+) -> None:
+    """Within 0.1 dB of the best; models of one size need no sentence."""
+    levels = {"none + none": 25.1, "none + none, reg.x=b": 25.05, "none + none, reg.x=c": 24.5}
+    rows = [
+        row("s", method, 0, str(psnr), gaussians=n)
+        for (method, psnr), n in zip(levels.items(), sizes, strict=True)
+    ]
+    names = dict(zip("abc", levels, strict=True))
+    found = entries(collect(table(tmp_path, rows)), "s")
+    sized = [replace(entry, megabytes=float(entry.gaussians)) for entry in found]
+    answer = smallest(sized)
+    assert (answer and answer.entry.method.label.partition(", ")[2]) == (
+        expected and names[expected].partition(", ")[2]
+    )

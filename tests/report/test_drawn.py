@@ -10,12 +10,9 @@ from scipy import stats
 
 from framework.report import build_report
 from framework.report.statistics.drawn import draws, variance
-from framework.report.statistics.outcomes import outcomes
 from framework.report.study.collect import collect
-from framework.report.text.drawn import over_draws
-from framework.report.verdict.points import points
 from tests.record.fakes import fake_run
-from tests.report.test_choice import row, table
+from tests.report.studies import first_screen, row, table
 
 GAINS = {2: 1.0, 10: -1.0, 0: 0.5}  # of uar, by draw
 
@@ -50,7 +47,7 @@ def test_gains_by_draw_and_over_them(tmp_path: Path) -> None:
         fake_run(tmp_path, "none", reg, 0, 9.0, scene="fern", condition={"split": "llff"})
     study = collect(tmp_path)
     (found,) = draws(study)
-    assert (found.scene, found.method, found.baseline) == ("fern", "none + uar", "none + none")
+    assert (found.scene, str(found.method), str(found.baseline)) == ("fern", "UAR", "Baseline")
     assert list(found.differences) == ["llff_drawn0", "llff_drawn2", "llff_drawn10"]
     own = np.array(found.gains)
     assert own - own.mean() == pytest.approx([0.5 - 1 / 6, 1 - 1 / 6, -1 - 1 / 6], abs=0.15)
@@ -65,17 +62,15 @@ def test_gains_by_draw_and_over_them(tmp_path: Path) -> None:
 def test_the_report_says_whether_a_gain_depends_on_the_photos(tmp_path: Path) -> None:
     write_draws(tmp_path, GAINS, seeds=3)
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert "- What is gained depends on which photos one has: none + uar on fern -" in text
-    row = text.partition("## With other photos")[2].partition("| fern")[2].partition("\n")[0]
+    assert "- Significant effects of the choice of training photos: UAR on fern -" in text
+    row = text.partition("### With other photos")[2].partition("| fern")[2].partition("\n")[0]
     cells = [cell.strip() for cell in row.split("|")]
     assert cells[3].count(",") == 2 and cells[-2].startswith("p ")
 
 
 def test_equal_draws_are_not_told_apart(tmp_path: Path) -> None:
     write_draws(tmp_path, dict.fromkeys(range(3), 0.5), seeds=3)
-    study = collect(tmp_path)
-    said = points(study, outcomes(study))
-    assert [text for text in said if "no gain is shown to depend on which were drawn" in text]
+    assert "no gain depends significantly on which were drawn" in first_screen(tmp_path)
 
 
 def test_one_seed_cannot_tell(tmp_path: Path) -> None:
@@ -83,8 +78,7 @@ def test_one_seed_cannot_tell(tmp_path: Path) -> None:
     study = collect(tmp_path)
     (found,) = draws(study)
     assert found.alike is None and len(found.gains) == 3
-    assert len(over_draws(study)) == 3
-    assert not [text for text in points(study, outcomes(study)) if "photos" in text]
+    assert "With other photos" not in first_screen(tmp_path)
 
 
 def test_draws_of_other_options_are_apart(tmp_path: Path) -> None:
@@ -116,4 +110,4 @@ def test_draws_with_another_depth_error_are_apart(tmp_path: Path) -> None:
 def test_other_studies_have_no_such_part(tmp_path: Path) -> None:
     for reg in ("none", "uar"):
         fake_run(tmp_path, "none", reg)
-    assert not over_draws(collect(tmp_path))
+    assert not draws(collect(tmp_path))

@@ -10,21 +10,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from framework.report import build_report
 from framework.report.export import comparisons_tex
-from framework.report.figures import images
-from framework.report.figures.closeup import _window, draw_closeup
-from framework.report.figures.images import BESIDE
-from framework.report.figures.stress import panels
-from framework.report.figures.tradeoff import charts
-from framework.report.parts.chart import Band, Chart, Point, Series
-from framework.report.parts.draw import draw
-from framework.report.parts.forest import Forest, Row, limits
-from framework.report.parts.forest import draw as draw_forest
-from framework.report.statistics.numbers import signed
+from framework.report.figures import pictures
+from framework.report.figures.chart import Band, Chart, Point, Series, draw
+from framework.report.figures.charts import cost_charts
+from framework.report.figures.forest import Forest, Row, limits
+from framework.report.figures.forest import draw as draw_forest
+from framework.report.figures.pictures import BESIDE, _window, draw_closeup
+from framework.report.statistics.numbers import format_difference
 from framework.report.statistics.outcomes import outcomes
+from framework.report.stress import panels
 from framework.report.study.collect import collect
 from tests.record import fakes
 from tests.record.fakes import fake_run
@@ -41,25 +38,23 @@ def study_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_every_render_stands_above_its_own_error(
+def test_every_method_stands_above_its_crop_and_its_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With more methods than fit beside the ground truth, too."""
+    """With more methods than fit next to the ground truth, too."""
     methods = ("none", "dba", "euclidean", "full_set", "safi", "mvs_warp")[: BESIDE + 1]
     for augment in methods:
         fake_run(tmp_path, augment, seed=0)
     drawn: list[Any] = []
-    monkeypatch.setattr(images, "grid_picture", lambda *args, **_: drawn.extend(args[2]))
+    draw_bands = pictures.draw_bands
+    monkeypatch.setattr(pictures, "draw_bands", lambda b: drawn.extend(b) or draw_bands(b))
     (scene,) = (study := collect(tmp_path)).scenes
-    images.draw_images(study, scene)
-    assert drawn
-    for band in drawn:
-        rows = [[cell.title.split("\n")[0] for cell in row] for row in band.groups]
-        assert [len(row) for row in rows] == [BESIDE + 1, BESIDE + 1, 2, 2]
-        for renders, errors in zip(rows[::2], rows[1::2], strict=True):
-            assert errors == ["", *(f"error: {name}" for name in renders[1:])]
-        shown = [name for row in rows[::2] for name in row[1:]]
-        assert len(set(shown)) == len(methods)
+    assert draw_closeup(study, scene) is not None
+    (band,) = drawn
+    sizes = [len(row) for row in band.groups]
+    assert sizes == [BESIDE + 1] * 3 + [2] * 3
+    names = [cell.title.split("\n")[0] for row in band.groups[::3] for cell in row[1:]]
+    assert len(set(names)) == len(methods) and band.groups[3][0].title == "ground truth"
 
 
 def row(low: float, high: float, joint: bool) -> Row:
@@ -67,9 +62,9 @@ def row(low: float, high: float, joint: bool) -> Row:
 
 
 def test_the_axis_holds_zero_and_thick_bars_and_at_least_its_span() -> None:
-    low, high = limits(Forest("f", "b", "x", (row(0.01, 0.02, True),), 0.5))
+    low, high = limits([row(0.01, 0.02, True)])
     assert low < 0 and high - low >= 0.5
-    low, high = limits(Forest("f", "b", "x", (row(1, 2, True), row(-50, 50, False)), 0.5))
+    low, high = limits([row(1, 2, True), row(-50, 50, False)])
     assert -3 < low < 0 and 2 < high < 5  # a wide interval of one scene does not squeeze the others
 
 
@@ -78,7 +73,7 @@ def test_names_of_any_length_stay_inside_the_figure() -> None:
         Row("a method $^" * 30, "a scene $^ " * 30, k, 0.1, -0.1, 0.3, True, False)
         for k in range(3)
     )
-    figure = draw_forest(Forest("f", "b", "x", rows, 0.5))
+    figure = draw_forest(Forest("f", "b", "x", rows))
     figure.canvas.draw()
     for label in figure.axes[0].get_yticklabels():
         assert label.get_window_extent().x0 >= 0
@@ -95,12 +90,12 @@ def test_a_long_legend_leaves_the_chart_its_room() -> None:
 
 
 def test_many_methods_share_a_chart(tmp_path: Path) -> None:
-    """Of several capacities; a chart for each would be as tall as a house."""
+    """Several capacities; a chart for each would be too tall."""
     for k in range(8):
         capacity = {"name": "evidence" if k else "fixed", "weight": 1.0}
         fake_run(tmp_path, "safi", f"reg{k}", run_name=f"r{k}", capacity=capacity)
     study = collect(tmp_path)
-    assert all(len(panels) == 1 for panels in charts(study, study.scenes[0]))
+    assert all(len(panels) == 1 for panels in cost_charts(study, study.scenes[0]))
 
 
 def test_an_axis_does_not_magnify_noise() -> None:
@@ -115,9 +110,9 @@ def test_only_real_gains_are_ringed(tmp_path: Path) -> None:
     for augment, gain in (("none", 0.0), ("dba", 0.03), ("safi", 3.0)):
         for seed in range(4):
             fake_run(tmp_path, augment, seed=seed, gain=gain)
-    ((chart,), *_) = charts(collect(tmp_path), "embedded")
+    ((chart,), *_) = cost_charts(collect(tmp_path), "embedded")
     ringed = {series.name for series in chart.series if series.ringed}
-    assert ringed == {"none + none", "safi + none"}
+    assert ringed == {"Baseline", "SAFI"}
     assert chart.band is not None and chart.band.low < 24.5 < chart.band.high
     assert chart.min_span == 1.0
 
@@ -139,7 +134,7 @@ def test_a_figure_is_also_numbers(study_dir: Path) -> None:
 def test_every_comparison_is_a_row_of_latex(study_dir: Path) -> None:
     text = (study_dir / "comparisons.tex").read_text(encoding="utf-8")
     assert text == comparisons_tex(outcomes(collect(study_dir)))
-    rows = [line for line in text.splitlines() if line.startswith("safi + none & none + none")]
+    rows = [line for line in text.splitlines() if line.startswith("SAFI & Baseline")]
     assert len(rows) == 4 and all(line.count(" & ") == 6 for line in rows)
     assert r"my\_50\%\_\{room\}" in text and "$+$" in text
     assert text.count("{tabular}") == 2
@@ -150,13 +145,6 @@ def test_the_crop_is_where_renders_differ_most() -> None:
     other = one.copy()
     other[20:30, 40:60] = 200
     assert _window([one, other]) == (slice(20, 30), slice(40, 60))
-
-
-def test_close_ups_show_the_two_that_the_verdict_is_about(study_dir: Path) -> None:
-    with Image.open(study_dir / "closeup_embedded.jpg") as image:
-        assert image.width == 792
-    text = (study_dir / "report.md").read_text(encoding="utf-8")
-    assert "ground truth, then safi + none and none + none" in text
 
 
 @pytest.mark.parametrize(
@@ -175,7 +163,7 @@ def test_the_close_up_names_the_view_that_it_shows(
     monkeypatch.setattr(fakes, "BASE_PSNR", fakes.BASE_PSNR[: len(tags)])
     for augment in ("none", "safi"):
         fake_run(tmp_path, augment)
-    shown = draw_closeup(collect(tmp_path), "embedded", ("none + none", "safi + none"))
+    shown = draw_closeup(collect(tmp_path), "embedded")
     assert shown is not None and f"({why} by PSNR)" in shown.caption
 
 
@@ -184,7 +172,7 @@ def test_the_close_up_names_the_view_that_it_shows(
     [(-0.02, "-0.02"), (-0.002, "-0.002"), (0.0, "0.00"), (1e-9, "0.00"), (1.234, "+1.23")],
 )
 def test_a_difference_keeps_its_sign(difference: float, text: str) -> None:
-    assert signed(difference) == text
+    assert format_difference(difference) == text
 
 
 def test_verdict_table_and_latex_agree_about_a_small_difference(tmp_path: Path) -> None:
@@ -196,7 +184,7 @@ def test_verdict_table_and_latex_agree_about_a_small_difference(tmp_path: Path) 
             path.write_text(json.dumps(record))
     build_report(tmp_path)
     text = (tmp_path / "report.md").read_text(encoding="utf-8")
-    assert "safi + none -0.02 dB" in text and " -0.02 |" in text
+    assert "SAFI: -0.02 dB" in text and " -0.02 |" in text
     assert "$-$0.02" in (tmp_path / "comparisons.tex").read_text(encoding="utf-8")
 
 
@@ -207,18 +195,18 @@ def test_doses_are_a_section(tmp_path: Path) -> None:
         if augment == "safi":
             path.write_text(json.dumps(json.loads(path.read_text()) | {"dose": dose}))
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    section = text.partition("## What each method did")[2].partition("\n## ")[0]
+    section = text.partition("### What each method did")[2].partition("\n### ")[0]
     assert (
         "Epochs that asked for pseudo views" in section
         and " 42 " in section
         and "text \\| x" in section
     )
-    assert "none + none" not in section
-    assert "Hardly tested" in text.partition("## Pictures")[0]
+    assert "Baseline" not in section
+    assert "Hardly tested" in text.partition("## Results")[0]
 
 
 def test_no_two_scenes_share_a_file(tmp_path: Path) -> None:
-    """Nor do they on a disk that does not tell letters' case; other names stay as they were."""
+    """Nor on a disk that ignores case; other names stay unchanged."""
     scenes = ("chair (1)", "chair-1", "Chair 1", "lamp 1", "größe", "grösse")
     for scene in scenes:
         for augment in ("none", "safi"):
@@ -228,11 +216,11 @@ def test_no_two_scenes_share_a_file(tmp_path: Path) -> None:
     report = build_report(tmp_path)
     study = collect(tmp_path)
     pictures = re.findall(r"^!\[.*\]\((.+)\)$", report.read_text(encoding="utf-8"), re.MULTILINE)
-    assert len({name.lower() for name in pictures}) == len(pictures) > 5 * len(scenes)
-    assert {"images_lamp_1.jpg", "curves_lamp_1.png"} <= {*pictures}
+    assert len({name.lower() for name in pictures}) == len(pictures) > 3 * len(scenes)
+    assert {"closeup_lamp_1.jpg", "curves_lamp_1.png"} <= {*pictures}
     assert all((tmp_path / f"{study.file_of('sigma', s)}.jpg").is_file() for s in scenes)
     build_report(tmp_path, photos=False)
-    assert len(list(tmp_path.glob("images_*"))) == len(scenes)  # `embedded`, under other names
+    assert len(list(tmp_path.glob("closeup_*"))) == len(scenes)  # `embedded`, under other names
 
 
 def test_no_two_panels_of_stresses_share_a_file(tmp_path: Path) -> None:

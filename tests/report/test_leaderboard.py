@@ -31,14 +31,15 @@ def test_methods_over_studies(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     shutil.rmtree(other.parent / "runs")  # its table remains
     _study(folder / "alone", {"euclidean": 0.0})  # has a row, but no comparison
     assert command(["leaderboard", str(folder)]) == 0
-    assert capsys.readouterr().out.startswith("leaderboard: ")
+    said = capsys.readouterr().out
+    assert said.startswith("Of 4 comparisons") and f"page: {folder / 'leaderboard.html'}" in said
     text = (folder / "leaderboard.md").read_text(encoding="utf-8")
     assert (
-        "Of 4 comparisons of methods in 2 studies, really better than the baseline: safi + none"
-        " (2); really worse: euclidean + none (1)." in text
+        "Of 4 comparisons of methods in 2 studies, significantly better than the baseline: SAFI"
+        " (2); significantly worse: Euclidean (1)." in text
     )
-    ranks = re.findall(r"^\| (\w+ \+ none) +\| +\d", text, re.MULTILINE)
-    assert ranks[:3] == ["safi + none", "dba + none", "euclidean + none"]
+    ranks = re.findall(r"^\| (\w+) +\| +\d", text, re.MULTILINE)
+    assert ranks[:3] == ["SAFI", "DBA", "Euclidean"]
     assert "[one](one/report.md)" in text and (folder / "leaderboard.html").is_file()
     rows = list(csv.DictReader((folder / "leaderboard.csv").read_text("utf-8").splitlines()))
     assert {row["study"] for row in rows} == {"one", "two"} and len(rows) == 4
@@ -65,7 +66,7 @@ def test_studies_at_any_depth_are_read(tmp_path: Path) -> None:
         _study(tmp_path / "mine" / name, {"none": 0.0, "safi": 3.0})
     path, studies = leaderboard(tmp_path, tmp_path / "out")
     text = path.read_text(encoding="utf-8")
-    assert studies == 4 and "Not read" not in text
+    assert studies == 4 and "Left out" not in text
     assert "[mine/deep/s1](../mine/deep/s1/report.md)" in text and "[mine/s3](" in text
 
 
@@ -80,11 +81,11 @@ def test_conditions_of_a_scene_are_one_scene(tmp_path: Path) -> None:
     (row,) = csv.DictReader((tmp_path / "leaderboard.csv").read_text("utf-8").splitlines())
     assert row["scenes"] == "1"
     text = (tmp_path / "leaderboard.md").read_text(encoding="utf-8")
-    assert re.search(r"\| 1 +\| +3 +\| +2 +\|", text)  # scenes, seeds, methods
+    assert re.search(r"\| +1 \| +3 \| +2 \|", text)  # scenes, seeds, methods
 
 
 def test_searches_are_no_studies(tmp_path: Path) -> None:
-    """Nor are runs that were judged by training photos: both were made to choose options."""
+    """Nor are runs that were evaluated on training photos: both were made to choose options."""
     searched = tmp_path / "searched"
     for folder, condition in ((searched, {}), (tmp_path / "held", {"split": "llff_held_out"})):
         for seed in range(2):
@@ -94,7 +95,7 @@ def test_searches_are_no_studies(tmp_path: Path) -> None:
     path, studies = leaderboard(tmp_path, tmp_path)
     text = path.read_text(encoding="utf-8")
     assert studies == 0 and "the trials of a search" in text
-    assert "judged by training photos (scene.split=llff_held_out)" in text
+    assert "evaluated on training photos (scene.split=llff_held_out)" in text
 
 
 def test_a_folder_without_studies_and_a_broken_table(tmp_path: Path) -> None:
@@ -103,7 +104,7 @@ def test_a_folder_without_studies_and_a_broken_table(tmp_path: Path) -> None:
     (tmp_path / "odd").mkdir()
     (tmp_path / "odd" / "runs.jsonl").write_text("{}\n", encoding="utf-8")
     text = leaderboard(tmp_path, tmp_path / "out")[0].read_text(encoding="utf-8")
-    assert "## Not read" in text and "in line 1" in text
+    assert "## Left out" in text and "in line 1" in text
 
 
 def test_a_leaderboard_of_no_study_is_written_and_an_error(
@@ -114,6 +115,17 @@ def test_a_leaderboard_of_no_study_is_written_and_an_error(
     record.write_text("{}", encoding="utf-8")
     assert command(["leaderboard", str(tmp_path)]) == 2
     said = capsys.readouterr()
-    assert said.out.startswith("leaderboard: ") and said.err.count("\n") == 1
+    assert "\nleaderboard: " in said.out and said.err.count("\n") == 1
     assert f"{tmp_path}: expected a study with a finished run, got none" in said.err
     assert "no run of it finished" in (tmp_path / "leaderboard.md").read_text(encoding="utf-8")
+
+
+def test_the_repository_s_own_studies_are_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _study(tmp_path / "mine", {"none": 0.0, "safi": 3.0})
+    _study(tmp_path / "committed" / "ours", {"none": 0.0, "dba": 3.0})
+    monkeypatch.setattr("framework.report.leaderboard.COMMITTED", tmp_path / "committed")
+    assert leaderboard(tmp_path, tmp_path / "out")[1] == 1
+    assert leaderboard(tmp_path / "committed", tmp_path / "out")[1] == 1
+    assert leaderboard(tmp_path, tmp_path / "out", "safi")[1] == 1, "compared with SAFI"

@@ -1,4 +1,4 @@
-"""Recipes stand beside what was published of them, told by the word `method=` of their run."""
+"""Recipes stand next to what was published about them, by the word `method=` of their run."""
 
 from __future__ import annotations
 
@@ -8,24 +8,23 @@ from pathlib import Path
 import pytest
 
 from framework.command.config.schema import CONF_DIR
-from framework.report.details import compared
-from framework.report.parts.document import Table, Text
-from framework.report.statistics.outcomes import outcomes
-from framework.report.study.collect import collect
-from framework.report.text.literature import (
+from framework.report import build_report
+from framework.report.literature import (
     AVGE_HERE,
     AVGE_THERE,
-    HERE,
     OF_SCENE,
     OVER,
-    PUBLISHED,
-    REPEATED,
     REVERSED,
-    literature,
+    mean_rows,
+    published_scene_rows,
+    recipes,
 )
-from framework.report.text.published import published, read
-from framework.report.verdict.lead import where
+from framework.report.statistics.outcomes import outcomes
+from framework.report.study.collect import collect
+from framework.report.study.published import by_recipe
+from framework.report.tables import Row
 from tests.record.fakes import fake_run
+from tests.report.studies import first_screen
 
 
 def _recipe(folder: Path, name: str, seed: int, loader: str = "llff", **options: object) -> None:
@@ -39,33 +38,30 @@ def _recipe(folder: Path, name: str, seed: int, loader: str = "llff", **options:
     path.write_text(json.dumps(content), encoding="utf-8")
 
 
-def test_recipes_stand_beside_published_and_repeated_figures(tmp_path: Path) -> None:
+def by_method(rows: list[Row]) -> dict[str, Row]:
+    return {str(row["Method"]): row for row in rows}
+
+
+def test_recipes_stand_next_to_published_and_repeated_figures(tmp_path: Path) -> None:
     for seed in (0, 1):
         _recipe(tmp_path, "corgs", seed)
         _recipe(tmp_path, "fsgs_sweep", seed, gain=1.0)
-    found, reversals = (b for b in literature(collect(tmp_path)) if isinstance(b, Table))
-    columns = dict(zip(found.columns, range(20), strict=False))
-    rows = {row[columns["Method"]]: row for row in found.rows}
+    (found,) = recipes(collect(tmp_path))
+    rows = by_method(found.rows)
     assert set(rows) == {"CoR-GS", "FSGS", "ReconFusion", "MuRF"}
     corgs = rows["CoR-GS"]
-    assert corgs[columns[PUBLISHED.format(set="LLFF")]] == "20.45" and corgs[columns["Runs"]] == "2"
-    assert corgs[columns[REPEATED.format(set="LLFF")]] == (
-        "20.19 ± 0.14 (10 runs), 20.17, 20.11, 20.47"
-    )
-    assert corgs[columns[OF_SCENE]] == "22.29"
-    assert corgs[columns[AVGE_THERE]] == "0.0862, 0.0806 ± 0.0008"
-    assert AVGE_HERE not in columns, "no run has LPIPS"
-    ((above, below),) = reversals.rows
-    assert above == "CoR-GS" and below.startswith("FSGS (+0.14, ")
-    assert rows["FSGS"][columns["Recipe"]] == "fsgs_sweep"
-    assert rows["MuRF"][columns["Recipe"]] == "published only"
-    assert rows["MuRF"][columns[HERE]] == "–" and rows["FSGS"][columns[HERE]] != "–"
+    assert corgs["Published, LLFF"] == "20.45" and corgs["Runs"] == "2"
+    assert corgs["Repeated by others, LLFF"] == "20.19 ± 0.14 (10 runs), 20.17, 20.11, 20.47"
+    assert corgs[OF_SCENE] == "22.29" and corgs[AVGE_THERE] == "0.0862, 0.0806 ± 0.0008"
+    assert AVGE_HERE not in corgs, "no run has LPIPS"
+    (reversal,) = found.reversals
+    assert reversal[REVERSED] == "CoR-GS" and str(reversal[OVER]).startswith("FSGS (+0.14, ")
+    assert rows["FSGS"]["Recipe"] == "fsgs_sweep"
+    assert "### Compared with the literature" in build_report(tmp_path).read_text("utf-8")
 
 
-@pytest.mark.parametrize("split", ["llff_drawn0", "llff_held_out", "none"])
-def test_other_photos_than_the_papers_stand_beside_no_published_figures(
-    tmp_path: Path, split: str
-) -> None:
+@pytest.mark.parametrize("split", ["llff_drawn0", "llff_held_out", "file"])
+def test_photos_of_another_division_stand_alone(tmp_path: Path, split: str) -> None:
     for recipe in ("corgs", "fsgs_sweep"):
         _recipe(tmp_path, recipe, 0)
     usual = collect(tmp_path)
@@ -74,58 +70,55 @@ def test_other_photos_than_the_papers_stand_beside_no_published_figures(
         content["scene"]["protocol"] = split
         path.write_text(json.dumps(content), encoding="utf-8")
     drawn = collect(tmp_path)
-    assert literature(usual) and not literature(drawn)
-    assert len(published(usual)) == len(published(drawn)) + 2, "the table of the scene, with a text"
+    assert recipes(usual) and mean_rows(usual) and published_scene_rows(usual)
+    assert not (recipes(drawn) or mean_rows(drawn) or published_scene_rows(drawn))
 
 
-def test_a_study_of_draws_tells_nothing_of_other_scenes(tmp_path: Path) -> None:
+def test_draws_of_one_scene_say_nothing_about_other_scenes(tmp_path: Path) -> None:
     for draw in (0, 1):
         for reg in ("none", "uar"):
             for seed in (0, 1):
-                gain = 0.5 + 0.1 * seed if reg == "uar" else 0.1 * seed
                 name = f"{reg}-{draw}-{seed}"
-                fake_run(tmp_path, "none", reg, seed, run_name=name, gain=gain)
-                path = tmp_path / "runs" / name / "record.json"
-                content = json.loads(path.read_text(encoding="utf-8"))
-                content["config"]["scene"]["split"] = f"llff_drawn{draw}"
-                content["scene"] |= {"protocol": f"llff_drawn{draw}", "fingerprint": f"{draw}" * 64}
-                path.write_text(json.dumps(content), encoding="utf-8")
+                fake_run(tmp_path, "none", reg, seed, run_name=name,
+                         condition={"split": f"llff_drawn{draw}"})  # fmt: skip
     study = collect(tmp_path)
-    assert len(study.scenes) == 2
-    found = outcomes(study)
-    (compared_with_plain,) = found.comparisons.values()
-    assert compared_with_plain.scenes == tuple(study.scenes) and compared_with_plain.like is None
-    assert where(study) == "on these 2 conditions of embedded"
-    texts = [block.text for block in compared(found) if isinstance(block, Text)]
-    assert texts and not any("Scenes like these" in text for text in texts)
+    (compared,) = outcomes(study).comparisons.values()
+    assert compared.scenes == tuple(study.scenes) and compared.like is None
+    assert "on these 2 conditions of embedded" in first_screen(tmp_path)
 
 
-def test_scenes_of_dtu_stand_beside_figures_of_dtu(tmp_path: Path) -> None:
+def test_published_figures_stand_next_to_their_own_data_set(tmp_path: Path) -> None:
     for name in ("binocular_sweep", "stereogs_sweep", "segs"):
-        _recipe(tmp_path, name, 0, loader="dtu", gain=float(name == "stereogs_sweep"))
-    (found,) = (b for b in literature(collect(tmp_path)) if isinstance(b, Table))
-    columns = dict(zip(found.columns, range(20), strict=False))
-    printed = {
-        row[columns["Method"]]: (
-            row[columns[PUBLISHED.format(set="DTU")]],
-            row[columns[REPEATED.format(set="DTU")]],
-        )
-        for row in found.rows
-    }
+        _recipe(tmp_path / "dtu", name, 0, loader="dtu", gain=float(name == "stereogs_sweep"))
+        _recipe(tmp_path / "own", name, 0, loader="transforms")
+    dtu, own = (collect(tmp_path / name) for name in ("dtu", "own"))
+    (found,) = recipes(dtu)
+    cells = ("Published, DTU", "Repeated by others, DTU")
+    printed = {name: tuple(row[c] for c in cells) for name, row in by_method(found.rows).items()}
     assert printed["Binocular3DGS"] == ("20.71", "20.83") and printed["SE-GS"] == ("–", "–")
     assert printed["StereoGS"] == ("21.46", "–") and printed["MuRF"] == ("21.31", "–")
+    assert list(mean_rows(dtu)[0]) == ["Method", "DTU, 3 views"]
+    assert recipes(own) == [] and mean_rows(own) == []
 
 
-def test_a_reversal_that_seeds_confirm_is_told(tmp_path: Path) -> None:
+def test_published_figures_carry_their_size(tmp_path: Path) -> None:
+    fake_run(tmp_path, scene="llff_fern", condition={"name": "llff"})
+    study = collect(tmp_path)
+    rows = by_method(mean_rows(study))
+    assert rows["SAFI + UAR"]["LLFF, 3 views"] == "21.12 / 0.729 / 0.190 (1/8)"
+    scene = next(row for row in published_scene_rows(study) if row["Method"] == "CoR-GS")
+    assert scene["PSNR / SSIM / LPIPS (size)"] == "22.29 / 0.745 / 0.196 (1/8)"
+
+
+def test_a_reversal_that_seeds_confirm_is_significant(tmp_path: Path) -> None:
     for seed, gain in enumerate((2.0, 2.2, 2.1)):
         _recipe(tmp_path, "stereogs_sweep", seed)  # published the highest of the three
         _recipe(tmp_path, "binocular_sweep", seed, gain=gain)
         _recipe(tmp_path, "segs", seed, gain=(-5.0, -1.0, -3.0)[seed])
-    tables = [b for b in literature(collect(tmp_path)) if isinstance(b, Table)]
-    (told,) = (t for t in tables if t.columns == (REVERSED, OVER))
-    ((above, below),) = told.rows
-    assert above == "StereoGS" and below.startswith("Binocular3DGS (+0.47, -1.")
-    assert below.endswith(" shown)"), "SE-GS is published below it, and is"
+    ((reversal,),) = (found.reversals for found in recipes(collect(tmp_path)))
+    below = str(reversal[OVER])
+    assert reversal[REVERSED] == "StereoGS" and below.startswith("Binocular3DGS (+0.47, -1.")
+    assert below.endswith(" significant)"), "SE-GS is published below it, and is"
 
 
 def test_a_recipe_that_was_run_in_several_ways_is_in_no_pair(tmp_path: Path) -> None:
@@ -133,20 +126,8 @@ def test_a_recipe_that_was_run_in_several_ways_is_in_no_pair(tmp_path: Path) -> 
         _recipe(tmp_path, "fsgs", seed, gain=3.0)
         _recipe(tmp_path, "fsgs_sweep", seed, gain=1.0)
         _recipe(tmp_path, "corgs", seed)
-    assert not [
-        b
-        for b in literature(collect(tmp_path))
-        if isinstance(b, Table) and b.columns == (REVERSED, OVER)
-    ]
-
-
-def test_a_study_without_recipes_has_no_such_table(tmp_path: Path) -> None:
-    fake_run(tmp_path)
-    assert literature(collect(tmp_path)) == []
-    _recipe(tmp_path / "one", "fsgs", 0)
-    assert literature(collect(tmp_path / "one")) == []
+    assert [found.reversals for found in recipes(collect(tmp_path))] == [[]]
 
 
 def test_every_published_recipe_is_one() -> None:
-    names = {row["recipe"] for row in read("literature.csv")} - {""}
-    assert names <= {path.stem for path in (CONF_DIR / "method").glob("*.yaml")}
+    assert by_recipe().keys() <= {path.stem for path in (CONF_DIR / "method").glob("*.yaml")}

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from framework.report.main import main
+from framework.command.cli import main as command
 from framework.report.study.collect import collect
-from framework.report.study.runs import DAMAGED
+from framework.report.study.study import DAMAGED
 from tests.record.fakes import fake_run
 
 
@@ -33,8 +33,8 @@ def test_it_is_listed_as_damaged(
     record = json.loads(path.read_text())
     record["config"][group][option] = value
     path.write_text(json.dumps(record))
-    assert main([str(tmp_path)], "report") == 0
-    assert main([str(tmp_path)], "report") == 0, capsys.readouterr().err  # from its own table
+    assert command(["report", str(tmp_path)]) == 0
+    assert command(["report", str(tmp_path)]) == 0, capsys.readouterr().err  # from its own table
     (failed,) = collect(tmp_path).failed
     assert failed.kind == DAMAGED and f"config.{group}.{option}" in failed.error
 
@@ -43,7 +43,7 @@ def test_runs_that_cannot_be_read_are_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fake_run(tmp_path)
-    assert main([str(tmp_path)], "report") == 0
+    assert command(["report", str(tmp_path)]) == 0
 
     def refuse(folder: Path) -> Any:
         if Path(folder).name == "runs":
@@ -54,5 +54,5 @@ def test_runs_that_cannot_be_read_are_an_error(
 
     scandir = os.scandir
     monkeypatch.setattr(os, "scandir", refuse)
-    assert main([str(tmp_path)], "report") == 2
+    assert command(["report", str(tmp_path)]) == 2
     assert "runs: expected what may be opened, got 'Permission denied'" in capsys.readouterr().err

@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from framework.records.record import write_failed
-from framework.report import build_report
-from framework.report.page import gallery, html, markdown
+from framework.report import build_report, gallery, render
 from framework.report.study.collect import collect
 from tests.record.fakes import fake_run, make_config
 from tests.report.studies import write_study
@@ -65,6 +64,7 @@ def test_no_markup_from_outside(page: str) -> None:
     assert not [a for _, a in elements.found if "javascript:" in str(a.get("href"))]
     assert "alert(2)" not in elements.scripts[1]
     assert HOSTILE.replace("`", "'") in json.loads(elements.scripts[0])["shots"][0][0]
+    assert not [tag for tag, attributes in elements.found if "style" in attributes], "the policy"
 
 
 def test_no_markup_from_outside_in_markdown(study_dir: Path) -> None:
@@ -80,45 +80,93 @@ def test_the_page_needs_nothing_else(page: str) -> None:
     assert (
         "default-src 'none'" in page
         and "@import" not in page
-        and "http://" not in re.sub(r'"http://www\.w3\.org/2000/svg"', "", page)
+        and "http://" not in re.sub(r'"http://www\.w3\.org/(2000/svg|1999/xlink)"', "", page)
     )
 
 
 def test_the_viewer_has_every_method_view_and_seed(page: str) -> None:
     data = json.loads(Elements(page).scripts[0])
     assert len({tuple(shot[1:4]) for shot in data["shots"]}) == len(data["shots"]) == 2 * 3 * 4
-    assert max(max(shot[5:]) for shot in data["shots"]) == len(data["images"]) - 1
+    assert max(max(shot[5:8]) for shot in data["shots"]) == len(data["images"]) - 1
     assert all(image.startswith("data:image/webp;base64,") for image in data["images"])
-    assert data["charts"] and all(chart["series"] for chart in data["charts"])
+    assert {shot[8] for shot in data["shots"]} == set(range(len(data["methods"])))
+
+
+def test_charts_are_drawn_once_and_can_be_filtered(page: str, study_dir: Path) -> None:
+    marks = [a for tag, a in Elements(page).found if tag == "g" and "data-method" in a]
+    assert {mark["data-method"] for mark in marks} == {"0", "1"}
+    svg = (study_dir / "differences.svg").read_text(encoding="utf-8")
+    assert page.count("<svg ") == len(list(study_dir.glob("*.svg"))) and "method" in svg
+    assert "var(--s0)" in page and 'stroke="#000000"' not in page.partition("<script")[0]
+
+
+def test_the_contents_link_to_every_section(page: str) -> None:
+    ids = {str(a["id"]) for tag, a in Elements(page).found if tag == "h2"}
+    (contents,) = re.findall(r'<nav class="toc".*?</nav>', page, re.DOTALL)
+    assert set(re.findall(r'href="#([^"]+)"', contents)) == ids >= {"results", "appendix"}
 
 
 def test_what_does_not_fit_is_told(study_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gallery, "MOST_BYTES", 1)
     found = gallery.gallery(study := collect(study_dir), study.scenes)
-    assert {(shot[1], shot[2]) for shot in found.shots} == {
-        (method, 0) for method in collect(study_dir).methods
-    }
+    assert {(shot[1], shot[2]) for shot in found.shots} == {(str(m), 0) for m in study.methods}
     assert len(found.shots) == 2 and found.left_out == 22
 
 
-def test_what_is_told_of_one_of_many_scenes_is_folded(
+def test_what_is_about_one_of_many_scenes_is_folded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(markdown, "MANY", 3)  # as with 12, and sooner
-    for name, scenes in (("few", markdown.MANY - 1), ("many", markdown.MANY)):
+    monkeypatch.setitem(render.templates().globals, "MANY", 3)  # as with 12, and sooner
+    for name, scenes in (("few", 2), ("many", 3)):
         write_study(tmp_path / name, scenes=scenes, seeds=1)
         build_report(tmp_path / name)
     few, many = ((tmp_path / n / "report.md").read_text(encoding="utf-8") for n in ("few", "many"))
-    assert "<details>" not in few and re.search(r"^### ", few, re.MULTILINE)
-    assert not re.search(r"^### ", many, re.MULTILINE)
+    assert "<details>" not in few and "\n### scene0\n" in few
     inside = re.findall(r"<details><summary>(.+?)</summary>(.*?)</details>", many, re.DOTALL)
     assert len(inside) == many.count("<details>") == many.count("</details>")
-    assert {scene for scene, _ in inside} == {f"scene{i}" for i in range(markdown.MANY)}
-    assert not any(re.search(r"^## |<details>", text, re.MULTILINE) for _, text in inside)
-    assert not any("Machine: " in text for _, text in inside), "folded: what is about all scenes"
+    assert {scene for scene, _ in inside} == {f"scene{i}" for i in range(3)}
+    assert not any(re.search(r"^## |Machine: ", text, re.MULTILINE) for _, text in inside)
 
 
-def test_no_two_headings_share_a_link() -> None:
-    places = html.Places()
-    names = [places.name(text) for text in ("a", "A", "a 2", "a", "a")]
-    assert names[:2] == ["a", "a_2"] and len({*names}) == len(names)
+def test_no_two_headings_share_a_link(tmp_path: Path) -> None:
+    page = render.Page("x", tmp_path)
+    names = [page.heading(2, text).anchor for text in ("a", "A", "a 2", "a", "a")]
+    assert names[:2] == ["a", "a-1"] and len({*names}) == len(names)
+
+
+@pytest.fixture
+def looked_at(tmp_path: Path) -> Path:
+    """Two runs; the first has a page and a video."""
+    first, _ = (fake_run(tmp_path, augment, run_name=augment) for augment in ("none", "safi"))
+    (first / "view.html").write_text("page")
+    (first / "video.webp").write_bytes(b"video")
+    return tmp_path
+
+
+def _data(folder: Path, key: str) -> list[list[object]]:
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    return list(json.loads(Elements(page).scripts[0])[key])
+
+
+def test_the_page_and_the_video_of_a_run_are_linked(looked_at: Path) -> None:
+    report = build_report(looked_at).read_text(encoding="utf-8")
+    assert "[in 3D](runs/none/view.html)" in report and "[video](runs/none/video.webp)" in report
+    assert "runs/safi/view.html" not in report
+    links = [(one[2], *one[3:]) for one in _data(looked_at, "looks")]
+    assert links == [(0, "in 3D", "runs/none/view.html"), (0, "video", "runs/none/video.webp")]
+    report = build_report(looked_at, photos=False).read_text(encoding="utf-8")
+    assert "view.html" not in report and _data(looked_at, "looks") == []
+    for name in ("view.html", "video.webp"):
+        (looked_at / "runs" / "none" / name).unlink()
+    assert not re.search(r"\| (View|Video) ", build_report(looked_at).read_text(encoding="utf-8"))
+
+
+def test_the_page_holds_a_small_video_of_each_method(
+    looked_at: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build_report(looked_at)
+    (video,) = _data(looked_at, "videos")
+    assert video[2:] == [0, "data:image/webp;base64,dmlkZW8="]
+    monkeypatch.setattr(gallery, "VIDEO_BYTES", 4)
+    build_report(looked_at)
+    assert _data(looked_at, "videos") == [] and len(_data(looked_at, "looks")) == 2

@@ -15,8 +15,8 @@ from framework.errors import UserError
 from framework.records.run_files import Table
 from framework.report.pair import _views as pair_views
 from framework.report.pair import compare_runs
-from framework.report.study.names import heading_of
-from framework.report.study.runs import ReportRun
+from framework.report.study.study import ReportRun
+from framework.report.tables import heading_of
 from tests.record.fakes import fake_run
 
 
@@ -24,11 +24,13 @@ def test_two_runs_beside_each_other(tmp_path: Path, capsys: pytest.CaptureFixtur
     plain, safi = fake_run(tmp_path, run_name="a"), fake_run(tmp_path, "safi", gain=1.0)
     out = tmp_path / "out"
     assert command(["compare", str(plain), str(safi), "--out", str(out)]) == 0
-    assert capsys.readouterr().out.startswith("compared: ")
+    verdict, page, compared = capsys.readouterr().out.splitlines()
+    assert verdict.startswith("SAFI reaches") and page == f"page: {out / 'compare.html'}"
+    assert compared == f"compared: {out / 'compare.md'}"
     text = (out / "compare.md").read_text(encoding="utf-8")
-    assert text.startswith("# none + none against safi + none\n")
-    assert re.search(r"\*\*safi \+ none reaches \d+\.\d\d dB on embedded, \d\.\d\d dB above", text)
-    assert "Single runs say nothing of chance" in text
+    assert text.startswith("# SAFI compared with Baseline\n")
+    assert re.search(r"\*\*SAFI reaches \d+\.\d\d dB on embedded, \d\.\d\d dB above", text)
+    assert "Single runs cannot distinguish a method from chance" in text
     assert re.search(r"\| augment\.name +\| +none +\| +safi", text)
     for name in ("compare.html", "closeup_embedded.jpg", "curves.svg", "curves.csv"):
         assert (out / name).is_file()
@@ -40,7 +42,7 @@ def test_two_runs_beside_each_other(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_runs_of_one_method_are_told_apart_by_seed(tmp_path: Path) -> None:
     runs = [fake_run(tmp_path, seed=seed, run_name=f"s{seed}") for seed in (0, 1)]
     text = compare_runs(*runs, tmp_path / "out").read_text(encoding="utf-8")
-    assert text.startswith("# none + none, seed=0 against none + none, seed=1\n")
+    assert text.startswith("# Baseline, seed=1 compared with Baseline, seed=0\n")
     assert re.search(r"\| seed +\| +0 +\| +1", text)
 
 
@@ -55,7 +57,7 @@ def test_what_is_no_pair_of_runs_ends_in_one_line(tmp_path: Path) -> None:
 def test_different_scenes_are_not_compared(tmp_path: Path) -> None:
     runs = [fake_run(tmp_path, scene=name, run_name=name) for name in ("fern", "fox")]
     text = compare_runs(*runs, tmp_path / "out").read_text(encoding="utf-8")
-    assert "Different scenes, hence not compared: fern and fox." in text
+    assert "Different scenes, so not compared: fern and fox." in text
 
 
 def test_a_metric_that_one_run_alone_has_is_shown_whichever_comes_first() -> None:
@@ -72,3 +74,11 @@ def test_a_metric_that_one_run_alone_has_is_shown_whichever_comes_first() -> Non
         told = [row[f"{heading_of('lpips')}, {run.method}"] for run in pair]
         assert told[absent] == "–" and told[1 - absent] == "0.2500"
         assert row[f"{heading_of('avge')}, b"] == "0.1000"
+
+
+def test_the_baseline_of_a_pair_can_be_named(tmp_path: Path) -> None:
+    plain, safi = fake_run(tmp_path, run_name="a"), fake_run(tmp_path, "safi", gain=1.0)
+    text = compare_runs(plain, safi, tmp_path / "out", "SAFI").read_text(encoding="utf-8")
+    assert text.startswith("# Baseline compared with SAFI\n")
+    with pytest.raises(UserError, match="expected the method of one of both runs, got 'uar'"):
+        compare_runs(plain, safi, tmp_path / "out", "uar")

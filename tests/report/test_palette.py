@@ -7,17 +7,14 @@ import itertools
 import numpy as np
 import pytest
 
-from framework.report.parts.palette import (
+from framework.report.figures.palette import (
     DARK,
     DASHES,
     LIGHT,
     LOOKS,
     MARKERS,
-    color_index,
-    dash_index,
+    look_of,
     looks,
-    luma,
-    marker_index,
 )
 
 # Machado, Oliveira and Fernandes (2009), severity 1, on linear RGB
@@ -26,6 +23,12 @@ DEFICIENCIES = {
     "deutan": [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]],
     "tritan": [[1.256, -0.077, -0.179], [-0.078, 0.931, 0.148], [0.005, 0.691, 0.304]],
 }
+
+
+def luma(color: str) -> float:
+    """Rec. 601 luma of `#rrggbb`, 0 to 255."""
+    red, green, blue = (int(color[k : k + 2], 16) for k in (1, 3, 5))
+    return 0.299 * red + 0.587 * green + 0.114 * blue
 
 
 def linear(color: str) -> np.ndarray:
@@ -46,8 +49,8 @@ def test_colour_blind_readers_tell_them_apart(kind: str, colors: tuple[str, ...]
 
 
 def test_looks_of_equal_colour_differ_in_line_and_marker() -> None:
-    lines = [(color_index(k), dash_index(k)) for k in range(LOOKS)]
-    marks = [(color_index(k), marker_index(k)) for k in range(LOOKS)]
+    lines = [(look_of(k).color, str(look_of(k).dash)) for k in range(LOOKS)]
+    marks = [(look_of(k).color, look_of(k).marker) for k in range(LOOKS)]
     assert len(set(lines)) == len(set(marks)) == LOOKS == len(LIGHT) * len(DASHES)
     assert len(MARKERS) == len(LIGHT) == len(DARK)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import shutil
@@ -10,18 +11,15 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from PIL import Image
 from scipy import stats
 
+from framework.command.cli import main as command
 from framework.records.provenance import ROOT
 from framework.records.record import write_failed
 from framework.report import build_report
 from framework.report.figures.views import choose_views
-from framework.report.main import main
-from framework.report.page.markdown import render
-from framework.report.sections import document
 from framework.report.study.collect import collect
 from tests.record.fakes import fake_run, make_config
 
@@ -42,25 +40,46 @@ def report(study_dir: Path) -> str:
     return (study_dir / "report.md").read_text(encoding="utf-8")
 
 
-def text_of(folder: Path) -> str:
-    study = collect(folder)
-    return render(document(study, "x", study.scenes))
-
-
-def test_first_screen_is_verdict_figure_and_pictures(report: str) -> None:
+def test_sections_are_in_the_order_of_a_paper(report: str) -> None:
     title, _, verdict, *_ = report.splitlines()
-    assert title == "# embedded" and verdict.startswith("**Use safi + uar: it gains ")
+    assert title == "# embedded" and verdict.startswith("**Use SAFI + UAR: it gains ")
     assert "**Note.** 1 of 7 runs failed: listed below." in report
-    order = ["(differences.png)", "## Pictures", "## Images", "## Speed against", "## Results"]
-    places = [report.index(text) for text in [*order, "## Comparisons", "## Failed runs"]]
-    assert places == sorted(places)
+    sections = re.findall(r"^## (.*)$", report, re.MULTILINE)
+    assert sections == [
+        *("Results", "Comparisons", "Pictures"),
+        *("Speed, accuracy and size", "Diagnostics", "Appendix"),
+    ]
+    links = re.findall(r"\[([^]]*)\]\(#", report)
+    assert links == sections, "a table of contents"
+
+
+def test_results_for_a_paper(study_dir: Path) -> None:
+    """PSNR and SSIM, mean ± sigma with fixed decimals; the best bold, the second underlined."""
+    latex, markdown, table = (
+        (study_dir / f"results.{kind}").read_text(encoding="utf-8") for kind in ("tex", "md", "csv")
+    )
+    best = re.search(r"SAFI \+ UAR & \\textbf\{(\d\d\.\d\d)\} \$\\pm\$ (\d\.\d\d) & ", latex)
+    assert best is not None and "Baseline & \\underline{" in latex and "\\toprule" in latex
+    assert f"**{best[1]}** ± {best[2]}" in markdown and "<u>" in markdown
+    assert f"**{best[1]}** ± {best[2]}" in (study_dir / "report.md").read_text(encoding="utf-8")
+    header, *rows = csv.reader(table.splitlines())
+    assert header == ["method", "psnr", "psnr_sigma", "ssim", "ssim_sigma"]
+    assert [row[0] for row in rows] == ["Baseline", "SAFI + UAR"] and rows[1][1:3] == [
+        *best.groups()
+    ]
+
+
+def test_the_appendix_cites_the_methods_and_the_software(report: str) -> None:
+    references = report.partition("### References")[2]
+    assert "@article{kerbl2023gaussians," in references and "eprint = {2606.20842}" in references
+    assert references.count("@article") == 2
 
 
 def test_table_numbers_are_the_records(study_dir: Path, report: str) -> None:
-    runs = collect(study_dir).of(method="safi + uar")
+    runs = [run for run in collect(study_dir).runs if str(run.method) == "SAFI + UAR"]
     values = [float(run.run.metrics.numbers["psnr"].mean()) for run in runs]
-    results = report.partition("## Results")[2]
-    row = next(line for line in results.splitlines() if line.startswith("| safi + uar"))
+    results = report.partition("underlined.")[2]
+    row = next(line for line in results.splitlines() if line.startswith("| SAFI + UAR"))
     cells = [cell.strip() for cell in row.strip("|").split("|")]
     half = stats.t.ppf(0.975, 2) * np.std(values, ddof=1) / 3**0.5
     assert cells[1] == f"{np.mean(values):.2f} ± {half:.2f}"
@@ -70,43 +89,32 @@ def test_table_numbers_are_the_records(study_dir: Path, report: str) -> None:
 
 def test_report_has_all_parts(study_dir: Path, report: str) -> None:
     for heading in (
-        "Pictures",
-        "Failed runs",
-        "Results",
-        "Comparisons",
-        "Stability",
-        "Worst case",
-        "Speed against accuracy",
-        "Kinds of test views apart",
-        "Images",
-        "Where runs disagree",
-        "Quality over training time",
-        "Published figures",
-        "Every run",
-        "Missing metrics",
-        "Provenance",
+        *("Stability", "Failed runs", "Worst case", "By kind of test view", "Where runs differ"),
+        *("Quality over training time", "Missing metrics", "Every run", "Provenance"),
     ):
-        assert f"\n## {heading}\n" in report
+        assert f"\n### {heading}\n" in report
     assert "depth: a \\| b" in report
     assert "PSNR (dB), interpolating" in report
     assert "LPIPS: missing in 6 of 6 runs: no weights in use" in report
     assert "- `+augment=safi +reg=uar`: seed 0, 1, 2" in report
-    assert "| none + none |" in report and "| 1 of 4 [5 to 70 %]" in report
+    assert "| Baseline  " in report and "| 1 of 4 [5 to 70 %]" in report
     assert str(study_dir) not in report and str(ROOT) not in report
 
 
 def test_every_run_is_a_row_of_the_table(study_dir: Path, report: str) -> None:
-    table = pd.read_csv(study_dir / "runs.csv")
+    with (study_dir / "runs.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
     assert "runs.csv" in report
-    assert list(table["seed"]) == [0, 1, 2, 0, 1, 2]
-    assert table["augment.name"].nunique() == 2 and "scene.name" not in table
-    means = table.groupby("method")["psnr"].mean()
-    assert means["safi + uar"] - means["none + none"] == pytest.approx(2.0, abs=0.5)
+    assert [row["seed"] for row in rows] == ["0", "1", "2"] * 2
+    assert len({row["augment.name"] for row in rows}) == 2 and "scene.name" not in rows[0]
+    psnr = {m: np.mean([float(r["psnr"]) for r in rows if r["method"] == m])
+            for m in ("none + none", "safi + uar")}  # fmt: skip
+    assert psnr["safi + uar"] - psnr["none + none"] == pytest.approx(2.0, abs=0.5)
 
 
 def test_links_lead_to_files(study_dir: Path, report: str) -> None:
-    targets = re.findall(r"\]\(([^)]+)\)", report)
-    assert {"images_embedded.jpg", "curves_embedded.png", "curves_embedded.svg"} <= set(targets)
+    targets = re.findall(r"\]\(([^)#]+)\)", report)
+    assert {"closeup_embedded.jpg", "curves_embedded.png", "curves_embedded.svg"} <= set(targets)
     assert all((study_dir / target).exists() for target in targets)
 
 
@@ -119,16 +127,18 @@ def test_rebuilding_gives_the_same_bytes(study_dir: Path, report: str) -> None:
     command = [sys.executable, "run.py", "report", str(study_dir)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == f"report: {study_dir / 'report.md'}\n"
+    verdict, *paths = done.stdout.splitlines()
+    assert verdict.startswith("Use SAFI + UAR: it gains")
+    assert paths == [f"page: {study_dir / 'report.html'}", f"report: {study_dir / 'report.md'}"]
     assert set(before) == {
         *(
             "report.md",
             "report.html",
             "runs.csv",
             "runs.jsonl",
-            "images_embedded.jpg",
             "sigma_embedded.jpg",
         ),
+        *("results.tex", "results.md", "results.csv"),
         *("curves_embedded.png", "curves_embedded.svg"),
         *("tradeoff_embedded.png", "tradeoff_embedded.svg", "tradeoff_embedded.csv"),
         *("differences.png", "differences.svg", "differences.csv", "comparisons.tex"),
@@ -144,7 +154,7 @@ def test_images_are_of_the_same_views_and_seed(study_dir: Path) -> None:
         "test 01": "interpolating, median",
         "test 03": "extrapolating, median; worst",
     }
-    with Image.open(study_dir / "images_embedded.jpg") as image:
+    with Image.open(study_dir / "closeup_embedded.jpg") as image:
         assert image.width == 792 and len(np.unique(np.asarray(image.convert("L")))) > 100
 
 
@@ -152,7 +162,7 @@ def test_views_without_tags_are_best_median_worst(tmp_path: Path) -> None:
     fake_run(tmp_path, tagged=False)
     shown = choose_views(collect(tmp_path), "embedded")
     assert dict(shown.views) == {"test 00": "best", "test 02": "median", "test 03": "worst"}
-    assert "Kinds of test views" not in text_of(tmp_path)
+    assert "By kind of test view" not in build_report(tmp_path).read_text(encoding="utf-8")
 
 
 def test_failed_missing_and_repeated_runs_are_told_first_and_the_report_builds(
@@ -167,9 +177,9 @@ def test_failed_missing_and_repeated_runs_are_told_first_and_the_report_builds(
     text = build_report(tmp_path).read_text(encoding="utf-8")
     first_screen = text.partition("\n## ")[0]
     assert "1 of 6 runs failed and 1 run is missing: listed below." in first_screen
-    assert "No run finished of safi + uar." in first_screen
-    assert "was found twice" in first_screen
-    assert "- none + none on embedded: seed 1" in text and "no overlap" in text
+    assert "No run finished of SAFI + UAR." in first_screen
+    assert "ran twice" in first_screen
+    assert "- Baseline on embedded: seed 1" in text and "no overlap" in text
 
 
 def test_of_two_of_the_same_run_the_one_that_measured_more_stays(tmp_path: Path) -> None:
@@ -191,34 +201,32 @@ def test_studies_are_merged_on_the_command_line(tmp_path: Path) -> None:
         fake_run(tmp_path / "a", seed=seed)
         fake_run(tmp_path / "b", "safi", seed=seed, gain=1.0)
     folders = [str(tmp_path / name) for name in "ab"]
-    assert main([*folders, "--out", str(tmp_path / "both"), "--title", "Both"], "report") == 0
+    assert command(["report", *folders, "--out", str(tmp_path / "both"), "--title", "Both"]) == 0
     text = (tmp_path / "both" / "report.md").read_text(encoding="utf-8")
-    assert text.startswith("# Both\n") and "Not told apart from none + none: safi" in text
+    assert text.startswith("# Both\n") and "- SAFI: " in text
     assert "](../b/runs/embedded-safi-none-s1/)" in text
-    assert main(folders, "report") == 2
+    assert command(["report", *folders]) == 2
 
 
 def test_a_report_can_be_built_without_photos(tmp_path: Path) -> None:
-    """Of the embedded scene it keeps the pictures."""
+    """It keeps the pictures of the embedded scene."""
     for name in ("fern", "embedded"):
         loader = {"name": "embedded" if name == "embedded" else "llff"}
         for method in ("none", "safi"):
             fake_run(tmp_path / "study", method, scene=name, condition=loader)
     out = tmp_path / "out"
     line = [str(tmp_path / "study"), "--out", str(out)]
-    assert main(line, "report") == 0 and (out / "images_fern.jpg").exists()
+    assert command(["report", *line]) == 0 and (out / "closeup_fern.jpg").exists()
     assert "/runs/" in (out / "report.md").read_text(encoding="utf-8")
     for kind in ("images", "sigma", "closeup"):  # of a report in which the scene was called so
-        shutil.copy(out / "images_fern.jpg", out / f"{kind}_fern_n_views_3.jpg")
+        shutil.copy(out / "closeup_fern.jpg", out / f"{kind}_fern_n_views_3.jpg")
     (out / "images_notes.txt").write_text("mine", encoding="utf-8")
-    assert main([*line, "--without-photos"], "report") == 0
+    assert command(["report", *line, "--without-photos"]) == 0
     assert (out / "images_notes.txt").exists()
     text = (out / "report.md").read_text(encoding="utf-8")
     assert "/runs/" not in text and "fern-safi-none-s0" in text
     assert "No pictures of fern: this report was built without photos" in text
-    assert {path.name for path in out.glob("*.jpg")} == {
-        *("images_embedded.jpg", "closeup_embedded.jpg")
-    }
+    assert {path.name for path in out.glob("*.jpg")} == {"closeup_embedded.jpg"}
     shots = re.search(r'"shots": ?(\[.*?\]\])', (out / "report.html").read_text(encoding="utf-8"))
     assert shots is not None and "embedded" in shots[1] and "fern" not in shots[1]
 
@@ -229,10 +237,10 @@ def test_several_scenes(tmp_path: Path) -> None:
             for augment, gain in (("none", 0.0), ("safi", 2.0)):
                 fake_run(tmp_path, augment, seed=seed, gain=gain, scene=scene)
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert "on these 2 scenes" in text and "other scenes, judged by how these 2 differ" in text
+    assert "on these 2 scenes" in text and "from the spread over these 2: " in text
     assert text.count("| mean of all") == 2 and "| door" in text and "| fern °" in text
     assert "mean of the scenes' σ (dB)" in text
-    assert (tmp_path / "images_fern.jpg").is_file() and (tmp_path / "curves_door.svg").is_file()
+    assert (tmp_path / "closeup_fern.jpg").is_file() and (tmp_path / "curves_door.svg").is_file()
 
 
 def test_pictures_are_of_the_best_budget_of_each_method(tmp_path: Path) -> None:
@@ -241,12 +249,12 @@ def test_pictures_are_of_the_best_budget_of_each_method(tmp_path: Path) -> None:
             options = {"trainer": {"steps": steps}, "run_name": f"{augment}{steps}"}
             fake_run(tmp_path, augment, gain=gain, **options)
     study = collect(tmp_path)
-    assert [run.method for run in choose_views(study, "embedded").runs] == [
+    assert [run.method.label for run in choose_views(study, "embedded").runs] == [
         "none + none, steps=400",
         "safi + none, steps=400",
     ]
-    text = text_of(tmp_path)
-    assert "On embedded, by seconds of training:" in text
+    text = build_report(tmp_path).read_text(encoding="utf-8")
+    assert "- Within 15" in text
     assert "Of each method, the budget with the highest mean PSNR" in text
 
 
@@ -263,7 +271,7 @@ def test_only_failed_runs(tmp_path: Path) -> None:
 
 
 def test_bad_folder_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([str(tmp_path / "nothing")], "report") == 2
+    assert command(["report", str(tmp_path / "nothing")]) == 2
     errors = capsys.readouterr().err
     assert errors.startswith("error: ") and errors.count("\n") == 1
 
@@ -289,9 +297,9 @@ def test_a_report_without_a_finished_run_is_written_and_an_error(
 ) -> None:
     (tmp_path / "runs" / "x").mkdir(parents=True)
     (tmp_path / "runs" / "x" / "record.json").write_text("{}", encoding="utf-8")
-    assert main([str(tmp_path)], "report") == 2
+    assert command(["report", str(tmp_path)]) == 2
     said = capsys.readouterr()
-    assert said.out.startswith("report: ") and said.err.count("\n") == 1
+    assert "\nreport: " in said.out and said.err.count("\n") == 1
     assert f"{tmp_path}: expected a finished run, got 1 failed or damaged" in said.err
     assert (tmp_path / "report.md").is_file()
 
@@ -302,7 +310,7 @@ def test_no_report_goes_into_the_folder_of_a_run(
 ) -> None:
     run = tmp_path / "runs" / "x"
     write_failed(run, make_config(seed=9), ["seed=9"], "depth: bad")
-    assert main([str(tmp_path / place)], "report") == 2
+    assert command(["report", str(tmp_path / place)]) == 2
     said = capsys.readouterr().err
     assert "expected the folder of a study for its report, got one of its runs" in said
     assert f"give {tmp_path}, or --out DIR" in said

@@ -9,7 +9,7 @@ from scipy import stats
 from framework.compute.rng import stream
 from framework.report.statistics.compare import compare, corrected
 from framework.report.statistics.estimates import Interval, spread
-from framework.report.statistics.numbers import interval_text, spanned
+from framework.report.statistics.numbers import format_interval, format_span
 
 
 def test_spread_of_known_values() -> None:
@@ -86,7 +86,7 @@ def test_conditions_of_one_scene_count_as_one_scene() -> None:
     assert found.difference == 4.25  # these scenes: each condition as it is
     alone = {key: value for key, value in values.items() if key[0].startswith("x")}
     of_one = compare("a", alone, "b", dict.fromkeys(alone, 0.0), names)
-    assert of_one is not None and of_one.like is None, "one scene tells nothing of others"
+    assert of_one is not None and of_one.like is None, "one scene gives no evidence on others"
 
 
 def test_no_seed_on_all_scenes_is_no_test() -> None:
@@ -107,11 +107,11 @@ def test_correction_is_for_what_can_be_tested() -> None:
 
 
 def test_an_end_beside_zero_is_not_rounded_to_it() -> None:
-    assert interval_text(Interval(-0.21, -0.0041)) == "-0.21 to -0.004"
-    assert interval_text(Interval(-0.21, 0.0041)) == "-0.21 to 0.004"
-    assert interval_text(Interval(0.0, 0.0)) == "0.00 to 0.00"
-    assert spanned(Interval(0.084, 1.0)) == "0.084 to 1.0"
-    assert spanned(Interval(0.011, 4.5e36)) == "0.011 or more"
-    assert interval_text(Interval(-1e-16, 2e-16)) == "0.00 to 0.00"
-    assert interval_text(Interval(-0.0, 0.5)) == "0.00 to 0.50"
-    assert interval_text(Interval(0.12, 0.48)) == "0.12 to 0.48"
+    assert format_interval(Interval(-0.21, -0.0041)) == "-0.21 to -0.004"
+    assert format_interval(Interval(-0.21, 0.0041)) == "-0.21 to 0.004"
+    assert format_interval(Interval(0.0, 0.0)) == "0.00 to 0.00"
+    assert format_span(Interval(0.084, 1.0)) == "0.084 to 1.0"
+    assert format_span(Interval(0.011, 4.5e36)) == "0.011 or more"
+    assert format_interval(Interval(-1e-16, 2e-16)) == "0.00 to 0.00"
+    assert format_interval(Interval(-0.0, 0.5)) == "0.00 to 0.50"
+    assert format_interval(Interval(0.12, 0.48)) == "0.12 to 0.48"

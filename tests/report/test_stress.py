@@ -1,4 +1,4 @@
-"""What a report says of a method along a stress."""
+"""What a report says about a method along a stress."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ import pytest
 from scipy import stats
 
 from framework.compute.rng import stream
-from framework.report.figures.stress import Limit, charts, limits, panels
+from framework.report.figures.charts import stress_charts
+from framework.report.render import say
 from framework.report.statistics.breakdown import break_down, gains_of_levels
+from framework.report.stress import Limit, limits, panels
 from framework.report.study.axes import STRESSES
 from framework.report.study.collect import collect
-from framework.report.verdict.limits import behind, sentence, verdict
+from framework.report.study.methods import PLAIN, Method
 from tests.record.fakes import fake_run
-from tests.report.test_choice import row, table
+from tests.report.studies import first_screen, row, table
 
+UAR = Method("none", "uar")
 VIEWS = next(axis for axis in STRESSES if axis.short == "n_views")
 STRENGTH = next(axis for axis in STRESSES if axis.short == "strength")
 NOISE = np.array([-0.02, 0.0, 0.02])  # dB, of three seeds
@@ -27,36 +30,37 @@ NOISE = np.array([-0.02, 0.0, 0.02])  # dB, of three seeds
 def limit(axis: Any, levels: list[float], gains: list[float], spread: float = 1.0) -> Limit:
     panel = cast(Any, SimpleNamespace(axis=axis, levels=levels, title="s"))
     every = np.array(gains)[:, None] + spread * NOISE
-    ends = ((levels[0], gains[0]), (levels[-1], gains[-1]))
     drawn = tuple(gains_of_levels(every))
-    return Limit(panel, "uar", break_down(np.array(levels), every), tuple(levels), ends, drawn)
+    broken = break_down(np.array(levels), every)
+    return Limit(panel, UAR, PLAIN, broken, tuple(levels), drawn)
 
 
-def told(axis: Any, levels: list[float], gains: list[float], spread: float = 1.0) -> str:
-    return sentence(limit(axis, levels, gains, spread))
+def course(limit: Limit) -> str:
+    findings = SimpleNamespace(study=SimpleNamespace(baseline=limit.against))
+    return say("course_of", findings=findings, limit=limit)
 
 
 @pytest.mark.parametrize(
     ("axis", "levels", "gains", "expected"),
     [
-        (VIEWS, [9, 3, 2], [0.01, 0.0, -0.01], "uar: not told apart at any strength"),
-        (VIEWS, [9, 3, 2], [-0.5, -0.4, -0.3], "uar costs quality at every tested strength ("),
-        (VIEWS, [9, 4, 2], [0.5, 0.4, 0.3], "uar helps at every tested strength ("),
+        (VIEWS, [9, 3, 2], [0.01, 0.0, -0.01], "UAR: no significant difference at any strength ("),
+        (VIEWS, [9, 3, 2], [-0.5, -0.4, -0.3], "UAR costs quality at every tested strength ("),
+        (VIEWS, [9, 4, 2], [0.5, 0.4, 0.3], "UAR helps at every tested strength ("),
         (
             *(VIEWS, [9, 4, 2], [-0.5, -0.5, 0.5]),
-            "uar helps at 2 training views and costs quality at 9 and 4 training views (",
+            "UAR helps at 2 training views and costs quality at 9 and 4 training views (",
         ),
-        (VIEWS, [9, 4, 2], [-0.5, -0.01, 0.01], "uar costs quality at 9 training views ("),
+        (VIEWS, [9, 4, 2], [-0.5, -0.01, 0.01], "UAR costs quality at 9 training views ("),
         (
             *(STRENGTH, [0, 0.5, 1], [0.5, 0.5, -0.5]),
-            "uar helps at strength 0 and 0.5 and costs quality at strength 1, and stops helping at"
+            "UAR helps at strength 0 and 0.5 and costs quality at strength 1, and stops helping at"
             " strength 0.75 (",
         ),
-        (STRENGTH, [0, 0.5, 1], [0.01, -0.01, -0.5], "uar costs quality at strength 1 ("),
+        (STRENGTH, [0, 0.5, 1], [0.01, -0.01, -0.5], "UAR costs quality at strength 1 ("),
     ],
 )
 def test_the_sentence(axis: Any, levels: list[float], gains: list[float], expected: str) -> None:
-    assert told(axis, levels, gains).startswith(expected)
+    assert course(limit(axis, levels, gains)).startswith(expected)
 
 
 def test_intervals_hold_for_all_methods_and_panels_at_once(tmp_path: Path) -> None:
@@ -74,13 +78,13 @@ def test_intervals_hold_for_all_methods_and_panels_at_once(tmp_path: Path) -> No
         for level, (mean, inside) in zip(own.levels, own.gains, strict=True):
             mine, base = (
                 np.array([float(run.mean("psnr") or 0) for run in panel.runs[method][level]])
-                for method in (own.method, study.baseline)
+                for method in (own.method, own.against)
             )
             gains = mine - base
             alone = stats.sem(gains) * stats.t.ppf(1 - 0.05 / 2 / 6, 2)
             assert inside is not None and mean == pytest.approx(np.mean(gains))
             assert inside.high - mean == pytest.approx(alone, rel=1e-6)
-    drawn = charts(study, panel, found)[1].series
+    drawn = stress_charts(study, panel, found, "x")[1].series
     assert [p.y_high for s in drawn for p in s.points] == [
         inside.high for own in found for _, inside in own.gains if inside
     ]
@@ -111,9 +115,9 @@ def test_draws_and_folders_have_panels_of_their_own(
     cells = [runs for panel in shown for by in panel.runs.values() for runs in by.values()]
     assert all([run.seed for run in runs] == [0, 1, 2, 3] for runs in cells)
     assert sum(map(len, cells)) == len(rows)
-    costs, helps = (sentence(own) for own in limits(study, shown))
-    assert costs.startswith("safi + none costs quality at every tested strength")
-    assert helps.startswith("safi + none helps at every tested strength")
+    costs, helps = map(course, limits(study, shown))
+    assert costs.startswith("SAFI costs quality at every tested strength")
+    assert helps.startswith("SAFI helps at every tested strength")
 
 
 def test_all_views_and_their_number_are_pairs_of_one_strength(tmp_path: Path) -> None:
@@ -128,21 +132,34 @@ def test_all_views_and_their_number_are_pairs_of_one_strength(tmp_path: Path) ->
     study = collect(table(tmp_path, rows))
     (panel,) = panels(study)
     (found,) = limits(study, [panel])
-    assert found.found.n == 3 and found.ends == ((9, pytest.approx(0.4)), (3, pytest.approx(0.5)))
+    assert found.found.n == 3 and found.levels == (9, 3)
+    assert [mean for mean, _ in found.gains] == pytest.approx([0.4, 0.5])
 
 
-def test_the_verdict_of_a_stress() -> None:
-    better, worse = (limit(VIEWS, [9, 4, 2], [g] * 3) for g in (0.5, -0.5))
-    unclear = limit(VIEWS, [9, 4, 2], [0.01, -0.01, 0.0])
-    helps = "Use uar where it helps (below), none elsewhere."
-    assert verdict([better, worse], "none") == helps
-    assert verdict([worse], "none").startswith("Use none: nothing else was shown")
-    assert verdict([], "none").startswith("No advice")
-    different, steady = behind([worse], "Steadier: uar.")
-    assert different.startswith("Really different: uar costs up to 0.50 dB (")
-    assert steady == "Steadier: uar."
-    _, alike = behind([unclear])
-    assert alike.startswith("Not told apart at any strength: uar. A difference of up to 0.")
+def test_the_verdict_of_a_stress(tmp_path: Path) -> None:
+    for views in (2, 3, 4):
+        for augment, gain in (("none", 0.0), ("safi", 6.0), ("dba", -6.0), ("euclidean", 0.0)):
+            for seed in range(3):
+                fake_run(tmp_path, augment, seed=seed, gain=gain, condition={"n_views": views},
+                         run_name=f"{augment}{views}{seed}")  # fmt: skip
+    text = first_screen(tmp_path)
+    assert "**Use SAFI where it helps (below), the baseline elsewhere.**" in text
+    assert "- DBA costs up to " in text and "- SAFI gains up to " in text
+    assert "- Not significant at any strength: Euclidean; an effect of up to " in text
+
+
+def test_the_size_of_models_is_drawn_where_a_capacity_changes_it(tmp_path: Path) -> None:
+    for capacity in ("fixed", "evidence"):
+        rows = [
+            row(f"room (n_views={n})", "none + none", seed, 20.0, gaussians=1000 * n,
+                **{"scene.n_views": n, "capacity": capacity})
+            for n in (3, 6, 9)
+            for seed in range(2)
+        ]  # fmt: skip
+        study = collect(table(tmp_path / capacity, rows))
+        (panel,) = panels(study)
+        labels = [chart.y_label for chart in stress_charts(study, panel, [], "x")]
+        assert ("Gaussians" in labels) == (capacity == "evidence")
 
 
 def test_bars_and_sentences_agree() -> None:
@@ -156,5 +173,5 @@ def test_bars_and_sentences_agree() -> None:
             assert (sign == 0) == (interval.low <= 0 <= interval.high)
 
 
-def test_noise_is_told_as_such() -> None:
-    assert "not told apart" in told(VIEWS, [9, 4, 2], [-0.5, -0.5, 0.5], spread=50)
+def test_noise_is_no_difference() -> None:
+    assert "no significant" in course(limit(VIEWS, [9, 4, 2], [-0.5, -0.5, 0.5], spread=50))

@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 from framework.compute.rng import stream
+from framework.report.render import say
 from framework.report.statistics.bootstrap import sd_interval
 from framework.report.statistics.breakdown import break_down
 from framework.report.statistics.estimates import Interval, spread
@@ -23,7 +24,7 @@ from framework.report.statistics.power import (
 )
 from framework.report.statistics.robustness import wilson
 from framework.report.statistics.variance import brown_forsythe, c4, compare_sigmas, mean_deviation
-from framework.report.verdict.steady import steady_sentence
+from framework.report.study.methods import Method
 
 
 def by_seed(values: Sequence[float], first: int = 0) -> dict[int, float]:
@@ -58,7 +59,7 @@ def test_common_seeds_are_pairs() -> None:
 
 
 def test_of_seeds_that_move_as_one_the_ratio_is_nearly_known() -> None:
-    """A correlation of exactly 1 leaves no noise; what stands for it must not be noise either."""
+    """A correlation of exactly 1 leaves no noise; its replacement must not be noise either."""
     found = compare_sigmas("a", by_seed([1.0, 2.0, 4.0, 7.0]), "b", by_seed([2.0, 4.0, 8.0, 14.0]))
     assert found is not None and found.interval is not None and found.rho is not None
     assert found.ratio == pytest.approx(0.5) and 1 - 1e-8 < found.rho < 1
@@ -204,13 +205,16 @@ def test_a_method_that_seeds_do_not_move() -> None:
     assert sd_interval([20.1] * 6) is None
     both = compare_sigmas("a", still, "b", {seed: value + 0.6 for seed, value in still.items()})
     assert both is not None and both.ratio is None and both.p == 1.0 and not both.significant
-    steadier = compare_sigmas("a", still, "b", moving)
-    looser = compare_sigmas("b", moving, "a", still)
+    a, b = Method("a"), Method("b")
+    steadier = compare_sigmas(a, still, b, moving)
+    looser = compare_sigmas(b, moving, a, still)
     assert steadier is not None and looser is not None and steadier.p == looser.p < 0.05
-    told = [
-        steady_sentence(SimpleNamespace(sigmas={c.method: c}))  # type: ignore[arg-type]
-        for c in (steadier, looser, both)
+    texts = [
+        say(
+            "spread",
+            findings=SimpleNamespace(steadiness=[c] if c.significant else [], least_power=c),
+        )
+        for c in (steadier, looser)
     ]
-    assert told[0].startswith("Steadier from seed to seed: a varies not at all, and b does (p ")
-    assert told[1].startswith("Less steady from seed to seed: b varies and a does not (p ")
-    assert told[2] == ""
+    assert "a does not vary and b does (p " in texts[0]
+    assert "b varies and a does not (p " in texts[1]

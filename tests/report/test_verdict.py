@@ -1,221 +1,302 @@
-"""The verdict: what it claims, what it does not, and what it tells of the study's power."""
+"""The verdict: what it claims, what it does not, and what it says about the study's power."""
 
 from __future__ import annotations
 
 import json
 import re
 import shutil
-from dataclasses import replace
+from itertools import product
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
-from framework.report.figures.forest import forest
+from framework.errors import UserError
+from framework.metrics.values import METRICS, Missing
+from framework.records.record import POSE_CHECK, read_record, write_failed
+from framework.report import build_report
+from framework.report.figures.forest import forest_of
 from framework.report.figures.views import choose_views
-from framework.report.statistics.compare import compare
+from framework.report.findings import find
 from framework.report.statistics.outcomes import outcomes
+from framework.report.statistics.robustness import failure_rate
 from framework.report.study.collect import collect
-from framework.report.text.dose import idle_sentence
-from framework.report.verdict.lead import lead
-from framework.report.verdict.points import evidence, points
-from tests.record.fakes import fake_run
-from tests.report.studies import write_committed
+from tests.record.fakes import fake_run, make_config
+from tests.report.studies import called, first_screen, labelled, write_committed
+
+GAINS = {("none", "none"): 0.0, ("none", "uar"): 1.0, ("safi", "none"): 1.6}
+ALL = {"n_views": "all", "split": "none"}
 
 
-def told(folder: Path) -> tuple[str, str]:
-    study = collect(folder)
-    found = outcomes(study)
-    return lead(study, found), "\n".join(points(study, found))
+def write(folder: Path, gains: dict[str, float], seeds: int, **more: object) -> None:
+    for augment, gain in gains.items():
+        for seed in range(seeds):
+            fake_run(folder, augment, seed=seed, gain=gain, **more)  # type: ignore[arg-type]
 
 
 def test_a_winner_is_advised_with_its_gain(tmp_path: Path) -> None:
     for augment, reg, gain in (("none", "none", 0.0), ("safi", "uar", 2.0)):
         for seed in range(3):
             fake_run(tmp_path, augment, reg, seed, gain)
-    first, rest = told(tmp_path)
-    assert re.fullmatch(
-        r"Use safi \+ uar: it gains \d\.\d+ dB \(\d\.\d+ to \d\.\d+\) against none \+ none \(plain"
-        r" training\) on embedded\.",
-        first,
+    text = first_screen(tmp_path)
+    assert re.search(
+        r"\*\*Use SAFI \+ UAR: it gains \d\.\d+ dB \(95 % CI \d\.\d+ to \d\.\d+\) compared with the"
+        r" baseline on embedded\.\*\*",
+        text,
     )
-    assert "Really different from none + none: nobody else." in rest and "Not told" not in rest
-    assert "Cost of a training: safi + uar 18.1 s" in rest and "none + none 16.1 s" in rest
+    assert ", not significant" not in text
+    assert "Cost of a training: SAFI + UAR 18.1 s" in text and "Baseline 16.1 s" in text
 
 
-def test_significant_losers_are_named_and_the_baseline_advised(tmp_path: Path) -> None:
-    for augment, gain in (("none", 0.0), ("safi", -2.0), ("dba", 0.02), ("euclidean", -3.0)):
-        for seed in range(4):
-            fake_run(tmp_path, augment, seed=seed, gain=gain)
-    first, rest = told(tmp_path)
-    assert first == (
-        "Use none + none (plain training) on embedded: nothing else was shown to be better."
+def test_every_difference_is_stated_with_its_power(tmp_path: Path) -> None:
+    write(tmp_path, {"none": 0.0, "safi": -2.0, "dba": 0.02, "euclidean": -3.0}, 4)
+    text = first_screen(tmp_path)
+    assert "**Use the baseline on embedded: no other method is significantly better.**" in text
+    differences = re.findall(
+        r"^- (\S+): -\d\.\d+ dB \(95 % CI \S+ to \S+\), significant\.", text, re.M
     )
-    assert re.match(
-        r"Really different from none \+ none: euclidean \+ none costs \d.+\); safi \+ none costs"
-        r" \d.+\)\.\n"
-        r"Not told apart from none \+ none: dba \+ none \+0\.\d+ dB \(-\d.+\)\. A difference of"
-        r" up to \d.+ dB could hide\.\nSteadier from seed to seed: nobody is shown to be\.",
-        rest,
+    assert differences == ["Euclidean", "SAFI"], "the largest loss first"
+    assert re.search(
+        r"- DBA: \+0\.\d+ dB \(95 % CI -\d.+\), not significant; an effect of up to \d\S+ dB cannot"
+        r" be ruled out with 4 seeds\.",
+        text,
     )
-    assert "Where none + none is weakest on embedded: its worst view is" in rest
+    assert "Seed-to-seed spread (σ): no significant difference." in text
+    assert "Baseline is weakest on embedded: its worst view is" in text
 
 
-def test_who_is_as_good_as_the_best_is_told(tmp_path: Path) -> None:
-    for augment, gain in (("none", 0.0), ("safi", 2.0), ("dba", 2.0), ("euclidean", -1.0)):
-        for seed in range(4):
-            fake_run(tmp_path, augment, seed=seed, gain=gain)
-    first, rest = told(tmp_path)
-    best, other = ("safi", "dba") if first.startswith("Use safi") else ("dba", "safi")
-    assert first.startswith(f"Use {best} + none: it gains")
-    assert f"Not told apart from {best} + none: {other} + none" in rest
+def test_who_is_as_good_as_the_best_is_listed(tmp_path: Path) -> None:
+    write(tmp_path, {"none": 0.0, "safi": 2.0, "dba": 2.0, "euclidean": -1.0}, 4)
+    text = first_screen(tmp_path)
+    best, other = ("SAFI", "DBA") if "**Use SAFI" in text else ("DBA", "SAFI")
+    assert f"**Use {best}: it gains" in text
+    assert f"- Not significantly different from {best}: {other} (" in text
 
 
-def test_power_is_told_where_nothing_is_steadier(tmp_path: Path) -> None:
-    """With few seeds that is no test at all, and the line says so."""
-    for seed in range(12):
-        for augment in ("none", "safi"):
-            fake_run(tmp_path, augment, seed=seed)
-        if seed == 3:
-            few = r"With 4 seeds that says next to nothing: .* below 0\.0\d+ times that of"
-            assert re.search(few, told(tmp_path)[1])
-    assert re.search(r"With 12 seeds a spread .* below 0\.\d+ times that of", told(tmp_path)[1])
+def test_power_is_stated_where_no_spread_differs(tmp_path: Path) -> None:
+    write(tmp_path, {"none": 0.0, "safi": 0.0}, 4)
+    few = r"With 4 seeds only a spread below 0\.0\d+ times that of the baseline"
+    assert re.search(few, first_screen(tmp_path))
+    write(tmp_path, {"none": 0.0, "safi": 0.0}, 12)
+    assert re.search(r"With 12 seeds a spread below 0\.\d+ times", first_screen(tmp_path))
 
 
-def test_one_method_is_nothing_to_compare(tmp_path: Path) -> None:
-    fake_run(tmp_path)
-    assert "single run (n = 1), which says nothing about its stability" in told(tmp_path)[0]
+def test_one_method_is_nothing_to_compare_and_the_baseline_is_a_command(tmp_path: Path) -> None:
+    fake_run(tmp_path / "mine", "safi", "uar")
+    assert "in a single run (n = 1), whose variation is unknown" in first_screen(tmp_path / "mine")
     for seed in (1, 2):
-        fake_run(tmp_path, seed=seed)
-    first, rest = told(tmp_path)
-    assert re.match(r"Nothing to compare: on embedded, none \+ none .*95 %, n = 3 seeds, σ", first)
-    assert "Cost of a training: none + none" in rest
+        fake_run(tmp_path / "mine", "safi", "uar", seed=seed)
+    text = first_screen(tmp_path / "mine")
+    assert re.search(r"Nothing to compare: on embedded, SAFI \+ UAR reaches .*n = 3 seeds, σ", text)
+    assert "`fishersplat method=baseline seed=0,1,2 study=mine -m`" in text
+    assert "Cost of a training: SAFI + UAR" in text
+    fake_run(tmp_path / "plain")
+    assert "method=baseline" not in first_screen(tmp_path / "plain")
 
 
 def test_single_runs_and_strangers_are_no_evidence(tmp_path: Path) -> None:
     fake_run(tmp_path, seed=0)
     fake_run(tmp_path, "safi", seed=1, gain=1.0)
-    assert "none + none has no run of the same scene, seed and options" in told(tmp_path)[0]
+    assert "no method shares a scene, a seed and options with the baseline" in first_screen(
+        tmp_path
+    )
     assert [run.seed for run in choose_views(collect(tmp_path), "embedded").runs] == [0, 1]
     fake_run(tmp_path, "safi", seed=0, gain=1.0)
-    assert told(tmp_path)[0].startswith("No advice: single runs cannot tell a method from chance")
+    assert "No advice: single runs cannot distinguish a method from chance" in first_screen(
+        tmp_path
+    )
 
 
-def test_equal_runs_are_not_told_apart(tmp_path: Path) -> None:
+def test_equal_runs_do_not_differ(tmp_path: Path) -> None:
     for seed in range(3):
         first = fake_run(tmp_path, seed=seed)
         twin = shutil.copytree(first, tmp_path / "runs" / f"twin{seed}") / "record.json"
         content = json.loads(twin.read_text())
         content["config"]["augment"]["name"] = "safi"
         twin.write_text(json.dumps(content))
-    rest = told(tmp_path)[1]
-    assert "Not told apart from none + none: safi + none 0.00 dB (0.00 to 0.00)." in rest
-    assert "could hide" not in rest
+    text = first_screen(tmp_path)
+    assert "- SAFI: 0.00 dB (95 % CI 0.00 to 0.00), not significant." in text
 
 
 def test_text_and_bars_agree_on_a_committed_study(tmp_path: Path) -> None:
-    """The five-scene ablation, from its table of runs: UAR loses on these scenes, and nothing is
-    shown for scenes like these."""
-    write_committed(tmp_path, "ablation_main")
-    study = collect(tmp_path)
+    """The five-scene ablation: UAR loses on these scenes, and nothing is shown for scenes like
+    these."""
+    write_committed(tmp_path / "study", "ablation_main")
+    study = collect(tmp_path / "study")
     found = outcomes(study)
-    c = found.comparisons["none + uar"]
+    c = labelled(found.comparisons)["none + uar"]
     assert (len(c.scenes), c.n) == (5, 5) and c.difference == pytest.approx(-0.10, abs=0.01)
-    drawn = forest(study, found)
-    assert drawn is not None
-    real = {row.method for row in drawn[0].rows if row.real and row.label == "these 5 scenes"}
-    assert real == {m for m, c in found.comparisons.items() if c.significant}
-    first, rest = told(tmp_path)
-    assert first.startswith("Use none + none (plain training)")
-    assert all(f"{method} costs" in rest for method in real) and "none + uar" in real
-    assert "judged by how these 5 differ: no difference is shown" in rest
-    thick = [row for row in drawn[0].rows if row.joint]
-    assert all(not (row.real and row.low <= 0 <= row.high) for row in thick)  # type: ignore[operator]
-    assert {row.label for row in drawn[0].rows} >= {"embedded °", "dtu_scan65", "llff_fern °"}
-
-
-def test_a_method_that_hardly_acted_is_told(tmp_path: Path) -> None:
-    for augment, share in (("none", None), ("safi", 0.12)):
-        for seed in range(3):
-            path = fake_run(tmp_path, augment, seed=seed) / "record.json"
-            if share is not None:
-                content = json.loads(path.read_text())
-                path.write_text(json.dumps(content | {"dose": {"acted_share": share}}))
-    assert idle_sentence(collect(tmp_path)).startswith(
-        "Hardly tested, for it acted on less than half of its occasions: safi + none (12 % on"
-    )
-
-
-def test_a_seed_in_which_a_method_hardly_acted_is_told_too(tmp_path: Path) -> None:
-    for seed, share in enumerate((0.0, 1.0, 0.9)):
-        path = fake_run(tmp_path, "safi", seed=seed) / "record.json"
-        content = json.loads(path.read_text())
-        path.write_text(json.dumps(content | {"dose": {"acted_share": share}}))
-    told = idle_sentence(collect(tmp_path))
-    assert told.startswith("In some runs it acted on less than half of its occasions: safi + none")
-    assert told.endswith("(0 % on embedded in 1 of 3 runs).") and "Hardly" not in told
-
-
-def test_a_part_that_hardly_acted_is_told_by_its_name(tmp_path: Path) -> None:
-    """What the other part did was tested; less than half is not told as half."""
-    parts = {"frequency_acted_share": 0.9, "occlusion_acted_share": 0.497}
-    for seed in range(2):
-        path = fake_run(tmp_path, "safi", seed=seed) / "record.json"
-        content = json.loads(path.read_text())
-        dose = {"dose": {"acted_share": min(parts.values()), **parts}}
-        path.write_text(json.dumps(content | dose))
-    assert idle_sentence(collect(tmp_path)) == (
-        "A part that acted on less than half of its occasions was hardly tested: safi + none"
-        " (occlusion: 49.7 % on embedded)."
-    )
-
-
-def test_scenes_with_one_share_are_told_together(tmp_path: Path) -> None:
-    shares = {"dtu_scan24": 0.1, "llff_fern": 0.1, "llff_room": 0.3}
-    for scene, share in shares.items():
-        path = fake_run(tmp_path, "safi", scene=scene) / "record.json"
-        content = json.loads(path.read_text())
-        path.write_text(json.dumps(content | {"dose": {"acted_share": share}}))
-    told = idle_sentence(collect(tmp_path))
-    assert "safi + none (10 % on dtu_scan24 and llff_fern, 30 % on llff_room)" in told
+    plot = forest_of(study, found)
+    filled = {row.method for row in plot.rows if row.significant and row.label == "these 5 scenes"}
+    assert filled == {m.name for m, c in found.comparisons.items() if c.significant}
+    text = first_screen(tmp_path / "study")
+    assert "**Use the baseline" in text and "UAR" in filled
+    assert all(re.search(rf"- {re.escape(m)}: -.*, significant", text) for m in filled)
+    assert "from the spread over these 5: no significant difference" in text
+    thick = [row for row in plot.rows if row.joint]
+    assert all(not (row.significant and row.low <= 0 <= row.high) for row in thick)  # type: ignore[operator]
+    assert {row.label for row in plot.rows} >= {"embedded °", "dtu_scan65", "llff_fern °"}
 
 
 @pytest.mark.parametrize(
-    ("shares", "expected"),
+    ("doses", "expected"),
     [
-        (({"{a}": 0.1, "b": 0.9},), "safi + none ({a}: 10 % on embedded)"),  # as somebody named it
-        (({"a": 0.4, "b": 0.9}, {"a": 0.7, "b": 0.45}), "safi + none (43 % on embedded in 2 of 2"),
+        (({"acted_share": 0.12},) * 2, "SAFI (12 % on embedded)"),
+        (({"acted_share": 0.0}, {"acted_share": 0.9}), "SAFI (0 % on embedded in 1 of 2 runs)"),
+        (  # the other part was tested; less than half does not read as half
+            ({"acted_share": 0.497, "a_acted_share": 0.9, "{b}_acted_share": 0.497},),
+            "SAFI, part {b} (49.7 % on embedded)",
+        ),
     ],
 )
-def test_who_hardly_acted_is_never_left_out(
-    tmp_path: Path, shares: tuple[dict[str, float], ...], expected: str
+def test_methods_that_hardly_acted_are_named(
+    tmp_path: Path, doses: tuple[dict[str, float], ...], expected: str
 ) -> None:
-    """Also where each part acted enough over the runs, and in none of them both."""
-    for seed, parts in enumerate(shares):
+    for seed, dose in enumerate(doses):
         path = fake_run(tmp_path, "safi", seed=seed) / "record.json"
-        content = json.loads(path.read_text())
-        told = {f"{part}_acted_share": share for part, share in parts.items()}
-        dose = {"acted_share": min(parts.values()), **told}
-        path.write_text(json.dumps(content | {"dose": dose}))
-    assert expected in idle_sentence(collect(tmp_path))
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"dose": dose}))
+    text = first_screen(tmp_path)
+    assert f"less than half of their occasions: {expected}" in text
 
 
-def test_a_single_run_has_no_worst_seed(tmp_path: Path) -> None:
-    """Nor is there a rate of failures of one."""
+def test_a_single_run_has_no_worst_seed_and_no_rate(tmp_path: Path) -> None:
     fake_run(tmp_path)
-    alone = told(tmp_path)[1]
+    alone = first_screen(tmp_path)
     assert "its worst view is" in alone and "worst seed" not in alone and "failed" not in alone
     fake_run(tmp_path, seed=1)
-    both = told(tmp_path)[1]
-    assert "its worst seed" in both and "0 of 2 runs failed" in both
+    both = first_screen(tmp_path)
+    assert "its worst seed is" in both and "0 of 2 runs failed" in both
 
 
-def test_how_names_are_read_is_told_of_pairs_alone() -> None:
-    """Recipes have names of their own."""
-    base = {("fern", seed): 1.0 * seed for seed in range(3)}
-    c = compare("a", {key: 1.1 * value for key, value in base.items()}, "b", base)
-    assert c is not None
-    for method, start in (("corgs_here", "differences are"), ("none + uar", "a method is named")):
-        found: Any = SimpleNamespace(comparisons={method: replace(c, method=method)})
-        assert evidence(found).startswith(f"How to read this: {start}")
+def test_warnings_reach_the_verdict_and_the_notes(tmp_path: Path) -> None:
+    run = fake_run(tmp_path)
+    fake_run(tmp_path, seed=1)
+    content = json.loads((run / "record.json").read_text())
+    content["warnings"] = ["scene=photos: 2 photos were placed by few points"]
+    (run / "record.json").write_text(json.dumps(content))
+    assert read_record(run / "record.json").warnings == tuple(content["warnings"])
+    text = first_screen(tmp_path)
+    assert "Caution: see the warnings about embedded below.**" in text
+    assert "1 of 2 runs): scene=photos: 2 photos were placed by few points" in text
+    content["provenance"][POSE_CHECK] = {"support": 0.2, "chance": 0.2, "ratio": 1.0, "fits": False}
+    (run / "record.json").write_text(json.dumps(content))
+    caution = "Caution: the poses do not seem to fit the photos of embedded.**"
+    assert caution in first_screen(tmp_path)
+    del content["warnings"]
+    (run / "record.json").write_text(json.dumps(content))
+    assert read_record(run / "record.json").warnings == ()
+
+
+def test_scenes_that_chose_nothing_are_compared_alone_too(tmp_path: Path) -> None:
+    for scene, gain in (("llff_fern", 3.0), ("llff_horns", -3.0)):
+        write(tmp_path, {"none": 0.0, "safi": gain}, 4, scene=scene)
+    text = first_screen(tmp_path)
+    assert "On llff_horns alone, whose test photos had no part in choosing defaults: SAFI -" in text
+    assert "llff_fern chose defaults of this project (marked °)" in text
+
+
+# --- another baseline ---
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    for (augment, reg), gain in GAINS.items():
+        for seed in range(3):
+            fake_run(tmp_path / "study", augment, reg, seed, gain)
+    return tmp_path / "study"
+
+
+@pytest.mark.parametrize("name", ["uar", "UAR", "none + uar"])
+def test_all_are_compared_with_the_method_that_was_named(study: Path, name: str) -> None:
+    found = outcomes(collect(study, rival=name))
+    assert {c.baseline.label for c in found.comparisons.values()} == {"none + uar"}
+    psnr, gains = labelled(found.psnr), labelled(found.comparisons)
+    base = psnr["none + uar"].mean
+    assert {m: c.difference for m, c in gains.items()} == pytest.approx(
+        {m: psnr[m].mean - base for m in ("none + none", "safi + none")}
+    )
+    text = first_screen(study, rival=name)
+    assert "Chosen with `--baseline`: methods are compared with UAR." in text
+    assert "**Use SAFI: it gains" in text and "compared with UAR on embedded" in text
+
+
+def test_a_rival_that_nothing_beats_is_not_advised(study: Path) -> None:
+    text = first_screen(study, rival="safi")
+    assert "**No method is significantly better than SAFI on embedded.**" in text
+    assert "Use " not in text
+
+
+def test_runs_fail_by_plain_training_whoever_is_the_rival(tmp_path: Path) -> None:
+    for (augment, reg), gain in {("none", "none"): 0.0, ("none", "uar"): -5.0}.items():
+        for seed in range(3):
+            fake_run(tmp_path, augment, reg, seed, gain)
+    for rival in ("", "uar"):
+        study = collect(tmp_path, rival=rival)
+        rate = failure_rate(study, called(study, "none + uar"))
+        assert rate is not None and rate.failed == 3
+
+
+def test_budgets_are_compared_at_equal_budgets(tmp_path: Path) -> None:
+    for (augment, reg), steps in product(GAINS, (100, 200)):
+        if (reg, steps) != ("uar", 200):
+            for seed in range(3):
+                name = f"{augment}-{reg}-{steps}-{seed}"
+                trainer = make_config()["trainer"] | {"steps": steps}
+                fake_run(tmp_path, augment, reg, seed, run_name=name, trainer=trainer)
+    study = collect(tmp_path, rival="uar")
+    assert [m.label for m in study.families] == ["none + uar", "none + none", "safi + none"]
+    bases = {c.method.label: c.baseline.label for c in outcomes(study).comparisons.values()}
+    assert bases["safi + none, steps=100"] == "none + uar, steps=100"
+    assert bases["safi + none, steps=200"] == "none + none, steps=200", "the rival lacks it"
+    text = first_screen(tmp_path, rival="uar")
+    assert "UAR, steps=100; with other budgets or options, with Baseline, steps=200." in text
+
+
+def test_an_unknown_baseline_is_refused_with_those_there_are(study: Path) -> None:
+    expected = "--baseline: expected a method of the report, got 'dba'; give one of none [+] none;"
+    with pytest.raises(UserError, match=expected):
+        build_report(study, rival="dba")
+
+
+# --- nothing tested ---
+
+
+def test_the_record_says_why_there_are_no_metrics(tmp_path: Path) -> None:
+    record = read_record(fake_run(tmp_path, tested=False) / "record.json")
+    assert record.scene is not None
+    assert (record.scene.protocol, record.scene.test) == ("none", ())
+    assert record.summary == {name: Missing("no test views") for name in METRICS}
+
+
+@pytest.mark.parametrize("methods", [1, 2])
+def test_the_first_screen_says_that_nothing_was_tested(tmp_path: Path, methods: int) -> None:
+    for augment, reg in (("none", "none"), ("safi", "uar"))[:methods]:
+        for seed in range(3):
+            fake_run(tmp_path, augment, reg, seed, condition=ALL, tested=False)
+    text = build_report(tmp_path).read_text(encoding="utf-8")
+    assert text.splitlines()[2].startswith("**Nothing was tested: no photo was held out")
+    (header,) = (
+        line for line in text.splitlines() if line.startswith("| Method") and "CPU" in line
+    )
+    assert "PSNR" not in header
+    assert f"PSNR: missing in {3 * methods} of {3 * methods} runs: no test views" in text
+    assert "protocol none" in text and "tested on none" in text
+    headings = {line for line in text.splitlines() if line.startswith("## ")}
+    assert headings == {"## Results", "## Diagnostics", "## Appendix"}
+    assert {path.suffix for path in tmp_path.iterdir()} == {"", ".md", ".html", ".csv", ".jsonl"}
+
+
+def test_untested_scenes_leave_the_comparison_of_the_others_alone(tmp_path: Path) -> None:
+    for seed in range(3):
+        for augment, gain in (("none", 0.0), ("safi", 2.0)):
+            fake_run(tmp_path / "a", augment, "none", seed, gain, condition={"split": "llff"})
+            name = f"all-{augment}-s{seed}"
+            more = {"condition": ALL, "tested": False, "run_name": name}
+            fake_run(tmp_path / "a", augment, "none", seed, gain, **more)  # type: ignore[arg-type]
+            fake_run(tmp_path / "b", augment, "none", seed, gain, condition={"split": "llff"})
+    config = make_config(seed=9, scene={"name": "embedded", **ALL})
+    write_failed(tmp_path / "a" / "runs" / "x", config, ["seed=9"], "loss: diverged")
+    mixed, tested = (find(collect(tmp_path / name)) for name in "ab")
+    assert len(mixed.study.scenes) == 2 and len(mixed.study.tested) == 1
+    (one,), (other,) = mixed.compared, tested.compared
+    assert (one.these, one.tests) == (other.these, other.tests)
+    assert "Not tested (scene.split=none), so not compared" in first_screen(tmp_path / "a")

@@ -174,7 +174,7 @@ def plain_views(value: float) -> TrainingSet:
 
 
 def test_images_without_texture_have_no_depth_to_start_from() -> None:
-    """The default pipeline tells that nothing could be matched; or it starts from what it found."""
+    """The default pipeline reports that nothing matched, or starts from what it found."""
     views = plain_views(0.5)
     depth = build_provider("plane_sweep", {}).estimate(views)
     try:
@@ -186,7 +186,7 @@ def test_images_without_texture_have_no_depth_to_start_from() -> None:
 
 
 def test_a_rate_too_high_never_ends_with_broken_gaussians() -> None:
-    """Either it is told, or the result is finite."""
+    """Either it is reported, or the result is finite."""
     options = TrainerOptions(**{**asdict(OPTIONS), "steps": 40, "lr_scale": 999.0})
     try:
         trained = train(options=options)

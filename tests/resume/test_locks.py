@@ -41,7 +41,7 @@ def holder(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
 def test_a_second_process_is_told_who_is_at_it(
     holder: subprocess.Popen[str], tmp_path: Path
 ) -> None:
-    expected = rf"run: expected nobody else.*process {holder.pid} on "
+    expected = rf"run: expected no other process.*process {holder.pid} on "
     with pytest.raises(Busy, match=expected), locked(tmp_path / "run"):
         raise AssertionError("both hold the lock")
     assert (tmp_path / "run" / LOCK).exists()
@@ -59,7 +59,7 @@ def test_the_lock_of_a_killed_process_is_free(
 
 
 def test_only_a_stale_lock_is_removed(holder: subprocess.Popen[str], tmp_path: Path) -> None:
-    """And what was left beside it, which is another's while somebody holds the lock."""
+    """Leftovers next to it belong to another process while the lock is held."""
     left = tmp_path / "run" / "left"
     left.touch()
 
@@ -93,7 +93,7 @@ def test_a_lock_is_released_after_an_error(tmp_path: Path) -> None:
 def test_runs_done_elsewhere_are_no_failures(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    runs.failures[1] = Busy("reports/x: expected nobody else at this run, got process 7")
+    runs.failures[1] = Busy("reports/x: expected no other process at this run, got process 7")
     assert main(["seed=0,1,2", "-m"]) == 3
     told = capsys.readouterr()
     assert told.err.startswith("error: another process does 1 of 3 runs, for instance reports/x")

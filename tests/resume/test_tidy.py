@@ -1,4 +1,4 @@
-"""What killed commands leave in the user's cache, and what nobody uses, goes."""
+"""Leftovers of killed commands and unused entries are removed from the user's cache."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_killed_owners_folder_goes_and_a_living_ones_stays(cache: Path) -> Non
             assert folder.is_dir(), "its owner lives"
         owner.send_signal(signal.SIGKILL)
         owner.wait()
-        assert folder.is_dir(), "nobody could remove it"
+        assert folder.is_dir(), "it could not be removed"
         age(folder, 0.0)
         with own_folder("ledger-") as other:
             assert folders(cache) == {folder.name, other.name}, "perhaps just made"

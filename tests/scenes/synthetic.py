@@ -25,7 +25,7 @@ def write_images(folder: Path, n: int, width: int = WIDTH, height: int = HEIGHT)
 def write_model(
     folder: Path, n: int, points: Sequence[Point], camera: str = "", center_step: float = 0.1
 ) -> None:
-    """A text model: camera i stands at x = center_step * i and looks along z."""
+    """A text model: camera i is at x = center_step * i and looks along z."""
     folder.mkdir(parents=True, exist_ok=True)
     camera = camera or f"PINHOLE {WIDTH} {HEIGHT} {FOCAL} {FOCAL} {WIDTH / 2} {HEIGHT / 2}"
     (folder / "cameras.txt").write_text(f"# Number of cameras: 1\n1 {camera}\n")

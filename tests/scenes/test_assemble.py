@@ -21,8 +21,8 @@ IMAGE = np.zeros((4, 5, 3), dtype=np.uint8)
         ("image", IMAGE[..., 0], r"image as uint8 \[H, W, 3\], got uint8 \[4, 5\]"),
         ("viewmat", np.eye(4)[:3], r"viewmat as \[4, 4\], got float64 \[3, 4\]"),
         ("K", np.full((3, 3), np.nan), r"K as \[3, 3\]"),
-        ("viewmat", np.diag([2.0, 2.0, 2.0, 1.0]), "a rotation in viewmat, got one that scales"),
-        ("viewmat", np.diag([1.0, -1.0, 1.0, 1.0]), "a rotation in viewmat, got one that mirrors"),
+        ("viewmat", np.diag([2.0, 2.0, 2.0, 1.0]), "right-handed, orthonormal camera axes"),
+        ("viewmat", np.diag([1.0, -1.0, 1.0, 1.0]), "right-handed, .* got left-handed"),
     ],
 )
 def test_what_is_no_photo_or_camera_is_told_by_its_name(part: str, value: Any, told: str) -> None:

@@ -50,7 +50,7 @@ def load(folder: Path, **options: object) -> Scene:
 
 
 def numbers(scene: Scene) -> tuple[list[int], list[int]]:
-    """Of the training and of the test views; their names say which file they are of."""
+    """Training and test views; their names contain their file."""
     both = []
     for part, views in (("train", scene.training.views), ("test", scene.test)):
         assert all(view.name.startswith(f"{part}/r_") for view in views)
@@ -127,19 +127,6 @@ def test_opaque_photos_lie_on_no_paper(tmp_path: Path, caplog: pytest.LogCapture
     mean = background_color("mean", training)
     assert float(mean.min()) > 0.3 and float(mean.max()) < 0.7
     assert background_color("black", training).tolist() == [0, 0, 0] and not caplog.records
-
-
-def test_flattened_photos_are_another_scene(tmp_path: Path) -> None:
-    """Of the same pixels, but their mean is then what renders stand on."""
-    clear = load(write(tmp_path), split="file", n_views=3)
-    for file in tmp_path.glob("*/*.png"):
-        image = Image.open(file)
-        rgb, share = np.asarray(image)[..., :3], np.asarray(image)[..., 3:] / 255.0
-        flat = np.rint(rgb * share + 255 * (1 - share)).astype(np.uint8)
-        Image.fromarray(flat).save(file)
-    flat_scene = load(tmp_path, split="file", n_views=3)
-    assert torch.equal(clear.training.views[0].image, flat_scene.training.views[0].image)
-    assert clear.fingerprint != flat_scene.fingerprint
 
 
 def test_a_test_photo_may_not_train(tmp_path: Path) -> None:

@@ -18,14 +18,13 @@ from framework.scenes.dtu_cameras import decompose
 from framework.types import Scene
 from tests.built import load_scene
 from tests.data import open_scene
-from tests.scenes.synthetic import write_model
 
 WIDTH, HEIGHT = 40, 30
 K_RIG = np.array([[2000.0, 0, 820], [0, 1900, 610], [0, 0, 1]])
 
 
 def projection(i: int) -> np.ndarray:
-    """Of a camera at x = 10 i mm that looks along z."""
+    """The matrix of a camera at x = 10 i mm that looks along z."""
     pose = np.eye(4)[:3]
     pose[0, 3] = -10.0 * i
     return np.vstack([-3.0 * K_RIG @ pose, [0, 0, 0, 1]])  # of any scale and sign
@@ -90,19 +89,6 @@ def test_train_masks(tmp_path: Path, choice: str, share: float | None) -> None:
         assert found == (None if share is None else pytest.approx(share))
 
 
-def test_background_is_dark_from_the_top_or_for_a_long_run() -> None:
-    image = np.full((200, 3, 3), 100, np.uint8)
-    image[:10, 0] = 29  # reaches the top
-    image[20:60, 1] = 29  # a shadow, too short
-    image[20:100, 2] = 29  # long enough: from its 50th pixel on
-    image[90, 2, 1] = 30
-    found = background(image, 30)
-    assert np.flatnonzero(found[:, 0]).tolist() == list(range(10))
-    assert not found[:, 1].any()
-    assert np.flatnonzero(found[:, 2]).tolist() == list(range(20 + DARK_RUN - 1, 90))
-    assert not background(image, 15).any()
-
-
 def test_background_is_the_published_rule() -> None:
     """CoR-GS keeps a dark pixel as background unless one of the 49 above it, shifted in, is not."""
     image = stream(0, "tests/background").integers(0, 32, (120, 30, 3), dtype=np.uint8)
@@ -128,16 +114,6 @@ def test_scans_of_a_folder(tmp_path: Path) -> None:
     assert load(tmp_path, scan=65).name == "dtu_scan65"
     with pytest.raises(UserError, match=r"expected scan 24 .* found scans: 9, 65; correct"):
         load(tmp_path, scan=24)
-
-
-def test_points_need_two_training_views(tmp_path: Path) -> None:
-    folder = write_dtu(tmp_path / "scan9")
-    tracks = [(0, 1, 2), (22, 1), (22, 25), (1, 25, 28)]
-    points = [((float(k), 0.0, 600.0), track) for k, track in enumerate(tracks)]
-    write_model(folder / "sparse" / "0", 49, points, center_step=10.0)
-    found = load(folder).training.points
-    assert found.xyz[:, 0].tolist() == [2.0, 3.0]
-    assert found.visible.tolist() == [[True, True, False], [False, True, True]]
 
 
 def _npz(change: Callable[[dict[str, np.ndarray]], object]) -> Callable[[Path], None]:

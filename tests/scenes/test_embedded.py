@@ -234,5 +234,5 @@ def test_pose_noise_is_as_large_as_it_says() -> None:
         seen = (point - pose[:, 3]) @ pose[:, :3]
         return seen[:2] / seen[2]
 
-    shifts = np.array([on_screen(p) for p in rig.disturbed(poses, angle)]) - on_screen(poses[0])
+    shifts = np.array([on_screen(p) for p in rig.perturbed(poses, angle)]) - on_screen(poses[0])
     assert np.sqrt((shifts**2).mean(axis=0)) == pytest.approx(2**0.5 * angle, rel=0.12)

@@ -161,7 +161,7 @@ def test_an_exif_orientation_is_applied_if_the_size_asks_for_it(
 def test_an_exif_orientation_that_may_be_wrong_is_named(
     layout: str, kind: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """By half a turn nothing tells whether poses are for the upright photo."""
+    """After half a turn it is unclear whether poses are for the upright photo."""
     sound = load(layout, write(layout, tmp_path / "scan1"))
     folder = write(layout, tmp_path / "scan2", exif=exif(3), format=kind)
     view = load(layout, folder).training.views[0]

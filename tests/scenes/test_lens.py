@@ -85,7 +85,7 @@ def test_where_the_radial_model_folds_back_nothing_is_valid() -> None:
 
 
 def test_where_the_rational_model_folds_back_nothing_is_valid() -> None:
-    """Of r q(r) the slope is that of its values."""
+    """The slope of r q(r) is that of its values."""
     K, lens = intrinsics(40.0, 40.0, 0.5, 0.5), Distortion(k4=0.9)
     u, _, single = distorted_pixels(1, 100, K, lens)
     slope = np.gradient(u[0])

@@ -65,7 +65,7 @@ def test_kitchen_views_are_all_around() -> None:
     depth = ((middle - centers) * axes).sum(1)
     assert ((depth > training.near) & (depth < training.far)).all()
     toward = (centers - middle) / (centers - middle).norm(dim=1, keepdim=True)
-    assert float((toward @ toward.T).min()) < -0.5  # some stand on opposite sides
+    assert float((toward @ toward.T).min()) < -0.5  # some are on opposite sides
     assert 0.5 < training.extent / float(depth.mean()) < 3
     tracks = read_model(folder / "sparse" / "0").tracks
     allowed = tracks.xyz[tracks.seen[:, [int(v.name[:2]) for v in training.views]].sum(1) >= 2]

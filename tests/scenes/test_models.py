@@ -86,7 +86,7 @@ def test_missing_photos_are_left_out(
     scene = load(loader, tmp_path)
     assert "4 of 10 photos are missing and left out (im02.png, im03.png, im04.png" in caplog.text
     assert "IM06.JPG for im06.png" in caplog.text
-    assert len(match_photos([tmp_path / name for name in ("..png", "a/..", ".png")])) == 0
+    assert len(match_photos(tmp_path, ["..png", ".png"])) == 0
     trained = [0.1, 0.7, 0.9]  # x of cameras 1, 7 and 9
     assert [v.camera.center[0].item() for v in scene.training.views] == pytest.approx(trained)
     assert len(scene.training.points.xyz) == 2 * FEWEST

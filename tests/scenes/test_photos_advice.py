@@ -1,4 +1,4 @@
-"""What is told about a search for poses, and the parts of the search."""
+"""The report on a search for poses, and the parts of the search."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from framework.scenes.photos.advice import advice, failure
-from framework.scenes.photos.found import Found, Overruled
-from framework.scenes.photos.model import upright
-from framework.scenes.photos.steps import pairs, plausible
+from framework.scenes.photos.options import pairs
+from framework.scenes.photos.result import Overruled, Result
+from framework.scenes.photos.search import upright
 from tests.scenes.unplaced import FOUND, NAMES
 
 
@@ -26,7 +26,7 @@ def test_nothing_to_tell() -> None:
 def test_advice_names_photos_and_neighbours() -> None:
     (line,) = advice(replace(FOUND, placed=placed(5)))
     assert line.startswith(
-        "1 of 12 photos found no place: p05.jpg (matches: p04.jpg 90, p06.jpg 90); take more"
+        "1 of 12 photos could not be placed: p05.jpg (matches: p04.jpg 90, p06.jpg 90); take more"
     )
     features = {**FOUND.features, "p05.jpg": 3}
     (line,) = advice(replace(FOUND, placed=placed(5), features=features))
@@ -43,14 +43,14 @@ def test_advice_about_groups_weak_poses_copies_and_focal_length() -> None:
     (line,) = advice(replace(FOUND, copies={"b.jpg": "a.jpg"}))
     assert line == "left out as copies: b.jpg is a.jpg"
     (line,) = advice(replace(FOUND, held=True))
-    assert line.startswith("the photos do not tell the focal length")
+    assert line.startswith("the photos do not determine the focal length")
 
 
 def test_advice_about_a_focal_length_in_exif_that_is_wrong() -> None:
     (line,) = advice(replace(FOUND, overruled=Overruled(377.0, 609.0, 0.68, 0.18)))
-    assert "609 pixels, is what the photos tell, not EXIF's 377, which fits worse (by 0.68" in line
+    assert "609 pixels, and not EXIF's 377, which fits worse (by 0.68" in line
     (line,) = advice(replace(FOUND, overruled=Overruled(377.0, 609.0, None, 0.18)))
-    assert "with which fewer photos find a place; were they cropped or edited?" in line
+    assert "with which fewer photos can be placed; were they cropped or edited?" in line
 
 
 def test_frames_of_a_video_are_recognised() -> None:
@@ -61,7 +61,7 @@ def test_frames_of_a_video_are_recognised() -> None:
 
 
 def test_failures_say_why() -> None:
-    def told(found: Found) -> str:
+    def told(found: Result) -> str:
         text = failure(Path("holiday/p00.jpg"), found)
         assert text.startswith("holiday: expected photos") and "\n" not in text
         return text
@@ -83,11 +83,6 @@ def test_which_photos_are_compared() -> None:
     chosen = pairs(300)
     assert len(set(chosen)) == len(chosen) < 5000
     assert {(0, 10), (0, 290), (5, 15), (7, 39)} <= set(chosen) and (5, 290) not in chosen
-
-
-def test_plausible_cameras() -> None:
-    assert plausible(600, 0.1, 640) and plausible(300, -0.1, 640)
-    assert not plausible(50, 0.0, 640) and not plausible(600, 0.9, 640)
 
 
 def test_upright_of_odd_cameras() -> None:

@@ -14,9 +14,8 @@ from framework.errors import UserError
 from framework.scenes.images import read_image
 from framework.scenes.photos import Photos
 from framework.scenes.photos.attempt import Attempt
-from framework.scenes.photos.found import Try
-from framework.scenes.photos.model import store
 from framework.scenes.photos.prepare import prepare
+from framework.scenes.photos.search import store
 from framework.scenes.photos.source import find_source
 from tests.built import load_scene
 from tests.scenes.pictures import FOCAL, HEIGHT, WIDTH, exif_of, photograph, rig
@@ -129,9 +128,7 @@ def test_photos_called_as_the_prepared_ones_keep_their_pixels(tmp_path: Path) ->
     placed = [photo.name for photo in photos if photo.name != "000003.png"]
     known = dict.fromkeys(placed, 100)
     model = found_model([photo.stored for photo in photos if photo.name in placed])
-    store(
-        Attempt(model, False, None, known, [], {}, [], Try("", 3, 0.0, 0.0, 0.0)), photos, tmp_path
-    )
+    store(Attempt(model, placed=known), photos, tmp_path)
     assert sorted(file.name for file in images.iterdir()) == placed
     assert [int(read_image(images / name)[0, 0, 0]) for name in placed] == [0, 60, 180]
     assert not (tmp_path / "prepared").exists()
@@ -182,7 +179,7 @@ def test_folders_without_enough_photos(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"got 1 pictures in other formats \(a.dng\); convert"):
         load(tmp_path)
     (tmp_path / "clip.mp4").touch()
-    with pytest.raises(UserError, match=r"got a video; give it itself, scene.path=.*clip.mp4"):
+    with pytest.raises(UserError, match=r"got a video; use scene.path=.*clip.mp4"):
         load(tmp_path)
     with pytest.raises(UserError, match=r"a.dng: expected a folder of photos or a video \(.avi"):
         load(tmp_path / "a.dng")

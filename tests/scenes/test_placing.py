@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 
 from framework.scenes.photos import placing, search
-from framework.scenes.photos.advice import failure, stands_still, tells_no_depth
+from framework.scenes.photos.advice import failure, shows_no_depth, stands_still
 from framework.scenes.photos.attempt import Attempt
-from framework.scenes.photos.found import Found, Link, Overruled, Try, read_found, write_found
+from framework.scenes.photos.options import STEPS
 from framework.scenes.photos.placing import choose
 from framework.scenes.photos.prepare import Photo
-from framework.scenes.photos.steps import STEPS
-from framework.scenes.photos.telling import Telling
+from framework.scenes.photos.process import Messages
+from framework.scenes.photos.result import Link, Overruled, Result, Try, read_result, write_result
 
 TOLD = 400.0
 
@@ -26,7 +26,7 @@ def photos(focal_px: float | None) -> list[Photo]:
 
 
 def model(focal_px: float, error: float, n: int = 4, k1: float = 0.0) -> Any:
-    """What `choose` asks of a reconstruction by pycolmap."""
+    """What `choose` needs from a reconstruction by pycolmap."""
     camera = SimpleNamespace(params=[focal_px, 320, 240, k1], width=640, height=480)
     return SimpleNamespace(
         reg_image_ids=lambda: range(n),
@@ -40,9 +40,9 @@ def model(focal_px: float, error: float, n: int = 4, k1: float = 0.0) -> Any:
     ("exif", "free", "held", "is_held", "overruled"),
     [
         (None, model(700, 0.3), None, False, None),
-        (None, model(9000, 0.3), model(768, 0.4), True, None),  # implausible, and nothing told
+        (None, model(9000, 0.3), model(768, 0.4), True, None),  # implausible, and none given
         (TOLD, model(420, 0.3), None, False, None),  # both about the same
-        (TOLD, model(300, 0.30), model(TOLD, 0.31), True, None),  # the photos do not tell it
+        (TOLD, model(300, 0.30), model(TOLD, 0.31), True, None),  # the photos do not determine it
         (TOLD, model(650, 0.2), model(TOLD, 0.7), False, Overruled(TOLD, 650, 0.7, 0.2)),
         (TOLD, model(650, 0.2), model(TOLD, 0.2, n=3), False, Overruled(TOLD, 650, None, 0.2)),
         (TOLD, model(650, 0.2, k1=0.9), model(TOLD, 0.7), True, None),
@@ -65,10 +65,10 @@ def test_nothing_placed_by_the_given_one() -> None:
 
 
 def test_what_overruled_is_kept(tmp_path: Path) -> None:
-    found = Found(["a"], {"a": 9}, [], {"a": 500}, [Link("a", "b", 99, 0.1, True)], [], 1.0)
+    found = Result(["a"], {"a": 9}, [], {"a": 500}, [Link("a", "b", 99, 0.1, True)], [], 1.0)
     for overruled in (None, Overruled(377.0, 609.0, None, 0.18)):
-        write_found(tmp_path, Found(**{**vars(found), "overruled": overruled}))
-        assert read_found(tmp_path).overruled == overruled
+        write_result(tmp_path, Result(**{**vars(found), "overruled": overruled}))
+        assert read_result(tmp_path).overruled == overruled
 
 
 def links(shift: float, flat: bool) -> list[Link]:
@@ -79,11 +79,11 @@ def test_one_place_is_told_from_many() -> None:
     weak = {"0.jpg": 4, "1.jpg": 4, "2.jpg": 4}
     assert stands_still(links(0.002, True))
     assert not any(map(stands_still, [[], links(0.002, False), links(0.1, True)]))
-    assert tells_no_depth(links(0.1, True), {}) and tells_no_depth(links(0.1, True), weak)
-    assert not tells_no_depth(links(0.1, True), dict.fromkeys(weak, 300))
-    assert not tells_no_depth(links(0.1, False), weak) and not tells_no_depth([], {})
+    assert shows_no_depth(links(0.1, True), {}) and shows_no_depth(links(0.1, True), weak)
+    assert not shows_no_depth(links(0.1, True), dict.fromkeys(weak, 300))
+    assert not shows_no_depth(links(0.1, False), weak) and not shows_no_depth([], {})
     names = [f"{k}.jpg" for k in range(4)]
-    found = Found(names, weak, [], dict.fromkeys(names, 900), links(0.1, True), [], 1.0)
+    found = Result(names, weak, [], dict.fromkeys(names, 900), links(0.1, True), [], 1.0)
     assert "got a camera that only turned, or something flat" in failure(Path("d/0.jpg"), found)
 
 
@@ -91,7 +91,7 @@ def test_one_place_is_told_from_many() -> None:
 def test_photos_from_one_place_are_tried_once(
     flat: bool, n_tries: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = Attempt(None, False, None, {}, [], {}, links(0.1, flat), Try("x", 0, 0.0, 0.0, 0.0))
+    made = Attempt(links=links(0.1, flat)), Try("x", 0, 0.0, 0.0, 0.0)
     monkeypatch.setattr(search, "attempt", lambda *_: made)
     told: Any = SimpleNamespace(label="", say=lambda _: None)
     assert len(search._best(photos(None), tmp_path, 1, told)[1]) == n_tries
@@ -108,7 +108,7 @@ def test_lower_thresholds_where_photos_are_left_over(monkeypatch: pytest.MonkeyP
         return [model(700, 0.3, n=3 if not options[0] else 4)]
 
     monkeypatch.setattr(placing, "mapping", mapping)
-    monkeypatch.setattr(placing, "_mapped", mapped)
+    monkeypatch.setattr(placing, "_models", mapped)
     with Path("/dev/null").open("w") as out:
-        made = placing.place(STEPS[0], photos(None), Path(), Path(), Telling(out, 9.0))
+        made = placing.place(STEPS[0], photos(None), Path(), Path(), Messages(out, 9.0))
     assert made.size == 4 and asked == [(False, False), (True, False)]

@@ -292,7 +292,7 @@ def test_test_photos_that_the_file_names(tmp_path: Path, caplog: pytest.LogCaptu
 
 
 def test_how_photos_may_be_named(tmp_path: Path) -> None:
-    """By an absolute path in the folder, or without a suffix in capitals."""
+    """An absolute path in the folder, or without a suffix in capitals."""
     folder = write(tmp_path)
     (folder / "images/im00.png").rename(folder / "images/im00.PNG")
 

@@ -8,8 +8,8 @@ import numpy as np
 from PIL import Image
 
 from framework.compute.rng import stream
-from framework.scenes.photos import cached
-from framework.scenes.photos.found import Found, Link
+from framework.scenes.photos import process
+from framework.scenes.photos.result import Link, Result
 from framework.scenes.photos.source import Source, find_source
 from framework.types import Scene
 from tests.built import load_scene
@@ -26,7 +26,7 @@ def source_of(folder: Path) -> Source:
 
 
 def kept(room: Path) -> Path:
-    return cached.poses_folder(source_of(room))
+    return process.poses_folder(source_of(room))
 
 
 def noise_photos(folder: Path, n: int = 3) -> Path:
@@ -38,7 +38,7 @@ def noise_photos(folder: Path, n: int = 3) -> Path:
 
 
 NAMES = [f"p{k:02d}.jpg" for k in range(12)]
-FOUND = Found(
+FOUND = Result(
     photos=NAMES,
     placed=dict.fromkeys(NAMES, 200),
     groups=[],

@@ -77,7 +77,7 @@ class Forgery:
         return self.checkpoints().newest(self.files.check)
 
     def goes_on(self, state: TrainerState) -> None:
-        """The training ends, or tells that it diverged."""
+        """The training ends, or reports that it diverged."""
         try:
             train(self.chosen, start=dataclasses.replace(state, step=max(state.step, 19)))
         except UserError as error:

@@ -1,4 +1,4 @@
-"""A forged checkpoint: whatever stands in it, the training goes on or the file is not used."""
+"""A forged checkpoint: whatever it contains, the training continues or ignores the file."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ def test_the_real_one_is_used(forgery: Forgery) -> None:
     assert forgery.read(forgery.tree, forgery.tensors) is not None
 
 
-@pytest.mark.parametrize("change", CHANGES)
+FEW_CHANGES = ("a row less", "an axis more", "integers", "not numbers", "huge")
+
+
+@pytest.mark.parametrize("change", FEW_CHANGES)
 def test_tensors_that_do_not_fit(
     forgery: Forgery, change: str, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -49,7 +52,7 @@ def test_tensors_that_do_not_fit(
     assert refused > 0
 
 
-@pytest.mark.parametrize("first", range(len(ODD)), ids=[f"{odd!r:.8}" for odd in ODD])
+@pytest.mark.parametrize("first", range(0, len(ODD), 3))
 def test_values_that_do_not_fit(forgery: Forgery, first: int) -> None:
     """A third of the kinds of numbers, texts and names of the state in turn, by an odd one;
     `tests/system/test_forged.py` does all."""

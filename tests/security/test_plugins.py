@@ -7,8 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from framework.command.config.schema import ROOT
 
 PLUGIN = """
@@ -85,26 +83,9 @@ def test_all_of_a_package_counts_in_what_makes_a_run_the_same(tmp_path: Path) ->
     assert hashes[0] != hashes[1]
 
 
-@pytest.mark.parametrize("source", ["import no_such_module", "1 / 0", "def"])
-def test_one_that_does_not_import_is_named_in_one_line(tmp_path: Path, source: str) -> None:
-    install(tmp_path / "site", source)
+def test_one_that_does_not_import_is_named_in_one_line(tmp_path: Path) -> None:
+    install(tmp_path / "site", "import no_such_module")
     done = run(tmp_path, str(tmp_path / "site"))
     assert done.returncode == 2
     assert done.stderr.startswith("error: entry point foreign = foreign: importing it: ")
     assert done.stderr.count("\n") == 1
-
-
-def test_another_package_called_plugins_is_not_ours(tmp_path: Path) -> None:
-    code = "import sys; sys.path.insert(0, '.'); from framework.registry import table; table('reg')"
-    (tmp_path / "plugins" / "augment").mkdir(parents=True)
-    for folder in ("plugins", "plugins/augment"):
-        (tmp_path / folder / "__init__.py").touch()
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert "plugins.augment: expected the plugins in" in done.stderr.splitlines()[-1]

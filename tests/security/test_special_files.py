@@ -1,4 +1,4 @@
-"""What is no file in a file's place: nobody waits for it, and one line tells it."""
+"""Special files in place of a file: nothing blocks, and one line reports them."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ import pytest
 from framework.errors import UserError
 from framework.files.opened import file_size, open_regular, read_bytes, read_text
 from framework.files.whole import file_sha256
-from tests.built import load_scene
+from tests.fuzz.mutate import PUT
 from tests.fuzz.readers import READERS
-from tests.fuzz.special import PUT
 
-LEFT_TO_CALLER = ("checkpoint", "command line", "leaderboard", "photo names", "study")
+QUICK = ("splat ply", "colmap binary", "llff poses", "transforms json", "image png", "depth npy")
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +37,7 @@ def test_only_regular_files_are_opened(tmp_path: Path, put: Callable[[Path], obj
             read(path)
 
 
-@pytest.mark.parametrize("name", sorted(READERS.keys() - LEFT_TO_CALLER))
+@pytest.mark.parametrize("name", (*QUICK, "run record", "viewed run", "lpips weights"))
 def test_no_reader_waits_for_a_pipe(tmp_path: Path, name: str) -> None:
     reader = READERS[name]
     reader.make(tmp_path)
@@ -52,20 +51,6 @@ def test_no_reader_waits_for_a_pipe(tmp_path: Path, name: str) -> None:
         assert "\n" not in str(caught.value)
         path.unlink()
         path.write_bytes(kept)
-
-
-@pytest.mark.parametrize("folder", ["images_8/im03.png", "images_8/im04.png"])
-def test_a_pipe_as_a_photo(tmp_path: Path, folder: str) -> None:
-    from tests.scenes.synthetic import write_llff
-
-    photo = write_llff(tmp_path) / folder
-    photo.unlink()
-    os.mkfifo(photo)
-    for n_views in (3, 8):  # whether it trains, tests or is left out
-        try:
-            load_scene("llff", {"path": str(tmp_path), "n_views": n_views})
-        except UserError as error:
-            assert "expected a regular file, got a pipe" in str(error)
 
 
 def test_names_that_no_file_can_have(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Every forgery of a checkpoint of every plugin is refused in one line, or the training goes on."""
+"""Forged checkpoints of every plugin are refused in one line, or the training continues."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def study(folder: Path, site: Path, words: list[str]) -> Path:
-    """The study in a process of its own, which fails, as three of its runs do."""
+    """The study in a separate process, which fails, as three of its runs do."""
     folder.mkdir()
     environment = {**os.environ, "PYTHONPATH": f"{site}{os.pathsep}{ROOT}"}
     command = [sys.executable, str(ROOT / "run.py"), "-m", *STUDY, *words]

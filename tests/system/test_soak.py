@@ -45,7 +45,7 @@ def family(pid: int) -> list[int]:
 
 
 def measured(pid: int) -> Sample:
-    """Of one process; zeros if it is gone."""
+    """Memory and handles of one process; zeros if it has ended."""
     folder = Path(f"/proc/{pid}")
     with contextlib.suppress(OSError, IndexError):
         pages = int((folder / "statm").read_text().split()[1])

@@ -1,5 +1,5 @@
 """The page in a real headless browser, and its pictures against our own renders. It needs node, a
-Chromium and puppeteer-core (npm), told by `FISHERSPLAT_BROWSER` (the executable) and
+Chromium and puppeteer-core (npm), given by `FISHERSPLAT_BROWSER` (the executable) and
 `FISHERSPLAT_PUPPETEER` (the package's main module)."""
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Browse = Callable[[str], dict[str, Any]]
 
 @pytest.fixture
 def browse() -> Browse:
-    """What `browser.mjs` tells of the page at an address."""
+    """What `browser.mjs` reports about the page at an address."""
     browser = os.environ.get("FISHERSPLAT_BROWSER")
     library = os.environ.get("FISHERSPLAT_PUPPETEER")
     node = shutil.which("node")

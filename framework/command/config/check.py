@@ -46,7 +46,14 @@ def check(config: Mapping[str, Any]) -> None:
     for group in [group for group in OBJECT_GROUPS if group not in registry.GROUPS]:
         registry.part(group, config[group])
     measures(config["metrics"].get("also"))
+    views = config["metrics"].get("views", 0)
+    require(views >= 0, f"metrics.views: expected an integer >= 0, got {views}; 0 evaluates all")
     TrainerOptions(**config["trainer"])
+    estimate = config.get("estimate", False)
+    require(
+        estimate in (True, False, "only"),
+        f"estimate: expected true, false or only, got {estimate!r:.40}",
+    )
     _check_scalars(config["seed"], config["threads"], config["study"])
     trackers.ready(config.get("tracker"))
 

@@ -42,10 +42,13 @@ Row = tuple[str, Any, Any]  # (option name, type, dataclasses.field)
 
 SCALARS = {
     **{"seed": int, "study": str | None, "threads": int},
-    **{"force": bool, "traceback": bool, "estimate": bool},
+    **{"force": bool, "traceback": bool, "estimate": bool | str},
     "tracker": str | None,
 }
-METRICS = {"lpips_weights": str | None, "also": str | None, "coadaptation": bool}
+METRICS = {
+    **{"lpips_weights": str | None, "lpips_both": bool, "views": int},
+    **{"also": str | None, "coadaptation": bool},
+}
 
 
 def choices(group: str) -> list[str]:

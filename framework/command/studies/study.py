@@ -158,6 +158,8 @@ class StudyCallback(Callback):
             if config.estimate:
                 every = [run for configs in studies.values() for run in configs]
                 self._expected_s = announce(every, _at_once(config))
+                if config.estimate == "only":
+                    raise SystemExit(0)
         except (*USER_ERRORS, OSError) as error:
             raise Refused from error
         set_jobs(jobs)

@@ -1,9 +1,10 @@
 """Semi-global aggregation of a cost volume [H, D, W] int16 along four paths, kernels.
 
-L(p, d) = C(p, d) + min(L(o, d), L(o, d +- 1) + P1, min_k L(o, k) + P2(p)) - min_k L(o, k), with o
-the pixel before p on the path, and the total is the sum of L over the paths left, right, up and
-down (Hirschmueller, TPAMI 2008, eq. 13-14). P2 falls where the image has an edge between o and p.
-Rows of `L` are padded by a value larger than any cost on both ends of d, which spares branches.
+    L(p, d) = C(p, d) + min(L(o, d), L(o, d +- 1) + P1, min_k L(o, k) + P2(p)) - min_k L(o, k)
+
+Here o is the pixel before p on the path. The total is the sum of L over the paths left, right, up
+and down (Hirschmueller, TPAMI 2008, eq. 13-14). P2 is lower at image edges between o and p. Rows of
+`L` are padded on both ends of d by a value above any cost, which avoids branches.
 """
 
 from __future__ import annotations

@@ -30,8 +30,11 @@ _FLOOR = np.float32(VARIANCE_FLOOR)
 
 @kernel
 def _locate_row(shape, A, t, q, y, index, du, dv, valid):  # type: ignore[no-untyped-def]
-    """Where row y of the reference falls in one source: the flat index of the upper left of four
-    pixels and the position between them, moved into the image; valid = 1 where it was inside."""
+    """Locate row y of the reference in one source.
+
+    index: flat index of the upper left of four pixels; du, dv: position between them, clamped to
+    the image; valid: 1 inside the image.
+    """
     offset, height, width = np.int32(shape[0]), np.int32(shape[1]), np.int32(shape[2])
     right, bottom = _F(width - 1), _F(height - 1)
     last_i, last_j = np.int32(width - 2), np.int32(height - 2)

@@ -1,9 +1,11 @@
 """Which training views to match a view with.
 
 A good partner sees the same surface under a triangulation angle that is wide enough to measure and
-narrow enough to look alike. A pair scores the sum over common points of
-g(angle) = min(1, angle / 3 deg) exp(-(max(0, angle - 15 deg) / 20 deg)^2), in the manner of Yao et
-al. (MVSNet, ECCV 2018, section 4.1), here wider since sparse views are far apart.
+narrow enough to look alike. The score of a pair is a sum over common points:
+
+    g(angle) = min(1, angle / 3 deg) exp(-(max(0, angle - 15 deg) / 20 deg)^2)
+
+It follows Yao et al. (MVSNet, ECCV 2018, section 4.1), but is wider, as sparse views are far apart.
 """
 
 from __future__ import annotations

@@ -13,8 +13,11 @@ _ONE = np.float32(COST_ONE)
 
 @kernel
 def select_planes(block, n_blocks, total, cost, position, zncc):  # type: ignore[no-untyped-def]
-    """Kernel over rows: position [H, W] float32, the plane index of the lowest total, moved by the
-    vertex of the parabola through it and its two neighbours; zncc [H, W] float32 at that plane."""
+    """Kernel over rows.
+
+    position [H, W] float32: plane index of the lowest total, refined by the parabola through it and
+    its neighbours. zncc [H, W] float32: at that plane.
+    """
     height, planes, width = total.shape
     lowest = np.empty(width, np.int16)
     winner = np.empty(width, np.int16)

@@ -98,8 +98,8 @@ def edge_penalties(
 def plane_spacing(
     views: Sequence[View], index: int, sources: Sequence[int], bounds: tuple[float, float], n: int
 ) -> float:
-    """By how many pixels of the sources a match moves from one of `n` planes to the next: the
-    median over a grid in the image and over the sources."""
+    """Shift of a match between neighbouring planes, in pixels of the sources; median over a grid in
+    the image and over the sources."""
     near, far = bounds
     steps, camera = [], views[index].camera
     middle = 0.5 * (1 / near + 1 / far)
@@ -201,15 +201,17 @@ def _advice(training: TrainingSet) -> str:
 def checked(
     training: TrainingSet, options: PlaneSweepOptions, limit: int
 ) -> list[tuple[tuple[float, float], list[int]]]:
-    """Of every view the depth bounds and up to `limit` partners. Raises UserError for views that
-    are too few, too small, or do not overlap."""
+    """The depth bounds and up to `limit` partners of every view.
+
+    Raises UserError for views that are too few, too small, or do not overlap.
+    """
     _check_input(training, options)
     bounds = [depth_bounds(training, i) for i in range(len(training.views))]
     return list(zip(bounds, _partners(training, bounds, limit), strict=True))
 
 
 def sweep_views(training: TrainingSet, options: PlaneSweepOptions) -> tuple[DepthMap, ...]:
-    """See `framework.depth.plane_sweep.PlaneSweep.measure`."""
+    """See `framework.depth.providers.PlaneSweep.measure`."""
     indices = range(len(training.views))
     bounds, sources = zip(*checked(training, options, options.neighbours), strict=True)
     images = [grey(view) for view in training.views]

@@ -98,8 +98,11 @@ def _through_direction(vx: Any, vy: Any, vz: Any, way: Any) -> tuple[Any, Any, A
 
 @inlined
 def _to_ellipse(sums: Any, conic: Any, seen: Any) -> tuple[Any, ...]:
-    """Gradients in u, v, A, B, C from the sums of a = (d loss / d alpha) alpha, see
-    `project_backward`: log(alpha) falls by (A dx^2 + 2 B dx dy + C dy^2) / 2 from the mean."""
+    """Compute gradients in u, v, A, B, C from the sums of a = (d loss / d alpha) alpha, see
+    `project_backward`.
+
+    log(alpha) is lower than at the mean by (A dx^2 + 2 B dx dy + C dy^2) / 2.
+    """
     ca, cb, cc = conic
     gu = select(seen, ca * sums[1] + cb * sums[3], zeros())
     gv = select(seen, cb * sums[1] + cc * sums[3], zeros())

@@ -86,7 +86,7 @@ def times_rotation(t: Any, r: Any) -> tuple[Any, ...]:
 
 @inlined
 def exp(x: Any) -> Any:
-    """Exponential of a vector; 2^126 where that is exceeded or x is not a number."""
+    """exp(x) of a vector; 2^126 where the result would exceed it or x is not a number."""
     return exp2(minimum(x * LOG2E, splat(_LARGEST)))
 
 
@@ -114,8 +114,10 @@ def conic_of(row: Any) -> tuple[Any, Any, Any]:
 def _from_conic(
     conic: Any, ga: Any, gb: Any, gc: Any, m: Any, scales: Any
 ) -> tuple[tuple[Any, ...], tuple[Any, Any, Any]]:
-    """(d loss / d U [2x3], gradient in the log-scales) from those in the conic A, B, C: the chain
-    conic -> covariance (dS = -C G C) -> A = U S."""
+    """Compute d loss / d U [2x3] and the gradient in the log-scales from that in A, B, C.
+
+    The chain is conic -> covariance (dS = -C G C) -> A = U S.
+    """
     ca, cb, cc = conic
     gh = HALF * gb
     h00, h01 = ca * ga + cb * gh, ca * gh + cb * gc

@@ -78,12 +78,11 @@ def colour_slopes(
     clipped: Any,
     slopes: Any,
 ) -> None:
-    """Fill slopes (flat [N, 16]) with the derivatives of the colours; undefined for culled
-    Gaussians.
+    """Write into slopes (flat [N, 16]) how the colour changes when the Gaussian moves sideways.
 
-    The derivative of colour c along tangent k per scene unit is at 2 c + k. It is 0 where the
-    colour is clamped or has no bands above 0. The two tangents are at 6-11. means flat, shN [M, K,
-    3].
+    Entry 2 c + k is the derivative of colour c along tangent k per scene unit, 0 if the colour is
+    clamped or has only SH degree 0. Entries 6-11 are the two tangents. Culled Gaussians are
+    undefined. means is flat, shN is [M, K, 3].
     """
     n = len(means) // 3
     terms = (degree + 1) * (degree + 1) - 1

@@ -1,16 +1,17 @@
-"""How a Gaussian's alpha moves with its parameters, in screen-space monomials.
+"""Derivatives of a Gaussian's alpha in its parameters, as polynomials on the screen.
 
 At the offset (dx, dy) of a pixel from the projected mean, d(alpha)/d(parameter) / alpha is a
-polynomial in dx and dy. With the conic [[A, B], [B, C]], y = conic (dx, dy), the projection J W of
-the camera and S' = sum_k s_k^2 m_k m_k^T (+ dilation), m_k = J W r_k for the columns r_k of the
-rotation,
+polynomial in dx and dy. The conic is [[A, B], [B, C]], y = conic (dx, dy), and J W is the
+projection of the camera. With the columns r_k of the rotation, m_k = J W r_k and S' = sum_k s_k^2
+m_k m_k^T (+ dilation):
 
     d(alpha) / alpha = y . d(u, v) + y^T dS' y / 2
     y^T dS' y / 2 = sum_k s_k (y . m_k) (y . d(s_k m_k))
 
-so every coefficient is a product of two linear forms. They are taken in dx and e = dy + (B / C) dx,
-in which the conic is diagonal, diag(1 / S'_xx, C), and y = (dx / S'_xx + B e, C e): the sums of a
-long thin Gaussian would cancel in dx and dy. m = (dx, e, dx^2, dx e, e^2). Lanes are Gaussians.
+So every coefficient is a product of two linear forms. They are expressed in dx and e = dy + (B / C)
+dx, in which the conic is diagonal, diag(1 / S'_xx, C), and y = (dx / S'_xx + B e, C e). In dx and
+dy, the sums of a long thin Gaussian would cancel. The monomials are m = (dx, e, dx^2, dx e, e^2).
+Lanes are Gaussians.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def _combined(a: Any, b: Any, c: Any, k0: Any, k1: Any, k2: Any) -> tuple[Any, A
 
 @inlined
 def _put_turns(jacobian: Any, quat: Any, n: Any, s: Any) -> None:
-    """Derivatives by the quaternion.
+    """Write the coefficients of the quaternion.
 
     A turn w about the Gaussian's axis 0 mixes axes 1 and 2 by (s_1^2 - s_2^2) (y.m_1) (y.m_2), and
     so on; w = 2 vec(q* dq) / |q|.

@@ -1,20 +1,21 @@
-"""Gaussians -> screen: a kernel over blocks of Gaussians, 16 at a time.
+"""Projection of Gaussians to the screen: a kernel over blocks of Gaussians, 16 at a time.
+
+`backward` has the gradient, `ewa` and `harmonics` the mathematics, and `ewa` the camera row.
 
 A projected Gaussian is one row of 16 floats (a cache line). A, B, C is the conic, the inverse of
 the 2D covariance.
 
-    0-1    mean u, v [px]
-    2-4    -A/2, -B, -C/2, times log2(e)
+    0-1    mean u, v, in pixels
+    2-4    -A/2, -B, -C/2 times log2(e)
     5      log2(opacity)
     6-8    colour
     9      depth
-    10-11  half-sides of the box that holds all alpha >= 1/255 [px]
+    10-11  half-sides of the box that contains all alpha >= 1/255, in pixels
     12     opacity
     13-14  2^(2 row[4]) and the longest run of rows, see `tiles.first_alphas`
     15     B / C
 
-So the blending kernels compute alpha = 2^(row[5] + row[2] dx^2 + row[3] dx dy + row[4] dy^2).
-`backward` has the gradient. The mathematics is in `ewa` and `harmonics`, the camera row in `ewa`.
+The blending kernels compute alpha = 2^(row[5] + row[2] dx^2 + row[3] dx dy + row[4] dy^2).
 """
 
 from __future__ import annotations

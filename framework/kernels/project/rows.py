@@ -1,4 +1,4 @@
-"""The row of a projected Gaussian in memory; `projection` describes its 16 floats."""
+"""Reads and writes rows of projected Gaussians; `projection` describes their 16 floats."""
 
 from __future__ import annotations
 

@@ -1,15 +1,14 @@
-"""Which Gaussian touches which 16x16 tile, and in which rows of it, front to back.
+"""Assigns Gaussians to 16x16 tiles, and to rows of them, front to back.
 
 Only the rows that the ellipse alpha >= 1/255 reaches inside a tile's columns are listed, so the
-blending loops need no test per row. A list item is two int32. The first is
-(Gaussian << 8 | last row << 4 | first row). The second is the Gaussian's slot for this tile among
-those of the tile's strip. Blocks are over the depth order; a tile's list is ordered by depth for
-any number of blocks.
+blending loops need no test per row. A list item is two int32. The first is (Gaussian << 8 | last
+row << 4 | first row), the second the Gaussian's slot for this tile among those of the tile's strip.
+Blocks divide the depth order; a tile's list is ordered by depth for any number of blocks.
 
-The image is cut into strips of whole columns of tiles. One thread differentiates a strip in a
-separate buffer of slots, a fraction of the size of all slots. A strip's slots of one Gaussian are
-consecutive and are summed to one part. A Gaussian's parts are consecutive too. More threads than
-strips are idle then.
+The image is divided into strips of whole columns of tiles. One thread differentiates a strip, in a
+separate buffer of slots, which is a fraction of all slots. The slots of one Gaussian in a strip are
+consecutive and are summed into one "part". The parts of one Gaussian are consecutive too. With more
+threads than strips, some threads have nothing to do in this phase.
 """
 
 from __future__ import annotations
@@ -52,12 +51,13 @@ def depth_order(
 ) -> tuple[int, int]:
     """Sort the visible Gaussians (bound > 0) by depth.
 
-    A stable radix sort of the float bits (depths are positive). keys and spare are uint64 scratch
-    of
-    the same length: a key with its index is read in sequence, where the row would be a cache miss.
+    Their indices go into order[:n], and the prefix sums of bound in that order into start[:n + 1].
+    It is a stable radix sort of the float bits, since depths are positive. keys and spare are
+    uint64 scratch of the same length: keys next to their indices are read in sequence, while rows
+    would cause cache misses.
 
-    order: out, their indices. start: out, prefix sums of bound in that order. Returns their number
-    n and the sum, which start can hold below 2^31.
+    Returns:
+        n and the sum of bound; start can hold sums below 2^31.
     """
     bits = rows.view(np.uint32)
     counts = np.zeros((3, 2048), np.int64)
@@ -94,12 +94,13 @@ def depth_order(
 
 @inlined
 def _edge(at: Any, x0: Any, x1: Any, ellipse: Any, sign: Any) -> Any:
-    """dy of the ellipses' upper (sign -1) or lower branch where it is farthest from dy = 0 in the
-    columns x0 ... x1 of dx; its extreme point lies at dx = at.
+    """Compute the extreme dy of the upper (sign -1) or lower branch of ellipses in some columns.
 
-    ellipse: (half-sides rx, ry; 1 / rx; b / c; level / c) of a dx^2 + 2 b dx dy + c dy^2 = level;
-    c (dy + b/c dx)^2 = level (1 - (dx/rx)^2): nothing cancels. An ellipse may be a point (rx = 0):
-    results that are not numbers then become the limit, never more rows than the box has.
+    The columns are x0 ... x1 of dx; the extreme point of the whole branch is at dx = at.
+
+    ellipse: (half-sides rx, ry; 1 / rx; b / c; level / c) of a dx^2 + 2 b dx dy + c dy^2 = level.
+    In the form c (dy + b/c dx)^2 = level (1 - (dx/rx)^2) nothing cancels. An ellipse may be a point
+    (rx = 0): NaN then becomes the neighbouring limit, never more rows than the box has.
     """
     rx, ry, over_rx, shear, height = ellipse
     dx = maximum(minimum(maximum(minimum(at, x1), x0), rx), neg(rx))
@@ -110,11 +111,11 @@ def _edge(at: Any, x0: Any, x1: Any, ellipse: Any, sign: Any) -> Any:
 
 @inlined
 def _reached(gathered: Any, width: int, height: int, columns: Any, reach: Any) -> None:
-    """Find the tiles that sixteen ellipses touch.
+    """Compute which tiles sixteen ellipses touch.
 
-    gathered: their rows, flat [16 16]. columns [2, 16]: out, each one's first and last column of
-    tiles. reach [2, 16 x columns]: out, the first and the last row of pixels in each of those. The
-    first is after the last where a column has none.
+    gathered: their rows, flat [16 16]. columns: out, [2, 16], first and last column of tiles.
+    reach: out, [2, 16 x columns], first and last row of pixels in each of these columns. The first
+    is greater than the last if a column has none.
     """
     row = load16(gathered, 0)
     u, v, rx, ry = row[0], row[1], row[10], row[11]
@@ -155,11 +156,12 @@ def count_tiles(
     strip_items: Any,
     strip_parts: Any,
 ) -> None:
-    """List the tiles of the Gaussians order[k], for the k of this block, into items[start[k]...].
+    """List the tiles of the Gaussians order[k], for the k of this block.
 
-    An item is (tile << 9 | 256 where a part begins | last row << 4 | first row). touched[k] is
-    their number, n_parts[k] the number of strips. Numbers of items are in histogram[block, tile]
-    and strip_items[block, strip], of parts in strip_parts[block, strip]. strips: of every tile.
+    items[start[k]...] receives (tile << 9 | 256 where a part begins | last row << 4 | first row).
+    touched[k] is the number of tiles and n_parts[k] the number of strips. histogram[block, tile],
+    strip_items[block, strip] and strip_parts[block, strip] count items and parts. strips: the strip
+    of every tile.
     """
     n_columns = (width + 15) // 16
     histogram[block, :], strip_items[block, :], strip_parts[block, :] = 0, 0, 0
@@ -226,12 +228,12 @@ def prefix_tiles(
     strip_items: Any,
     n_slots: Any,
 ) -> None:
-    """Turn counts into places by prefix sums.
+    """Turn counts into first positions.
 
-    n_parts [n] is of the Gaussians order[k], and first [N + 1] becomes a Gaussian's first part. The
-    counts of every block become its first places: histogram in the tiles' lists, which begin at
-    offsets; strip_parts in the strips' lists of parts, which begin at bounds. strip_items become
-    places among a strip's n_slots slots.
+    n_parts [n]: parts of the Gaussians order[k]. first [N + 1]: out, a Gaussian's first part. For
+    every block, histogram becomes its first position in the tiles' lists, which begin at offsets.
+    strip_parts becomes that in the strips' lists of parts, which begin at bounds. strip_items
+    becomes that among a strip's n_slots slots.
     """
     first[:] = 0
     for k in range(n):  # here: threads that scatter into one array wait for each other's lines

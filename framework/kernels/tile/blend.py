@@ -1,8 +1,8 @@
 """Front-to-back blending of a tile's list, and its gradient.
 
-Gradients (Kerbl et al. 2023, appendix; front to back): let w_i = T_i alpha_i, and S the sum over
-what lies behind, including the background. Then d C / d alpha_i = T_i c_i - S / (1 - alpha_i).
-The initial value of S is the finished pixel, which includes the background.
+With w_i = T_i alpha_i and S = the sum over what lies behind, including the background, d C / d
+alpha_i = T_i c_i - S / (1 - alpha_i) (Kerbl et al. 2023, appendix; front to back). The background
+is part of the initial S, which is the finished pixel.
 """
 
 from __future__ import annotations
@@ -111,10 +111,10 @@ def blend(
     alpha: Any,
     depth: Any,
 ) -> None:
-    """Render a range of tiles, as neighbours share Gaussians.
+    """Render a range of tiles, since neighbours share Gaussians.
 
-    rgb flat [3 H W], alpha and depth flat [H W]. An empty depth is left out, which saves a tenth of
-    the time.
+    rgb is flat [3 H W], alpha and depth flat [H W]. An empty depth is skipped, which saves a tenth
+    of the time.
     """
     with_depth = len(depth) > 0
     columns = (width + 15) // 16
@@ -156,10 +156,12 @@ def _weigh(
 def read_gradients(
     x: int, y: int, size: Any, image: Any, gradient: Any, behind: Any, buffers: Any, held: Any
 ) -> None:
-    """Read the image's gradients into a tile's buffers.
+    """Read the image's gradients into a tile.
 
-    behind: out, gradient times image, summed over all values of a pixel. image, gradient: colours,
-    alpha, depth; the gradients of the last two may be empty. held: scratch.
+    `behind` receives the sum over channels of the gradient times the pixel, its initial S.
+
+    image, gradient: colours, alpha, depth; the gradients of the last two may be empty. held:
+    scratch.
     """
     width, height = size
     rgb, alpha, depth = image

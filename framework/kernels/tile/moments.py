@@ -1,6 +1,6 @@
-"""Second moments of what a tile's list does to the image: the Fisher information on the screen.
+"""Second moments of the derivatives of a tile's image: the Fisher information on the screen.
 
-The pass of `blend_backward` with squares in the place of products with a loss's gradient.
+The pass is like `blend_backward`, with squares instead of products with a loss's gradient.
 """
 
 from __future__ import annotations
@@ -105,20 +105,20 @@ def blend_moments(
     slopes: Any,
     cross: Any,
 ) -> None:
-    """Second moments of the image's derivatives: the Fisher information in screen coordinates.
+    """Compute second moments of the image's derivatives: Fisher information on the screen.
 
-    Let q = sum over channels of (alpha d C / d alpha)^2, and e = dy + (B / C) dx with the conic
-    A, B, C. Lanes 0-14 of `sums` are sums over pixels of q times dx^i e^j. Their order is 1; dx, e;
-    dx^2, dx e, e^2; dx^3 ... e^3; dx^4 ... e^4. Lane 15 is the sum of weight^2, the information on
-    each colour channel. With dy instead of e the width of a long thin Gaussian would be lost in
-    rounding.
+    Let q = sum over channels of (alpha d C / d alpha)^2 and e = dy + (B / C) dx, the offset from
+    the axis of a thin Gaussian with conic A, B, C. Lanes 0-14 of `sums` are sums over pixels of q
+    dx^i e^j, ordered 1; dx, e; dx^2, dx e, e^2; dx^3 ... e^3; dx^4 ... e^4. Lane 15 is the sum of
+    weight^2, the information on each colour channel. With dy instead of e, information on the width
+    of a thin Gaussian would be lost in rounding.
 
-    With view-dependent colour, `slopes` is flat [N, 16] and `cross` is like `sums`; otherwise both
-    are empty. Lanes 0-4 of `cross` are the sums of r times dx, e, dx^2, dx e, e^2. Here r is the
-    sum over the channels of weight x slope x alpha d C / d alpha with slopes 0, 2, 4. Lanes 5-9
-    have slopes 1, 3, 5.
+    With view-dependent colour, lanes 0-4 of `cross` are the sums of r times dx, e, dx^2, dx e, e^2.
+    Here r is the sum over the channels of weight x slope x alpha d C / d alpha with slopes 0, 2, 4;
+    lanes 5-9 use slopes 1, 3, 5.
 
-    mask: flat [H W], or empty: pixels at or below 0.5 are not in the sums.
+    slopes: flat [N, 16], cross: like `sums`; both empty without view-dependent colour. mask: flat
+    [H W], or empty; pixels at or below 0.5 do not count.
     """
     # One long body: with its first loop over rows, of six arrays, as an inlined function it takes
     # 1.3 to 1.8 times as long (`benchmarks/speed/fisher.py`).

@@ -1,10 +1,10 @@
-"""What the passes over a tile's list share: rows, masks, and how a pixel meets a Gaussian.
+"""Common parts of the passes over a tile's list: rows, masks, and how a pixel meets a Gaussian.
 
 A tile is 16 rows of 16 lanes; per row the state is the transmittance T and what else a pass keeps.
-A finished pixel keeps its T with a minus sign, so that it blends nothing more. The loops
-over rows have no branch, only masks; they visit the rows that an item reaches and that were not
-finished at the last look. Which rows these are decides from where alpha is carried on
-(`first_alphas`), alike in every pass; so the last bits of a pixel depend on its tile.
+A finished pixel has a negative T, so that it blends nothing more. The loops over rows use masks
+instead of branches. They visit the rows that an item reaches and that were not finished at the last
+check. These rows decide where alpha is extrapolated (`first_alphas`), equally in every pass, so the
+last bits of a pixel depend on its tile.
 """
 
 from __future__ import annotations
@@ -116,14 +116,15 @@ def seen_from(rows: Any, g: int, x: int, y: int) -> tuple[Any, Any, Any, Any, An
 
 @inlined
 def run_of(rows: Any, g: int) -> tuple[Any, int, Any]:
-    """The recurrence of alpha from row to row: (factor of its factor, longest run, B / C)."""
+    """How alpha changes from row to row: (factor of its factor, longest run, B / C)."""
     return splat(rows[g, 13]), int(rows[g, 14]), splat(rows[g, 15])
 
 
 @inlined
 def next_run(todo: int, longest: int) -> tuple[int, int, int]:
-    """The first rows of `todo` that follow one another, at most `longest` of them: (first, how
-    many, the others of `todo`)."""
+    """Split off the first consecutive rows of `todo`, at most `longest`: (first, count, the
+    other rows).
+    """
     first = lowest_bit(todo)
     count = min(lowest_bit(~(todo >> first)), longest)
     return first, count, todo & ~(((1 << count) - 1) << first)
@@ -131,13 +132,12 @@ def next_run(todo: int, longest: int) -> tuple[int, int, int]:
 
 @inlined
 def first_alphas(placed: Any, lean: Any, row: int, count: int) -> tuple[Any, Any]:
-    """Alpha in a row of the tile, and the factor that makes it alpha in the row below.
+    """Compute alpha in a row of the tile, and the factor to alpha in the row below.
 
-    log2(alpha) is a parabola in dy: from row to row the logarithm of that factor falls by the same,
-    so two multiplications give what an exponential would. Lanes that stay below 1/255 in all of the
-    `count` rows get 0. In the others neither falls below 2^-125, where `exp2` ends and float32 soon
-    has no normal numbers (products with others are slow), if count is at most `longest_run`.
-    lean: B / C.
+    log2(alpha) is a parabola in dy. From row to row the logarithm of the factor decreases by a
+    constant, so two multiplications replace an exponential. Lanes that stay below 1/255 in all
+    `count` rows get 0. In the others neither value falls below 2^-125 if count is at most
+    `longest_run`; below it, `exp2` ends and slow denormals begin. lean: B / C.
     """
     dx, dy0, slant, shear, fall, peak = placed
     dy = dy0 + splat(f4(row))
@@ -156,11 +156,12 @@ def log_alpha(dx: Any, dy: Any, slant: Any, shear: Any, fall: Any, peak: Any) ->
 
 @inlined
 def longest_run(fall: Any, peak: Any) -> Any:
-    """How many rows may follow `first_alphas`, as float32; of vectors.
+    """Compute how many rows may follow `first_alphas`, as float32 vectors.
 
-    With d = sqrt(-fall), p the peak or 0 if that is more: a parabola below p that reaches -9 in one
-    of n rows is above p - (sqrt(9 + p) + n d)^2 in all of them and in the row below, which is to
-    stay above -124. At least 5 where p = 0, as the dilation of the covariance bounds d.
+    Let d = sqrt(-fall), and p the peak, or 0 if the peak is positive. A parabola below p that
+    reaches -9 in one of n rows is above p - (sqrt(9 + p) + n d)^2 in all of them and in the row
+    below. This must stay above -124. It allows at least 5 rows where p = 0, because dilation bounds
+    d.
     """
     p = maximum(peak, zeros())
     span = math.sqrt(_LOWEST + p) - math.sqrt(p - _FAINT)

@@ -16,7 +16,8 @@ from framework.errors import UserError
 from framework.files.paths import inside
 from framework.records.run_files import RENDERS
 from framework.report.statistics.numbers import average
-from framework.report.study.runs import ReportRun, Study
+from framework.report.study.methods import Method
+from framework.report.study.study import ReportRun, Study
 from framework.scenes.images import read_image
 
 KINDS = ("render", "truth", "error")
@@ -32,24 +33,26 @@ class ShownViews:
     views: tuple[tuple[str, str], ...]
 
 
-def shown_methods(study: Study, scene: str) -> list[str]:
+def shown_methods(study: Study, scene: str) -> list[Method]:
     """The methods with runs on a scene; of one with several budgets, the budget with the highest
     mean PSNR there, as all of them would fill pages."""
-    best: dict[str, tuple[float, str]] = {}
+    best: dict[Method, tuple[float, Method]] = {}
     for method in study.methods:
         runs = study.of(scene, method)
         if runs:
             psnr = average([run.mean("psnr") for run in runs])
-            entry = (-math.inf if psnr is None else psnr, method)
-            family = runs[0].method_label.family
-            best[family] = max(best.get(family, entry), entry, key=lambda pair: pair[0])
+            rank = -math.inf if psnr is None else psnr
+            if method.family not in best or rank > best[method.family][0]:
+                best[method.family] = (rank, method)
     return [method for _, method in best.values()]
 
 
 def choose_views(study: Study, scene: str) -> ShownViews:
-    """The lowest seed that every shown method has, and up to three test views by their mean PSNR
-    over those runs: where views are tagged, the median one of each tag and the worst of all; else
-    best, median and worst."""
+    """Choose the lowest seed that every shown method has, and up to three test views by mean PSNR.
+
+    If views are tagged, these are the median view of each tag and the worst of all. Otherwise they
+    are the best, the median and the worst.
+    """
     present = [study.of(scene, method) for method in shown_methods(study, scene)]
     common = set.intersection(*({run.seed for run in runs} for runs in present))
     seeds = [min(common) if common else runs[0].seed for runs in present]

@@ -1,14 +1,14 @@
 """The break-down point: the strength of a stress at which a method stops helping.
 
-At every tested strength there are differences `method - baseline` in dB, one per seed, the same
-seeds at all strengths. Between neighbouring strengths each seed's difference is interpolated
-linearly. The break-down point is where the mean of these curves first falls to zero, going from the
+At every tested strength there is one difference `method - baseline` in dB per seed, with the same
+seeds at all strengths. Each seed's difference is interpolated linearly between neighbouring
+strengths. The break-down point is where the mean of these curves first falls to zero, from the
 weakest stress to the strongest.
 
-Its interval holds every strength at which a paired t test (n - 1 degrees of freedom) does not
-refute "the mean difference is zero here": with normal errors and a truth that is linear between the
-tested strengths, it covers a zero of the truth with the stated probability (Fieller 1954). It is
-the hull of these strengths, hence wider where they are not connected.
+Its interval contains every strength at which a paired t test (n - 1 degrees of freedom) does not
+reject a mean difference of zero. If errors are normal and the truth is linear between the tested
+strengths, it covers a zero of the truth with the stated probability (Fieller 1954). The interval is
+the hull of these strengths, so it is wider if they are not connected.
 """
 
 from __future__ import annotations
@@ -23,13 +23,17 @@ from framework.report.statistics.estimates import Interval, estimate, t_quantile
 
 @dataclass(frozen=True)
 class Breakdown:
-    """What the mean difference does from the weakest to the strongest tested stress.
+    """The mean difference from the weakest to the strongest tested stress.
 
-    helps: it is above zero at some tested strength. starts: where it first rises above zero, None
-    where it begins above or never does. stops: the break-down point, None where it does not fall
-    to zero. interval: hull of the strengths where a zero is not refuted, None where it is refuted
-    everywhere or with fewer than two seeds. n: seeds. signs: at every tested strength 1 or -1 where
-    the mean differs from zero, Bonferroni-corrected over all comparisons of a study, else 0.
+    Attributes:
+        helps: it is above zero at some tested strength.
+        starts: where it first rises above zero; None if it begins above or stays below.
+        stops: the break-down point; None if it does not fall to zero.
+        interval: hull of the strengths where zero is not rejected; None if it is rejected
+            everywhere or there are fewer than two seeds.
+        n: number of seeds.
+        signs: at every tested strength 1 or -1 if the mean differs significantly from zero
+            (Bonferroni-corrected over all comparisons of a study), else 0.
     """
 
     helps: bool
@@ -67,8 +71,15 @@ def break_down(strengths: np.ndarray, gains: np.ndarray, tests: int | None = Non
 def gains_of_levels(
     gains: np.ndarray, tests: int | None = None
 ) -> list[tuple[float, Interval | None]]:
-    """At every strength the mean of gains [L, n] and its interval; None with fewer than two seeds.
-    tests: how many comparisons the intervals hold for at once; None: these strengths alone."""
+    """Compute the mean gain at every strength, with its interval.
+
+    Args:
+        gains: [L, n], L strengths and n seeds.
+        tests: how many comparisons the intervals hold for simultaneously; None for these strengths.
+
+    Returns:
+        One estimate per strength; None with fewer than two seeds.
+    """
     found = [estimate(list(row)) for row in gains]
     return [(e.mean, e.interval(tests or len(found))) for e in found]
 
@@ -97,8 +108,11 @@ def _zeros(strengths: np.ndarray, mean: np.ndarray) -> tuple[float | None, float
 
 
 def _doubtful(strengths: np.ndarray, gains: np.ndarray) -> list[float]:
-    """Ends of the pieces where zero is not refuted: on a segment with seeds u + w v, w in [0, 1],
-    mean(u + w v)^2 <= t^2 / n var(u + w v), a quadratic in w."""
+    """Compute the ends of the pieces in which zero is not rejected.
+
+    On a segment with seeds u + w v, w in [0, 1], mean(u + w v)^2 <= t^2 / n var(u + w v) is
+    quadratic in w.
+    """
     n = gains.shape[1]
     limit = t_quantile(n - 1) ** 2 / n
     ends: list[float] = []

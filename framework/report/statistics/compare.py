@@ -1,14 +1,14 @@
-"""Two methods over runs paired by (scene, seed): two questions, two answers.
+"""Compare two methods over runs paired by scene and seed, for two questions.
 
-*These scenes*: what another draw of the seeds would give on them. The same seed on several scenes
-shares its draws, so pairs of one seed are not independent: the differences of a seed are averaged
-over the scenes first, and the t interval is over the seeds, one value each. Seeds that lack a scene
-are left out; where fewer than two would stay, scenes with few seeds are (`block`).
+*These scenes*: what other seeds would give on the same scenes. The same seed on several scenes
+shares its random draws, so its pairs are not independent. The differences of a seed are averaged
+over the scenes first, and the t interval is over seeds. Seeds that lack a scene are left out. If
+fewer than two seeds would remain, scenes with few seeds are left out instead (`block`).
 
-*Scenes like these*: what other scenes of their kind would give. The differences of a scene are
-averaged over its seeds first, and the t interval is over the scenes, one value each: with few
-scenes it is wide, as it should be. Conditions of one scene, such as other photos of it or wrong
-poses, tell nothing of other scenes: they are averaged to one value too.
+*Scenes like these*: what other scenes of the same kind would give. The differences of a scene are
+averaged over its seeds first, and the t interval is over scenes, so it is wide with few scenes.
+Conditions of one scene, such as other photos of it or wrong poses, are not independent scenes, so
+they are averaged to one value too.
 """
 
 from __future__ import annotations
@@ -21,20 +21,27 @@ from typing import TypeVar
 import numpy as np
 
 from framework.report.statistics.estimates import Estimate, Interval, estimate
+from framework.report.study.methods import Method
 
 Pairs = Mapping[tuple[str, int], float]  # (scene, seed) -> PSNR in dB
+M = TypeVar("M")
 K = TypeVar("K", str, int)  # a scene, or the place of a strength among those of a stress
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """`method` minus `baseline` in dB. scenes: those that `these` is about. these: over the seeds,
-    of no seed where none is on all scenes. like: over all scenes of both, conditions of one scene
-    taken together; None for a single one. tests: how many comparisons `joint`, `p_joint` and
-    `significant` are corrected for."""
+    """The difference of `method` to `baseline` in dB.
 
-    method: str
-    baseline: str
+    Attributes:
+        scenes: the scenes of `these`.
+        these: estimate over the seeds; over no seed if no seed is on all scenes.
+        like: estimate over all scenes of both, conditions of one scene averaged; None for one
+            scene.
+        tests: how many comparisons `joint`, `p_joint` and `significant` are corrected for.
+    """
+
+    method: Method
+    baseline: Method
     scenes: tuple[str, ...]
     these: Estimate
     like: Estimate | None
@@ -55,7 +62,7 @@ class Comparison:
 
     @property
     def interval(self) -> Interval | None:
-        """Of this comparison alone."""
+        """The interval of this comparison alone, without correction."""
         return self.these.interval()
 
     @property
@@ -89,14 +96,17 @@ def excludes_zero(interval: Interval | None) -> bool:
 
 
 def compare(
-    method: str,
+    method: Method,
     values: Pairs,
-    baseline: str,
+    baseline: Method,
     others: Pairs,
     names: Mapping[str, str] | None = None,
 ) -> Comparison | None:
-    """Over the pairs both have; None if there is none. names: of scenes that are conditions of one,
-    its name; without it each scene is one of its own."""
+    """Compare over the pairs that both methods have; None if there is none.
+
+    names: the common name of scenes that are conditions of one scene. By default each scene is
+    separate.
+    """
     keys = sorted(values.keys() & others.keys())
     if not keys:
         return None
@@ -116,9 +126,11 @@ def compare(
 
 
 def block(keys: Collection[tuple[K, int]]) -> tuple[list[K], list[int]]:
-    """Of pairs (place, seed): all places with the seeds that each has. Where these are fewer than
-    two, places that share two seeds or more, so that many pairs stay (found place by place, not by
-    trying all), if there are any."""
+    """Choose pairs (place, seed) so that every place has the same seeds.
+
+    These are all places with their common seeds. If fewer than two seeds remain, they are places
+    that share two or more seeds, chosen greedily to keep many pairs, if there are any.
+    """
     seeds: dict[K, set[int]] = defaultdict(set)
     for place, seed in keys:
         seeds[place].add(seed)
@@ -137,9 +149,10 @@ def block(keys: Collection[tuple[K, int]]) -> tuple[list[K], list[int]]:
     return best
 
 
-def corrected(known: Mapping[str, Comparison]) -> dict[str, Comparison]:
-    """With intervals and p that hold for all of those that can be tested at once, over seeds or
-    over scenes."""
-    testable = [c for c in known.values() if c.p is not None or (c.like and c.like.p is not None)]
+def corrected(comparisons: Mapping[M, Comparison]) -> dict[M, Comparison]:
+    """Correct intervals and p for all comparisons that can be tested, over seeds or scenes."""
+    testable = [
+        c for c in comparisons.values() if c.p is not None or (c.like and c.like.p is not None)
+    ]
     tests = max(1, len(testable))
-    return {method: replace(c, tests=tests) for method, c in known.items()}
+    return {method: replace(c, tests=tests) for method, c in comparisons.items()}

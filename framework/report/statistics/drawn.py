@@ -1,10 +1,10 @@
-"""How far what a method gains depends on the photos that one happens to have.
+"""How much a method's gain depends on the choice of training photos.
 
-Studies over draws of the training photos of a scene (`scene.split=NAME_drawn0,NAME_drawn1,...`; the
-test photos stay) tell that. A draw's gain is the mean over its seeds of method minus baseline, the
-same seed in both. Their mean has a t interval over the draws: what other photos of the same scene
-would give. Whether the draws differ by more than seeds do is a one-way analysis of variance of the
-seeds' differences.
+The evidence comes from studies over draws of the training photos of a scene
+(`scene.split=NAME_drawn0,NAME_drawn1,...`) with fixed test photos. A draw's gain is the mean over
+its seeds of method minus baseline, with the same seed in both. The t interval of the mean gain over
+draws is what other photos of the same scene would give. A one-way analysis of variance tests
+whether draws differ by more than seeds do.
 """
 
 from __future__ import annotations
@@ -18,15 +18,21 @@ import numpy as np
 from scipy import special  # without scipy.stats, which takes a second to import
 
 from framework.report.statistics.estimates import Estimate, estimate
-from framework.report.study.runs import ReportRun, Study
+from framework.report.study.methods import Method
+from framework.report.study.study import ReportRun, Study
 from framework.scenes import DRAWN
 
 
 @dataclass(frozen=True)
 class Variance:
-    """One-way analysis of variance of groups. f: variance between over that within. between,
-    within: its degrees of freedom. sd: standard deviation within a group. p: of an f so large among
-    groups that do not differ; None where nothing varies."""
+    """One-way analysis of variance of groups.
+
+    Attributes:
+        f: variance between groups over that within groups.
+        between, within: degrees of freedom.
+        sd: standard deviation within a group.
+        p: probability of such an f for equal groups; None if nothing varies.
+    """
 
     f: float
     between: int
@@ -37,13 +43,18 @@ class Variance:
 
 @dataclass(frozen=True)
 class Draws:
-    """`method` minus `baseline` in dB on a scene, told with its conditions. differences: draw -> of
-    its seeds. plain: draw -> mean PSNR of the baseline. over: the mean over draws. alike: whether
-    draws differ, of those with two seeds or more; None where these are fewer than two."""
+    """`method` minus `baseline` in dB on a scene under fixed conditions.
+
+    Attributes:
+        differences: draw -> differences of its seeds.
+        plain: draw -> mean PSNR of the baseline.
+        over: the mean over draws.
+        alike: analysis of variance of the draws with two or more seeds; None for fewer than two.
+    """
 
     scene: str
-    method: str
-    baseline: str
+    method: Method
+    baseline: Method
     differences: Mapping[str, tuple[float, ...]]
     plain: Mapping[str, float]
     over: Estimate
@@ -51,13 +62,15 @@ class Draws:
 
     @property
     def gains(self) -> list[float]:
-        """Of each draw, the mean over its seeds."""
+        """The mean over seeds of each draw."""
         return [float(np.mean(own)) for own in self.differences.values()]
 
 
 def draws(study: Study) -> list[Draws]:
-    """Of every scene with two draws or more, all its other conditions fixed, and every method with
-    a baseline on two of them."""
+    """Compare every method with its baseline over the draws of every scene that has at least two.
+
+    All other conditions of the scene are fixed.
+    """
     groups: dict[tuple[str, str], list[ReportRun]] = defaultdict(list)
     for run in study.runs:
         if DRAWN in _draw(run):
@@ -74,7 +87,7 @@ def draws(study: Study) -> list[Draws]:
     return [d for d in found if d is not None]
 
 
-def _draws(scene: str, method: str, baseline: str, runs: Sequence[ReportRun]) -> Draws | None:
+def _draws(scene: str, method: Method, baseline: Method, runs: Sequence[ReportRun]) -> Draws | None:
     own, base = (_by_draw(runs, one) for one in (method, baseline))
     differences = {}
     for draw in own:
@@ -89,7 +102,7 @@ def _draws(scene: str, method: str, baseline: str, runs: Sequence[ReportRun]) ->
     return Draws(scene, method, baseline, differences, plain, over, alike)
 
 
-def _by_draw(runs: Sequence[ReportRun], method: str) -> dict[str, dict[int, float]]:
+def _by_draw(runs: Sequence[ReportRun], method: Method) -> dict[str, dict[int, float]]:
     """Draw, in the order of their numbers -> seed -> PSNR."""
     found: dict[str, dict[int, float]] = defaultdict(dict)
     for run in runs:
@@ -105,7 +118,7 @@ def _draw(run: ReportRun) -> str:
 
 
 def variance(groups: Sequence[Sequence[float]]) -> Variance | None:
-    """Of groups of two values or more; None of fewer than two groups."""
+    """Analyse groups of two or more values; None for fewer than two groups."""
     if len(groups) < 2:
         return None
     every = np.concatenate([np.asarray(group, dtype=np.float64) for group in groups])

@@ -1,11 +1,11 @@
-"""The statistics of a report, on one number per run: its mean PSNR over the test views, in dB.
+"""Statistics on one number per run: its mean PSNR over the test views, in dB.
 
-- sigma_PSNR: standard deviation (n - 1) over seeds of the mean over scenes of that number; its
-  95 % interval is sqrt((n - 1) s^2 / chi2) at the 97.5 % and 2.5 % quantiles (normal errors).
+- sigma_PSNR: standard deviation (n - 1) over seeds of the mean over scenes. Its 95 % interval is
+  sqrt((n - 1) s^2 / chi2) at the 97.5 % and 2.5 % quantiles (normal errors).
 - Mean: t interval over seeds, two-sided t test of zero.
 
-Where several comparisons are made, all are corrected alike (Bonferroni): their intervals hold
-together with 95 %, and one excludes zero exactly where p times their number is below 5 %.
+Several comparisons are corrected together (Bonferroni). Their intervals hold jointly with 95 %, and
+one excludes zero exactly if p times their number is below 5 %.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Spread:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Of the bar at the mean: its interval, nothing but itself where there is none."""
+        """The ends of the bar around the mean: its interval, or the mean itself without one."""
         inside = self.mean_interval or Interval(self.mean, self.mean)
         return inside.low, inside.high
 

@@ -22,7 +22,7 @@ def decimals(uncertainty: float, most: int) -> int:
     return min(most, max(0, 1 - math.floor(math.log10(uncertainty))))
 
 
-def significant(value: float, digits: int = 2) -> str:
+def format_significant(value: float, digits: int = 2) -> str:
     """`value` with so many significant digits, without an exponent."""
     if value == 0 or not math.isfinite(value):
         return f"{value:g}"
@@ -30,7 +30,7 @@ def significant(value: float, digits: int = 2) -> str:
     return f"{round(value, places):.{max(0, places)}f}"
 
 
-def mean_text(values: Sequence[float | None], most: int, show_half: bool = False) -> str:
+def format_mean(values: Sequence[float | None], most: int, show_half: bool = False) -> str:
     """The mean, rounded by the half width of its 95 % interval, with it if `show_half`; `–`
     unless there are values and none is missing."""
     known = [value for value in values if value is not None]
@@ -46,42 +46,42 @@ def mean_text(values: Sequence[float | None], most: int, show_half: bool = False
     return f"{found.mean:.{places}f}"
 
 
-def sigma_text(values: Sequence[float]) -> str:
+def format_sigma(values: Sequence[float]) -> str:
     """`0.16 [0.084 to 1.0] (n = 3)`."""
     if len(values) == 0:
         return ABSENT
     found = spread(values)
     if found.sd is None or found.sd_interval is None:
         return f"{ABSENT} (n = 1)"
-    return f"{significant(found.sd)} [{spanned(found.sd_interval)}] (n = {found.n})"
+    return f"{format_significant(found.sd)} [{format_span(found.sd_interval)}] (n = {found.n})"
 
 
-def spanned(interval: Interval) -> str:
+def format_span(interval: Interval) -> str:
     """An interval of a positive quantity: `0.084 to 1.0`; `0.084 or more` where the data bound it
     from one side alone."""
     if interval.high > UNBOUNDED * interval.low:
-        return f"{significant(interval.low)} or more"
-    return f"{significant(interval.low)} to {significant(interval.high)}"
+        return f"{format_significant(interval.low)} or more"
+    return f"{format_significant(interval.low)} to {format_significant(interval.high)}"
 
 
-def interval_text(interval: Interval) -> str:
+def format_interval(interval: Interval) -> str:
     """`0.21 to 0.60`, rounded by its own width, at most to two decimals; an end that rounds to
     zero and is none gets more, so that its side is seen."""
     places = decimals((interval.high - interval.low) / 2, 2)
     ends = (0.0 if abs(end) < NOUGHT else end for end in (interval.low, interval.high))
     low, high = (
-        f"{end:.{places}f}" if end == 0 or round(end, places) != 0 else significant(end, 1)
+        f"{end:.{places}f}" if end == 0 or round(end, places) != 0 else format_significant(end, 1)
         for end in ends
     )
     return f"{low} to {high}"
 
 
-def p_text(p: float) -> str:
+def format_p(p: float) -> str:
     """`p = 0.012`, or `p < 0.001`."""
     return "p < 0.001" if p < 0.001 else f"p = {p:.2g}"
 
 
-def signed(difference: float) -> str:
+def format_difference(difference: float) -> str:
     """Format a difference in dB, the same in verdicts, tables and LaTeX: `+0.21`.
 
     One that would round to zero gets up to two more decimals, so that it keeps its sign; below

@@ -19,27 +19,32 @@ from framework.report.statistics.variance import (
     mean_deviation,
     sigmas_corrected,
 )
-from framework.report.study.roles import CHOSE, role
-from framework.report.study.runs import ReportRun, Study
+from framework.report.study.methods import PLAIN, Method
+from framework.report.study.scenes import CHOSE, role
+from framework.report.study.study import ReportRun, Study
 
 
 @dataclass(frozen=True)
 class Outcomes:
-    """By method. psnr, and by seed in seeds: of the mean over all scenes, without methods that have
-    no complete seed. scene_sigma: mean over the scenes of their standard deviations, of several
-    scenes. best: the method to use (`_best`). comparisons, sigmas: with the baseline of the same
-    budget, where they share a (scene, seed). by_scene: scene -> the same comparisons on it alone,
-    uncorrected, of several scenes. tested: on those scenes alone where no default was chosen, where
-    there are others too."""
+    """Results by method.
 
-    best: str
-    psnr: dict[str, Spread]
-    seeds: dict[str, dict[int, float]]
-    scene_sigma: dict[str, tuple[float, Interval]]
-    comparisons: dict[str, Comparison]
-    sigmas: dict[str, SigmaComparison]
-    by_scene: dict[str, dict[str, Comparison]]
-    tested: dict[str, Comparison]
+    Attributes:
+        psnr: mean over all scenes, for methods with a complete seed; `seeds`: by seed.
+        scene_sigma: mean over scenes of their standard deviations, with several scenes.
+        best: the method to use, see `_best`.
+        comparisons, sigmas: with the baseline of the same budget, where they share a (scene, seed).
+        by_scene: scene -> its comparisons, uncorrected, with several scenes.
+        tested: on those scenes that chose no default, if there are others too.
+    """
+
+    best: Method
+    psnr: dict[Method, Spread]
+    seeds: dict[Method, dict[int, float]]
+    scene_sigma: dict[Method, tuple[float, Interval]]
+    comparisons: dict[Method, Comparison]
+    sigmas: dict[Method, SigmaComparison]
+    by_scene: dict[str, dict[Method, Comparison]]
+    tested: dict[Method, Comparison]
 
 
 def outcomes(study: Study) -> Outcomes:
@@ -66,20 +71,24 @@ def outcomes(study: Study) -> Outcomes:
     )
 
 
-def _best(study: Study, psnr: Collection[str], found: Mapping[str, Comparison]) -> str:
-    """The highest of those that are shown to be better than their own baseline and than every other
-    method's, which may have another budget or other options; else the study's baseline."""
+def _best(study: Study, psnr: Collection[Method], found: Mapping[Method, Comparison]) -> Method:
+    """Choose the method to use.
+
+    It is the best of the methods that are significantly better than their baseline and than every
+    other method's baseline, which may have another budget or other options. Without one it is the
+    study's baseline.
+    """
     better = [m for m, c in found.items() if c.significant and c.difference > 0 and m in psnr]
     if not better:
-        return study.methods[0] if study.methods else ""
+        return study.methods[0] if study.methods else PLAIN
     values = {method: by_pair(study.of(method=method)) for method in study.methods}
     bases = {*study.baselines}
 
-    def above(method: str, other: str) -> Comparison | None:
+    def above(method: Method, other: Method) -> Comparison | None:
         own = compare(method, values[method], other, values[other])
         return own and replace(own, tests=found[method].tests)
 
-    gains: dict[str, float] = {}
+    gains: dict[Method, float] = {}
     for method in better:
         over = {base: c for base in bases - {method} if (c := above(method, base)) is not None}
         if all(c.significant and c.difference > 0 for c in over.values()):
@@ -111,7 +120,7 @@ def by_pair(runs: Sequence[ReportRun]) -> dict[tuple[str, int], float]:
     return {key: value for key, value in values.items() if value is not None}
 
 
-def _comparisons(study: Study, scenes: Sequence[str]) -> dict[str, Comparison]:
+def _comparisons(study: Study, scenes: Sequence[str]) -> dict[Method, Comparison]:
     runs = [run for run in study.runs if run.scene in scenes]
     values = {m: by_pair([run for run in runs if run.method == m]) for m in study.methods}
     names = {run.scene: run.scene_label.name for run in runs}
@@ -123,7 +132,7 @@ def _comparisons(study: Study, scenes: Sequence[str]) -> dict[str, Comparison]:
     return {method: c for method, c in found.items() if c is not None}
 
 
-def _scene_sigmas(study: Study) -> dict[str, tuple[float, Interval]]:
+def _scene_sigmas(study: Study) -> dict[Method, tuple[float, Interval]]:
     found = {}
     for method in study.methods:
         samples = [list(by_pair(study.of(scene, method)).values()) for scene in study.tested]

@@ -33,8 +33,11 @@ NO_SPREAD = 1e-6  # as a ratio
 
 
 def power(ratio: float, n: int, other_n: int, tests: int = 1) -> float:
-    """How often the test finds this ratio of standard deviations with n and other_n seeds, at 5 %
-    shared by so many tests. ratio 1: how often it errs (its size)."""
+    """Simulate how often the test finds this ratio of standard deviations with n and other_n seeds.
+
+    The level of 5 % is shared by all tests. A ratio of 1 gives the rate of false positives (its
+    size).
+    """
     draws = min(_draws(n), _draws(other_n))
     (a, within_a), (b, within_b) = _distances(n, 0), _distances(other_n, 1)
     a, within = ratio * a[:draws], ratio**2 * within_a[:draws] + within_b[:draws]
@@ -70,9 +73,15 @@ def heavy_size(n: int) -> float:
 
 
 def uncorrelated(differences: np.ndarray, sums: np.ndarray) -> np.ndarray:
-    """Of every row of pairs' differences and sums [draws, n] the two-sided p of no correlation: the
-    larger one of their values' and of their ranks' (Pitman and Morgan 1939; McCulloch 1987), each
-    by t with n - 2 degrees of freedom."""
+    """Test pairs for correlation between differences and sums, for every row of [draws, n].
+
+    Returns:
+        [draws], two-sided p of no correlation: the larger one of that of the values and that of the
+        ranks, each by t with n - 2 degrees of freedom.
+
+    Source:
+        Pitman 1939 and Morgan 1939; McCulloch 1987.
+    """
     n = differences.shape[1]
     ranks = [x.argsort(axis=1).argsort(axis=1).astype(np.float64) for x in (differences, sums)]
     found = []
@@ -109,8 +118,11 @@ def seeds_needed(ratio: float, tests: int = 1, rho: float | None = None) -> int 
 
 
 def _near(rho: float) -> float:
-    """A correlation nearby that questions can share: in steps of its Fisher transform, which are
-    the smaller the nearer it is to 1, and never 1, where no pair differs from another by chance."""
+    """Round a correlation so that questions can share a simulation.
+
+    Steps are in its Fisher transform and become smaller near 1. They never reach 1, where pairs
+    would not differ by chance.
+    """
     return math.tanh(round(min(max(math.atanh(rho), -LARGEST_Z), LARGEST_Z), 1))
 
 
@@ -146,8 +158,9 @@ def _draws(n: int) -> int:
 
 @functools.cache
 def _distances(n: int, sample: int) -> tuple[np.ndarray, np.ndarray]:
-    """Of every simulated sample of n standard normal values: [draws] mean distance from its median,
-    and [draws] sum of squares of the distances about that mean."""
+    """For simulated samples of n standard normal values, compute the mean distance from the
+    median [draws] and the sum of squares of the distances about that mean [draws].
+    """
     x = stream(0, f"brown-forsythe/{n}/{sample}").standard_normal((_draws(n), n))
     z = np.abs(x - np.median(x, axis=1, keepdims=True))
     mean = z.mean(axis=1)

@@ -1,9 +1,9 @@
-"""The worst case beside the mean: worst view and seed, 5th percentile, and how often a run fails.
+"""The worst case: worst view and seed, 5th percentile, and how often a run fails.
 
-A run fails if it ended with an error, has no finite test PSNR, did not converge (its last
-evaluation lies at least `FAILURE_DB` below its own best), or lies at least `FAILURE_DB` below the
-run of `none + none` with the same scene, budget and seed. The interval of the share is Wilson's
-(1927).
+A run fails if it ended with an error, has no finite test PSNR or did not converge, which means that
+its last evaluation is at least `FAILURE_DB` below its best. It also fails if it is at least
+`FAILURE_DB` below the baseline run of the same scene, budget and seed. The interval of the failure
+rate is Wilson's (1927).
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from scipy import special
 
 from framework.report.statistics.estimates import CONFIDENCE, Interval
 from framework.report.statistics.outcomes import by_pair
-from framework.report.study.runs import FailedRun, ReportRun, Study
+from framework.report.study.methods import Method
+from framework.report.study.study import FailedRun, ReportRun, Study
 
 FAILURE_DB = 1.0
 PERCENTILE = 5.0
@@ -25,8 +26,11 @@ PERCENTILE = 5.0
 
 @dataclass(frozen=True)
 class WorstCase:
-    """Over the test views of all runs of a method on a scene, in dB: the worst mean of a run with
-    its seed, the worst view with its name and seed, and the 5th percentile of views."""
+    """Worst results in dB over the test views of all runs of a method on a scene.
+
+    They are the worst mean of a run with its seed, the worst view with its name and seed, and the
+    5th percentile of views.
+    """
 
     run_psnr: float
     run_seed: int
@@ -61,7 +65,7 @@ def worst_case(runs: Sequence[ReportRun]) -> WorstCase | None:
     return WorstCase(*min(means), lowest, view, view_seed, percentile)
 
 
-def failure_rate(study: Study, method: str, scene: str | None = None) -> FailureRate | None:
+def failure_rate(study: Study, method: Method, scene: str | None = None) -> FailureRate | None:
     """The share of failed runs of a method; None where it has no run."""
     runs = study.of(scene, method)
     lost = [run for run in study.failed if _is_of(run, scene, method)]
@@ -103,5 +107,5 @@ def _has_converged(run: ReportRun) -> bool:
     return len(psnr) == 0 or bool(psnr[-1] > psnr.max() - FAILURE_DB)
 
 
-def _is_of(run: FailedRun, scene: str | None, method: str) -> bool:
+def _is_of(run: FailedRun, scene: str | None, method: Method) -> bool:
     return run.method == method and scene in (None, run.scene)

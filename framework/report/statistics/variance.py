@@ -1,18 +1,24 @@
-"""Stability as numbers: are two methods' standard deviations over seeds different, and how many
-seeds would tell?
+"""Stability: do the standard deviations over seeds of two methods differ, and how many seeds would
+show it?
 
-- Test of methods that share their seeds: Pitman and Morgan (1939). A seed moves both alike, so
-  their values are pairs; where the deviations are equal, differences and sums of the pairs are not
-  correlated, which a t test of that correlation asks for, of their values and of their ranks, as
-  one outlier can make a correlation of values; p is the larger one.
-- Interval of their ratio q: q sqrt(k -+ sqrt(k^2 - 1)), k = 1 + 2 (1 - r^2) t^2 / (n - 2), r the
-  correlation within pairs: the ratios that the test of values does not refute, for normal errors.
-- Of methods that share fewer than three seeds: Brown and Forsythe (1974), an F test on the absolute
-  distances from the median, and sd_a / sd_b over the quantiles of F(n_a - 1, n_b - 1).
-- What they find, how often they err and how many seeds they need is simulated (`power`).
-- Mean of deviations over scenes: each s_k is divided by c4(n_k), its bias under normal errors; the
-  interval takes the mean as a scaled chi with as many degrees of freedom as give its variance
-  (Satterthwaite), scenes independent of each other.
+Methods that share seeds are tested by Pitman and Morgan (1939). A seed changes both alike, so their
+values are pairs. If the deviations are equal, differences and sums of the pairs are uncorrelated. A
+t test checks this for the values and for their ranks, because one outlier can cause a correlation
+of values. p is the larger one.
+
+The interval of their ratio q is q sqrt(k -+ sqrt(k^2 - 1)), k = 1 + 2 (1 - r^2) t^2 / (n - 2), with
+the correlation r within pairs. It contains the ratios that the test of values does not reject, for
+normal errors.
+
+Methods that share fewer than three seeds are tested by Brown and Forsythe (1974), an F test on the
+absolute distances from the median. The interval is sd_a / sd_b over the quantiles of F(n_a - 1, n_b
+- 1).
+
+Power, size and the number of seeds needed are simulated (`power`).
+
+The mean of deviations over scenes divides each s_k by its bias c4(n_k) under normal errors. Its
+interval treats the mean as a scaled chi with as many degrees of freedom as give its variance
+(Satterthwaite), with independent scenes.
 """
 
 from __future__ import annotations
@@ -21,6 +27,7 @@ import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy import special
@@ -40,19 +47,27 @@ from framework.report.statistics.power import (
     size,
     uncorrelated,
 )
+from framework.report.study.methods import Method
 
+M = TypeVar("M")
 MOST_ALIKE = 1 - 1e-9  # a correlation of exactly 1 would leave no noise to test against
 
 
 @dataclass(frozen=True)
 class SigmaComparison:
-    """ratio: sd of `method` / sd of `baseline`, None where one is 0, with its interval; steadier:
-    whether the first is smaller. p: of the test. n, other_n: seeds of both. rho: correlation of the
-    pairs that share a seed, None where the samples were compared as independent. tests: how many
-    comparisons `p_joint` and all that follows are corrected for (Bonferroni)."""
+    """Ratio of two standard deviations.
 
-    method: str
-    baseline: str
+    Attributes:
+        ratio: sd of `method` / sd of `baseline` with its interval; None if one is 0.
+        steadier: whether the first is smaller.
+        p: of the test.
+        n, other_n: seeds of both.
+        rho: correlation of the pairs that share a seed; None for samples compared as independent.
+        tests: how many comparisons `p_joint` and all that follows are corrected for (Bonferroni).
+    """
+
+    method: Method
+    baseline: Method
     ratio: float | None
     interval: Interval | None
     p: float
@@ -92,7 +107,7 @@ class SigmaComparison:
 
 
 def compare_sigmas(
-    method: str, values: Mapping[int, float], baseline: str, others: Mapping[int, float]
+    method: Method, values: Mapping[int, float], baseline: Method, others: Mapping[int, float]
 ) -> SigmaComparison | None:
     """The standard deviations of two samples by seed, of the seeds that both have if these are
     three or more; None where one has fewer than three values."""
@@ -117,9 +132,9 @@ def compare_sigmas(
     return known(ratio=ratio, interval=_paired_interval(ratio, rho, len(a)), p=p, rho=rho)
 
 
-def sigmas_corrected(known: Mapping[str, SigmaComparison]) -> dict[str, SigmaComparison]:
+def sigmas_corrected(found: Mapping[M, SigmaComparison]) -> dict[M, SigmaComparison]:
     """With p and power of a test that is one of all of these."""
-    return {method: replace(c, tests=len(known)) for method, c in known.items()}
+    return {method: replace(c, tests=len(found)) for method, c in found.items()}
 
 
 def brown_forsythe(a: np.ndarray, b: np.ndarray) -> float:

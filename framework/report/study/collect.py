@@ -1,16 +1,16 @@
-"""The runs of one or more studies, each with the name of its method and of its scene."""
+"""Read the runs of one or more studies, with the method and the scene of each."""
 
 from __future__ import annotations
 
 import os
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 
-from framework.errors import UserError, require
+from framework.errors import UserError, os_line, printable_line, require
 from framework.files.limits import RUNS
 from framework.metrics.values import Missing
 from framework.records import RUN_FOLDERS
@@ -18,68 +18,68 @@ from framework.records.archive import has_archive, read_archive
 from framework.records.failure import FAILED, read_failure
 from framework.records.record import RECORD, Run, read_run
 from framework.records.search import read_search
-from framework.report.study.folders import run_dirs
-from framework.report.study.labels import code, method_labels, scene_labels
-from framework.report.study.notes import archive_notes, begun_notes, notes, within
-from framework.report.study.order import method_order, natural
-from framework.report.study.recipes import NOTE, by_recipe
-from framework.report.study.runs import DAMAGED, FailedRun, ReportRun, Study
-from framework.report.study.shorten import shortened
+from framework.report.study.methods import Method, Naming, name_methods
+from framework.report.study.scenes import scene_labels
+from framework.report.study.study import DAMAGED, FailedRun, ReportRun, Study
+from framework.report.study.words import code, natural
+
+DEPTH = 12  # folders between a study and its runs; links are not followed
+NOTHING: Mapping[Path, str] = MappingProxyType({})
 
 
 def collect(
     study_dirs: Path | Sequence[Path],
     out_dir: Path | None = None,
-    broken: Mapping[Path, str] = MappingProxyType({}),
+    broken: Mapping[Path, str] = NOTHING,
     rival: str = "",
 ) -> Study:
-    """Read every record below the folders. out_dir: where the report goes, else the first folder.
-    broken: folders of runs that turned out damaged, and why. rival: the method to compare the
-    others with, by its name in the report, else plain training.
+    """Read every record below the folders.
 
-    A folder without runs is read from its archive (`framework.records.archive`). Raises UserError
-    if a folder has neither, or no run is the rival's.
+    Args:
+        study_dirs: folders with runs, or with their archive (`framework.records.archive`).
+        out_dir: folder of the report; by default the first folder.
+        broken: folders of damaged runs with the reason.
+        rival: display or registry name of the baseline; "" for training without a method.
+
+    Raises:
+        UserError: A folder has neither runs nor an archive, or no run is of that baseline.
     """
     folders = [study_dirs] if isinstance(study_dirs, Path) else list(study_dirs)
     runs, failed, origins, archived = _gathered(folders, broken)
-    labelled, named = _label(runs, failed)
-    short, shortened_notes = shortened([run.method_label for run in labelled])
-    recipes = by_recipe(
-        [(run.method_label, run.record.overrides, run.scene) for run in labelled]
-        + [(run.method_label, run.overrides, run.scene) for run in named if run.method_label]
-    )
-    if recipes:
-        short, shortened_notes = recipes, [NOTE]
-    labelled = [replace(run, method_label=short[run.method]) for run in labelled]
-    named = [replace(run, method_label=short.get(run.method, run.method_label)) for run in named]
+    labelled, named, naming = _label(runs, failed)
     missing = _missing(labelled, named, origins)
     unique, repeated = _without_repeats(labelled)
-    unique.sort(key=lambda r: (natural(r.scene), method_order(r.method), r.seed))
-    known = sorted({run.method for run in unique}, key=method_order)
-    require(
-        not rival or rival in {*known, *(run.method_label.family for run in unique)},
-        f"--baseline: expected a method of the report, got {rival!r}; give one of"
-        f" {'; '.join(known)}",
-    )
+    unique.sort(key=lambda r: (natural(r.scene), r.method.order, r.seed))
     searched = read_search(folders[0]) if len(folders) == 1 else None
-    if searched is not None:
-        missing = []  # no full cross: each trial is a method of its own
     return Study(
         out_dir or folders[0],
         tuple(unique),
         tuple(named),
-        (
-            *archive_notes(archived),
-            *shortened_notes,
-            *repeated,
-            *notes(unique, runs),
-            *begun_notes(folders),
-        ),
-        tuple(missing),
+        (*naming.notes, *repeated),
+        # the trials of a search are no full cross: each is a separate method
+        tuple(missing) if searched is None else (),
         linked=not archived,
         archived=tuple(archived),
         searched=searched,
-        rival=rival,
+        rival=_rival(rival, unique),
+        sources=tuple(run.record.provenance for run in runs),
+        begun=tuple(path.name for folder in folders for path in begun_dirs(folder)),
+    )
+
+
+def _rival(text: str, runs: Sequence[ReportRun]) -> Method | None:
+    """The method, or the family of methods, that is called so. Raises UserError if there is
+    none."""
+    if not text:
+        return None
+    methods = sorted({run.method for run in runs}, key=lambda method: method.order)
+    families = dict.fromkeys(method.family for method in methods)
+    for method in (*families, *methods):
+        if method.is_called(text):
+            return method
+    raise UserError(
+        f"--baseline: expected a method of the report, got {text!r}; give one of"
+        f" {'; '.join(dict.fromkeys(method.label for method in (*families, *methods)))}"
     )
 
 
@@ -107,25 +107,21 @@ def _gathered(
 
 def _archived(folder: Path) -> tuple[list[Run], list[FailedRun]]:
     """The complete and the failed runs in a folder's archive."""
-    complete: list[Run] = []
-    failed: list[FailedRun] = []
-    for entry in read_archive(folder):
-        if entry.run.record.status == "complete":
-            complete.append(entry.run)
-        else:
-            failed.append(_failed(entry.run, entry.kind, entry.again))
-    return complete, failed
+    entries = read_archive(folder)
+    complete = [entry.run for entry in entries if entry.run.record.status == "complete"]
+    lost = [entry for entry in entries if entry.run.record.status != "complete"]
+    return complete, [_failed(entry.run, entry.kind, entry.again) for entry in lost]
 
 
 def _failed(run: Run, kind: str, again: str) -> FailedRun:
-    record, error = run.record, run.record.error or "not told"
-    own = record.overrides, record.config, record.provenance
-    return FailedRun(run.run_dir, error, kind, *own, again)
+    r = run.record
+    error = r.error or "unknown error"
+    return FailedRun(run.run_dir, error, kind, r.overrides, r.config, r.provenance, again)
 
 
 def _read(folder: Path, broken: Mapping[Path, str]) -> tuple[list[Run], list[FailedRun]]:
-    """All complete and all failed runs below `folder`, by path; one that is not what a run writes
-    counts among the failed."""
+    """All complete and all failed runs below `folder`, by path; one that no run wrote counts as
+    failed."""
     complete: list[Run] = []
     failed: list[FailedRun] = []
     paths = run_dirs(folder)
@@ -140,25 +136,29 @@ def _read(folder: Path, broken: Mapping[Path, str]) -> tuple[list[Run], list[Fai
         try:
             if path in broken:
                 raise UserError(broken[path])
-            found = _read_run(path)
+            run = _read_run(path)
         except UserError as error:
-            failed.append(FailedRun(path, within(path, error), DAMAGED, (), {}, {}))
-            continue
-        if isinstance(found, Run):
-            complete.append(found)
+            run = FailedRun(path, _within(path, error), DAMAGED, (), {}, {})
+        if isinstance(run, Run):
+            complete.append(run)
         else:
-            failed.append(found)
+            failed.append(run)
     return complete, failed
 
 
+def _within(path: Path, error: UserError) -> str:
+    """The error, with the folder `path` and its files named without the path to it."""
+    below = str(error).replace(printable_line(f"{path}/"), "")
+    return below.replace(printable_line(f"{path}:"), printable_line(f"{path.name}:"))
+
+
 def _read_run(path: Path) -> Run | FailedRun:
-    """Raises UserError where the files in the folder `path` are not those of a run."""
+    """Raises UserError if the files in the folder `path` are not those of a run."""
     if not os.path.lexists(path / RECORD):
         left = read_failure(path)
         return FailedRun(path, left.error, left.kind, left.overrides, left.config, {}, left.again)
     run = read_run(path)
-    record = run.record
-    if record.status == "complete":
+    if run.record.status == "complete":
         return run
     last = read_failure(path) if os.path.lexists(path / FAILED) else None
     return _failed(run, *((last.kind, last.again) if last else ("", "")))
@@ -166,35 +166,34 @@ def _read_run(path: Path) -> Run | FailedRun:
 
 def _label(
     runs: Sequence[Run], failed: Sequence[FailedRun]
-) -> tuple[list[ReportRun], list[FailedRun]]:
-    """Names among all runs, so that a failed run has the name its method has elsewhere."""
-    known = [run for run in failed if run.config]
-    configs = [run.record.config for run in runs] + [run.config for run in known]
-    methods = method_labels(configs)
-    scenes = scene_labels(configs, [run.record.scene for run in runs] + [None] * len(known))
+) -> tuple[list[ReportRun], list[FailedRun], Naming]:
+    """Name all runs together, so that a failed run has the method that it has elsewhere."""
+    readable = [run for run in failed if run.config]
+    configs = [run.record.config for run in runs] + [run.config for run in readable]
+    overrides = [run.record.overrides for run in runs] + [run.overrides for run in readable]
+    scenes = scene_labels(configs, [run.record.scene for run in runs] + [None] * len(readable))
+    naming = name_methods(configs, overrides, [scene.full for scene in scenes])
     cut = len(runs)
-    labelled = [ReportRun(*p) for p in zip(runs, methods[:cut], scenes[:cut], strict=True)]
-    found = {
+    parts = zip(runs, naming.methods[:cut], scenes[:cut], strict=True)
+    labels = {
         run.run_dir: (method, scene.full)
-        for run, method, scene in zip(known, methods[cut:], scenes[cut:], strict=True)
+        for run, method, scene in zip(readable, naming.methods[cut:], scenes[cut:], strict=True)
     }
     named = [
-        replace(run, method_label=found[run.run_dir][0], scene=found[run.run_dir][1])
-        if run.run_dir in found
+        replace(run, method=labels[run.run_dir][0], scene=labels[run.run_dir][1])
+        if run.run_dir in labels
         else run
         for run in failed
     ]
-    return labelled, named
+    return [ReportRun(*part) for part in parts], named, naming
 
 
 def _missing(
-    runs: Sequence[ReportRun],
-    failed: Sequence[FailedRun],
-    origins: Sequence[Path],
-) -> list[tuple[str, str, int]]:
-    """What each folder lacks to be the full cross of its own scenes, methods and seeds."""
-    there = {(run.scene, run.method, run.seed) for run in runs}
-    there |= {(run.scene, run.method, run.seed) for run in failed if run.seed is not None}
+    runs: Sequence[ReportRun], failed: Sequence[FailedRun], origins: Sequence[Path]
+) -> list[tuple[str, Method, int]]:
+    """List what each folder lacks for the full cross of its scenes, methods and seeds."""
+    present: set[tuple[object, ...]] = {(run.scene, run.method, run.seed) for run in runs}
+    present |= {(run.scene, run.method, run.seed) for run in failed}
     by_folder: dict[Path, list[ReportRun]] = defaultdict(list)
     for run, folder in zip(runs, origins, strict=True):
         by_folder[folder].append(run)
@@ -202,30 +201,72 @@ def _missing(
         ({run.scene for run in own}, {run.method for run in own}, {run.seed for run in own})
         for own in by_folder.values()
     ]
-    # no command asks for more, so what is larger was never meant as a cross
-    asked = [(a, b, c) for a, b, c in crosses if len(a) * len(b) * len(c) <= RUNS]
-    lacking = {cell for cross in asked for cell in product(*cross)} - there
-    return sorted(lacking, key=lambda cell: (natural(cell[0]), method_order(cell[1]), cell[2]))
+    # no command starts more runs, so a larger cross was never meant
+    meant = [(a, b, c) for a, b, c in crosses if len(a) * len(b) * len(c) <= RUNS]
+    lacking = {cell for cross in meant for cell in product(*cross)} - present
+    return sorted(lacking, key=lambda cell: (natural(cell[0]), cell[1].order, cell[2]))
 
 
 def _without_repeats(runs: list[ReportRun]) -> tuple[list[ReportRun], list[str]]:
-    """One run per scene, method and seed: that of which most was measured, of equal ones the first
-    by folder; the others are told."""
-    kept: dict[tuple[str, str, int], ReportRun] = {}
+    """One run per scene, method and seed: the one with the most metrics, of equal ones the first by
+    folder; a note names the others."""
+    kept: dict[tuple[str, Method, int], ReportRun] = {}
     for run in runs:
         first = kept.setdefault((run.scene, run.method, run.seed), run)
-        if _measured(run) > _measured(first):
+        if _n_metrics(run) > _n_metrics(first):
             kept[run.scene, run.method, run.seed] = run
-    told = [
-        f"{run.method} on {run.scene} with seed {run.seed} was found twice; the run in"
-        f" {code(run.run.run_dir.name)} is left out in favour of"
-        f" {code(best.run.run_dir.name)}."
+    repeats = [
+        f"{run.method} on {run.scene} with seed {run.seed} ran twice; the run in"
+        f" {code(run.run.run_dir.name)} is left out in favour of {code(best.run.run_dir.name)}."
         for run in runs
         if (best := kept[run.scene, run.method, run.seed]) is not run
     ]
-    return list(kept.values()), told
+    return list(kept.values()), repeats
 
 
-def _measured(run: ReportRun) -> int:
-    """How many metrics the run has."""
+def _n_metrics(run: ReportRun) -> int:
     return sum(not isinstance(value, Missing) for value in run.record.summary.values())
+
+
+def walked(folder: Path) -> Iterator[tuple[Path, set[str]]]:
+    """`folder` and the folders below it, each with the names in it."""
+    waiting = [(folder, 0)]
+    while waiting:
+        place, depth = waiting.pop()
+        names, below = _content(place)
+        yield place, names
+        if depth < DEPTH:
+            waiting += [(place / name, depth + 1) for name in below]
+
+
+def run_dirs(folder: Path) -> list[Path]:
+    """The folders of complete and failed runs, sorted."""
+    return sorted(place for place, names in walked(folder) if holds_run(names))
+
+
+def holds_run(names: Collection[str]) -> bool:
+    """Whether a folder with these names in it is that of a run."""
+    return RECORD in names or FAILED in names
+
+
+def begun_dirs(folder: Path) -> list[Path]:
+    """The folders of runs that left neither a record nor an error, sorted: they were killed, or are
+    still running."""
+    _, names = _content(folder / RUN_FOLDERS)
+    begun = (folder / RUN_FOLDERS / name for name in sorted(names) if not name.startswith("."))
+    return [path for path in begun if not run_dirs(path)]
+
+
+def _content(folder: Path) -> tuple[set[str], list[str]]:
+    """All names in a folder, and those of folders; nothing if it cannot be read, or is none.
+
+    Raises UserError for runs that cannot be read, of which a report must not be silent.
+    """
+    try:
+        with os.scandir(folder) as entries:
+            kinds = {entry.name: entry.is_dir(follow_symlinks=False) for entry in entries}
+    except OSError as error:
+        if isinstance(error, PermissionError) and RUN_FOLDERS in (folder.name, folder.parent.name):
+            raise UserError(os_line(error, folder)) from error
+        return set(), []
+    return set(kinds), [name for name, is_folder in kinds.items() if is_folder]

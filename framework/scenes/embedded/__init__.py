@@ -1,8 +1,8 @@
 """The embedded scene: procedural, ray-traced, exact. It needs no download and has no unknowns.
 
 A room corner from 2 m to 8 m: photographs bundled with scikit-image, boxes, a mirror ball, a glazed
-vase, a plant, a thin lattice, wires, a plain cupboard. Generated once per set of options, cached,
-with the same bits on every machine. Poses, intrinsics and depth are exact.
+vase, a plant, a thin lattice, wires, a plain cupboard. It is generated once per set of options and
+cached, with the same bits on every machine. Poses, intrinsics and depth are exact.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 class Embedded(EmbeddedOptions):
     """A ray-traced room in the repository itself, with exact depth.
 
-    The training cameras stand in a zigzag of their own (protocol `rig`); eight test cameras, tagged
-    `interpolating` (inside the training cameras' hull) or `extrapolating`, are always the same.
+    The training cameras form a zigzag (protocol `rig`). The eight test cameras are always the same;
+    they are tagged `interpolating` (inside the training cameras' hull) or `extrapolating`.
     """
 
     poses_are_exact: ClassVar[bool] = True
 
     def load(self) -> Scene:
-        """The scene, from the cache or generated (a few seconds, once)."""
+        """Load the scene from the cache, or generate it (a few seconds)."""
         from framework.scenes.embedded.generate import load
 
         return load(self)

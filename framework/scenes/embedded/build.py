@@ -1,8 +1,8 @@
 """The scene of `world.py` as the arrays of `arrays.py`, with the lists that make tracing fast.
 
-A list of candidates only has to contain every solid that could be hit (a solid lies inside its box,
-and a box projects into the bounding rectangle of its eight corners), so no bit of the image
-depends on how tight it is.
+A list of candidates must contain every solid that could be hit. A solid lies inside its box, and
+the box projects into the bounding rectangle of its corners. How tight a list is does not change a
+bit of the image.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The embedded scene's images: generated, kept as one npz in the cache folder, checked when read.
+"""The embedded scene's images, kept as one npz file in the user's cache.
 
-The file's name hashes the options, this package's sources and scikit-image's version (it brings the
-textures), so a changed scene never meets an old file; a damaged file is made anew.
+The file's name hashes the options, the sources of this package and scikit-image's version (it
+contains the textures), so a changed scene has another file. A damaged file is generated again.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 
 
 class Pictures(NamedTuple):
-    """images: [V, H, W, 3] uint8. depths: [V, H, W] float32, z at the pixel centres."""
+    """images: [V, H, W, 3] uint8. depths: [V, H, W] float32, z at pixel centres."""
 
     images: NDArray[np.uint8]
     depths: NDArray[np.float32]
@@ -67,9 +67,9 @@ def _render(options: EmbeddedOptions) -> Pictures:
 
 
 def _cache_file(options: EmbeddedOptions) -> Path:
-    # the photos do not know that their poses will be told wrong
-    seen = dataclasses.replace(options, pose_noise=0.0)
-    key = hashlib.sha256(repr(sorted(dataclasses.asdict(seen).items())).encode())
+    # noise changes the poses that training gets, but not the photos
+    exact = dataclasses.replace(options, pose_noise=0.0)
+    key = hashlib.sha256(repr(sorted(dataclasses.asdict(exact).items())).encode())
     for source in sorted(Path(__file__).parent.glob("*.py")):
         key.update(source.read_bytes())
     key.update(version("scikit-image").encode())
@@ -88,7 +88,7 @@ def _read(path: Path) -> Pictures | None:
         intact = False
     if intact:
         return pictures
-    log.warning("%s is damaged and is generated anew", path)
+    log.warning("%s is damaged and is generated again", path)
     return None
 
 
@@ -116,7 +116,7 @@ def _world_to_camera(pose: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def load(options: EmbeddedOptions) -> Scene:
-    """The scene under the protocol `rig` (see `EmbeddedOptions`)."""
+    """Load the scene with the split `rig`."""
     from framework.scenes.embedded.points import sparse_points
 
     pictures = _pictures(options)
@@ -128,14 +128,14 @@ def load(options: EmbeddedOptions) -> Scene:
     tags = [()] * n + [
         ("interpolating",) if rig.is_inside(p, train) else ("extrapolating",) for p in test
     ]
-    told = list(poses)
+    noisy = list(poses)
     if options.pose_noise > 0:
-        told[:n] = rig.disturbed(poses[:n], options.pose_noise / focal)
+        noisy[:n] = rig.perturbed(poses[:n], options.pose_noise / focal)
     shots = [
         Shot(name, _world_to_camera(pose), K, image, depth, tags=tag)
-        for name, pose, image, depth, tag in zip(names, told, *pictures, tags, strict=True)
+        for name, pose, image, depth, tag in zip(names, noisy, *pictures, tags, strict=True)
     ]
     points = Tracks(*sparse_points(pictures.images[:n], pictures.depths[:n], poses[:n], focal))
-    seen = pictures.depths[:n]
-    near, far = 0.9 * float(seen.min()), 1.1 * float(seen.max())
+    depths = pictures.depths[:n]
+    near, far = 0.9 * float(depths.min()), 1.1 * float(depths.max())
     return assemble("embedded", "rig", shots[:n], shots[n:], points, near, far)

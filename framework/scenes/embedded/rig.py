@@ -1,4 +1,4 @@
-"""Where the cameras of the embedded scene stand: a forward-facing rig, like a hand-held LLFF sweep.
+"""The camera rig of the embedded scene: forward-facing, like a hand-held LLFF sweep.
 
 Positions are in units of `spread` on the plane z = 0, viewing directions converge on a far point.
 """
@@ -14,7 +14,7 @@ from framework.scenes.embedded.vectors import Vector, looking
 FOCAL_WIDTHS = 0.9  # focal length in units of the image width: 58 degrees across
 FOCUS: Vector = (0.0, -0.05, 6.5)
 
-# four that the default three training cameras enclose, four that they do not
+# four inside the hull of the default three training cameras, four outside
 TEST_POSITIONS: tuple[Vector, ...] = (
     (0.0, 0.0, 0.0),
     (-0.45, -0.2, 0.0),
@@ -28,7 +28,7 @@ TEST_POSITIONS: tuple[Vector, ...] = (
 
 
 def training_positions(n: int) -> list[Vector]:
-    """n positions in a zigzag from left to right; one camera stands below the centre."""
+    """n positions in a zigzag from left to right; a single camera is above the centre."""
     if n == 1:
         return [(0.0, -0.5, 0.0)]
     return [(2.0 * k / (n - 1) - 1.0, 0.5 if k % 2 else -0.5, 0.0) for k in range(n)]
@@ -72,19 +72,22 @@ def pose(position: Vector, spread: float) -> NDArray[np.float64]:
     return np.array([[x[k], y[k], z[k], center[k]] for k in range(3)])
 
 
-def disturbed(poses: NDArray[np.float64], angle: float) -> list[NDArray[np.float64]]:
-    """[n, 3, 4] camera-to-world poses told wrong: turned about the camera's x and y axes and moved
-    along them, by four independent normal draws each.
+def perturbed(poses: NDArray[np.float64], angle: float) -> list[NDArray[np.float64]]:
+    """Perturb camera-to-world poses [n, 3, 4].
 
-    angle: standard deviation of a turn in radians; a move shifts what stands at `FOCUS` as much. A
-    wrong pose of x pixels hence displaces it by about x sqrt(2) pixels along each image axis. The
-    draws depend on neither a run's seed nor the angle. The turn is the Cayley map, which needs no
+    Each camera turns about its x and y axes and moves along them, by four independent normal draws,
+    which depend on neither a run's seed nor the angle. The turn is the Cayley map, which needs no
     library sine.
+
+    Args:
+        poses: the exact poses.
+        angle: standard deviation of a turn in radians. A move shifts what is at `FOCUS` as much, so
+            an error of x pixels displaces it by about x sqrt(2) pixels along each image axis.
     """
     draws = stream(0, "embedded/pose_noise").standard_normal((len(poses), 4))
     return [
-        _moved(pose, *(angle * d for d in own.tolist()))
-        for pose, own in zip(poses, draws, strict=True)
+        _moved(pose, *(angle * d for d in draw.tolist()))
+        for pose, draw in zip(poses, draws, strict=True)
     ]
 
 

@@ -18,14 +18,14 @@ from framework.scenes.embedded.solids import INNER, STRICT, hit
 @njit(inline="always", **INNER)
 def _first(solids, members, tile, o, d):  # type: ignore[no-untyped-def]
     """The solid of a tile's list that the ray (o, d) meets first and its t; (-1, inf) if none."""
-    best, found, k = np.inf, np.int64(-1), 0
+    best, nearest, k = np.inf, np.int64(-1), 0
     while members[tile, k] >= 0:
         p = np.int64(members[tile, k])
         t = hit(solids, p, o, d)
         if t < best:
-            best, found = t, p
+            best, nearest = t, p
         k += 1
-    return found, best
+    return nearest, best
 
 
 @njit(**INNER)

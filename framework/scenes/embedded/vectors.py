@@ -1,5 +1,7 @@
-"""3-vectors from `+ - * /` and `sqrt` only, which IEEE 754 rounds exactly: the same bits on every
-machine. (A BLAS product or a library `sin` may differ in the last bit.) Plain tuples of floats.
+"""3-vectors as tuples of floats, with the same bits on every machine.
+
+They use `+ - * /` and `sqrt` only, which IEEE 754 rounds exactly. A BLAS product or a library `sin`
+may differ in the last bit.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What stands in the embedded scene: part of a room, from a lattice near the lens to a wall.
+"""The objects of the embedded scene: part of a room, from a lattice near the lens to a wall.
 
-Units are metres, axes as a camera's (x right, y down, z away from the viewers, who stand around the
-origin). Every solid has a centre, a frame, half sizes and a material. Nothing here is random.
+Units are metres. Axes are those of a camera (x right, y down, z away from the cameras around the
+origin). Every solid has a centre, a frame, half sizes and a material. Nothing is random.
 """
 
 from __future__ import annotations
@@ -16,9 +16,17 @@ UPRIGHT: Frame = looking((0.0, 0.0, 1.0))
 
 @dataclass(frozen=True)
 class Material:
-    """texture: name in `textures.py`, "" = plain. tint multiplies it. repeat: metres per tile, 0 =
-    one picture over each face. contrast scales the texture about its mean. highlight: strength of
-    the Blinn-Phong lobe. mirror: share of the mirror image. glow: extra ambient light."""
+    """The look of a surface.
+
+    Attributes:
+        texture: name in `textures.py`, "" = plain.
+        tint: multiplies the texture.
+        repeat: metres per tile, 0 = one picture per face.
+        contrast: scales the texture about its mean.
+        highlight: strength of the Blinn-Phong lobe.
+        mirror: share of the mirror image.
+        glow: extra ambient light.
+    """
 
     texture: str = ""
     tint: Vector = (1.0, 1.0, 1.0)

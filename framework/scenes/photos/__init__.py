@@ -1,11 +1,10 @@
 """`scene=photos`: a folder of photos, or a video, without camera poses.
 
-pycolmap finds the poses in a process of its own, with settings for few photos, and tries harder
-where photos are left over (`steps`). What it found is kept in the user's cache, in
-`poses/fishersplat-poses-<hash of the photos' content>`; nothing is written beside the photos. That
-folder is a scene of `scene=colmap`, and is loaded as one: the same photos give the
-same scene from then on. pycolmap itself repeats bit for bit on one machine, for any number of
-threads; another machine may round otherwise and then has another scene, with another fingerprint.
+pycolmap finds the poses in a child process, with settings for few photos and several attempts (see
+`options`). The result is kept in the user's cache, in `poses/fishersplat-poses-<hash of the photos'
+content>`; nothing is written next to the photos. That folder is loaded as a scene of
+`scene=colmap`, so the same photos always give the same scene. On one machine pycolmap repeats bit
+for bit, for any number of threads; another machine may round differently.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ log = logging.getLogger(__name__)
 class Photos:
     """Photos without poses: pycolmap finds them, once.
 
-    near, far: depth bounds in units of the poses found; null = from the points.
+    near, far: depth bounds in units of the poses; null = from the points.
     """
 
     path: str  # folder of the photos, or a video
@@ -48,27 +47,30 @@ class Photos:
         check_option(self, "scene", "frames", 3 <= self.frames <= 1000, "3 to 1000")
 
     def load(self) -> Scene:
-        """The scene; the first time this takes from seconds to many minutes. Raises UserError where
-        too few photos find a place, with what to do."""
+        """Load the scene; the first time this takes from seconds to many minutes.
+
+        Raises:
+            UserError: too few photos can be placed.
+        """
         from framework.files.limits import PHOTO_PIXELS
         from framework.scenes.colmap import Colmap, load_colmap
         from framework.scenes.decoding import image_size
         from framework.scenes.photos.advice import advice
-        from framework.scenes.photos.cached import poses_folder
-        from framework.scenes.photos.found import read_found
+        from framework.scenes.photos.process import poses_folder
+        from framework.scenes.photos.result import read_result
         from framework.scenes.photos.source import find_source
 
         source = find_source(self.path, self.side, self.frames)
         folder = poses_folder(source)
-        found = read_found(folder)
-        counts = (len(found.placed), len(found.photos))
+        result = read_result(folder)
+        counts = (len(result.placed), len(result.photos))
         log.info("scene=photos: %d of %d photos have poses, kept in %s", *counts, folder)
-        for line in advice(found):
+        for line in advice(result):
             log.warning("scene=photos: %s", line)
         images = folder / "images"
-        sizes = [image_size(images / name, PHOTO_PIXELS) for name in found.placed]
+        sizes = [image_size(images / name, PHOTO_PIXELS) for name in result.placed]
         downscale = self.downscale or -(-max(max(size) for size in sizes) // TRAINED_SIDE)
-        if downscale > 1 or found.reduced:
+        if downscale > 1 or result.reduced:
             width, height = sizes[0]
             log.info(
                 "scene=photos: trained at %dx%d pixels (scene.downscale=%d of %dx%d)",

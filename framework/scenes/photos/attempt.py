@@ -1,8 +1,7 @@
-"""One try at the poses: features, matches, and the placing of photos, all by pycolmap.
+"""One attempt at the poses: features, matches and placing, all by pycolmap.
 
-Work is handed to pycolmap in portions, so that there is progress to tell. Photos and cameras are
-entered first, in order: their numbers, and with them all that follows, then do not depend on which
-thread is done first.
+pycolmap gets its work in portions, so that progress can be shown. Photos and cameras are entered
+first and in order: their ids, and all results, then do not depend on the order of threads.
 """
 
 from __future__ import annotations
@@ -10,46 +9,37 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from framework.scenes.photos.advice import stands_still
-from framework.scenes.photos.found import Link, Overruled, Try
+from framework.scenes.photos.options import SEED, Step, extraction, matching, pairs, verification
 from framework.scenes.photos.placing import Placing, place
 from framework.scenes.photos.prepare import Photo
-from framework.scenes.photos.steps import (
-    SEED,
-    Step,
-    extraction,
-    matching,
-    pairs,
-    verification,
-)
-from framework.scenes.photos.telling import Telling
+from framework.scenes.photos.process import Messages
+from framework.scenes.photos.result import Link, Overruled, Try
 
 PORTION = 50  # pairs of photos
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """model: pycolmap's, None where it found none. held, overruled: see `Placing`. The rest as in
-    `Found`."""
+    """model: pycolmap's, None if there is none. The other fields are those of `Result`."""
 
-    model: Any
-    held: bool
-    overruled: Overruled | None
-    placed: dict[str, int]
-    groups: list[list[str]]
-    features: dict[str, int]
-    links: list[Link]
-    told: Try
+    model: Any = None
+    held: bool = False
+    overruled: Overruled | None = None
+    placed: dict[str, int] = field(default_factory=dict)
+    groups: list[list[str]] = field(default_factory=list)
+    features: dict[str, int] = field(default_factory=dict)
+    links: list[Link] = field(default_factory=list)
 
 
 def attempt(
-    step: Step, photos: Sequence[Photo], images: Path, work: Path, threads: int, telling: Telling
-) -> Attempt:
-    """Work with the prepared `photos` in `images`; temporary files go to `work`."""
+    step: Step, photos: Sequence[Photo], images: Path, work: Path, threads: int, messages: Messages
+) -> tuple[Attempt, Try]:
+    """Place the prepared `photos` in `images`; temporary files go to `work`."""
     import pycolmap
 
     pycolmap.logging.minloglevel = pycolmap.logging.ERROR.value
@@ -57,34 +47,32 @@ def attempt(
     database = work / "database.db"
     marks = [time.process_time()]
     _enter(photos, images, database)
-    _features(step, photos, images, database, threads, telling)
+    _extract(step, photos, images, database, threads, messages)
     marks.append(time.process_time())
-    _matches(step, photos, database, threads, telling)
+    _match(step, photos, database, threads, messages)
     marks.append(time.process_time())
     features, links = _read(database, photos)
-    # from one place no model comes, or one that is wrong
+    # from one place there is no model, or a wrong one
     still = stands_still(links)
-    found = Placing([]) if still else place(step, photos, images, work, telling)
+    placing = Placing() if still else place(step, photos, images, work, messages)
     marks.append(time.process_time())
-    shown = {photo.stored: photo.name for photo in photos}
-    seen = [_seen(model, shown) for model in found.models]
-    placed = seen[0] if seen else {}
-    spent = [after - before for before, after in itertools.pairwise(marks)]
-    groups = [sorted(set(other) - set(placed)) for other in seen[1:]]
+    names = {photo.stored: photo.name for photo in photos}
+    placed, *others = [_points_seen(model, names) for model in placing.models] or [{}]
+    groups = [sorted(set(other) - set(placed)) for other in others]
+    seconds = [after - before for before, after in itertools.pairwise(marks)]
     return Attempt(
-        model=found.models[0] if found.models else None,
-        held=found.held,
-        overruled=found.overruled,
+        model=placing.models[0] if placing.models else None,
+        held=placing.held,
+        overruled=placing.overruled,
         placed=placed,
         groups=[group for group in groups if len(group) > 1],
         features=features,
         links=links,
-        told=Try(step.name, len(placed), *spent),
-    )
+    ), Try(step.name, len(placed), *seconds)
 
 
 def _enter(photos: Sequence[Photo], images: Path, database: Path) -> None:
-    """Photos and their cameras, of COLMAP's model SIMPLE_RADIAL."""
+    """Enter photos and their cameras, of COLMAP's model SIMPLE_RADIAL."""
     import pycolmap
 
     pycolmap.Database.open(str(database)).close()
@@ -100,40 +88,44 @@ def _enter(photos: Sequence[Photo], images: Path, database: Path) -> None:
         pycolmap.import_images(database, images, pycolmap.CameraMode.SINGLE, names, reader)
 
 
-def _features(
-    step: Step, photos: Sequence[Photo], images: Path, database: Path, threads: int, tell: Telling
+def _extract(
+    step: Step,
+    photos: Sequence[Photo],
+    images: Path,
+    database: Path,
+    threads: int,
+    messages: Messages,
 ) -> None:
     import pycolmap
 
-    tick, portion = tell.ticks("photos searched for features"), max(2 * threads, 4)
+    count, portion = messages.counter("photos searched for features"), max(2 * threads, 4)
     options = extraction(step, threads)
     for start in range(0, len(photos), portion):
         names = [photo.stored for photo in photos[start : start + portion]]
         pycolmap.extract_features(
             database, images, names, pycolmap.CameraMode.PER_IMAGE, extraction_options=options
         )
-        tick(min(start + portion, len(photos)), len(photos))
+        count(min(start + portion, len(photos)), len(photos))
 
 
-def _matches(
-    step: Step, photos: Sequence[Photo], database: Path, threads: int, tell: Telling
+def _match(
+    step: Step, photos: Sequence[Photo], database: Path, threads: int, messages: Messages
 ) -> None:
     import pycolmap
 
-    chosen, tick = pairs(len(photos)), tell.ticks("pairs of photos compared")
+    chosen, count = pairs(len(photos)), messages.counter("pairs of photos compared")
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = database.with_name("pairs.txt")
     for start in range(0, len(chosen), PORTION):
-        lines = [
-            f"{photos[i].stored} {photos[j].stored}" for i, j in chosen[start : start + PORTION]
-        ]
+        portion = chosen[start : start + PORTION]
+        lines = [f"{photos[i].stored} {photos[j].stored}" for i, j in portion]
         pairing.match_list_path.write_text("\n".join(lines))
         pycolmap.match_image_pairs(database, matching(step, threads), pairing, verification(step))
-        tick(min(start + PORTION, len(chosen)), len(chosen))
+        count(min(start + PORTION, len(chosen)), len(chosen))
 
 
 def _read(database: Path, photos: Sequence[Photo]) -> tuple[dict[str, int], list[Link]]:
-    """Features of each photo, and the links between them."""
+    """The number of features of each photo, and the links between photos."""
     import numpy as np
     import pycolmap
 
@@ -144,21 +136,20 @@ def _read(database: Path, photos: Sequence[Photo]) -> tuple[dict[str, int], list
     with pycolmap.Database.open(str(database)) as opened:
         entered = {image.image_id: by_name[image.name] for image in opened.read_all_images()}
         places = {i: opened.read_keypoints(i)[:, :2] for i in entered}
-        numbers, geometries = opened.read_two_view_geometries()
-    for number, geometry in zip(numbers, geometries, strict=True):
-        if not len(geometry.inlier_matches):
+        pair_ids, geometries = opened.read_two_view_geometries()
+    for pair_id, geometry in zip(pair_ids, geometries, strict=True):
+        matches = geometry.inlier_matches
+        if not len(matches):
             continue
-        i, j = pycolmap.pair_id_to_image_pair(number)
+        i, j = pycolmap.pair_id_to_image_pair(pair_id)
         a, b = entered[i], entered[j]
-        chosen = geometry.inlier_matches
-        moved = np.linalg.norm(places[i][chosen[:, 0]] - places[j][chosen[:, 1]], axis=1)
-        shift = float(np.median(moved)) / max(a.width, a.height)
-        flat = geometry.config in homographies
-        links.append(Link(a.name, b.name, len(chosen), shift, flat))
+        distances = np.linalg.norm(places[i][matches[:, 0]] - places[j][matches[:, 1]], axis=1)
+        shift = float(np.median(distances)) / max(a.width, a.height)
+        links.append(Link(a.name, b.name, len(matches), shift, geometry.config in homographies))
     return {photo.name: len(places[i]) for i, photo in entered.items()}, links
 
 
-def _seen(model: Any, shown: dict[str, str]) -> dict[str, int]:
-    """Name of each placed photo -> the number of 3D points it sees, in the order of names."""
+def _points_seen(model: Any, names: dict[str, str]) -> dict[str, int]:
+    """Name of each placed photo -> number of 3D points it sees, sorted by name."""
     images = [model.image(i) for i in model.reg_image_ids()]
-    return dict(sorted((shown[image.name], int(image.num_points3D)) for image in images))
+    return dict(sorted((names[image.name], int(image.num_points3D)) for image in images))

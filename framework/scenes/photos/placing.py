@@ -1,119 +1,127 @@
-"""The placing of photos whose matches are known, by pycolmap's incremental mapping: with which
-thresholds, and whose focal length, EXIF's or the photos' own.
+"""Places photos with known matches by pycolmap's incremental mapping, and chooses a focal length.
+
+Few photos from one side often do not determine the focal length, and the estimate diverges. EXIF
+may be wrong too, as of cropped photos. If the estimate is implausible or far from EXIF's value, the
+photos are placed again with a fixed focal length and no distortion. It is EXIF's, else 1.2 times
+the longer side (42 mm on film). A plausible estimate that fits clearly better wins over EXIF's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from framework.scenes.photos.found import Overruled
+from framework.scenes.photos.options import Step, mapping
 from framework.scenes.photos.prepare import Photo
-from framework.scenes.photos.steps import Step, agree, decisive, mapping, plausible
-from framework.scenes.photos.telling import Telling
+from framework.scenes.photos.process import Messages
+from framework.scenes.photos.result import Overruled
+
+FOCAL = (0.4, 3.0)  # plausible focal lengths over the longer side: 14 to 108 mm on film
+FOCAL_EXIF = 1.1  # ratio up to which an estimate agrees with EXIF's
+WORSE = 1.25  # reprojection error; 1.0 where EXIF is right, 1.4 to 4.6 where it is wrong
+DISTORTION = 0.5  # largest plausible coefficient k1
 
 
 @dataclass(frozen=True)
 class Placing:
-    """models: pycolmap's, the one of most photos first. held: their focal length was given, not
-    found. overruled: the one of EXIF that was not taken."""
+    """pycolmap's models, the one of most photos first. held: their focal length was fixed.
+    overruled: EXIF's focal length, if it was not used."""
 
-    models: list[Any]
+    models: list[Any] = field(default_factory=list)
     held: bool = False
     overruled: Overruled | None = None
 
     @property
     def size(self) -> int:
         """Photos placed in the first model."""
-        return size(self.models[0]) if self.models else 0
-
-
-def size(model: Any) -> int:
-    """Photos placed in it."""
-    return int(model.num_reg_images())
+        return int(self.models[0].num_reg_images()) if self.models else 0
 
 
 def place(
-    step: Step, photos: Sequence[Photo], images: Path, work: Path, telling: Telling
+    step: Step, photos: Sequence[Photo], images: Path, work: Path, messages: Messages
 ) -> Placing:
-    """With the usual thresholds, or with lower ones if these place more."""
-    best = Placing([])
+    """Place photos with the usual thresholds, or with lower ones if these place more."""
+    best = Placing()
     for low in (False, True):
 
-        def mapped(held: bool, low: bool = low) -> list[Any]:
-            return _mapped(mapping(step, low, held), photos, images, work, telling)
+        def models(held: bool, low: bool = low) -> list[Any]:
+            return _models(mapping(step, low, held), photos, images, work, messages)
 
-        found = choose(mapped, photos)
-        if found.size > best.size:
-            best = found
+        placing = choose(models, photos)
+        if placing.size > best.size:
+            best = placing
         if best.size == len(photos):
             break
     return best
 
 
-def choose(mapped: Callable[[bool], list[Any]], photos: Sequence[Photo]) -> Placing:
-    """The models with the focal length that the photos tell, or with the given one.
+def choose(models: Callable[[bool], list[Any]], photos: Sequence[Photo]) -> Placing:
+    """Choose between estimated and fixed focal lengths; see the module's docstring.
 
-    mapped: held -> the models. Found ones are taken where they are plausible, and EXIF tells about
-    the same or fits clearly worse; else the given ones, as far as these place something.
+    models: runs the mapping, with fixed focal lengths if its argument is True.
     """
-    free = Placing(mapped(False))
+    free = Placing(models(False))
     if not free.models:
         return free
-    told, is_plausible = _farthest(free.models[0], photos), _is_plausible(free.models[0])
-    if is_plausible and (told is None or agree(*told)):
+    focals, is_plausible = _farthest_focals(free.models[0], photos), _is_plausible(free.models[0])
+    if is_plausible and (focals is None or max(focals) <= FOCAL_EXIF * min(focals)):
         return free
-    held = Placing(mapped(True), held=True)
-    if told is None or not is_plausible:
+    held = Placing(models(True), held=True)
+    if focals is None or not is_plausible:
         return held
     error, error_held = _error(free), None if held.size < free.size else _error(held)
-    if error_held is None or decisive(error_held, error):
-        return replace(free, overruled=Overruled(*told, error_held, error))
+    if error_held is None or error_held > WORSE * error:
+        return replace(free, overruled=Overruled(*focals, error_held, error))
     return held
 
 
 def _is_plausible(model: Any) -> bool:
-    """Whether all its cameras are."""
+    """Whether all cameras of a model have plausible focal lengths and distortions."""
     cameras = [model.image(i).camera for i in model.reg_image_ids()]
+    low, high = FOCAL
     return all(
-        plausible(float(c.params[0]), float(c.params[3]), max(c.width, c.height)) for c in cameras
+        low <= float(c.params[0]) / max(c.width, c.height) <= high
+        and abs(float(c.params[3])) <= DISTORTION
+        for c in cameras
     )
 
 
-def _farthest(model: Any, photos: Sequence[Photo]) -> tuple[float, float] | None:
-    """(EXIF's, found) focal length in pixels, of the photo in which they differ most; None where
-    EXIF tells none."""
+def _farthest_focals(model: Any, photos: Sequence[Photo]) -> tuple[float, float] | None:
+    """(EXIF's, estimated) focal length in pixels of the photo in which they differ most; None
+    without EXIF."""
     exif = {photo.stored: photo.focal_px for photo in photos}
     pairs = []
     for i in model.reg_image_ids():
         image = model.image(i)
-        told = exif[image.name]
-        if told is not None:
-            pairs.append((float(told), float(image.camera.params[0])))
+        focal = exif[image.name]
+        if focal is not None:
+            pairs.append((float(focal), float(image.camera.params[0])))
     return max(pairs, key=lambda pair: max(pair) / min(pair), default=None)
 
 
 def _error(placing: Placing) -> float:
-    """Mean distance in pixels between a feature and where its point is projected."""
+    """Mean reprojection error in pixels."""
     return float(placing.models[0].compute_mean_reprojection_error())
 
 
-def _mapped(
-    options: Any, photos: Sequence[Photo], images: Path, work: Path, tell: Telling
+def _models(
+    options: Any, photos: Sequence[Photo], images: Path, work: Path, messages: Messages
 ) -> list[Any]:
     import pycolmap
 
-    tick, placed = tell.ticks("photos placed"), [0]
+    count, placed = messages.counter("photos placed"), 0
 
-    def count(more: int) -> None:
-        placed[0] = min(placed[0] + more, len(photos))
-        tick(placed[0], len(photos))
+    def add(more: int) -> None:
+        nonlocal placed
+        placed = min(placed + more, len(photos))
+        count(placed, len(photos))
 
     def begin() -> None:
-        placed[0] = 0  # a model may be given up, and another one begun
-        count(2)
+        nonlocal placed
+        placed = 0  # pycolmap may start another model
+        add(2)
 
     models = pycolmap.incremental_mapping(
         work / "database.db",
@@ -121,6 +129,6 @@ def _mapped(
         work,
         options,
         initial_image_pair_callback=begin,
-        next_image_callback=lambda: count(1),
+        next_image_callback=lambda: add(1),
     )
-    return sorted(models.values(), key=lambda model: (-size(model), -model.num_points3D()))
+    return sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))

@@ -1,8 +1,10 @@
-"""Photos as the search for poses and the training read them: upright, at most `side` pixels long,
-8-bit RGB in JPEG or PNG (RGBA if they are partly transparent); and which of them one camera took.
+"""Prepares photos for the search and the training, and groups them by camera.
 
-Focal length in pixels from EXIF (CIPA DC-008): the 35 mm equivalent compares diagonals, of which
-the film's is 43.27 mm; else focal length in mm times the sensor's pixels per mm.
+Prepared photos are upright, at most `side` pixels long, and 8-bit RGB in JPEG or PNG (RGBA if they
+are partly transparent).
+
+The focal length in pixels is from EXIF (CIPA DC-008). The 35 mm equivalent compares diagonals,
+43.27 mm on film. Without it, it is the focal length in mm times the sensor's pixels per mm.
 """
 
 from __future__ import annotations
@@ -30,8 +32,14 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Photo:
-    """A prepared photo. name: the file's, shown to the user. stored: that of the prepared one.
-    focal_px: from EXIF, None without. camera: photos of equal value share one."""
+    """A prepared photo.
+
+    Attributes:
+        name: of the file, for messages.
+        stored: name of the prepared file.
+        focal_px: from EXIF, None without.
+        camera: photos with equal values share a camera.
+    """
 
     name: str
     stored: str
@@ -46,7 +54,7 @@ def prepare(file: Path, folder: Path, number: int, side: int) -> Photo:
     """Store the photo in `folder`. Raises UserError for one that cannot be used."""
     with opened(file, PHOTO_PIXELS) as image:
         exif, size, kind = exif_of(image), image.size, image.format
-        turn = orientation(image) if kind != "TIFF" else 1  # which Pillow turns as it loads it
+        turn = orientation(image) if kind != "TIFF" else 1  # Pillow turns these itself
         deep = has_16_bits(image)
         clear = _is_transparent(image)
         reduced = max(size) > side
@@ -55,7 +63,7 @@ def prepare(file: Path, folder: Path, number: int, side: int) -> Photo:
         suffix = ".png" if kind in ("PNG", "TIFF", "BMP") or clear else ".jpg"
         stored = folder / f"{number:06d}{suffix}"
         if as_is:
-            image.load()  # a damaged photo must not get further
+            image.load()  # refuses a damaged photo
             shutil.copyfile(file, stored)
             width, height = size
         else:
@@ -75,10 +83,10 @@ def _is_transparent(image: Image.Image) -> bool:
 
 
 def _store(image: Image.Image, turn: int, side: int, path: Path, mode: str) -> tuple[int, int]:
-    """Write the reduced image, turned upright from EXIF's orientation; returns its size."""
+    """Write the reduced, upright image and return its size."""
     from PIL.Image import Resampling
 
-    if image.mode not in (mode, "L"):  # Pillow reduces a palette without any filter
+    if image.mode not in (mode, "L"):  # Pillow does not filter palettes
         image = image.convert(mode)
     image.thumbnail((side, side), Resampling.LANCZOS, reducing_gap=3.0)  # a JPEG is read reduced
     upright = turned(image.convert(mode), turn)
@@ -92,13 +100,13 @@ def _store(image: Image.Image, turn: int, side: int, path: Path, mode: str) -> t
 
 
 def _shown(file: Path, suffix: str) -> str:
-    """The photo's name in the scene: its own, unless it changed its kind."""
+    """The photo's name in the scene, with `suffix` if its format changed."""
     same = {".jpg": (".jpg", ".jpeg"), ".png": (".png",)}[suffix]
     return file.name if file.suffix.lower() in same else f"{file.name}{suffix}"
 
 
 def _focal_px(exif: Any, size: tuple[int, int]) -> float | None:
-    """In pixels of the stored photo of `size`; None where EXIF does not say or makes no sense."""
+    """Focal length in pixels of the photo of `size`; None without sensible EXIF."""
     try:
         tags = exif.get_ifd(EXIF)
         film = float(tags.get(FOCAL_35MM) or 0)
@@ -107,7 +115,7 @@ def _focal_px(exif: Any, size: tuple[int, int]) -> float | None:
         else:
             per_mm = float(tags.get(PLANE_X) or 0) / UNIT_MM.get(tags.get(PLANE_UNIT, 2), 25.4)
             taken = max(float(tags.get(side) or 0) for side in PIXELS)
-            resized = max(size) / (taken or max(size))  # the longer sides, however it was held
+            resized = max(size) / (taken or max(size))  # of the longer sides
             focal = float(tags.get(FOCAL_MM) or 0) * per_mm * resized
     except (ValueError, TypeError, ZeroDivisionError, KeyError, OSError, SyntaxError) as error:
         log.debug("EXIF without a usable focal length: %s", error)

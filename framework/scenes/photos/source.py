@@ -1,6 +1,6 @@
-"""What `scene.path` holds: a folder of photos or a video, and the name that its content gives.
+"""What `scene.path` holds, a folder of photos or a video, and a key from its content.
 
-Photos count by their bytes: renamed, added or edited ones give another key, a new date does not.
+The key depends on the photos' names and bytes, not on their dates.
 """
 
 from __future__ import annotations
@@ -28,17 +28,20 @@ from framework.scenes.formats import (
 
 log = logging.getLogger(__name__)
 
-VERSION = 2  # of the settings and of what is kept; another one finds the poses anew
-VIDEO_BYTES = 2**40  # it is read frame by frame
-FEWEST = 3  # photos with a place: two to train and one to test
+VERSION = 2  # of the settings and of the result; another one searches again
+VIDEO_BYTES = 2**40  # videos are read frame by frame
+FEWEST = 3  # placed photos: two to train and one to test
 MOST = 2000
 
 
 @dataclass(frozen=True)
 class Source:
-    """Distinct photos, or one video. title: what the scene is called. folder: where they are.
-    copies: photo -> the earlier one with the same bytes, or the JPEG that a
-    phone's HEIC photo was also stored as."""
+    """Distinct photos, or one video.
+
+    Attributes:
+        title: name of the scene.
+        copies: photo -> the earlier one with the same bytes, or the JPEG version of a HEIC photo.
+    """
 
     title: str
     folder: Path
@@ -51,7 +54,7 @@ class Source:
 
 
 def find_source(path: str, side: int, frames: int) -> Source:
-    """Raises UserError where there are no photos, too few, or only one many times."""
+    """Find the photos or the video. Raises UserError for too few different photos."""
     place = Path(path).expanduser()
     if place.is_file():
         return _video(place, side, frames)
@@ -83,7 +86,7 @@ def find_source(path: str, side: int, frames: int) -> Source:
 
 
 def _twins(files: Sequence[Path]) -> dict[str, str]:
-    """Names of HEIC photos -> those of the JPEGs beside them that are called the same."""
+    """Names of HEIC photos -> those of the JPEGs with the same stem."""
     jpegs = {f.stem.lower(): f.name for f in files if f.suffix.lower() in (".jpg", ".jpeg")}
     heic = [f for f in files if f.suffix.lower() in HEIC]
     return {f.name: jpegs[f.stem.lower()] for f in heic if f.stem.lower() in jpegs}
@@ -100,12 +103,12 @@ def _video(file: Path, side: int, frames: int) -> Source:
 
 
 def _photos(folder: Path) -> list[Path]:
-    """Sorted by name, hidden files left out. Raises UserError for one that leads elsewhere."""
+    """The photos, sorted by name, without hidden ones."""
     return [inside(folder, p.name) for p in sorted(folder.iterdir()) if is_photo(p)]
 
 
 def _warn_left_out(folder: Path) -> None:
-    """Log warnings about pictures and videos that are not read, and about folders with photos."""
+    """Log warnings about files that are not read, and about photos in sub-folders."""
     warn_left_out(f"scene=photos: {folder}", unread_files(folder, UNREAD | VIDEO))
     folders = [p for p in sorted(folder.iterdir()) if p.is_dir() and not p.name.startswith(".")]
     nested = [p.name for p in folders if any(map(is_photo, p.iterdir()))]
@@ -117,11 +120,11 @@ def _warn_left_out(folder: Path) -> None:
 
 
 def _instead(folder: Path) -> str:
-    """What is there instead of photos, and what to do."""
+    """The end of a message about a folder without photos."""
     names = sorted(p.name for p in folder.iterdir())
     videos = [name for name in names if Path(name).suffix.lower() in VIDEO]
     if videos:
-        return f"a video; give it itself, scene.path={folder / videos[0]}"
+        return f"a video; use scene.path={folder / videos[0]}"
     others = unread_files(folder)
     if others:
         return f"{len(others)} pictures in other formats ({listed(others)}); convert them to JPEG"

@@ -1,7 +1,7 @@
 """The sharpest frames of a video: the best one of each of equally long stretches.
 
-Sharpness is the variance of the Laplacian (Pech-Pacheco et al. 2000): motion blur takes away what
-it responds to. Frames of one stretch show nearly the same, so they can be compared by it.
+Sharpness is the variance of the Laplacian (Pech-Pacheco et al. 2000), which motion blur lowers.
+Frames of one stretch show nearly the same, so their values are comparable.
 """
 
 from __future__ import annotations
@@ -17,15 +17,18 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-SHARPNESS_SIDE = 960  # pixels; noise of single pixels counts less then
+SHARPNESS_SIDE = 960  # pixels; reducing frames to it suppresses noise
 FEWEST = 3
 
 
 def sharpest_frames(
     video: Path, n: int, folder: Path, tick: Callable[[int, int], None]
 ) -> list[Path]:
-    """Write at most `n` frames as PNG into `folder`, in the order of time. tick(done, total) is
-    called for each frame read. Raises UserError for a file that is no video, or a too short one."""
+    """Write at most `n` frames as PNG into `folder`, in the order of time.
+
+    tick: called with (done, total) for each frame read. Raises UserError for a damaged or too short
+    video.
+    """
     import cv2
     import numpy as np
 
@@ -64,7 +67,7 @@ def sharpness(frame: NDArray[np.uint8]) -> float:
 
 
 def _count(video: Path) -> int:
-    """The number of frames: as the file says, else by reading it all."""
+    """The number of frames: from the header, else by reading all."""
     import cv2
 
     capture = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)

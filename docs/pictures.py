@@ -1,0 +1,223 @@
+"""Draw the pictures of README and findings.
+
+    python docs/pictures.py               # charts, from the committed records
+    python docs/pictures.py RUN VIDEO     # also the animation: photos of RUN next to VIDEO
+
+VIDEO is an animated WebP file that `fishersplat video RUN --out VIDEO` wrote. Only pictures of the
+built-in scene may be published.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections import defaultdict
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from PIL import Image
+from scipy import stats
+
+ROOT = Path(__file__).resolve().parents[1]
+COMMITTED, IMAGES = ROOT / "reports" / "committed", ROOT / "docs" / "images"
+GREEN, GREY, BLUE = "#0f9b7a", "#44546a", "#1f5fbf"
+METHODS = {  # (augmenter, regularizer) in the records -> display name, in the order of the charts
+    ("none", "uniform"): "Uniform dropout",
+    ("none", "dropgaussian"): "DropGaussian",
+    ("dba", "none"): "DBA",
+    ("euclidean", "none"): "Euclidean",
+    ("full_set", "none"): "Full set",
+    ("safi", "none"): "SAFI",
+    ("none", "uar_hard"): "UAR (hard)",
+    ("none", "uar"): "UAR",
+    ("safi", "uar"): "SAFI + UAR",
+}
+OURS = ("SAFI", "UAR (hard)", "UAR", "SAFI + UAR")
+BASELINE = ("none", "none")
+PLUGIN = '''@register("reg", "small")
+@dataclass(frozen=True)
+class Small(Regularizer):
+    """Penalize the mean opacity."""
+
+    defaults = {"weight": 0.001}
+
+    def loss(self, ctx, state, view, render):
+        return ctx.gaussians.opacities.mean()
+'''
+HELP = """$ fishersplat --plugins mine --help reg=small
+reg=small: pull opacities towards zero.
+
+reg:
+  name: small
+  weight: 0.001   # factor of the loss term
+  start: 0.0      # share of the training ...
+  stop: 1.0
+
+$ fishersplat --plugins mine reg=none,small seed=0,1,2 -m
+"""
+
+Scores = dict[tuple[str, str], dict[tuple[str, int], float]]
+
+
+def scores(study: str) -> Scores:
+    """Mean test PSNR in dB of every run: method -> (scene and its options, seed) -> value."""
+    table: Scores = defaultdict(dict)
+    for line in (COMMITTED / study / "runs.jsonl").read_text("utf-8").splitlines():
+        record = json.loads(line)["record"]
+        config = record["config"]
+        views = [word for word in record["overrides"] if word.startswith("scene.n_views=")]
+        scene = " ".join([record["scene"]["name"], *views])
+        value = record["summary"]["psnr"]["mean"]
+        table[method(config)][scene, config["seed"]] = value
+    return table
+
+
+def method(config: dict[str, dict[str, object]]) -> tuple[str, str]:
+    """The pair of augmenter and regularizer of a configuration, named variants included."""
+    reg = config["reg"]
+    name = str(reg["name"])
+    if name == "uar" and reg.get("mode") == "hard":
+        name = "uar_hard"
+    if reg.get("compensate"):
+        name = {"uniform": "dropgaussian"}.get(name, f"{name}, compensated")
+    return str(config["augment"]["name"]), name
+
+
+def interval(values: Iterable[float], comparisons: int) -> tuple[float, float, float]:
+    """Mean and its 95 % interval (Student's t), Bonferroni-corrected."""
+    array = np.array(list(values))
+    mean, n = float(array.mean()), len(array)
+    quantile = stats.t.ppf(1 - 0.05 / 2 / comparisons, n - 1)
+    half = float(quantile * array.std(ddof=1) / math.sqrt(n))
+    return mean, mean - half, mean + half
+
+
+def bar(panel: Axes, place: float, values: Iterable[float], comparisons: int, name: str) -> None:
+    """Draw a mean and its interval; the mark is filled if the interval excludes zero."""
+    mean, low, high = interval(values, comparisons)
+    colour = GREEN if name in OURS else GREY
+    panel.plot([low, high], [place, place], color=colour, linewidth=2)
+    filled = colour if low > 0 or high < 0 else "white"
+    panel.plot(mean, place, "o", color=colour, markerfacecolor=filled, markersize=7)
+
+
+def dress(panel: Axes, names: Iterable[str]) -> None:
+    """Labels and lines that all difference charts have."""
+    panel.axvline(0, color="black", linewidth=1)
+    panel.set_xlabel("difference to the baseline, PSNR (dB)")
+    panel.grid(axis="x", alpha=0.3)
+    labels = list(names)
+    panel.set_yticks(range(len(labels)), labels)
+    panel.invert_yaxis()
+
+
+def draw_paper(out: Path) -> None:
+    """Gain of each method under the paper's settings, a panel for each scene."""
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    panels = figure.subplots(1, 2, sharey=True)
+    for panel, study in zip(panels, ("paper_fern", "paper_scan65"), strict=True):
+        table = scores(study)
+        for place, (pair, name) in enumerate(METHODS.items()):
+            if pair in table:
+                bar(panel, place, paired(table, pair).values(), len(METHODS), name)
+        panel.set_title({"paper_fern": "fern", "paper_scan65": "scan 65"}[study])
+        panel.axvline(0, color="black", linewidth=1)
+        panel.set_xlabel("difference to the baseline, PSNR (dB)")
+        panel.grid(axis="x", alpha=0.3)
+    panels[0].set_yticks(range(len(METHODS)), list(METHODS.values()))
+    panels[0].invert_yaxis()
+    figure.savefig(out, dpi=100)
+
+
+def paired(table: Scores, pair: tuple[str, str]) -> dict[tuple[str, int], float]:
+    """Differences to the baseline with the same scene and seed, in dB."""
+    base = table[BASELINE]
+    return {key: value - base[key] for key, value in table[pair].items() if key in base}
+
+
+def draw_found(out: Path) -> None:
+    """Difference to the baseline by scene, with `preset=best`."""
+    table = scores("best_methods5")
+    figure = Figure(figsize=(9, 4.2), layout="constrained")
+    panels = figure.subplots(1, 2, sharey=True, sharex=True)
+    scenes = sorted({scene for scene, _ in table[BASELINE]})
+    labels = [*map(scene_label, scenes), "mean"]
+    for panel, pair in zip(panels, (("safi", "uar"), ("none", "dropgaussian")), strict=True):
+        differences = paired(table, pair)
+        for place, scene in enumerate(scenes):
+            values = [value for (of, _), value in differences.items() if of == scene]
+            bar(panel, place, values, 1, METHODS[pair])
+        seeds = sorted({seed for _, seed in differences})
+        means = [np.mean([v for (_, s), v in differences.items() if s == seed]) for seed in seeds]
+        bar(panel, len(scenes), means, 2, METHODS[pair])
+        panel.set_title(METHODS[pair])
+    dress(panels[0], labels)
+    panels[1].axvline(0, color="black", linewidth=1)
+    panels[1].set_xlabel("difference to the baseline, PSNR (dB)")
+    panels[1].grid(axis="x", alpha=0.3)
+    figure.savefig(out, dpi=100)
+
+
+def scene_label(scene: str) -> str:
+    """`nerf_fox scene.n_views=12` -> `fox, 12 photos`."""
+    name, _, views = scene.partition(" scene.n_views=")
+    short = name.partition("_")[2].replace("scan", "scan ")
+    return short if views in ("", "3") else f"{short}, {views} photos"
+
+
+def draw_speed(out: Path) -> None:
+    """PSNR over CPU seconds on fern with three photos (docs/benchmarks.md, Speed)."""
+    figure = Figure(figsize=(7, 3.2), layout="constrained")
+    panel = figure.subplots()
+    panel.plot([4, 24], [23.27, 23.96], "o-", color=GREEN, label="fishersplat, fast and balanced")
+    panel.plot([436], [20.50], "s", color=GREY, label="OpenSplat 1.2.0, best checkpoint")
+    panel.plot([246], [23.21], "D", color=BLUE, label="fishersplat, preset=paper (half size)")
+    panel.set_xscale("log")
+    panel.set_xlim(1, 1000)
+    panel.set_ylim(20, 24.5)
+    panel.set_xlabel("CPU seconds of training")
+    panel.set_ylabel("PSNR (dB), fern")
+    panel.grid(alpha=0.3)
+    panel.legend(loc="lower left")
+    figure.savefig(out, dpi=100)
+
+
+def draw_plugin(out: Path) -> None:
+    """A plugin and what the command line makes of it, as text."""
+    figure = Figure(figsize=(10.5, 2.6))
+    for left, title, text in ((0.01, "mine/small.py", PLUGIN), (0.5, "", HELP)):
+        style = {"family": "monospace", "fontsize": 9, "va": "top", "linespacing": 1.4}
+        figure.text(left, 0.97, title, weight="bold", **style)
+        figure.text(left, 0.88 if title else 0.97, text, **style)
+    figure.savefig(out, dpi=100)
+
+
+def animate(run: Path, video: Path, out: Path) -> None:
+    """The three training photos of a run next to its video."""
+    photos = sorted((run / "photos").iterdir())[:3]
+    with Image.open(video) as film:
+        width = round(film.width * film.height / 3 / film.height)
+        frames = []
+        for number in range(getattr(film, "n_frames", 1)):
+            film.seek(number)
+            frame = Image.new("RGB", (width + 4 + film.width, film.height), "white")
+            for row, photo in enumerate(photos):
+                small = Image.open(photo).convert("RGB").resize((width, film.height // 3 - 3))
+                frame.paste(small, (0, row * film.height // 3 + 2))
+            frame.paste(film.convert("RGB"), (width + 4, 0))
+            frames.append(frame)
+    options = {"save_all": True, "append_images": frames[1:], "duration": 100, "loop": 0}
+    frames[0].save(out, quality=70, method=6, **options)
+
+
+if __name__ == "__main__":
+    draw_paper(IMAGES / "paper.png")
+    draw_found(IMAGES / "found.png")
+    draw_speed(IMAGES / "speed.png")
+    draw_plugin(IMAGES / "plugin.png")
+    if len(sys.argv) == 3:
+        animate(Path(sys.argv[1]), Path(sys.argv[2]), IMAGES / "flight.webp")

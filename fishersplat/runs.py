@@ -1,0 +1,104 @@
+"""Run an experiment and read the folder of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from fishersplat.configuration import configuration
+from framework.errors import require
+from framework.records.record import RunRecord, read_run
+from framework.records.run_files import Table
+
+if TYPE_CHECKING:
+    from framework.exports.opened import OpenedRun
+    from framework.types import Camera, Gaussians
+
+
+@dataclass(frozen=True)
+class Run:
+    """A completed run.
+
+    Attributes:
+        folder: the folder that `load_run` read.
+        record: configuration, scene, timings, versions and summary (`record.json`).
+        metrics: one row per test view: `view`, `psnr` in dB, `ssim`, `flip`, `lpips`, ...
+        history: one row per logged step: `step`, `seconds`, `loss`, `test_psnr` in dB, `gaussians`.
+    """
+
+    folder: Path
+    record: RunRecord
+    metrics: pd.DataFrame
+    history: pd.DataFrame
+
+    @cached_property
+    def gaussians(self) -> Gaussians:
+        """The trained Gaussians, with `means` [N, 3], `quats` [N, 4] and so on."""
+        return self._opened.gaussians
+
+    @cached_property
+    def cameras(self) -> dict[str, Camera]:
+        """Cameras of training and test views by name; `viewmat` is world to camera, OpenCV axes."""
+        from framework.exports.opened import read_named_cameras
+        from framework.records.cameras import TRANSFORMS
+
+        return {entry.name: entry.camera for entry in read_named_cameras(self.folder / TRANSFORMS)}
+
+    @cached_property
+    def _opened(self) -> OpenedRun:
+        from framework.exports.opened import open_run
+
+        return open_run(self.folder)
+
+
+def run(*options: str, folder: Path | str | None = None, quiet: bool = False) -> Run:
+    """Train and evaluate one run, or load it if it is complete.
+
+    Args:
+        options: words of the command line, for instance `"augment=safi"`, `"trainer.steps=300"`.
+        folder: folder of the run; by default `reports/STUDY/runs/NAME` in the current folder.
+        quiet: print no progress.
+
+    Returns:
+        The completed run.
+
+    Raises:
+        UserError: An option, file or scene is invalid.
+    """
+    chosen = configuration(options)
+    target = chosen.folder if folder is None else Path(folder)
+    from framework.records.progress import Silent, Terminal
+    from framework.run.experiment import run_experiment
+
+    values = chosen.values
+    label = f"{values['augment']['name']}+{values['reg']['name']} seed {values['seed']}"
+    target.mkdir(parents=True, exist_ok=True)
+    run_experiment(values, target, Silent() if quiet else Terminal(label), chosen.options)
+    return load_run(target)
+
+
+def load_run(path: Path | str) -> Run:
+    """Read the folder of a completed run.
+
+    Args:
+        path: a folder such as `reports/STUDY/runs/NAME`.
+
+    Raises:
+        UserError: The folder has no completed run, or its files are damaged.
+    """
+    folder = Path(path)
+    found = read_run(folder)
+    require(
+        found.record.status == "complete",
+        f"{folder}: expected a completed run, got one with status '{found.record.status}'; run it"
+        " again",
+    )
+    return Run(folder, found.record, _frame(found.metrics), _frame(found.history))
+
+
+def _frame(table: Table) -> pd.DataFrame:
+    return pd.DataFrame({**table.texts, **table.numbers})

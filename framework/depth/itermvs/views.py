@@ -1,0 +1,138 @@
+"""IterMVS on all views of a training set."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache, partial
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+
+from framework.compute.parallel import run_tasks
+from framework.depth.consistency import agreeing_views
+from framework.depth.itermvs.network import MULTIPLE, IterMvs, Posed
+from framework.depth.itermvs.weights import load
+from framework.depth.matching.bounds import depth_bounds
+from framework.depth.matching.neighbours import choose_neighbours
+from framework.depth.matching.sweep import sweep_views
+from framework.depth.options import IterMvsOptions, PlaneSweepOptions
+from framework.depth.read import resample
+from framework.errors import require
+from framework.types import DepthMap, TrainingSet, View
+
+# confirmed network depth of this confidence is right (within 1 %) more often than the plane sweep
+# there on fern, scan 24 and fox (benchmarks/results/learned_depth.md)
+SURE_CONFIDENCE, SURE_TOLERANCE = 0.3, 0.01
+LEAST_SIDE = 448  # pixels; of the longer side of what the network sees
+Estimate = tuple[NDArray[np.float32], NDArray[np.float32]]  # depth and confidence, both [H, W]
+
+
+def measure_views(training: TrainingSet, options: IterMvsOptions) -> tuple[DepthMap, ...]:
+    """See `framework.depth.providers.IterMvsDepth.measure`."""
+    estimates = estimate_views(training, options)
+    return _checked(training, estimates, options.least_confidence, options.tolerance)
+
+
+def fused_views(training: TrainingSet, options: IterMvsOptions) -> tuple[DepthMap, ...]:
+    """See `framework.depth.providers.FusedDepth.measure`."""
+    estimates = estimate_views(training, options)
+    sources = (
+        _checked(training, estimates, SURE_CONFIDENCE, SURE_TOLERANCE),
+        sweep_views(training, PlaneSweepOptions()),
+        _checked(training, estimates, options.least_confidence, options.tolerance),
+    )
+    return tuple(fused(*maps) for maps in zip(*sources, strict=True))
+
+
+def fused(sure: DepthMap, swept: DepthMap, learned: DepthMap) -> DepthMap:
+    """Take each pixel from the first map that is confident; depth without any is the sweep's."""
+    depth, confidence = swept.depth, swept.confidence
+    missing, certain = confidence == 0, sure.confidence > 0
+    filled = missing & (learned.confidence > 0)
+    for chosen, source in ((filled, learned), (certain, sure)):
+        depth = torch.where(chosen, source.depth, depth)
+        confidence = torch.where(chosen, source.confidence, confidence)
+    return DepthMap(depth, confidence)
+
+
+def _checked(
+    training: TrainingSet, estimates: Sequence[Estimate], least: float, tolerance: float
+) -> tuple[DepthMap, ...]:
+    """Keep the confidence of depth that is at least that confident and that another view confirms,
+    to the relative `tolerance`; 0 elsewhere."""
+    depths = [depth for depth, _ in estimates]
+    cameras = [view.camera for view in training.views]
+    maps = []
+    for i, (depth, confidence) in enumerate(estimates):
+        others = [j for j in range(len(depths)) if j != i]
+        agreeing = agreeing_views(depths, cameras, i, others, tolerance)
+        valid = (confidence >= least) & (agreeing > 0)
+        score = torch.from_numpy(np.where(valid, confidence, 0).astype(np.float32))
+        mask = training.views[i].mask
+        maps.append(
+            DepthMap(torch.from_numpy(depth), score if mask is None else score * (mask > 0))
+        )
+    return tuple(maps)
+
+
+def estimate_views(training: TrainingSet, options: IterMvsOptions) -> list[Estimate]:
+    """Depth and the network's confidence of every view, unchecked; zeros without neighbours."""
+    views = training.views
+    require(
+        len(views) >= 2,
+        f"depth=itermvs: expected two or more overlapping training views, got {len(views)} in scene"
+        f" '{training.scene}'; use more views, depth=file or depth=ground_truth",
+    )
+    network = _network(options.weights)
+    posed = run_tasks([partial(_posed, network, view) for view in views])
+    bounds = [depth_bounds(training, i) for i in range(len(views))]
+    sources = [
+        choose_neighbours(training, i, options.neighbours, bounds[i]) for i in range(len(views))
+    ]
+    tasks = [
+        partial(_estimate, network, posed, sources[i], i, bounds[i], view)
+        for i, view in enumerate(views)
+    ]
+    estimates: list[Estimate] = run_tasks(tasks)
+    return estimates
+
+
+@lru_cache(maxsize=1)
+def _network(weights: str) -> IterMvs:
+    return IterMvs(load(weights))
+
+
+def _posed(network: IterMvs, view: View) -> Posed:
+    """The view's features; its photo is resized to sides that the network accepts.
+
+    Small photos are enlarged: with a longer side of 189 to 252 pixels, 25 to 85 % of the depths at
+    structure-from-motion points are within 1 %, with 448 it is 41 to 89 %.
+    """
+    torch.set_num_threads(1)  # of this thread: other numbers of threads give other bits
+    height, width = view.image.shape[1:]
+    enlarged = max(1.0, LEAST_SIDE / max(height, width))
+    sides = [max(2, round(enlarged * side / MULTIPLE)) * MULTIPLE for side in (height, width)]
+    photo = F.interpolate(view.image[None], sides, mode="bicubic", antialias=True)[0].clamp(0, 1)
+    K = view.camera.K.clone()
+    K[0] *= sides[1] / view.camera.width
+    K[1] *= sides[0] / view.camera.height
+    return Posed(network.features(2 * photo - 1), K, view.camera.viewmat)
+
+
+def _estimate(
+    network: IterMvs,
+    posed: Sequence[Posed],
+    sources: Sequence[int],
+    index: int,
+    bounds: tuple[float, float],
+    view: View,
+) -> Estimate:
+    torch.set_num_threads(1)
+    width, height = view.camera.width, view.camera.height
+    if not sources:
+        return np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+    maps = network.depth(posed[index], [posed[s] for s in sources], *bounds)
+    depth, confidence = (resample(m.double().numpy(), width, height) for m in maps)
+    return depth.astype(np.float32), confidence.astype(np.float32)

@@ -1,0 +1,203 @@
+"""Accuracy against training time for every method and budget.
+
+A configuration is a method with its budget. It is on the Pareto front of a scene if no other one is
+at least as good at no higher cost. Configurations may lack seeds, so they are ranked by their
+difference to the configuration with the most seeds, over common seeds. A configuration is *worth
+its cost* if it is the cheapest of the front, or significantly better than the last cheaper one that
+is (paired t test, corrected for all others of the scene).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from framework.report.statistics.compare import Comparison, compare
+from framework.report.statistics.estimates import Spread, spread
+from framework.report.statistics.numbers import average
+from framework.report.statistics.outcomes import by_pair
+from framework.report.study.methods import Method
+from framework.report.study.study import ReportRun, Study
+
+SAME_COST = 0.02  # costs that differ by a smaller share count as equal
+AS_GOOD_DB = 0.1  # a mean at most this far below the best counts as good
+LIMITS_S = (15.0, 60.0, 300.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A configuration on one scene: means over its runs.
+
+    Attributes:
+        train_s: wall seconds, or CPU seconds if other programs disturbed the study.
+        gain: PSNR `above` the entry of the scene with the most seeds; entries are ranked by it.
+    """
+
+    method: Method
+    psnr: Spread
+    train_s: float
+    gaussians: float
+    megabytes: float
+    runs: tuple[ReportRun, ...]
+    gain: float = 0.0
+
+    @property
+    def values(self) -> list[float | None]:
+        """PSNR of the runs."""
+        return [run.mean("psnr") for run in self.runs]
+
+    @property
+    def parameters(self) -> float:
+        return float(np.mean([run.record.parameters for run in self.runs]))
+
+
+def entries(study: Study, scene: str) -> list[Entry]:
+    """The configurations of a scene with PSNR and training time in every run."""
+    found = []
+    for method in study.methods:
+        runs = study.of(scene, method)
+        psnr = [value for run in runs if (value := run.mean("psnr")) is not None]
+        seconds = average(
+            [run.record.train_cpu_s if study.by_cpu else run.record.train_s for run in runs]
+        )
+        if not runs or len(psnr) < len(runs) or seconds is None:
+            continue
+        size = float(np.mean([run.record.ply_bytes for run in runs])) / 1e6
+        count = float(np.mean([run.record.gaussians for run in runs]))
+        found.append(Entry(method, spread(psnr), seconds, count, size, (*runs,)))
+    most = max(found, key=lambda entry: entry.psnr.n, default=None)
+    return [replace(entry, gain=above(entry, most)) for entry in found] if most else []
+
+
+def _pairs(one: Entry, other: Entry) -> Comparison | None:
+    return compare(one.method, by_pair(one.runs), other.method, by_pair(other.runs))
+
+
+def above(one: Entry, other: Entry) -> float:
+    """The difference of `one` to `other` in dB, over the seeds of both; of their means without
+    common seeds."""
+    found = _pairs(one, other)
+    return one.psnr.mean - other.psnr.mean if found is None else found.difference
+
+
+def better(one: Entry, other: Entry, tests: int) -> bool:
+    """Whether `one` is significantly better than `other`, corrected for so many tests."""
+    found = _pairs(one, other)
+    return found is not None and found.difference > 0 and replace(found, tests=tests).significant
+
+
+def front(found: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
+    """Indices of the entries on the Pareto front, the cheapest first."""
+    order = sorted(range(len(found)), key=lambda k: (cost(found[k]), -found[k].gain))
+    best, kept = -np.inf, []
+    for k in order:
+        if found[k].gain > best:
+            best = found[k].gain
+            kept.append(k)
+    return kept
+
+
+def paying(found: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
+    """Return the indices of the entries that are worth their time, the cheapest first.
+
+    An entry is one if it is significantly better than all cheaper ones that are. Tests are
+    corrected for all others, because the data decide which of them are on the front. Without any
+    test the result is empty.
+    """
+    on_front = front(found, cost)
+    kept = on_front[:1]
+    if not kept or found[kept[0]].psnr.n < 2:
+        return []
+    for k in on_front[1:]:
+        if better(found[k], found[kept[-1]], len(found) - 1):
+            kept.append(k)
+    return kept
+
+
+def train_s(entry: Entry) -> float:
+    return entry.train_s
+
+
+def gaussians(entry: Entry) -> float:
+    return entry.gaussians
+
+
+def megabytes(entry: Entry) -> float:
+    return entry.megabytes
+
+
+def _gain(entry: Entry) -> float:
+    return entry.gain
+
+
+def differs(costs: Sequence[float]) -> bool:
+    """Whether costs are far enough apart for a chart."""
+    return min(costs) > 0 and max(costs) > (1 + SAME_COST) * min(costs)
+
+
+def one_machine(study: Study, scene: str) -> bool:
+    """Whether one kind of machine made all runs of a scene, so that their seconds compare."""
+    return len({run.machine for run in study.of(scene)}) < 2
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which configuration to take within a time: the times with this answer, the answer, and the
+    quickest configuration of all, if none fits."""
+
+    limits_s: tuple[float, ...]
+    entry: Entry | None
+    quickest: Entry
+
+
+def choices(study: Study, scene: str) -> list[Choice]:
+    """Which configuration to take at each of `LIMITS_S`, limits with the same answer together; none
+    of a single configuration, or if runs of different machines do not compare."""
+    found = entries(study, scene)
+    if len(found) < 2 or not one_machine(study, scene):
+        return []
+    answers: dict[Entry | None, list[float]] = {}
+    for limit in LIMITS_S:
+        within = [entry for entry in found if entry.train_s <= limit]
+        answers.setdefault(_best_within(study, within) if within else None, []).append(limit)
+    quickest = min(found, key=train_s)
+    return [Choice(tuple(limits), entry, quickest) for entry, limits in answers.items()]
+
+
+def _best_within(study: Study, within: Sequence[Entry]) -> Entry:
+    """The best of these, but the baseline unless another is significantly better; of its family the
+    quickest that is nearly as good and not significantly worse."""
+    tests = max(1, len(within) - 1)
+    best = max(within, key=_gain)
+    plain = [entry for entry in within if entry.method.family == study.families[0]]
+    base = max(plain, key=_gain, default=None)
+    if base is not None and any(entry.psnr.n > 1 for entry in within):
+        best = max((e for e in within if better(e, base, tests)), key=_gain, default=base)
+    as_good = [
+        entry
+        for entry in within
+        if entry.method.family == best.method.family
+        and entry.gain >= best.gain - AS_GOOD_DB
+        and not better(best, entry, tests)
+    ]
+    return min(as_good, key=train_s)
+
+
+@dataclass(frozen=True)
+class Smallest:
+    """The configuration with the smallest model within `AS_GOOD_DB` of the best."""
+
+    entry: Entry
+    best: Entry
+
+
+def smallest(found: Sequence[Entry]) -> Smallest | None:
+    """None if all models have one size."""
+    if len(found) < 2 or not differs([megabytes(entry) for entry in found]):
+        return None
+    best = max(found, key=_gain)
+    return Smallest(
+        min((e for e in found if e.gain >= best.gain - AS_GOOD_DB), key=megabytes), best
+    )

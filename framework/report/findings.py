@@ -1,0 +1,430 @@
+"""What a study shows, as values: computed once per report, worded by the templates.
+
+A difference is claimed where its interval excludes zero, and the interval is the one that the
+charts draw: corrected for all comparisons of the report.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from framework.report import stress
+from framework.report.costs import AS_GOOD_DB, Choice, choices, one_machine
+from framework.report.statistics.compare import Comparison, compare, corrected
+from framework.report.statistics.drawn import Draws, draws
+from framework.report.statistics.estimates import SIGNIFICANCE, Interval, Spread
+from framework.report.statistics.numbers import average
+from framework.report.statistics.outcomes import Outcomes, by_pair, outcomes
+from framework.report.statistics.robustness import (
+    FailureRate,
+    WorstCase,
+    failure_rate,
+    worst_case,
+)
+from framework.report.statistics.variance import SigmaComparison
+from framework.report.study.methods import PLAIN, Method
+from framework.report.study.plugins import papers
+from framework.report.study.scenes import CHOSE, HELPED, TESTS, YOURS, role
+from framework.report.study.study import ReportRun, Study
+
+ACTED, ENOUGH = "acted_share", 0.5  # of a method's dose; a smaller share was hardly tested
+METHOD_WORDS = ("method", "augment", "reg", "seed", "study")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The recommendation.
+
+    Attributes:
+        kind: a branch of the macro `verdict`.
+        method: the recommended method, or the only one.
+        comparison: the recommended method compared with its baseline.
+        others: methods that the reason names.
+        spread: PSNR of the method, if the sentence names it.
+    """
+
+    kind: str
+    method: Method = PLAIN
+    comparison: Comparison | None = None
+    others: tuple[Method, ...] = ()
+    spread: Spread | None = None
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What the trainings of a method took, means over its runs; None if a run lacks the time."""
+
+    method: Method
+    wall_s: float | None
+    cpu_s: float | None
+    gaussians: float
+    parameters: float
+
+
+@dataclass(frozen=True)
+class Weakest:
+    """The scene where a method has its lowest mean PSNR, with its worst case there."""
+
+    method: Method
+    scene: str
+    n_scenes: int
+    mean: float
+    n_seeds: int
+    case: WorstCase | None
+    worst_run: tuple[float, int]  # PSNR in dB, seed
+    rate: FailureRate | None
+
+
+@dataclass(frozen=True)
+class Contest:
+    """A capacity compared with another one of the same method.
+
+    Attributes:
+        parameters, cpu: ratios of the sums over the paired runs; None if one lacks them.
+    """
+
+    method: Method
+    comparison: Comparison
+    parameters: float | None
+    cpu: float | None
+
+
+@dataclass(frozen=True)
+class Idle:
+    """A method, or a `part` of it, that acted on less than half of its occasions."""
+
+    method: Method
+    scene: str
+    part: str
+    share: float
+    n_idle: int
+    n_runs: int
+
+
+@dataclass(frozen=True)
+class Findings:
+    """All that a report says about a study, beside its tables."""
+
+    study: Study
+    outcomes: Outcomes
+    panels: list[stress.Panel]
+    limits: list[stress.Limit]
+
+    @property
+    def compared(self) -> list[Comparison]:
+        """The comparisons of more than single runs."""
+        return [c for c in self.outcomes.comparisons.values() if c.joint is not None]
+
+    @property
+    def significant(self) -> list[Comparison]:
+        """Significant differences except that of the recommended method, the largest loss first."""
+        clear = [c for c in self.compared if c.significant and c.method != self.outcomes.best]
+        return sorted(clear, key=_difference)
+
+    @property
+    def unclear(self) -> list[Comparison]:
+        """Differences that are not significant, the largest gain first."""
+        return sorted((c for c in self.compared if not c.significant), key=_difference)[::-1]
+
+    @cached_property
+    def as_good(self) -> list[Comparison]:
+        """Methods that do not differ significantly from a recommended method that is not the
+        baseline.
+
+        Tests are corrected for all other methods.
+        """
+        best, found = self.outcomes.best, self.outcomes.comparisons
+        if best not in found or self.study.has_budgets or self.panels:
+            return []
+        values = {m: by_pair(self.study.of(method=m)) for m in (*self.outcomes.psnr, best)}
+        others = [compare(m, values[m], best, values[best]) for m in values if m != best]
+        known = [c for c in others if c is not None and c.joint is not None]
+        tested = [replace(c, tests=len(known)) for c in known]
+        # the verdict has the comparison with its own baseline, corrected for others
+        alike = [c for c in tested if not c.significant and c.method != found[best].baseline]
+        return sorted(alike, key=_difference)[::-1]
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        return _verdict(self.study, self.outcomes)
+
+    @cached_property
+    def contests(self) -> list[Contest]:
+        return [] if self.panels else contests(self.study)
+
+    @cached_property
+    def choices(self) -> dict[str, list[Choice]]:
+        """Scene -> which configuration to take for a given time."""
+        if self.panels:
+            return {}
+        found = {scene: choices(self.study, scene) for scene in self.study.tested}
+        return {scene: answer for scene, answer in found.items() if answer}
+
+    @property
+    def advised_budgets(self) -> list[Choice]:
+        """The choices by time of a single scene, for the verdict."""
+        limited = any(run.method.limits for run in self.study.runs)
+        return next(iter(self.choices.values())) if limited and len(self.study.tested) == 1 else []
+
+    @property
+    def timed(self) -> bool:
+        """Whether some scene has advice by time."""
+        scenes = self.study.tested
+        return self.study.has_budgets and any(one_machine(self.study, s) for s in scenes)
+
+    @cached_property
+    def draws(self) -> list[Draws]:
+        return [] if self.panels else draws(self.study)
+
+    @property
+    def photo_effects(self) -> list[tuple[float, Draws]]:
+        """Gains that significantly depend on which photos were drawn, with their corrected p."""
+        p = [(d.alike.p, d) for d in self.draws if d.alike is not None and d.alike.p is not None]
+        sure = [(len(p) * own, d) for own, d in p if len(p) * own < SIGNIFICANCE]
+        return sorted(sure, key=lambda pair: pair[0])
+
+    @property
+    def photo_tests(self) -> int:
+        return sum(d.alike is not None and d.alike.p is not None for d in self.draws)
+
+    @cached_property
+    def costs(self) -> list[Cost]:
+        """Costs of the advised method and of its baseline, or of the best other method. With
+        several budgets these are the cheapest and the most expensive.
+        """
+        found = self.outcomes
+        if not found.psnr:
+            return []
+        best = found.best
+        methods = [best, self.study.baseline_of(best)]
+        if self.study.has_budgets:
+            family = [m for m in found.psnr if m.family == best.family]
+            costs = [cost_of(m, self.study.of(method=m)) for m in family]
+            known = sorted((c for c in costs if c.cpu_s), key=lambda cost: cost.cpu_s or 0.0)
+            return list(dict.fromkeys([known[0], known[-1]])) if known else []
+        if methods[0] == methods[1] and found.comparisons:
+            comparisons = found.comparisons
+            methods[1] = max(comparisons, key=lambda m: comparisons[m].difference)
+        return [cost_of(m, self.study.of(method=m)) for m in dict.fromkeys(methods)]
+
+    @cached_property
+    def weakest(self) -> Weakest | None:
+        return None if self.panels or not self.outcomes.psnr else _weakest(self)
+
+    @property
+    def steadiness(self) -> list[SigmaComparison]:
+        """Significant differences of the standard deviation over seeds."""
+        return [c for c in self.outcomes.sigmas.values() if c.significant]
+
+    @property
+    def least_power(self) -> SigmaComparison | None:
+        """The test of deviations with the least power."""
+        tested = [c for c in self.outcomes.sigmas.values() if c.ratio is not None]
+        return min(tested, key=lambda c: c.detectable or 0.0, default=None)
+
+    @property
+    def untuned_scenes(self) -> list[str]:
+        """Tested scenes whose test photos chose no default."""
+        return [s for s in self.study.tested if role(self.study.name_of(s)) != CHOSE]
+
+    @property
+    def roles(self) -> dict[str, list[str]]:
+        """Role -> names of the tested scenes that have it."""
+        names = list(dict.fromkeys(map(self.study.name_of, self.study.tested)))
+        by_role = {r: [n for n in names if role(n) == r] for r in (CHOSE, HELPED, TESTS, YOURS)}
+        return {r: found for r, found in by_role.items() if found}
+
+    @cached_property
+    def idle(self) -> list[Idle]:
+        study = self.study
+        cells = [(m, scene) for m in study.methods for scene in study.scenes]
+        return [idle for m, scene in cells for idle in _idle(m, scene, study.of(scene, m))]
+
+    @property
+    def doubted(self) -> list[str]:
+        """Scenes whose poses failed the check by stereo."""
+        return sorted({run.scene for run in self.study.runs if run.poses_doubtful})
+
+    @property
+    def warned(self) -> list[str]:
+        """Scenes whose runs gave warnings."""
+        return sorted({run.scene for run in self.study.runs if run.record.warnings})
+
+    @property
+    def baseline_command(self) -> str:
+        """The command that adds the baseline to the study; "" if it is there."""
+        return "" if self.study.baseline.pair == PLAIN else baseline_command(self.study)
+
+    @property
+    def papers(self) -> list[str]:
+        """What to cite for the plugins and recipes that ran."""
+        runs = self.study.runs
+        chosen = {choice for run in runs for choice in run.record.methods.items()}
+        recipes = {run.method.recipe.removesuffix("_sweep") for run in runs}
+        return [*recipes, *(paper for choice in chosen for paper in papers(*choice))]
+
+
+def find(study: Study) -> Findings:
+    """The findings of a study."""
+    panels = stress.panels(study)
+    return Findings(study, outcomes(study), panels, stress.limits(study, panels))
+
+
+def _difference(c: Comparison) -> float:
+    return c.difference
+
+
+def largest_effect(intervals: Iterable[Interval | None]) -> float:
+    """The largest difference in dB that the intervals do not rule out."""
+    return max((max(-own.low, own.high) for own in intervals if own), default=0.0)
+
+
+def _verdict(study: Study, found: Outcomes) -> Verdict:
+    if not study.runs:
+        return Verdict("unfinished")
+    if not study.tested:
+        return Verdict("untested")
+    if not found.psnr:
+        return Verdict("no psnr")
+    highest = max(found.psnr, key=lambda method: found.psnr[method].mean)
+    if len(study.methods) == 1:
+        return Verdict("alone", highest, spread=found.psnr[highest])
+    of_highest = found.comparisons.get(highest)
+    if not found.comparisons:
+        return Verdict("no pairs", highest, spread=found.psnr[highest])
+    if all(c.joint is None for c in found.comparisons.values()):
+        return Verdict("single runs", highest, of_highest, spread=found.psnr[highest])
+    if found.best != study.baseline:
+        return Verdict("gain", found.best, found.comparisons[found.best])
+    return _of_baseline(study, found)
+
+
+def _of_baseline(study: Study, found: Outcomes) -> Verdict:
+    """Why the baseline is advised."""
+    gains = [c for c in found.comparisons.values() if c.significant and c.difference > 0]
+    over = tuple(c.method for c in gains if c.baseline == study.baseline)
+    complete = tuple(method for method in over if method in found.psnr)
+    if complete:
+        return Verdict("not over every baseline", study.baseline, others=complete)
+    if over:
+        return Verdict("not on all scenes", study.baseline, others=over)
+    if study.rival:
+        return Verdict("rival", study.baseline)
+    return Verdict("own baselines" if gains else "baseline", study.baseline)
+
+
+def cost_of(method: Method, runs: Sequence[ReportRun]) -> Cost:
+    """The mean cost over some runs of a method."""
+    return Cost(
+        method,
+        average([run.record.train_s for run in runs]),
+        average([run.record.train_cpu_s for run in runs]),
+        average([float(run.record.gaussians) for run in runs]) or 0.0,
+        average([float(run.record.parameters) for run in runs]) or 0.0,
+    )
+
+
+def _weakest(findings: Findings) -> Weakest | None:
+    study, found = findings.study, findings.outcomes
+    method = found.best
+    if method == study.baseline_of(method) and study.has_budgets:
+        method = _cheapest_good(study, found) or method
+    means = {
+        scene: value
+        for scene in study.tested
+        if (value := average([run.mean("psnr") for run in study.of(scene, method)])) is not None
+    }
+    if not means:
+        return None
+    scene = min(means, key=lambda scene: means[scene])
+    runs = study.of(scene, method)
+    values = [(psnr, run.seed) for run in runs if (psnr := run.mean("psnr")) is not None]
+    rate = failure_rate(study, method) if study.has_views else None
+    seeds = len({run.seed for run in runs})
+    case = worst_case(runs)
+    return Weakest(method, scene, len(means), means[scene], seeds, case, min(values), rate)
+
+
+def _cheapest_good(study: Study, found: Outcomes) -> Method | None:
+    """The cheapest budget of the first method that is nearly as good as its best."""
+    means = {m: s.mean for m, s in found.psnr.items() if m.family == study.families[0]}
+    good = [m for m, mean in means.items() if mean >= max(means.values()) - AS_GOOD_DB]
+
+    def cost(method: Method) -> tuple[float, str]:
+        cpu = average([run.record.train_cpu_s for run in study.of(method=method)])
+        return (math.inf if cpu is None else cpu, method.label)
+
+    return min(good, key=cost, default=None)
+
+
+def contests(study: Study) -> list[Contest]:
+    """Compare the capacities of every method that ran with several, each with the first one.
+
+    Runs are paired by scene and seed, and tests are corrected for all of these comparisons.
+    """
+    groups: dict[Method, list[Method]] = {}
+    for method in study.methods:
+        groups.setdefault(method.without_capacity, []).append(method)
+    pairs = [(other, first) for first, *others in groups.values() for other in others]
+    found = {own: contest for own, base in pairs if (contest := _contest(study, own, base))}
+    tested = corrected({method: contest.comparison for method, contest in found.items()})
+    return [replace(contest, comparison=tested[method]) for method, contest in found.items()]
+
+
+def _contest(study: Study, method: Method, base: Method) -> Contest | None:
+    own, other = study.of(method=method), study.of(method=base)
+    names = {run.scene: run.scene_label.name for run in own}
+    comparison = compare(method, by_pair(own), base, by_pair(other), names)
+    if comparison is None:
+        return None
+    keys = by_pair(own).keys() & by_pair(other).keys()
+    pairs = [[run for run in runs if (run.scene, run.seed) in keys] for runs in (own, other)]
+    sizes = [sum(run.record.parameters for run in runs) for runs in pairs]
+    seconds = [[run.record.train_cpu_s for run in runs] for runs in pairs]
+    timed = all(None not in values for values in seconds)
+    cpu, base_cpu = (sum(value or 0.0 for value in values) for values in seconds)
+    return Contest(
+        method.without_capacity,
+        comparison,
+        sizes[0] / sizes[1] if sizes[1] else None,
+        cpu / base_cpu if timed and cpu and base_cpu else None,
+    )
+
+
+def _idle(method: Method, scene: str, runs: Sequence[ReportRun]) -> list[Idle]:
+    """The parts of a method that acted too seldom on a scene; the whole if no part is named."""
+    keys = sorted({key for run in runs for key in run.record.dose if key.endswith(f"_{ACTED}")})
+    found = [_share(method, scene, key, runs) for key in (keys if len(keys) > 1 else [])]
+    idle = [one for one in found if one is not None]
+    whole = _share(method, scene, ACTED, runs)
+    return idle or ([whole] if whole else [])
+
+
+def _share(method: Method, scene: str, key: str, runs: Sequence[ReportRun]) -> Idle | None:
+    """None where it acted enough in every run; a text in place of a share counts as never."""
+    values = [run.record.dose[key] for run in runs if key in run.record.dose]
+    shares = [float(v) if isinstance(v, int | float) else 0.0 for v in values]
+    idle = [share for share in shares if share < ENOUGH]
+    if not idle:
+        return None
+    part = key.removesuffix(ACTED).removesuffix("_")
+    return Idle(method, scene, part, float(np.mean(idle)), len(idle), len(shares))
+
+
+def baseline_command(study: Study) -> str:
+    """The command that adds plain training to a study, from the command line of one of its runs."""
+    run = study.runs[0]
+    seeds = sorted({run.seed for run in study.runs})
+    words = [word.lstrip("+") for word in run.record.overrides]
+    kept = [
+        w for w in words if w.partition("=")[0].partition(".")[0] not in (*METHOD_WORDS, "seed")
+    ]
+    kept = [w for w in kept if not w.startswith("study=")]
+    seed = f"seed={','.join(map(str, seeds))}"
+    folder = study.runs[0].run.run_dir.parent.parent.resolve().name
+    return " ".join(["fishersplat", "method=baseline", *kept, seed, f"study={folder}", "-m"])

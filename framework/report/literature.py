@@ -1,0 +1,190 @@
+"""Recipes of the literature next to published figures.
+
+A recipe is a run with `method=NAME` on its command line, or `method=NAME_sweep`, which replaces a
+depth network by the plane sweep. Published figures are means over a data set, measured on a GPU.
+They appear only next to scenes of that data set, and no difference to them is tested. The order of
+the recipes can be compared: pairs in the opposite order are listed.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from framework.metrics.values import AVERAGE
+from framework.registry import SWEPT
+from framework.report.statistics.compare import compare
+from framework.report.statistics.numbers import ABSENT, average, format_difference, format_mean
+from framework.report.statistics.outcomes import by_pair
+from framework.report.study.methods import Method, recipe_of
+from framework.report.study.published import Published, literature
+from framework.report.study.study import ReportRun, Study
+from framework.report.tables import Row, without
+
+FEWEST = 2  # recipes in a table
+LLFF, DTU = "LLFF", "DTU"
+DATA_SETS = {"llff": LLFF, "dtu": DTU, "mip360": "Mip-NeRF 360"}  # by loader
+OF_SCENE = "By others on this scene"
+AVGE_THERE, AVGE_HERE = "AVGE by others on this scene", "AVGE here"
+REVERSED, OVER = "Published above", "but below here (dB as published, dB here)"
+
+
+@dataclass(frozen=True)
+class Recipes:
+    """The recipes of a scene. reversals: pairs in the opposite order of the published one."""
+
+    scene: str
+    rows: list[Row]
+    reversals: list[Row]
+
+
+def data_set(study: Study, scene: str) -> str:
+    """The data set of a scene whose photos are divided as in papers; "" for another scene."""
+    loaders = {str(run.record.config["scene"]["name"]) for run in study.of(scene)}
+    words = {w for run in study.of(scene) for w in run.record.overrides}
+    named = [s for key, s in DATA_SETS.items() if key in loaders or f"scene={key}" in words]
+    return named[0] if named and study.split_as_published(scene) else ""
+
+
+def recipes(study: Study) -> list[Recipes]:
+    """The recipes of each scene of a data set with published figures, if there are two or more."""
+    entries = [entry for entry in literature() if entry.data_sets]
+    known = {entry.recipe for entry in entries if entry.recipe}
+    tables = []
+    for scene in study.tested:
+        on = data_set(study, scene)
+        runs: dict[str, list[ReportRun]] = defaultdict(list)
+        for run in study.of(scene):
+            name = recipe_of(run.record.overrides).removesuffix(SWEPT)
+            if name in known:
+                runs[name].append(run)
+        if on not in (LLFF, DTU) or len(set(runs) - {"baseline"}) < FEWEST:
+            continue
+        shown = [entry for entry in entries if entry.recipe in runs or not entry.recipe]
+        others = scene_rows({study.name_of(scene)})
+        rows = [_row(entry, runs.get(entry.recipe, []), others, on) for entry in shown]
+        rare = (OF_SCENE, AVGE_THERE, AVGE_HERE)
+        empty = [name for name in rare if all(row[name] == ABSENT for row in rows)]
+        tables.append(Recipes(scene, without(rows, *empty), _reversals(shown, runs, on)))
+    return tables
+
+
+def recipe_sources() -> str:
+    """The sources of the figures of recipes."""
+    return "; ".join(f"{entry.title}: {entry.note}" for entry in literature() if entry.note)
+
+
+def _row(
+    entry: Published,
+    runs: Sequence[ReportRun],
+    of_scene: Sequence[Mapping[str, str]],
+    on: str,
+) -> Row:
+    others = [row for row in of_scene if row["method"] == entry.title]
+    figures = entry.data_sets.get(on, {})
+    repeated = figures.get("repeated", ABSENT)
+    if "sd" in figures:
+        repeated += f" ± {float(figures['sd']):.2f} ({figures['runs']} runs)"
+    elif "repeated" in figures and "runs" in figures:
+        repeated += f" ({figures['runs']} run)"
+    if "also" in figures:
+        repeated += f", {figures['also']}"
+    seconds = average([run.record.train_cpu_s for run in runs])
+    gaussians = average([float(run.record.gaussians) for run in runs])
+    names = sorted({recipe_of(run.record.overrides) for run in runs})
+    return {
+        "Recipe": ", ".join(names) or "published only",
+        "Method": entry.title,
+        f"Published, {on}": figures.get("published", ABSENT),
+        f"Repeated by others, {on}": repeated,
+        OF_SCENE: _joined(others, "psnr"),
+        "Here": format_mean([run.mean("psnr") for run in runs], 2),
+        AVGE_THERE: _joined(others, "avge"),
+        AVGE_HERE: format_mean([run.mean(AVERAGE) for run in runs], 4),
+        "Runs": str(len(runs)) if runs else ABSENT,
+        "CPU s": f"{seconds:.0f}" if seconds is not None else ABSENT,
+        "Gaussians": f"{gaussians:,.0f}" if gaussians is not None else ABSENT,
+    }
+
+
+def _joined(rows: Sequence[Mapping[str, str]], key: str) -> str:
+    return ", ".join(row[key] for row in rows if row.get(key)) or ABSENT
+
+
+def _reversals(
+    entries: Sequence[Published], runs: Mapping[str, Sequence[ReportRun]], on: str
+) -> list[Row]:
+    """For each recipe, the recipes above it in this study and below it as published."""
+    measured = {recipe: by_pair(repeats) for recipe, repeats in runs.items()}
+    # a recipe that ran in several ways has no single published value
+    once = {recipe for recipe, repeats in runs.items() if len(measured[recipe]) == len(repeats)}
+    printed = {
+        e.recipe: float(p)
+        for e in entries
+        if e.recipe in once and (p := e.data_sets.get(on, {}).get("published"))
+    }
+    titles = {entry.recipe: entry.title for entry in entries}
+    rows: list[Row] = []
+    for recipe, published in printed.items():
+        pairs = []
+        for other in [name for name, value in printed.items() if value < published]:
+            methods = Method(recipe=recipe), Method(recipe=other)
+            c = compare(methods[0], measured[recipe], methods[1], measured[other])
+            if c is not None and c.difference < 0:
+                here = format_difference(c.difference) + (" significant" if c.significant else "")
+                there = format_difference(published - printed[other])
+                pairs.append(f"{titles[other]} ({there}, {here})")
+        if pairs:
+            rows.append({REVERSED: titles[recipe], OVER: "; ".join(pairs)})
+    return rows
+
+
+def mean_rows(study: Study) -> list[Row]:
+    """Published means of the data sets of a study."""
+    sets = {data_set(study, scene) for scene in study.scenes}
+    rows = [row for e in literature() for row in e.rows("means") if row["dataset"] in sets]
+    columns = dict.fromkeys(f"{row['dataset']}, {row['views']} views" for row in rows)
+    by_method: dict[str, Row] = {}
+    for row in rows:
+        cells: Row = {"Method": row["method"], **dict.fromkeys(columns, ABSENT)}
+        cells |= by_method.get(row["method"], {})
+        by_method[row["method"]] = cells | {
+            f"{row['dataset']}, {row['views']} views": _figures(row)
+        }
+    return list(by_method.values())
+
+
+def published_scene_rows(study: Study) -> list[Row]:
+    """Published figures of the scenes of a study."""
+    names = {study.name_of(scene) for scene in study.scenes if study.split_as_published(scene)}
+    return [
+        {
+            "Scene": row["scene"],
+            "Method": row["method"],
+            "Training views": row["views"],
+            "PSNR / SSIM / LPIPS (size)": _figures(row) if row.get("psnr") else ABSENT,
+            "AVGE (size)": f"{row['avge']} ({row['size']})",
+        }
+        for row in scene_rows(names)
+    ]
+
+
+def _figures(row: Mapping[str, str]) -> str:
+    spread = f" ± {float(row['sd_psnr']):.2f}" if row.get("sd_psnr") else ""
+    return f"{row['psnr']}{spread} / {row['ssim']} / {row['lpips']} ({row['size']})"
+
+
+def scene_rows(names: set[str]) -> list[dict[str, str]]:
+    """Published figures of scenes with these names, by scene."""
+    rows = [row for entry in literature() for row in entry.rows("scenes")]
+    found = [r for r in rows if r["scene"] in names or r["scene"].removeprefix("llff_") in names]
+    return sorted(found, key=lambda row: row["scene"])
+
+
+def published_sources(study: Study) -> str:
+    """The sources of the published figures of a study."""
+    sets = {data_set(study, scene) for scene in study.scenes}
+    names = {study.name_of(scene) for scene in study.scenes if study.split_as_published(scene)}
+    rows = [row for e in literature() for row in e.rows("means") if row["dataset"] in sets]
+    return "; ".join(dict.fromkeys(row["source"] for row in (*rows, *scene_rows(names))))

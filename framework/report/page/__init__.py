@@ -1,1 +1,0 @@
-"""A report written down: as markdown, and as one offline page with its assets."""

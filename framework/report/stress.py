@@ -1,0 +1,215 @@
+"""Stress studies: PSNR and gain against the strength of a stress, and the break-down point of each
+method.
+
+A panel is a scene under one stress with at least `FEWEST_LEVELS` tested strengths, or two if some
+run would be in no panel. Everything else that distinguishes it from others of its name is fixed.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from framework.report.statistics.breakdown import Breakdown, break_down, gains_of_levels
+from framework.report.statistics.compare import Pairs, block
+from framework.report.statistics.estimates import Interval
+from framework.report.statistics.outcomes import by_pair
+from framework.report.study.axes import STRESSES, Axis
+from framework.report.study.methods import Method
+from framework.report.study.study import ReportRun, Study, file_names
+from framework.report.study.words import value_text
+
+FEWEST_LEVELS = 3
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A scene along a stress.
+
+    Attributes:
+        title: the scene with its fixed conditions.
+        levels: strengths, the weakest stress first.
+        runs: by method and level.
+        file: the name of its figure's files.
+    """
+
+    title: str
+    axis: Axis
+    levels: tuple[float, ...]
+    runs: dict[Method, dict[float, list[ReportRun]]]
+    file: str = ""
+
+    @property
+    def all_runs(self) -> list[ReportRun]:
+        return [
+            run for by_level in self.runs.values() for runs in by_level.values() for run in runs
+        ]
+
+    def means(self, method: Method) -> dict[float, float]:
+        """Level -> mean PSNR in dB, where every run has one."""
+        means = {}
+        for level in self.levels:
+            values = [run.mean("psnr") for run in self.runs.get(method, {}).get(level, [])]
+            known = [value for value in values if value is not None]
+            if known and len(known) == len(values):
+                means[level] = float(np.mean(known))
+        return means
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Where a method stops helping on a panel.
+
+    Attributes:
+        levels: the strengths that were compared.
+        gains: at each of them the mean gain in dB and its interval, corrected for all strengths,
+            methods and panels.
+        against: the baseline.
+    """
+
+    panel: Panel
+    method: Method
+    against: Method
+    found: Breakdown
+    levels: tuple[float, ...]
+    gains: tuple[tuple[float, Interval | None], ...]
+
+    def levels_with(self, sign: int) -> list[float]:
+        """The strengths with a significant gain (1), a significant loss (-1) or neither (0)."""
+        return [v for v, s in zip(self.levels, self.found.signs, strict=True) if s == sign]
+
+    def largest(self, sign: int) -> tuple[float, float, Interval | None]:
+        """The strength with the largest significant gain or loss, that gain and its interval."""
+        cells = zip(self.levels, self.gains, self.found.signs, strict=True)
+        chosen = [(v, mean, inside) for v, (mean, inside), s in cells if s == sign]
+        return max(chosen, key=lambda cell: sign * cell[1])
+
+
+def panels(study: Study) -> list[Panel]:
+    """The panels of a study of stresses; none if one of its tested runs is in no panel."""
+    every, rich = _found(study)
+    return next((some for some in (rich, every) if _holds(some, study)), [])
+
+
+def panels_beside(study: Study) -> list[Panel]:
+    """The panels of a study that has other scenes too."""
+    return [] if panels(study) else _found(study)[1]
+
+
+def _found(study: Study) -> tuple[list[Panel], list[Panel]]:
+    """All panels, and those with `FEWEST_LEVELS`."""
+    every = [p for axis in STRESSES for p in _panels_along(study, axis)]
+    names = file_names(panel.title for panel in every)
+    found = [replace(p, file=f"stress_{names[p.title]}_{p.axis.short}") for p in every]
+    return found, [panel for panel in found if len(panel.levels) >= FEWEST_LEVELS]
+
+
+def _holds(some: Sequence[Panel], study: Study) -> bool:
+    """Whether each tested run is in one of the panels."""
+    shown = {run.run.run_dir for panel in some for run in panel.all_runs}
+    return all(run.run.run_dir in shown for run in study.runs if run.tested)
+
+
+def limits(study: Study, shown: Sequence[Panel]) -> list[Limit]:
+    """The break-down of every method but the baselines, on every panel with common levels."""
+    cells = [
+        (panel, method, gains)
+        for panel in shown
+        for method in panel.runs
+        if (gains := _gains(study, panel, method)) is not None
+    ]
+    tests = sum(len(strengths) for _, _, (strengths, _) in cells)
+    found = []
+    for panel, method, (strengths, values) in cells:
+        drawn = tuple(gains_of_levels(values, tests))
+        broken = break_down(strengths, values, tests)
+        levels = tuple(float(v) for v in strengths)
+        found.append(Limit(panel, method, study.baseline_of(method), broken, levels, drawn))
+    return found
+
+
+def shown_scenes(study: Study, shown: Sequence[Panel]) -> list[str]:
+    """The scenes to show in pictures: of a stress study, the ends of every panel."""
+    ends = {
+        run.scene
+        for panel in shown
+        for by_level in panel.runs.values()
+        for level in (panel.levels[0], panel.levels[-1])
+        for run in by_level.get(level, [])
+    }
+    along = {run.scene for panel in shown for run in panel.all_runs}
+    return [scene for scene in study.scenes if scene in ends or scene not in along]
+
+
+def _panels_along(study: Study, axis: Axis) -> list[Panel]:
+    groups: dict[tuple[object, ...], list[ReportRun]] = defaultdict(list)
+    for run in study.runs:
+        if run.tested and run.level(axis) is not None:
+            label = run.scene_label
+            others = tuple((k, value_text(v)) for k, v in label.data.items() if k != axis.key)
+            groups[label.without(axis.short), others].append(run)
+    found = []
+    for runs in groups.values():
+        levels = {level for run in runs if (level := run.level(axis)) is not None}
+        if len(levels) > 1:
+            found.append(_panel(study, axis, runs, sorted(levels, key=lambda v: axis.harder * v)))
+    return found
+
+
+def _panel(study: Study, axis: Axis, runs: list[ReportRun], levels: list[float]) -> Panel:
+    cells: dict[Method, dict[float, list[ReportRun]]] = {}
+    for method in study.methods:
+        for run in runs:
+            level = run.level(axis)
+            if run.method == method and level is not None:
+                cells.setdefault(method, {}).setdefault(level, []).append(run)
+    return Panel(_title(study, axis, runs[0]), axis, tuple(levels), cells)
+
+
+def _title(study: Study, axis: Axis, run: ReportRun) -> str:
+    """The scene with the options that distinguish it, and those of its conditions that differ in
+    the study."""
+    label, named = run.scene_label, []
+    for key, value in label.data.items():
+        short = key.rpartition(".")[2]
+        varies = len({value_text(r.scene_label.data.get(key)) for r in study.runs}) > 1
+        if key != axis.key and varies and short not in dict(label.options):
+            named.append(f"{short}={value_text(value)}")
+    title = label.without(axis.short)
+    return f"{title} ({', '.join(named)})" if named else title
+
+
+def by_seed(values: Pairs) -> dict[int, float]:
+    """Seed -> mean over its scenes, which are several if two labels have one strength, as
+    `n_views=all` and the number of all."""
+    found: dict[int, list[float]] = defaultdict(list)
+    for (_, seed), value in values.items():
+        found[seed].append(value)
+    return {seed: float(np.mean(own)) for seed, own in found.items()}
+
+
+def _differences(runs: Sequence[ReportRun], base: Sequence[ReportRun]) -> dict[int, float]:
+    """Seed -> difference of `runs` to `base`, over the scenes that both have with it."""
+    own, others = by_pair(runs), by_pair(base)
+    return by_seed({key: own[key] - others[key] for key in own if key in others})
+
+
+def _gains(study: Study, panel: Panel, method: Method) -> tuple[np.ndarray, np.ndarray] | None:
+    """Levels [L] and gains [L, n] over the baseline, for the seeds both have at all levels, or at
+    those that `block` keeps."""
+    base = study.baseline_of(method)
+    if base == method or base not in panel.runs:
+        return None
+    found = [
+        _differences(panel.runs[method].get(v, []), panel.runs[base].get(v, []))
+        for v in panel.levels
+    ]
+    keys = [(k, seed) for k, own in enumerate(found) for seed in own]
+    used, seeds = block(keys) if keys else ([], [])
+    if len(used) < 2 or not seeds:
+        return None
+    gains = [[found[k][seed] for seed in seeds] for k in used]
+    return np.array([panel.levels[k] for k in used]), np.array(gains)

@@ -1,0 +1,111 @@
+"""The result of a search for poses, kept as `poses.json` next to the model."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from framework.errors import UserError
+from framework.files.documents import read_json
+from framework.files.limits import TEXT_BYTES
+from framework.files.whole import write_whole
+
+FILE = "poses.json"
+
+
+@dataclass(frozen=True)
+class Link:
+    """Two photos whose matches agree with one motion of the camera.
+
+    Attributes:
+        shift: median distance between the two places of a feature, over the photos' longer side.
+        flat: a homography explains all matches, so they show no depth: the camera has only turned,
+            or the scene is flat.
+    """
+
+    first: str
+    second: str
+    matches: int
+    shift: float
+    flat: bool = False
+
+
+@dataclass(frozen=True)
+class Overruled:
+    """EXIF's focal length and the estimate that replaced it, in pixels of the prepared photo.
+
+    The errors are mean reprojection errors in pixels; exif_error_px is None if EXIF's focal length
+    placed fewer photos.
+    """
+
+    exif_px: float
+    found_px: float
+    exif_error_px: float | None
+    found_error_px: float
+
+
+@dataclass(frozen=True)
+class Try:
+    """One step of the search: the photos it placed, and CPU seconds of its stages."""
+
+    step: str
+    placed: int
+    features_cpu_s: float
+    matching_cpu_s: float
+    mapping_cpu_s: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """The result of a search.
+
+    Attributes:
+        photos: all photos, in order.
+        placed: photo with a pose -> number of 3D points that it sees.
+        groups: photos with poses relative to each other, but not to the scene.
+        features: photo -> number of its features.
+        held: the focal length was fixed, as the photos do not determine it.
+        reduced: some photos were larger than `scene.side`.
+        copies: see `Source`.
+        overruled: EXIF's focal length, if the photos contradict it.
+    """
+
+    photos: list[str]
+    placed: dict[str, int]
+    groups: list[list[str]]
+    features: dict[str, int]
+    links: list[Link]
+    tries: list[Try]
+    seconds: float
+    held: bool = False
+    video: bool = False
+    reduced: bool = False
+    copies: dict[str, str] = field(default_factory=dict)
+    overruled: Overruled | None = None
+
+
+def write_result(folder: Path, result: Result) -> None:
+    """Write `poses.json` into `folder`."""
+    write_whole(folder / FILE, json.dumps(dataclasses.asdict(result), indent=1))
+
+
+def read_result(folder: Path) -> Result:
+    """Read `poses.json` of `folder`. Raises UserError for a damaged one."""
+    path = folder / FILE
+    try:
+        values = read_json(path, TEXT_BYTES)
+        values["links"] = [Link(**link) for link in values["links"]]
+        values["tries"] = [Try(**attempt) for attempt in values["tries"]]
+        if values.get("overruled") is not None:
+            values["overruled"] = Overruled(**values["overruled"])
+        result = Result(**values)
+        if not result.placed or any("/" in name for name in result.placed):
+            raise ValueError("no file names of placed photos")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UserError(
+            f"{path}: expected the kept result of a search for poses, got a damaged one"
+            f" ({type(error).__name__}); remove the folder {folder.name}"
+        ) from error
+    return result
