@@ -25,12 +25,12 @@ class Stereo:
     """How the depth maps become Gaussians.
 
     budget: number of Gaussians; 0 = `per_pixel` times the training pixels. There are fewer if
-    fusion leaves fewer pixels. per_pixel: Gaussians per training pixel, if budget is 0; at most
-    100,000 in all. 0.07 gives 40,000 for three photos of 504x378. detail: exponent of the local
-    image gradient in the sampling density; 0 = uniform. tolerance: relative depth difference up to
-    which two views show the same surface. scale_factor: standard deviation in units of the mean
-    spacing of the samples. opacity: of every Gaussian. completion: sampling density of pixels with
-    guessed depth, relative to consistent ones; 0 = none.
+    fusion leaves fewer pixels. per_pixel: Gaussians per training pixel, if budget is 0.
+    At most 100,000 in all; 0.07 gives 40,000 for three photos of 504x378. detail: exponent of the
+    local image gradient in the sampling density; 0 = uniform. tolerance: relative depth difference
+    up to which two views show the same surface. scale_factor: standard deviation in units of the
+    mean spacing of the samples. opacity: of every Gaussian. completion: sampling density of pixels
+    with guessed depth, relative to consistent ones; 0 = none.
     """
 
     budget: int = 0

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class AnchorDropout(Regularizer):
     """p: share of anchors at the end. neighbours: dropped with each anchor. refresh: share of the
-    training between two searches for neighbours; a changed set of Gaussians is searched at once.
+    training between two searches for neighbours. A changed set of Gaussians is searched at once.
     compensate: divide the kept opacities by the kept share (unknown for ReDI-GS)."""
 
     title: ClassVar[str] = "Anchor dropout"

@@ -1,12 +1,14 @@
-"""`reg=frequency`: limit how small Gaussians may be, one octave after another.
+"""`reg=frequency`: Gaussians may be as fine as frequencies are open, one octave after another.
 
 FreeNeRF (Yang et al. 2023, section 3.3) hides the high frequencies of a NeRF's positional encoding
-and opens them linearly until 90 % of the training. Gaussians have no encoding, but their size
-limits their frequency: a Gaussian of standard deviation s pixels has the spectrum
-exp(-2 pi^2 s^2 f^2), which falls by exp(-1/2) at f = 1 / (2 pi s). The finest frequency of a photo,
-half a cycle per pixel, gives s = 1 / pi pixels, and an octave less twice that. Smaller Gaussians
-are penalized by the squared log ratio. `trainer.coarse_octaves` does the same to photos and
-`trainer.sh_every` to colours; `method=freenerf` combines all three.
+and opens its octaves linearly until nine tenths of the training. Gaussians have no encoding; the
+counterpart is their smallest size. A Gaussian of standard deviation s pixels has the spectrum
+exp(-2 pi^2 s^2 f^2), which falls by exp(-1/2) at f = 1 / (2 pi s). That is 1 / pi pixels for the
+finest frequency of a photo (half a cycle per pixel), and twice as much for an octave less.
+
+The loss is the squared logarithm of the ratio by which a Gaussian is too small.
+`trainer.coarse_octaves` does the same to the photos, and `trainer.sh_every` to colours;
+`method=freenerf` has all three.
 """
 
 from __future__ import annotations

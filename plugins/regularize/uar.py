@@ -48,7 +48,7 @@ class Uar(DropoutRegularizer):
     DropGaussian, "constant" keeps p. candidate_factor: C, candidates per dropped Gaussian. refresh:
     steps between rankings. form: "block", log det of the 6x6 block, or "diagonal", of its diagonal,
     which ignores correlations. regulariser: prior precision as a share of the median diagonal of F.
-    compensate: brighten the kept candidates so that every opacity keeps its expectation, by the
+    compensate: scale up kept candidates, so that opacities keep their expectation. It is by the
     factor (1-s/C)/(1-1/C), with s the factor of dropped ones. scale_tested: instead evaluate
     candidates at their mean opacity in training, 1 - (1 - s)/C times.
     """
