@@ -278,9 +278,9 @@ def _stress_pictures(
     return pictures
 
 
-def _error_rates(found: Sequence[SigmaComparison]) -> str:
+def _error_rates(comparisons: Sequence[SigmaComparison]) -> str:
     """How often the tests of deviations err, by their numbers of seeds."""
-    sizes = {(c.n, c.other_n): c.size for c in found}
+    sizes = {(c.n, c.other_n): c.size for c in comparisons}
     return ", ".join(
         f"{100 * share:.1f} % (with {n if n == m else f'{n} and {m}'} seeds)"
         for (n, m), share in sorted(sizes.items())

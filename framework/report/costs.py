@@ -55,7 +55,7 @@ class Entry:
 
 def entries(study: Study, scene: str) -> list[Entry]:
     """The configurations of a scene with PSNR and training time in every run."""
-    found = []
+    rows = []
     for method in study.methods:
         runs = study.of(scene, method)
         psnr = [value for run in runs if (value := run.mean("psnr")) is not None]
@@ -66,9 +66,9 @@ def entries(study: Study, scene: str) -> list[Entry]:
             continue
         size = float(np.mean([run.record.ply_bytes for run in runs])) / 1e6
         count = float(np.mean([run.record.gaussians for run in runs]))
-        found.append(Entry(method, spread(psnr), seconds, count, size, (*runs,)))
-    most = max(found, key=lambda entry: entry.psnr.n, default=None)
-    return [replace(entry, gain=above(entry, most)) for entry in found] if most else []
+        rows.append(Entry(method, spread(psnr), seconds, count, size, (*runs,)))
+    most = max(rows, key=lambda entry: entry.psnr.n, default=None)
+    return [replace(entry, gain=above(entry, most)) for entry in rows] if most else []
 
 
 def _pairs(one: Entry, other: Entry) -> Comparison | None:
@@ -78,40 +78,44 @@ def _pairs(one: Entry, other: Entry) -> Comparison | None:
 def above(one: Entry, other: Entry) -> float:
     """The difference of `one` to `other` in dB, over the seeds of both; of their means without
     common seeds."""
-    found = _pairs(one, other)
-    return one.psnr.mean - other.psnr.mean if found is None else found.difference
+    comparison = _pairs(one, other)
+    return one.psnr.mean - other.psnr.mean if comparison is None else comparison.difference
 
 
 def better(one: Entry, other: Entry, tests: int) -> bool:
     """Whether `one` is significantly better than `other`, corrected for so many tests."""
-    found = _pairs(one, other)
-    return found is not None and found.difference > 0 and replace(found, tests=tests).significant
+    comparison = _pairs(one, other)
+    return (
+        comparison is not None
+        and comparison.difference > 0
+        and replace(comparison, tests=tests).significant
+    )
 
 
-def front(found: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
+def front(options: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
     """Indices of the entries on the Pareto front, the cheapest first."""
-    order = sorted(range(len(found)), key=lambda k: (cost(found[k]), -found[k].gain))
+    order = sorted(range(len(options)), key=lambda k: (cost(options[k]), -options[k].gain))
     best, kept = -np.inf, []
     for k in order:
-        if found[k].gain > best:
-            best = found[k].gain
+        if options[k].gain > best:
+            best = options[k].gain
             kept.append(k)
     return kept
 
 
-def paying(found: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
+def paying(options: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
     """Return the indices of the entries that are worth their time, the cheapest first.
 
     An entry is one if it is significantly better than all cheaper ones that are. Tests are
     corrected for all others, because the data decide which of them are on the front. Without any
     test the result is empty.
     """
-    on_front = front(found, cost)
+    on_front = front(options, cost)
     kept = on_front[:1]
-    if not kept or found[kept[0]].psnr.n < 2:
+    if not kept or options[kept[0]].psnr.n < 2:
         return []
     for k in on_front[1:]:
-        if better(found[k], found[kept[-1]], len(found) - 1):
+        if better(options[k], options[kept[-1]], len(options) - 1):
             kept.append(k)
     return kept
 
@@ -193,11 +197,11 @@ class Smallest:
     best: Entry
 
 
-def smallest(found: Sequence[Entry]) -> Smallest | None:
+def smallest(options: Sequence[Entry]) -> Smallest | None:
     """None if all models have one size."""
-    if len(found) < 2 or not differs([megabytes(entry) for entry in found]):
+    if len(options) < 2 or not differs([megabytes(entry) for entry in options]):
         return None
-    best = max(found, key=_gain)
+    best = max(options, key=_gain)
     return Smallest(
-        min((e for e in found if e.gain >= best.gain - AS_GOOD_DB), key=megabytes), best
+        min((e for e in options if e.gain >= best.gain - AS_GOOD_DB), key=megabytes), best
     )

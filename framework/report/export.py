@@ -71,13 +71,17 @@ def runs_csv(study: Study) -> str:
     # `method` and `scene` are labels here, never options
     left_out = {"seed", "scene", "method", *NEUTRAL_KEYS}
     names = [name for name in _columns(options) if name not in left_out]
-    differs = [name for name in names if len({repr(own.get(name)) for own in options}) > 1]
+    differs = [
+        name for name in names if len({repr(row_options.get(name)) for row_options in options}) > 1
+    ]
     labels = ["scene", "method", "seed"]
     columns = [*labels, *differs, *(name for name in _columns(measured) if name not in labels)]
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, columns, lineterminator="\n", extrasaction="ignore")
     writer.writeheader()
-    writer.writerows([{**own, **row} for own, row in zip(options, measured, strict=True)])
+    writer.writerows(
+        [{**row_options, **row} for row_options, row in zip(options, measured, strict=True)]
+    )
     return buffer.getvalue()
 
 
@@ -150,28 +154,28 @@ def _results_csv(results: Results, metrics: list[str]) -> str:
     return buffer.getvalue()
 
 
-def comparisons_tex(found: Outcomes) -> str:
+def comparisons_tex(outcomes: Outcomes) -> str:
     """A table of every comparison: over these scenes and over scenes like these (corrected for all
     methods), and on every scene alone (uncorrected)."""
     groups = []
-    for method, c in found.comparisons.items():
+    for method, c in outcomes.comparisons.items():
         where = "these scenes" if len(c.scenes) > 1 else "the scene"
         rows = [_tex_row(c, where, c.these, c.joint, c.p_joint)]
         if c.like is not None:
             p = None if c.like.p is None else min(1.0, c.tests * c.like.p)
             rows.append(_tex_row(c, "scenes like these", c.like, c.like_joint, p))
-        for scene, compared in found.by_scene.items():
+        for scene, compared in outcomes.by_scene.items():
             if method in compared:
-                own = compared[method]
-                rows.append(_tex_row(own, scene, own.these, own.interval, own.p))
+                alone = compared[method]
+                rows.append(_tex_row(alone, scene, alone.these, alone.interval, alone.p))
         groups.append(rows)
     return tex("comparisons.tex.jinja", groups=groups)
 
 
 def _tex_row(
-    c: Comparison, on: str, found: Estimate, interval: Interval | None, p: float | None
+    c: Comparison, on: str, estimate: Estimate, interval: Interval | None, p: float | None
 ) -> list[str]:
     inside = "--" if interval is None else format_interval(interval)
     chance = "--" if p is None else format_p(p).removeprefix("p ").removeprefix("= ")
-    words = [c.method.name, c.baseline.name, on, str(found.n)]
-    return [*words, format_difference(found.mean), inside, chance]
+    words = [c.method.name, c.baseline.name, on, str(estimate.n)]
+    return [*words, format_difference(estimate.mean), inside, chance]

@@ -143,8 +143,8 @@ class Findings:
             return []
         values = {m: by_pair(self.study.of(method=m)) for m in (*self.outcomes.psnr, best)}
         others = [compare(m, values[m], best, values[best]) for m in values if m != best]
-        known = [c for c in others if c is not None and c.joint is not None]
-        tested = [replace(c, tests=len(known)) for c in known]
+        comparable = [c for c in others if c is not None and c.joint is not None]
+        tested = [replace(c, tests=len(comparable)) for c in comparable]
         # the verdict has the comparison with its own baseline, corrected for others
         alike = [c for c in tested if not c.significant and c.method != found[best].baseline]
         return sorted(alike, key=_difference)[::-1]
@@ -205,8 +205,8 @@ class Findings:
         if self.study.has_budgets:
             family = [m for m in found.psnr if m.family == best.family]
             costs = [cost_of(m, self.study.of(method=m)) for m in family]
-            known = sorted((c for c in costs if c.cpu_s), key=lambda cost: cost.cpu_s or 0.0)
-            return list(dict.fromkeys([known[0], known[-1]])) if known else []
+            measured = sorted((c for c in costs if c.cpu_s), key=lambda cost: cost.cpu_s or 0.0)
+            return list(dict.fromkeys([measured[0], measured[-1]])) if measured else []
         if methods[0] == methods[1] and found.comparisons:
             comparisons = found.comparisons
             methods[1] = max(comparisons, key=lambda m: comparisons[m].difference)
@@ -281,34 +281,36 @@ def _difference(c: Comparison) -> float:
 
 def largest_effect(intervals: Iterable[Interval | None]) -> float:
     """The largest difference in dB that the intervals do not rule out."""
-    return max((max(-own.low, own.high) for own in intervals if own), default=0.0)
+    return max(
+        (max(-interval.low, interval.high) for interval in intervals if interval), default=0.0
+    )
 
 
-def _verdict(study: Study, found: Outcomes) -> Verdict:
+def _verdict(study: Study, outcomes: Outcomes) -> Verdict:
     if not study.runs:
         return Verdict("unfinished")
     if not study.tested:
         return Verdict("untested")
-    if not found.psnr:
+    if not outcomes.psnr:
         return Verdict("no psnr")
-    highest = max(found.psnr, key=lambda method: found.psnr[method].mean)
+    highest = max(outcomes.psnr, key=lambda method: outcomes.psnr[method].mean)
     if len(study.methods) == 1:
-        return Verdict("alone", highest, spread=found.psnr[highest])
-    of_highest = found.comparisons.get(highest)
-    if not found.comparisons:
-        return Verdict("no pairs", highest, spread=found.psnr[highest])
-    if all(c.joint is None for c in found.comparisons.values()):
-        return Verdict("single runs", highest, of_highest, spread=found.psnr[highest])
-    if found.best != study.baseline:
-        return Verdict("gain", found.best, found.comparisons[found.best])
-    return _of_baseline(study, found)
+        return Verdict("alone", highest, spread=outcomes.psnr[highest])
+    of_highest = outcomes.comparisons.get(highest)
+    if not outcomes.comparisons:
+        return Verdict("no pairs", highest, spread=outcomes.psnr[highest])
+    if all(c.joint is None for c in outcomes.comparisons.values()):
+        return Verdict("single runs", highest, of_highest, spread=outcomes.psnr[highest])
+    if outcomes.best != study.baseline:
+        return Verdict("gain", outcomes.best, outcomes.comparisons[outcomes.best])
+    return _of_baseline(study, outcomes)
 
 
-def _of_baseline(study: Study, found: Outcomes) -> Verdict:
+def _of_baseline(study: Study, outcomes: Outcomes) -> Verdict:
     """Why the baseline is advised."""
-    gains = [c for c in found.comparisons.values() if c.significant and c.difference > 0]
+    gains = [c for c in outcomes.comparisons.values() if c.significant and c.difference > 0]
     over = tuple(c.method for c in gains if c.baseline == study.baseline)
-    complete = tuple(method for method in over if method in found.psnr)
+    complete = tuple(method for method in over if method in outcomes.psnr)
     if complete:
         return Verdict("not over every baseline", study.baseline, others=complete)
     if over:
@@ -330,10 +332,10 @@ def cost_of(method: Method, runs: Sequence[ReportRun]) -> Cost:
 
 
 def _weakest(findings: Findings) -> Weakest | None:
-    study, found = findings.study, findings.outcomes
-    method = found.best
+    study, outcomes = findings.study, findings.outcomes
+    method = outcomes.best
     if method == study.baseline_of(method) and study.has_budgets:
-        method = _cheapest_good(study, found) or method
+        method = _cheapest_good(study, outcomes) or method
     means = {
         scene: value
         for scene in study.tested
@@ -350,9 +352,9 @@ def _weakest(findings: Findings) -> Weakest | None:
     return Weakest(method, scene, len(means), means[scene], seeds, case, min(values), rate)
 
 
-def _cheapest_good(study: Study, found: Outcomes) -> Method | None:
+def _cheapest_good(study: Study, outcomes: Outcomes) -> Method | None:
     """The cheapest budget of the first method that is nearly as good as its best."""
-    means = {m: s.mean for m, s in found.psnr.items() if m.family == study.families[0]}
+    means = {m: s.mean for m, s in outcomes.psnr.items() if m.family == study.families[0]}
     good = [m for m, mean in means.items() if mean >= max(means.values()) - AS_GOOD_DB]
 
     def cost(method: Method) -> tuple[float, str]:
@@ -371,9 +373,9 @@ def contests(study: Study) -> list[Contest]:
     for method in study.methods:
         groups.setdefault(method.without_capacity, []).append(method)
     pairs = [(other, first) for first, *others in groups.values() for other in others]
-    found = {own: contest for own, base in pairs if (contest := _contest(study, own, base))}
-    tested = corrected({method: contest.comparison for method, contest in found.items()})
-    return [replace(contest, comparison=tested[method]) for method, contest in found.items()]
+    by_pair = {own: contest for own, base in pairs if (contest := _contest(study, own, base))}
+    tested = corrected({method: contest.comparison for method, contest in by_pair.items()})
+    return [replace(contest, comparison=tested[method]) for method, contest in by_pair.items()]
 
 
 def _contest(study: Study, method: Method, base: Method) -> Contest | None:

@@ -58,7 +58,7 @@ class Entry:
 
     name: str
     study: Study
-    found: Outcomes
+    outcomes: Outcomes
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def _written(folder: Path, out_dir: Path, rival: str) -> tuple[Path, int, str]:
 
 def _entries(folder: Path, out_dir: Path, rival: str) -> tuple[list[Entry], dict[str, str]]:
     """The studies with their outcomes; and by name why others are left out."""
-    found: list[Entry] = []
+    entries: list[Entry] = []
     broken: dict[str, str] = {}
     for path in _study_dirs(folder):
         name = outside(os.path.relpath(path, folder)) if path != folder else outside(path.name)
@@ -144,8 +144,8 @@ def _entries(folder: Path, out_dir: Path, rival: str) -> tuple[list[Entry], dict
         if why:
             broken[name] = why
         else:
-            found.append(Entry(name, study, outcomes(study)))
-    return sorted(found, key=lambda entry: natural(entry.name)), broken
+            entries.append(Entry(name, study, outcomes(study)))
+    return sorted(entries, key=lambda entry: natural(entry.name)), broken
 
 
 def _left_out(study: Study) -> str:
@@ -161,24 +161,24 @@ def _left_out(study: Study) -> str:
 def _study_dirs(folder: Path) -> list[Path]:
     """The studies in the folder and below it, sorted; the repository's own only if the folder is
     theirs."""
-    found = {folder} if (folder / RUN_FOLDERS).is_dir() else set()
-    own = COMMITTED.resolve()
-    within = folder.resolve().is_relative_to(own)
+    folders = {folder} if (folder / RUN_FOLDERS).is_dir() else set()
+    committed = COMMITTED.resolve()
+    within = folder.resolve().is_relative_to(committed)
     for place, names in walked(folder):
         inside = place.relative_to(folder).parts
-        if not within and place.resolve().is_relative_to(own):
+        if not within and place.resolve().is_relative_to(committed):
             continue
         if inside and holds_run(names):
             cut = inside.index(RUN_FOLDERS) if RUN_FOLDERS in inside[:-1] else len(inside) - 1
-            found.add(folder.joinpath(*inside[:cut]))
+            folders.add(folder.joinpath(*inside[:cut]))
         elif ARCHIVE in names and RUN_FOLDERS not in inside:
-            found.add(place)
-    require(len(found) <= RUNS, f"{folder}: expected at most {RUNS:,} studies, got more")
-    return sorted(found)
+            folders.add(place)
+    require(len(folders) <= RUNS, f"{folder}: expected at most {RUNS:,} studies, got more")
+    return sorted(folders)
 
 
 def _matches(entry: Entry) -> list[Match]:
-    comparisons = entry.found.comparisons.values()
+    comparisons = entry.outcomes.comparisons.values()
     return [Match(entry, c, c.joint, c.p_joint or 0.0) for c in comparisons if c.joint is not None]
 
 
@@ -196,15 +196,15 @@ def _ranks(matches: Sequence[Match]) -> list[Cells]:
     """One row per method, sorted by wins minus losses, then by the mean difference."""
     rows = []
     for family in sorted({match.family for match in matches}, key=lambda m: m.order):
-        own = [match for match in matches if match.family == family]
-        signs = [match.sign for match in own]
-        differences = [match.comparison.difference for match in own]
-        mean = sum(differences) / len(own)
+        of_family = [match for match in matches if match.family == family]
+        signs = [match.sign for match in of_family]
+        differences = [match.comparison.difference for match in of_family]
+        mean = sum(differences) / len(of_family)
         ends = [format_difference(end) for end in (min(differences), max(differences))]
         row: Cells = {
             "Method": family,
-            "Studies": str(len({match.entry.name for match in own})),
-            "Comparisons": str(len(own)),
+            "Studies": str(len({match.entry.name for match in of_family})),
+            "Comparisons": str(len(of_family)),
             "Better": str(signs.count(1)),
             "Not significant": str(signs.count(0)),
             "Worse": str(signs.count(-1)),
@@ -216,9 +216,9 @@ def _ranks(matches: Sequence[Match]) -> list[Cells]:
 
 
 def _study_row(entry: Entry, out_dir: Path) -> Cells:
-    study, found = entry.study, entry.found
-    best = _advised(study, found)
-    values = list(found.seeds.get(best, {}).values())
+    study, outcomes = entry.study, entry.outcomes
+    best = _advised(study, outcomes)
+    values = list(outcomes.seeds.get(best, {}).values())
     runs = study.of(method=best)
     return {
         "Study": _link(entry, out_dir),
@@ -232,13 +232,13 @@ def _study_row(entry: Entry, out_dir: Path) -> Cells:
     }
 
 
-def _advised(study: Study, found: Outcomes) -> Method:
+def _advised(study: Study, outcomes: Outcomes) -> Method:
     """The verdict's method; of the baseline with several budgets, the best one."""
-    best = found.best
+    best = outcomes.best
     if best != study.baseline_of(best) or not study.has_budgets:
         return best
-    budgets = [m for m in found.psnr if m.family == study.families[0]]
-    return max(budgets, key=lambda m: (found.psnr[m].mean, m.label), default=best)
+    budgets = [m for m in outcomes.psnr if m.family == study.families[0]]
+    return max(budgets, key=lambda m: (outcomes.psnr[m].mean, m.label), default=best)
 
 
 def _link(entry: Entry, out_dir: Path) -> str | Link:

@@ -53,9 +53,9 @@ class Panel:
         means = {}
         for level in self.levels:
             values = [run.mean("psnr") for run in self.runs.get(method, {}).get(level, [])]
-            known = [value for value in values if value is not None]
-            if known and len(known) == len(values):
-                means[level] = float(np.mean(known))
+            present = [value for value in values if value is not None]
+            if present and len(present) == len(values):
+                means[level] = float(np.mean(present))
         return means
 
 
@@ -73,17 +73,17 @@ class Limit:
     panel: Panel
     method: Method
     against: Method
-    found: Breakdown
+    breakdown: Breakdown
     levels: tuple[float, ...]
     gains: tuple[tuple[float, Interval | None], ...]
 
     def levels_with(self, sign: int) -> list[float]:
         """The strengths with a significant gain (1), a significant loss (-1) or neither (0)."""
-        return [v for v, s in zip(self.levels, self.found.signs, strict=True) if s == sign]
+        return [v for v, s in zip(self.levels, self.breakdown.signs, strict=True) if s == sign]
 
     def largest(self, sign: int) -> tuple[float, float, Interval | None]:
         """The strength with the largest significant gain or loss, that gain and its interval."""
-        cells = zip(self.levels, self.gains, self.found.signs, strict=True)
+        cells = zip(self.levels, self.gains, self.breakdown.signs, strict=True)
         chosen = [(v, mean, inside) for v, (mean, inside), s in cells if s == sign]
         return max(chosen, key=lambda cell: sign * cell[1])
 
@@ -91,7 +91,7 @@ class Limit:
 def panels(study: Study) -> list[Panel]:
     """The panels of a study of stresses; none if one of its tested runs is in no panel."""
     every, rich = _found(study)
-    return next((some for some in (rich, every) if _holds(some, study)), [])
+    return next((complete for complete in (rich, every) if _holds(complete, study)), [])
 
 
 def panels_beside(study: Study) -> list[Panel]:
@@ -122,13 +122,13 @@ def limits(study: Study, shown: Sequence[Panel]) -> list[Limit]:
         if (gains := _gains(study, panel, method)) is not None
     ]
     tests = sum(len(strengths) for _, _, (strengths, _) in cells)
-    found = []
+    results = []
     for panel, method, (strengths, values) in cells:
         drawn = tuple(gains_of_levels(values, tests))
         broken = break_down(strengths, values, tests)
         levels = tuple(float(v) for v in strengths)
-        found.append(Limit(panel, method, study.baseline_of(method), broken, levels, drawn))
-    return found
+        results.append(Limit(panel, method, study.baseline_of(method), broken, levels, drawn))
+    return results
 
 
 def shown_scenes(study: Study, shown: Sequence[Panel]) -> list[str]:
@@ -185,16 +185,16 @@ def _title(study: Study, axis: Axis, run: ReportRun) -> str:
 def by_seed(values: Pairs) -> dict[int, float]:
     """Seed -> mean over its scenes, which are several if two labels have one strength, as
     `n_views=all` and the number of all."""
-    found: dict[int, list[float]] = defaultdict(list)
+    by_place: dict[int, list[float]] = defaultdict(list)
     for (_, seed), value in values.items():
-        found[seed].append(value)
-    return {seed: float(np.mean(own)) for seed, own in found.items()}
+        by_place[seed].append(value)
+    return {seed: float(np.mean(own)) for seed, own in by_place.items()}
 
 
 def _differences(runs: Sequence[ReportRun], base: Sequence[ReportRun]) -> dict[int, float]:
     """Seed -> difference of `runs` to `base`, over the scenes that both have with it."""
-    own, others = by_pair(runs), by_pair(base)
-    return by_seed({key: own[key] - others[key] for key in own if key in others})
+    difference, others = by_pair(runs), by_pair(base)
+    return by_seed({key: difference[key] - others[key] for key in difference if key in others})
 
 
 def _gains(study: Study, panel: Panel, method: Method) -> tuple[np.ndarray, np.ndarray] | None:

@@ -268,13 +268,13 @@ def _seeds_needed(c: SigmaComparison) -> str:
     return f"more than {MOST_SEEDS}" if c.seeds is None else str(c.seeds)
 
 
-def deviation_rows(found: Outcomes) -> list[Row]:
+def deviation_rows(outcomes: Outcomes) -> list[Row]:
     """σ_PSNR with two intervals, and over several scenes in both readings."""
-    several = bool(found.scene_sigma)
+    several = bool(outcomes.scene_sigma)
     heading = f"{'σ of the mean over scenes' if several else 'σ_PSNR'} (dB)"
     rows: list[Row] = []
-    for method, psnr in found.psnr.items():
-        free = sd_interval(list(found.seeds[method].values()))
+    for method, psnr in outcomes.psnr.items():
+        free = sd_interval(list(outcomes.seeds[method].values()))
         row: Row = {
             "Method": method,
             heading: ABSENT if psnr.sd is None else format_significant(psnr.sd),
@@ -283,8 +283,12 @@ def deviation_rows(found: Outcomes) -> list[Row]:
             "Seeds": str(psnr.n),
         }
         if several:
-            own = found.scene_sigma.get(method)
-            text = f"{format_significant(own[0])} [{format_span(own[1])}]" if own else ABSENT
+            scene_sigma = outcomes.scene_sigma.get(method)
+            text = (
+                f"{format_significant(scene_sigma[0])} [{format_span(scene_sigma[1])}]"
+                if scene_sigma
+                else ABSENT
+            )
             row["mean of the scenes' σ (dB)"] = text
         rows.append(row)
     return rows
@@ -294,19 +298,19 @@ def draw_rows(draws: Sequence[Draws]) -> list[Row]:
     """What every method gains with other training photos of the same scene."""
     return [
         {
-            "Scene": own.scene,
-            "Method": own.method,
-            "Compared with": own.baseline,
-            "Each draw (dB)": ", ".join(format_difference(gain) for gain in own.gains),
-            "Mean (dB)": format_difference(own.over.mean),
-            "other photos, 95 %": format_interval(i) if (i := own.over.interval()) else ABSENT,
-            "σ of draws (dB)": format_significant(float(np.std(own.gains, ddof=1))),
-            "σ of seeds (dB)": format_significant(own.alike.sd) if own.alike else ABSENT,
-            "Draws alike": format_p(own.alike.p)
-            if own.alike is not None and own.alike.p is not None
+            "Scene": draw.scene,
+            "Method": draw.method,
+            "Compared with": draw.baseline,
+            "Each draw (dB)": ", ".join(format_difference(gain) for gain in draw.gains),
+            "Mean (dB)": format_difference(draw.over.mean),
+            "other photos, 95 %": format_interval(i) if (i := draw.over.interval()) else ABSENT,
+            "σ of draws (dB)": format_significant(float(np.std(draw.gains, ddof=1))),
+            "σ of seeds (dB)": format_significant(draw.alike.sd) if draw.alike else ABSENT,
+            "Draws alike": format_p(draw.alike.p)
+            if draw.alike is not None and draw.alike.p is not None
             else ABSENT,
         }
-        for own in draws
+        for draw in draws
     ]
 
 

@@ -74,9 +74,9 @@ def _courses(name: str, look: int, index: int, runs: Sequence[Evaluations]) -> l
 
 
 def _mean_point(step: int, pairs: Sequence[tuple[float, float]]) -> Point:
-    found = spread([psnr for _, psnr in pairs])
+    spreads = spread([psnr for _, psnr in pairs])
     seconds = sum(second for second, _ in pairs) / len(pairs)
-    return Point(seconds, found.mean, *found.ends, f"step {step}")
+    return Point(seconds, spreads.mean, *spreads.ends, f"step {step}")
 
 
 def pair_curves(runs: Sequence[ReportRun]) -> Chart | None:
@@ -98,18 +98,18 @@ def pair_curves(runs: Sequence[ReportRun]) -> Chart | None:
 
 def cost_charts(study: Study, scene: str) -> list[tuple[Chart, ...]]:
     """PSNR against seconds; against Gaussians and file size where these differ."""
-    found = entries(study, scene)
-    if len(found) < 2:
+    options = entries(study, scene)
+    if len(options) < 2:
         return []
     label = f"training time (s, {'CPU' if study.by_cpu else 'wall clock'})"
-    panels = _panels(found, scene)
+    panels = _panels(options, scene)
     name = study.file_of("tradeoff", scene)
-    time = [_cost_chart(study, found, p, name, label, seconds_of) for p in panels]
+    time = [_cost_chart(study, options, p, name, label, seconds_of) for p in panels]
     name = study.file_of("size", scene)
     sizes = [
-        _cost_chart(study, found, panel, name, label, cost)
+        _cost_chart(study, options, panel, name, label, cost)
         for label, cost in (("Gaussians", gaussians), ("file size (MB)", megabytes))
-        if differs([cost(entry) for entry in found])
+        if differs([cost(entry) for entry in options])
         for panel in panels
     ]
     return [tuple(time), *([tuple(sizes)] if sizes else [])]
@@ -120,15 +120,15 @@ def _capacity(method: Method) -> str:
     return "=".join(method.capacity[0]) if method.capacity else ""
 
 
-def _panels(found: Sequence[Entry], scene: str) -> list[tuple[str, dict[int, str]]]:
+def _panels(options: Sequence[Entry], scene: str) -> list[tuple[str, dict[int, str]]]:
     """Return (title, names of the series by the index of their entries) of every chart.
 
     If there are enough colours, it is one chart with a series per method and capacity. Otherwise it
     is a chart per method, with its capacities as series. If methods or capacities are too many for
     that, it is a series per method.
     """
-    families = {k: entry.method.family.name for k, entry in enumerate(found)}
-    kinds = {k: _capacity(entry.method) for k, entry in enumerate(found)}
+    families = {k: entry.method.family.name for k, entry in enumerate(options)}
+    kinds = {k: _capacity(entry.method) for k, entry in enumerate(options)}
     names = {k: ", ".join(filter(None, (families[k], kinds[k]))) for k in families}
     if len(set(names.values())) <= len(LIGHT):
         return [(scene, names)]
@@ -144,7 +144,7 @@ def _panels(found: Sequence[Entry], scene: str) -> list[tuple[str, dict[int, str
 
 def _cost_chart(
     study: Study,
-    found: Sequence[Entry],
+    options: Sequence[Entry],
     panel: tuple[str, dict[int, str]],
     name: str,
     x_label: str,
@@ -153,36 +153,36 @@ def _cost_chart(
     """A series of `panel` connects its undominated entries; dominated ones are faint. Entries
     that are worth their time among all of the scene are ringed.
     """
-    ringed = set(paying(found, cost))
+    ringed = set(paying(options, cost))
     title, shown = panel
     families = {family.name: family for family in study.families}
     whole = set(shown.values()) <= set(families)
     order = list(families) if whole else list(dict.fromkeys(shown.values()))
-    numbers = looks(families[own].label if own in families else own for own in order)
+    numbers = looks(families[label].label if label in families else label for label in order)
     series = []
-    for own in order:
-        indices = [k for k, of in shown.items() if of == own]
-        best = [indices[k] for k in front([found[k] for k in indices], cost)]
-        look = numbers[families[own].label if own in families else own]
-        index = study.families.index(families[own]) if own in families else None
+    for label in order:
+        indices = [k for k, of in shown.items() if of == label]
+        best = [indices[k] for k in front([options[k] for k in indices], cost)]
+        look = numbers[families[label].label if label in families else label]
+        index = study.families.index(families[label]) if label in families else None
         rings = tuple(i for i, k in enumerate(best) if k in ringed)
-        points = tuple(_cost_point(found[k], cost) for k in best)
-        series.append(Series(own, look, points, index, joined=len(points) > 1, ringed=rings))
-        rest = tuple(_cost_point(found[k], cost) for k in indices if k not in best)
+        points = tuple(_cost_point(options[k], cost) for k in best)
+        series.append(Series(label, look, points, index, joined=len(points) > 1, ringed=rings))
+        rest = tuple(_cost_point(options[k], cost) for k in indices if k not in best)
         if rest:
-            series.append(Series(own, look, rest, index, faint=True, joined=False))
-    costs = [cost(entry) for entry in found]
+            series.append(Series(label, look, rest, index, faint=True, joined=False))
+    costs = [cost(entry) for entry in options]
     log_x = 0 < LOG_FROM * min(costs) < max(costs)
     drawn = tuple(s for s in series if s.points)
     return Chart(
         name, title, x_label, PSNR_LABEL, drawn, log_x, min_span=MIN_SPAN_DB,
-        band=_band(study, found),
+        band=_band(study, options),
     )  # fmt: skip
 
 
-def _band(study: Study, found: Sequence[Entry]) -> Band | None:
+def _band(study: Study, options: Sequence[Entry]) -> Band | None:
     """The range of single runs of the baseline, if it has one budget."""
-    for entry in found:
+    for entry in options:
         method, sd = entry.method, entry.psnr.sd
         if method == study.baseline and sd is not None and not method.budget:
             name = f"single runs of {method} (mean ± 2 σ)"
@@ -226,7 +226,7 @@ def stress_charts(
         series(method, _points({v: [*by_seed(by_pair(r)).values()] for v, r in by_level.items()}))
         for method, by_level in levels.items()
     ]
-    gain = [series(own.method, _gain_points(own)) for own in limits if own.panel is panel]
+    gain = [series(limit.method, _gain_points(limit)) for limit in limits if limit.panel is panel]
     charts = [chart(panel.title, PSNR_LABEL, psnr, False, MIN_SPAN_DB)]
     if gain:
         charts.append(chart("", f"gain over {against} (dB)", gain, True, MIN_SPAN_DB))
@@ -243,13 +243,15 @@ def stress_charts(
 def _grows(panel: Panel, counts: dict[Method, dict[float, list[float]]]) -> bool:
     """Whether the size of a model changes along the stress, and not as its start alone."""
     means = [[float(np.mean(n)) for n in by_level.values()] for by_level in counts.values()]
-    changes = any(max(own) > (1 + SAME_SIZE) * min(own) for own in means)
+    changes = any(max(means_of) > (1 + SAME_SIZE) * min(means_of) for means_of in means)
     return changes and any(r.record.methods.get("capacity") != "fixed" for r in panel.all_runs)
 
 
 def _points(values: dict[float, list[float]]) -> list[Point]:
     """The mean of each level's values with its 95 % interval."""
-    spreads = {level: spread(own) for level, own in values.items() if own}
+    spreads = {
+        level: spread(level_values) for level, level_values in values.items() if level_values
+    }
     return [Point(x, s.mean, *s.ends, f"n = {s.n}") for x, s in spreads.items()]
 
 
@@ -257,5 +259,5 @@ def _gain_points(limit: Limit) -> list[Point]:
     points = []
     for level, (mean, interval) in zip(limit.levels, limit.gains, strict=True):
         low, high = (mean, mean) if interval is None else (interval.low, interval.high)
-        points.append(Point(level, mean, low, high, f"n = {limit.found.n}"))
+        points.append(Point(level, mean, low, high, f"n = {limit.breakdown.n}"))
     return points

@@ -81,26 +81,26 @@ def forest_picture(out_dir: Path, forest: Forest, alt: str) -> Picture:
     return save_figure(out_dir, forest.name, draw(forest), rows, alt)
 
 
-def forest_of(study: Study, found: Outcomes) -> Forest:
+def forest_of(study: Study, outcomes: Outcomes) -> Forest:
     """Every comparison of a study with its baseline, over all scenes and, if there are not too
     many, by scene."""
-    of_scenes = sum(len(compared) for compared in found.by_scene.values())
-    detailed = 0 < of_scenes <= MOST_ROWS - 2 * len(found.comparisons)
+    of_scenes = sum(len(compared) for compared in outcomes.by_scene.values())
+    detailed = 0 < of_scenes <= MOST_ROWS - 2 * len(outcomes.comparisons)
     rows: list[Row] = []
-    for method, c in found.comparisons.items():
+    for method, c in outcomes.comparisons.items():
         for scene in study.tested if detailed else []:
-            own = found.by_scene[scene].get(method)
-            if own is not None:
+            alone = outcomes.by_scene[scene].get(method)
+            if alone is not None:
                 label, index = marked(scene, study.name_of(scene)), study.scenes.index(scene)
                 rows.append(
-                    replace(_row(study, own, label, own.interval, False), scene_index=index)
+                    replace(_row(study, alone, label, alone.interval, False), scene_index=index)
                 )
         label = f"these {study.counted(c.scenes)}" if detailed else method.name
         rows.append(_row(study, c, label, c.joint or c.interval, c.joint is not None))
         if detailed and c.like is not None and c.like_joint is not None:
             row = _row(study, c, "scenes like these", c.like_joint, True)
             rows.append(replace(row, middle=c.like.mean, significant=c.general))
-    bases = list(dict.fromkeys(c.baseline for c in found.comparisons.values()))
+    bases = list(dict.fromkeys(c.baseline for c in outcomes.comparisons.values()))
     against = bases[0].name if len(bases) == 1 else "the baseline of the same budget"
     return Forest("differences", against, f"PSNR above {against} (dB)", tuple(rows))
 

@@ -29,16 +29,16 @@ LOOKS = len(LIGHT) * len(DASHES)
 def looks(names: Iterable[str]) -> dict[str, int]:
     """Name -> look, different ones as long as there are enough."""
     wanted = sorted(set(names))
-    known = _known()
-    found = {name: known[name] for name in wanted if name in known}
+    fixed = _known()
+    chosen = {name: fixed[name] for name in wanted if name in fixed}
     for name in wanted:
-        if name not in found:
+        if name not in chosen:
             digest = hashlib.sha256(name.encode()).digest()
             first = int.from_bytes(digest[:4], "little")
             ring = [(first + k) % LOOKS for k in range(LOOKS)]
-            taken = set(found.values())
-            found[name] = next((look for look in ring if look not in taken), ring[0])
-    return found
+            taken = set(chosen.values())
+            chosen[name] = next((look for look in ring if look not in taken), ring[0])
+    return chosen
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,7 @@ def picture(run: ReportRun, view: str, kind: str) -> np.ndarray:
 def damaged_pictures(study: Study) -> dict[Path, str]:
     """The folders of the runs with a picture that is none, or of another size than most runs have
     it on that scene; and why."""
-    found: dict[Path, str] = {}
+    damaged: dict[Path, str] = {}
     sizes: dict[tuple[str, str], Counter[tuple[int, ...]]] = defaultdict(Counter)
     own: dict[tuple[Path, str, str], tuple[int, ...]] = {}
     for run in study.runs:
@@ -117,12 +117,12 @@ def damaged_pictures(study: Study) -> dict[Path, str]:
                 if size != own[run.run.run_dir, run.scene, view]:
                     raise DamagedRun(run.run.run_dir, f"{view}: expected pictures of one size")
         except DamagedRun as error:
-            found[error.run_dir] = str(error)
+            damaged[error.run_dir] = str(error)
     for (run_dir, scene, view), size in own.items():
         usual = sizes[scene, view].most_common(1)[0][0]
         if size != usual:
-            found.setdefault(run_dir, _odd(view, size, usual))
-    return found
+            damaged.setdefault(run_dir, _odd(view, size, usual))
+    return damaged
 
 
 def check_size(run: ReportRun, view: str, size: tuple[int, ...], usual: tuple[int, ...]) -> None:

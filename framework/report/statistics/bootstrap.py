@@ -37,11 +37,11 @@ def sd_interval(values: Sequence[float]) -> Interval | None:
     errors = _standard_errors(drawn)
     usable = (sds > DEGENERATE * sd) & (errors > 0) & np.isfinite(errors)
     t = (np.log(sds[usable]) - math.log(sd)) / errors[usable]
-    own = float(_standard_errors(x[None])[0])
-    if not (own > 0 and math.isfinite(own)) or len(t) == 0:
+    error = float(_standard_errors(x[None])[0])
+    if not (error > 0 and math.isfinite(error)) or len(t) == 0:
         return None
     low, high = np.quantile(t, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return Interval(sd * math.exp(-float(high) * own), sd * math.exp(-float(low) * own))
+    return Interval(sd * math.exp(-float(high) * error), sd * math.exp(-float(low) * error))
 
 
 def _standard_errors(samples: np.ndarray) -> np.ndarray:
@@ -54,5 +54,5 @@ def _standard_errors(samples: np.ndarray) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = 0.5 * np.log(np.maximum(left, 0.0) / (n - 2))
         spread = ((logs - logs.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)
-    found: np.ndarray = np.sqrt((n - 1) / n * spread)
-    return found
+    errors: np.ndarray = np.sqrt((n - 1) / n * spread)
+    return errors

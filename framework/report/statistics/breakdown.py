@@ -80,8 +80,8 @@ def gains_of_levels(
     Returns:
         One estimate per strength; None with fewer than two seeds.
     """
-    found = [estimate(list(row)) for row in gains]
-    return [(e.mean, e.interval(tests or len(found))) for e in found]
+    estimates = [estimate(list(row)) for row in gains]
+    return [(e.mean, e.interval(tests or len(estimates))) for e in estimates]
 
 
 def _sign(gain: tuple[float, Interval | None]) -> int:

@@ -110,18 +110,23 @@ def compare(
     keys = sorted(values.keys() & others.keys())
     if not keys:
         return None
-    found = {key: values[key] - others[key] for key in keys}
+    differences = {key: values[key] - others[key] for key in keys}
     every = sorted({scene for scene, _ in keys})
     by_scene = [
-        float(np.mean([d for (other, _), d in found.items() if other == scene])) for scene in every
+        float(np.mean([d for (other, _), d in differences.items() if other == scene]))
+        for scene in every
     ]
     scenes, seeds = block(keys)
-    by_seed = [float(np.mean([found[scene, seed] for scene in scenes])) for seed in seeds]
+    by_seed = [float(np.mean([differences[scene, seed] for scene in scenes])) for seed in seeds]
     these = estimate(by_seed) if by_seed else Estimate(0, float(np.mean(by_scene)), None)
     by_name: dict[str, list[float]] = defaultdict(list)
     for scene, mean in zip(every, by_scene, strict=True):
         by_name[(names or {}).get(scene, scene)].append(mean)
-    like = estimate([float(np.mean(own)) for own in by_name.values()]) if len(by_name) > 1 else None
+    like = (
+        estimate([float(np.mean(means)) for means in by_name.values()])
+        if len(by_name) > 1
+        else None
+    )
     return Comparison(method, baseline, tuple(scenes), these, like)
 
 

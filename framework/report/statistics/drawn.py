@@ -63,7 +63,7 @@ class Draws:
     @property
     def gains(self) -> list[float]:
         """The mean over seeds of each draw."""
-        return [float(np.mean(own)) for own in self.differences.values()]
+        return [float(np.mean(values)) for values in self.differences.values()]
 
 
 def draws(study: Study) -> list[Draws]:
@@ -78,13 +78,13 @@ def draws(study: Study) -> list[Draws]:
             label = run.scene_label
             fixed = repr(sorted((options | dict(label.data)).items()))
             groups[label.without("split"), fixed].append(run)
-    found = [
+    results = [
         _draws(name, method, study.baseline_of(method), runs)
         for (name, _), runs in groups.items()
         for method in study.methods
         if study.baseline_of(method) != method
     ]
-    return [d for d in found if d is not None]
+    return [d for d in results if d is not None]
 
 
 def _draws(scene: str, method: Method, baseline: Method, runs: Sequence[ReportRun]) -> Draws | None:
@@ -104,12 +104,12 @@ def _draws(scene: str, method: Method, baseline: Method, runs: Sequence[ReportRu
 
 def _by_draw(runs: Sequence[ReportRun], method: Method) -> dict[str, dict[int, float]]:
     """Draw, in the order of their numbers -> seed -> PSNR."""
-    found: dict[str, dict[int, float]] = defaultdict(dict)
+    by_draw: dict[str, dict[int, float]] = defaultdict(dict)
     for run in runs:
         psnr = run.mean("psnr")
         if run.method == method and psnr is not None:
-            found[_draw(run)][run.seed] = psnr
-    return {draw: found[draw] for draw in sorted(found, key=lambda d: (len(d), d))}
+            by_draw[_draw(run)][run.seed] = psnr
+    return {draw: by_draw[draw] for draw in sorted(by_draw, key=lambda d: (len(d), d))}
 
 
 def _draw(run: ReportRun) -> str:

@@ -71,14 +71,16 @@ def outcomes(study: Study) -> Outcomes:
     )
 
 
-def _best(study: Study, psnr: Collection[Method], found: Mapping[Method, Comparison]) -> Method:
+def _best(
+    study: Study, psnr: Collection[Method], comparisons: Mapping[Method, Comparison]
+) -> Method:
     """Choose the method to use.
 
     It is the best of the methods that are significantly better than their baseline and than every
     other method's baseline, which may have another budget or other options. Without one it is the
     study's baseline.
     """
-    better = [m for m, c in found.items() if c.significant and c.difference > 0 and m in psnr]
+    better = [m for m, c in comparisons.items() if c.significant and c.difference > 0 and m in psnr]
     if not better:
         return study.methods[0] if study.methods else PLAIN
     values = {method: by_pair(study.of(method=method)) for method in study.methods}
@@ -86,14 +88,14 @@ def _best(study: Study, psnr: Collection[Method], found: Mapping[Method, Compari
 
     def above(method: Method, other: Method) -> Comparison | None:
         own = compare(method, values[method], other, values[other])
-        return own and replace(own, tests=found[method].tests)
+        return own and replace(own, tests=comparisons[method].tests)
 
     gains: dict[Method, float] = {}
     for method in better:
         over = {base: c for base in bases - {method} if (c := above(method, base)) is not None}
         if all(c.significant and c.difference > 0 for c in over.values()):
             # all above the study's baseline, so that no one gains by the seeds that it has
-            gains[method] = over.get(study.baseline, found[method]).difference
+            gains[method] = over.get(study.baseline, comparisons[method]).difference
     return max(gains, key=lambda method: gains[method], default=study.baseline)
 
 
@@ -124,19 +126,19 @@ def _comparisons(study: Study, scenes: Sequence[str]) -> dict[Method, Comparison
     runs = [run for run in study.runs if run.scene in scenes]
     values = {m: by_pair([run for run in runs if run.method == m]) for m in study.methods}
     names = {run.scene: run.scene_label.name for run in runs}
-    found = {
+    comparisons = {
         method: compare(method, values[method], base, values[base], names)
         for method in study.methods
         if (base := study.baseline_of(method)) != method
     }
-    return {method: c for method, c in found.items() if c is not None}
+    return {method: c for method, c in comparisons.items() if c is not None}
 
 
 def _scene_sigmas(study: Study) -> dict[Method, tuple[float, Interval]]:
-    found = {}
+    sigmas = {}
     for method in study.methods:
         samples = [list(by_pair(study.of(scene, method)).values()) for scene in study.tested]
         mean = mean_deviation(samples)
         if mean is not None:
-            found[method] = mean
-    return found
+            sigmas[method] = mean
+    return sigmas

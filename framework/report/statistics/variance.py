@@ -118,23 +118,23 @@ def compare_sigmas(
     a = np.array([values[seed] for seed in (seeds if paired else values)], dtype=np.float64)
     b = np.array([others[seed] for seed in (seeds if paired else others)], dtype=np.float64)
     sd_a, sd_b = deviation(a), deviation(b)
-    known = functools.partial(
+    common = functools.partial(
         SigmaComparison, method, baseline, n=len(a), other_n=len(b), steadier=sd_a < sd_b
     )
     if sd_a == 0 or sd_b == 0:
-        return known(ratio=None, interval=None, p=brown_forsythe(a, b))
+        return common(ratio=None, interval=None, p=brown_forsythe(a, b))
     ratio = sd_a / sd_b
     if not paired:
         interval = _ratio_interval(ratio, len(a), len(b))
-        return known(ratio=ratio, interval=interval, p=brown_forsythe(a, b))
+        return common(ratio=ratio, interval=interval, p=brown_forsythe(a, b))
     rho = min(max(float(np.corrcoef(a, b)[0, 1]), -MOST_ALIKE), MOST_ALIKE)
     p = float(uncorrelated((a - b)[None], (a + b)[None])[0])
-    return known(ratio=ratio, interval=_paired_interval(ratio, rho, len(a)), p=p, rho=rho)
+    return common(ratio=ratio, interval=_paired_interval(ratio, rho, len(a)), p=p, rho=rho)
 
 
-def sigmas_corrected(found: Mapping[M, SigmaComparison]) -> dict[M, SigmaComparison]:
+def sigmas_corrected(comparisons: Mapping[M, SigmaComparison]) -> dict[M, SigmaComparison]:
     """With p and power of a test that is one of all of these."""
-    return {method: replace(c, tests=len(found)) for method, c in found.items()}
+    return {method: replace(c, tests=len(comparisons)) for method, c in comparisons.items()}
 
 
 def brown_forsythe(a: np.ndarray, b: np.ndarray) -> float:
