@@ -46,7 +46,8 @@ class Backbone:
     Attributes:
         name: in tables.
         layers: for each stage, the indices of its convolutions.
-        pool: kernel of the max pooling of stride 2 before the `pooled_stages`.
+        pool: kernel size of the max pooling, with stride 2.
+        pooled_stages: stages that begin with a max pooling.
         strides, paddings: by layer index; 1 where absent.
         min_size: smallest image in pixels.
     """

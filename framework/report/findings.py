@@ -229,7 +229,7 @@ class Findings:
 
     @property
     def untuned_scenes(self) -> list[str]:
-        """Tested scenes that chose no default."""
+        """Tested scenes whose test photos chose no default."""
         return [s for s in self.study.tested if role(self.study.name_of(s)) != CHOSE]
 
     @property

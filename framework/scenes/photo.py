@@ -142,7 +142,7 @@ def _undistorted(shot: Shot, distortion: Distortion) -> Shot:
 def downscaled(shot: Shot, factor: int, share: float = 0.5) -> Shot:
     """Box means over factor x factor pixels; an incomplete last row or column is cut.
 
-    share: of its box that must be valid for a pixel to be valid.
+    share: the part of a box that must be valid for its mean to be valid.
     """
     if factor == 1:
         return shot

@@ -139,13 +139,6 @@ def test_a_folder_given_by_hand_gets_everything(
     assert "report: here/report.md" in capsys.readouterr().out
 
 
-def test_a_named_study(runs: FakeRuns) -> None:
-    assert main(["+sweep=demo", "-m"]) == 0
-    assert len(runs.seen) == len(set(runs.folders)) == 12
-    assert len(set(runs.methods)) == 12
-    assert {config["study"] for config in runs.seen} == {"demo"}
-
-
 @pytest.mark.parametrize("end", [0, -1])
 @pytest.mark.parametrize("path", sorted(SWEEPS_DIR.glob("*.yaml")), ids=lambda path: path.stem)
 def test_every_sweep_starts(runs: FakeRuns, path: Path, end: int) -> None:

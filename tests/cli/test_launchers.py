@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from framework.command.config.schema import ROOT
+from framework.compute.jit import KERNEL_CACHE
 
 
 def test_failures_in_other_processes_reach_the_exit_code(tmp_path: Path) -> None:
@@ -43,10 +44,15 @@ def test_workers_end_with_the_command_that_started_them(tmp_path: Path) -> None:
     """Killed, so no process can report them."""
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher", reason="no joblib launcher here")
     line = "hydra/launcher=joblib hydra.launcher.n_jobs=2 trainer.steps=100000 seed=0,1"
+    line += " scene.width=64 scene.height=48 scene.supersampling=1"
     with subprocess.Popen(
         [sys.executable, str(ROOT / "run.py"), *line.split(), "-m"],
         cwd=tmp_path,
-        env={**os.environ, "FISHERSPLAT_CACHE": str(tmp_path / "cache")},
+        env={
+            **os.environ,
+            "FISHERSPLAT_CACHE": str(tmp_path / "cache"),
+            "NUMBA_CACHE_DIR": str(KERNEL_CACHE),  # compiled kernels of other tests
+        },
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     ) as command:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -176,25 +174,6 @@ def test_the_page_of_the_paper_names_every_option_that_acts(method: str) -> None
         assert re.search(rf"`{place}{option}(=[^`]*)?`", page), f"{group}.{option}"
         told = re.search(rf"\| [^|]*`{group}\.{option}=([^`]*)`", page)  # of a table
         assert told is None or yaml.safe_load(told[1]) == config[group][option]
-
-
-def test_the_main_ablation_is_the_paper_s_table(runs: FakeRuns) -> None:
-    assert main(["sweep=ablation_main", "seed=4"]) == 0
-    pairs = [(augment, PLUGINS.get(reg, reg)) for augment, reg in PAIRS.values()]
-    assert [method[:2] for method in runs.methods] == pairs
-    assert [f.name.rpartition("-")[0] for f in runs.folders] == [
-        f"{augment}-{reg}-s4" for augment, reg in PAIRS.values()
-    ]
-
-
-def test_a_short_run_under_the_paper_s_conditions(tmp_path: Path) -> None:
-    line = "preset=paper trainer.steps=20 trainer.evaluations=1 depth=ground_truth"
-    line += f" scene.width=96 scene.height=72 init.budget=500 hydra.run.dir={tmp_path / 'out'}"
-    assert main(line.split()) == 0
-    record = json.loads((tmp_path / "out" / "record.json").read_text(encoding="utf-8"))
-    assert record["status"] == "complete"
-    assert record["config"]["capacity"]["name"] == "adc"
-    assert record["dose"] == {}
 
 
 RECIPES = sorted(

@@ -28,7 +28,7 @@ LINES = {
     "=3": "cannot read '=3'; write KEY=VALUE",
     "=3 -m": "cannot read '=3'",
     "experiment=3": "expected options of the configuration, got what Hydra refuses (Config group",
-    "-m reg.start=interval(0,1)": "reg.start=interval(0,1): expected values to sweep over, as",
+    "-m reg.start=interval(0,1)": "reg.start=interval(0,1): expected a list of values, such as",
     "-m seed=range(0,nan)": "expected finite bounds and step",
     "-m seed=range(0,inf)": "expected finite bounds and step",
     "scene.path=\udcff scene=colmap": "command line: expected UTF-8",

@@ -61,7 +61,7 @@ def test_its_check_is_a_one_line_error(installed: dict[str, str], tmp_path: Path
 
 def test_they_train(installed: dict[str, str], tmp_path: Path) -> None:
     line = "+augment=two_nearest +reg=smooth_depth depth=ground_truth init.budget=2000"
-    short = "trainer.steps=8 trainer.evaluations=1 hydra.run.dir=out"
+    short = "trainer.steps=8 trainer.evaluations=1 hydra.run.dir=out scene.width=96 scene.height=72"
     done = run(installed, tmp_path, f"{line} {short}")
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "out" / "record.json").read_text(encoding="utf-8"))

@@ -22,7 +22,7 @@ NO_TRAINING = (
     *("command", "report", "view", "exports", "records", "run/trackers.py"),
     *("scenes/photos", "scenes/placement.py", "scenes/cameras.py", "depth/network.py", "types.py"),
     # twins in PyTorch and NumPy, for tests and other devices
-    *("rasterize/reference.py", "rasterizers", "fisher/in_torch.py", "train/torch_adam.py"),
+    *("kernels/reference.py", "backends", "fisher/in_torch.py", "train/torch_adam.py"),
     "compute/tensors.py",  # PyTorch's on other devices
 )
 

@@ -218,7 +218,7 @@ def test_a_regularizer_that_ended_has_no_word_in_what_is_evaluated() -> None:
     thinned = {}
     for stop in (0.5, 1.0):
         reg = registry.build("reg", {"name": "removal", "start": 0.0, "stop": stop, "p": 0.5})
-        plugins = dataclasses.replace(Plugins.of(IDLE), reg=reg)
+        plugins = Plugins({**Plugins.of(IDLE).each, "reg": reg})
         trainer = Trainer(
             *textured_plane(1), TrainerOptions(steps=4, evaluations=1), plugins, 0, Silent()
         )

@@ -237,7 +237,7 @@ def test_several_scenes(tmp_path: Path) -> None:
             for augment, gain in (("none", 0.0), ("safi", 2.0)):
                 fake_run(tmp_path, augment, seed=seed, gain=gain, scene=scene)
     text = build_report(tmp_path).read_text(encoding="utf-8")
-    assert "on these 2 scenes" in text and "from the differences between these 2: " in text
+    assert "on these 2 scenes" in text and "from the spread over these 2: " in text
     assert text.count("| mean of all") == 2 and "| door" in text and "| fern °" in text
     assert "mean of the scenes' σ (dB)" in text
     assert (tmp_path / "closeup_fern.jpg").is_file() and (tmp_path / "curves_door.svg").is_file()

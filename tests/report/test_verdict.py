@@ -131,7 +131,7 @@ def test_text_and_bars_agree_on_a_committed_study(tmp_path: Path) -> None:
     text = first_screen(tmp_path / "study")
     assert "**Use the baseline" in text and "UAR" in filled
     assert all(re.search(rf"- {re.escape(m)}: -.*, significant", text) for m in filled)
-    assert "from the differences between these 5: no significant difference" in text
+    assert "from the spread over these 5: no significant difference" in text
     thick = [row for row in plot.rows if row.joint]
     assert all(not (row.significant and row.low <= 0 <= row.high) for row in thick)  # type: ignore[operator]
     assert {row.label for row in plot.rows} >= {"embedded °", "dtu_scan65", "llff_fern °"}
@@ -190,7 +190,7 @@ def test_scenes_that_chose_nothing_are_compared_alone_too(tmp_path: Path) -> Non
     for scene, gain in (("llff_fern", 3.0), ("llff_horns", -3.0)):
         write(tmp_path, {"none": 0.0, "safi": gain}, 4, scene=scene)
     text = first_screen(tmp_path)
-    assert "On llff_horns alone, whose test photos chose no default: SAFI -" in text
+    assert "On llff_horns alone, whose test photos had no part in choosing defaults: SAFI -" in text
     assert "llff_fern chose defaults of this project (marked °)" in text
 
 

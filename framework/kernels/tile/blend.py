@@ -158,7 +158,7 @@ def read_gradients(
 ) -> None:
     """Read the image's gradients into a tile.
 
-    `behind` receives the derivative of the loss along what the tile's pixels contain.
+    `behind` receives the sum over channels of the gradient times the pixel, its initial S.
 
     image, gradient: colours, alpha, depth; the gradients of the last two may be empty. held:
     scratch.

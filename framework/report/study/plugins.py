@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import re
+import sys
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -73,6 +75,14 @@ def title(group: str, name: str) -> str:
     names = name.split(JOINED_BY)
     titles = [getattr(one, "title", "") for one in described(group, name)]
     return " + ".join(own or one for own, one in zip(titles, names, strict=True))
+
+
+def summary(group: str, name: str) -> str:
+    """One line on a plugin: the first sentence of its file, without its name; "" if it has none."""
+    cls = plugin(group, name)
+    text = (sys.modules[cls.__module__].__doc__ or "") if cls else ""
+    start, _, rest = text.partition("`: ")
+    return re.split(r"\.\s|\.$| \([A-Z]+\)", rest)[0] if start == f"`{group}={name}" else ""
 
 
 def papers(group: str, name: str) -> list[str]:

@@ -17,6 +17,7 @@ from framework.records.record import LPIPS, POSE_CHECK, Run, RunRecord
 from framework.records.search import Searched
 from framework.report.study.axes import Axis
 from framework.report.study.methods import PLAIN, Method
+from framework.report.study.plugins import summary, title
 from framework.report.study.scenes import SceneLabel
 from framework.report.study.words import listed, natural, outside
 from framework.scenes import HELD_OUT, published_split
@@ -171,6 +172,13 @@ class Study:
     def methods(self) -> list[Method]:
         """The rival or the baseline first, then by name."""
         return sorted({run.method for run in self.runs}, key=self._order)
+
+    @cached_property
+    def plugins(self) -> list[tuple[str, str]]:
+        """Display name and summary of the augmenters and regularizers of the study."""
+        chosen = dict.fromkeys(choice for m in self.methods for choice in m.plugins.items())
+        lines = [(title(group, name), summary(group, name)) for group, name in chosen]
+        return [(name, line) for name, line in lines if line]
 
     @property
     def tried(self) -> list[Method]:
