@@ -197,8 +197,8 @@ def _context(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
 def _figures(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
     """All figures, by where the template shows them."""
     study = findings.study
-    extra = [] if findings.panels else stress.panels_beside(study)
-    limits = stress.limits(study, extra)
+    beside = [] if findings.panels else stress.panels_beside(study)
+    limits = stress.limits(study, beside)
     shown = stress.shown_scenes(study, findings.panels) if findings.panels else study.scenes
     seen = [scene for scene in shown if scene in visible]
     hidden = [scene for scene in study.scenes if scene not in visible]
@@ -213,11 +213,11 @@ def _figures(findings: Findings, visible: Sequence[str]) -> dict[str, Any]:
         "hidden": [] if study.archived else hidden,
         "missing": missing,
         "forest": _forest(findings),
-        "panels_beside": extra,
+        "panels_beside": beside,
         "limits_beside": limits,
         "against": _against(study),
         "stress_pictures": _stress_pictures(study, findings.panels, findings.limits)
-        | _stress_pictures(study, extra, limits),
+        | _stress_pictures(study, beside, limits),
         "closeups": _drawn(lambda scene: draw_closeup(study, scene), seen),
         "costs": [] if findings.panels else [_cost(study, scene) for scene in study.tested],
         "machines": sorted({outside(str(r.record.provenance.get("cpu"))) for r in study.runs}),

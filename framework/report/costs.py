@@ -55,7 +55,7 @@ class Entry:
 
 def entries(study: Study, scene: str) -> list[Entry]:
     """The configurations of a scene with PSNR and training time in every run."""
-    listed = []
+    rows = []
     for method in study.methods:
         runs = study.of(scene, method)
         psnr = [value for run in runs if (value := run.mean("psnr")) is not None]
@@ -66,9 +66,9 @@ def entries(study: Study, scene: str) -> list[Entry]:
             continue
         size = float(np.mean([run.record.ply_bytes for run in runs])) / 1e6
         count = float(np.mean([run.record.gaussians for run in runs]))
-        listed.append(Entry(method, spread(psnr), seconds, count, size, (*runs,)))
-    most = max(listed, key=lambda entry: entry.psnr.n, default=None)
-    return [replace(entry, gain=above(entry, most)) for entry in listed] if most else []
+        rows.append(Entry(method, spread(psnr), seconds, count, size, (*runs,)))
+    most = max(rows, key=lambda entry: entry.psnr.n, default=None)
+    return [replace(entry, gain=above(entry, most)) for entry in rows] if most else []
 
 
 def _pairs(one: Entry, other: Entry) -> Comparison | None:
@@ -92,30 +92,30 @@ def better(one: Entry, other: Entry, tests: int) -> bool:
     )
 
 
-def front(candidates: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
+def front(options: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
     """Indices of the entries on the Pareto front, the cheapest first."""
-    order = sorted(range(len(candidates)), key=lambda k: (cost(candidates[k]), -candidates[k].gain))
+    order = sorted(range(len(options)), key=lambda k: (cost(options[k]), -options[k].gain))
     best, kept = -np.inf, []
     for k in order:
-        if candidates[k].gain > best:
-            best = candidates[k].gain
+        if options[k].gain > best:
+            best = options[k].gain
             kept.append(k)
     return kept
 
 
-def paying(candidates: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
+def paying(options: Sequence[Entry], cost: Callable[[Entry], float]) -> list[int]:
     """Return the indices of the entries that are worth their time, the cheapest first.
 
     An entry is one if it is significantly better than all cheaper ones that are. Tests are
     corrected for all others, because the data decide which of them are on the front. Without any
     test the result is empty.
     """
-    on_front = front(candidates, cost)
+    on_front = front(options, cost)
     kept = on_front[:1]
-    if not kept or candidates[kept[0]].psnr.n < 2:
+    if not kept or options[kept[0]].psnr.n < 2:
         return []
     for k in on_front[1:]:
-        if better(candidates[k], candidates[kept[-1]], len(candidates) - 1):
+        if better(options[k], options[kept[-1]], len(options) - 1):
             kept.append(k)
     return kept
 
@@ -159,14 +159,14 @@ class Choice:
 def choices(study: Study, scene: str) -> list[Choice]:
     """Which configuration to take at each of `LIMITS_S`, limits with the same answer together; none
     of a single configuration, or if runs of different machines do not compare."""
-    candidates = entries(study, scene)
-    if len(candidates) < 2 or not one_machine(study, scene):
+    found = entries(study, scene)
+    if len(found) < 2 or not one_machine(study, scene):
         return []
     answers: dict[Entry | None, list[float]] = {}
     for limit in LIMITS_S:
-        within = [entry for entry in candidates if entry.train_s <= limit]
+        within = [entry for entry in found if entry.train_s <= limit]
         answers.setdefault(_best_within(study, within) if within else None, []).append(limit)
-    quickest = min(candidates, key=train_s)
+    quickest = min(found, key=train_s)
     return [Choice(tuple(limits), entry, quickest) for entry, limits in answers.items()]
 
 
@@ -197,11 +197,11 @@ class Smallest:
     best: Entry
 
 
-def smallest(candidates: Sequence[Entry]) -> Smallest | None:
+def smallest(options: Sequence[Entry]) -> Smallest | None:
     """None if all models have one size."""
-    if len(candidates) < 2 or not differs([megabytes(entry) for entry in candidates]):
+    if len(options) < 2 or not differs([megabytes(entry) for entry in options]):
         return None
-    best = max(candidates, key=_gain)
+    best = max(options, key=_gain)
     return Smallest(
-        min((e for e in candidates if e.gain >= best.gain - AS_GOOD_DB), key=megabytes), best
+        min((e for e in options if e.gain >= best.gain - AS_GOOD_DB), key=megabytes), best
     )

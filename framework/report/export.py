@@ -71,13 +71,17 @@ def runs_csv(study: Study) -> str:
     # `method` and `scene` are labels here, never options
     left_out = {"seed", "scene", "method", *NEUTRAL_KEYS}
     names = [name for name in _columns(options) if name not in left_out]
-    differs = [name for name in names if len({repr(values.get(name)) for values in options}) > 1]
+    differs = [
+        name for name in names if len({repr(row_options.get(name)) for row_options in options}) > 1
+    ]
     labels = ["scene", "method", "seed"]
     columns = [*labels, *differs, *(name for name in _columns(measured) if name not in labels)]
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, columns, lineterminator="\n", extrasaction="ignore")
     writer.writeheader()
-    writer.writerows([{**values, **row} for values, row in zip(options, measured, strict=True)])
+    writer.writerows(
+        [{**row_options, **row} for row_options, row in zip(options, measured, strict=True)]
+    )
     return buffer.getvalue()
 
 
@@ -162,16 +166,8 @@ def comparisons_tex(outcomes: Outcomes) -> str:
             rows.append(_tex_row(c, "scenes like these", c.like, c.like_joint, p))
         for scene, compared in outcomes.by_scene.items():
             if method in compared:
-                compared_here = compared[method]
-                rows.append(
-                    _tex_row(
-                        compared_here,
-                        scene,
-                        compared_here.these,
-                        compared_here.interval,
-                        compared_here.p,
-                    )
-                )
+                alone = compared[method]
+                rows.append(_tex_row(alone, scene, alone.these, alone.interval, alone.p))
         groups.append(rows)
     return tex("comparisons.tex.jinja", groups=groups)
 

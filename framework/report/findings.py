@@ -138,15 +138,15 @@ class Findings:
 
         Tests are corrected for all other methods.
         """
-        best, result = self.outcomes.best, self.outcomes.comparisons
-        if best not in result or self.study.has_budgets or self.panels:
+        best, found = self.outcomes.best, self.outcomes.comparisons
+        if best not in found or self.study.has_budgets or self.panels:
             return []
         values = {m: by_pair(self.study.of(method=m)) for m in (*self.outcomes.psnr, best)}
         others = [compare(m, values[m], best, values[best]) for m in values if m != best]
-        tested_pairs = [c for c in others if c is not None and c.joint is not None]
-        tested = [replace(c, tests=len(tested_pairs)) for c in tested_pairs]
+        comparable = [c for c in others if c is not None and c.joint is not None]
+        tested = [replace(c, tests=len(comparable)) for c in comparable]
         # the verdict has the comparison with its own baseline, corrected for others
-        alike = [c for c in tested if not c.significant and c.method != result[best].baseline]
+        alike = [c for c in tested if not c.significant and c.method != found[best].baseline]
         return sorted(alike, key=_difference)[::-1]
 
     @cached_property
@@ -162,8 +162,8 @@ class Findings:
         """Scene -> which configuration to take for a given time."""
         if self.panels:
             return {}
-        by_scene = {scene: choices(self.study, scene) for scene in self.study.tested}
-        return {scene: answer for scene, answer in by_scene.items() if answer}
+        found = {scene: choices(self.study, scene) for scene in self.study.tested}
+        return {scene: answer for scene, answer in found.items() if answer}
 
     @property
     def advised_budgets(self) -> list[Choice]:
@@ -185,7 +185,7 @@ class Findings:
     def photo_effects(self) -> list[tuple[float, Draws]]:
         """Gains that significantly depend on which photos were drawn, with their corrected p."""
         p = [(d.alike.p, d) for d in self.draws if d.alike is not None and d.alike.p is not None]
-        sure = [(len(p) * p_value, d) for p_value, d in p if len(p) * p_value < SIGNIFICANCE]
+        sure = [(len(p) * own, d) for own, d in p if len(p) * own < SIGNIFICANCE]
         return sorted(sure, key=lambda pair: pair[0])
 
     @property
@@ -197,18 +197,18 @@ class Findings:
         """Costs of the advised method and of its baseline, or of the best other method. With
         several budgets these are the cheapest and the most expensive.
         """
-        result = self.outcomes
-        if not result.psnr:
+        found = self.outcomes
+        if not found.psnr:
             return []
-        best = result.best
+        best = found.best
         methods = [best, self.study.baseline_of(best)]
         if self.study.has_budgets:
-            family = [m for m in result.psnr if m.family == best.family]
+            family = [m for m in found.psnr if m.family == best.family]
             costs = [cost_of(m, self.study.of(method=m)) for m in family]
-            timed = sorted((c for c in costs if c.cpu_s), key=lambda cost: cost.cpu_s or 0.0)
-            return list(dict.fromkeys([timed[0], timed[-1]])) if timed else []
-        if methods[0] == methods[1] and result.comparisons:
-            comparisons = result.comparisons
+            measured = sorted((c for c in costs if c.cpu_s), key=lambda cost: cost.cpu_s or 0.0)
+            return list(dict.fromkeys([measured[0], measured[-1]])) if measured else []
+        if methods[0] == methods[1] and found.comparisons:
+            comparisons = found.comparisons
             methods[1] = max(comparisons, key=lambda m: comparisons[m].difference)
         return [cost_of(m, self.study.of(method=m)) for m in dict.fromkeys(methods)]
 
@@ -237,7 +237,7 @@ class Findings:
         """Role -> names of the tested scenes that have it."""
         names = list(dict.fromkeys(map(self.study.name_of, self.study.tested)))
         by_role = {r: [n for n in names if role(n) == r] for r in (CHOSE, HELPED, TESTS, YOURS)}
-        return {r: result for r, result in by_role.items() if result}
+        return {r: found for r, found in by_role.items() if found}
 
     @cached_property
     def idle(self) -> list[Idle]:
@@ -286,31 +286,31 @@ def largest_effect(intervals: Iterable[Interval | None]) -> float:
     )
 
 
-def _verdict(study: Study, outcomes_: Outcomes) -> Verdict:
+def _verdict(study: Study, outcomes: Outcomes) -> Verdict:
     if not study.runs:
         return Verdict("unfinished")
     if not study.tested:
         return Verdict("untested")
-    if not outcomes_.psnr:
+    if not outcomes.psnr:
         return Verdict("no psnr")
-    highest = max(outcomes_.psnr, key=lambda method: outcomes_.psnr[method].mean)
+    highest = max(outcomes.psnr, key=lambda method: outcomes.psnr[method].mean)
     if len(study.methods) == 1:
-        return Verdict("alone", highest, spread=outcomes_.psnr[highest])
-    of_highest = outcomes_.comparisons.get(highest)
-    if not outcomes_.comparisons:
-        return Verdict("no pairs", highest, spread=outcomes_.psnr[highest])
-    if all(c.joint is None for c in outcomes_.comparisons.values()):
-        return Verdict("single runs", highest, of_highest, spread=outcomes_.psnr[highest])
-    if outcomes_.best != study.baseline:
-        return Verdict("gain", outcomes_.best, outcomes_.comparisons[outcomes_.best])
-    return _of_baseline(study, outcomes_)
+        return Verdict("alone", highest, spread=outcomes.psnr[highest])
+    of_highest = outcomes.comparisons.get(highest)
+    if not outcomes.comparisons:
+        return Verdict("no pairs", highest, spread=outcomes.psnr[highest])
+    if all(c.joint is None for c in outcomes.comparisons.values()):
+        return Verdict("single runs", highest, of_highest, spread=outcomes.psnr[highest])
+    if outcomes.best != study.baseline:
+        return Verdict("gain", outcomes.best, outcomes.comparisons[outcomes.best])
+    return _of_baseline(study, outcomes)
 
 
-def _of_baseline(study: Study, outcomes_: Outcomes) -> Verdict:
+def _of_baseline(study: Study, outcomes: Outcomes) -> Verdict:
     """Why the baseline is advised."""
-    gains = [c for c in outcomes_.comparisons.values() if c.significant and c.difference > 0]
+    gains = [c for c in outcomes.comparisons.values() if c.significant and c.difference > 0]
     over = tuple(c.method for c in gains if c.baseline == study.baseline)
-    complete = tuple(method for method in over if method in outcomes_.psnr)
+    complete = tuple(method for method in over if method in outcomes.psnr)
     if complete:
         return Verdict("not over every baseline", study.baseline, others=complete)
     if over:
@@ -332,10 +332,10 @@ def cost_of(method: Method, runs: Sequence[ReportRun]) -> Cost:
 
 
 def _weakest(findings: Findings) -> Weakest | None:
-    study, outcomes_ = findings.study, findings.outcomes
-    method = outcomes_.best
+    study, outcomes = findings.study, findings.outcomes
+    method = outcomes.best
     if method == study.baseline_of(method) and study.has_budgets:
-        method = _cheapest_good(study, outcomes_) or method
+        method = _cheapest_good(study, outcomes) or method
     means = {
         scene: value
         for scene in study.tested
@@ -352,9 +352,9 @@ def _weakest(findings: Findings) -> Weakest | None:
     return Weakest(method, scene, len(means), means[scene], seeds, case, min(values), rate)
 
 
-def _cheapest_good(study: Study, outcomes_: Outcomes) -> Method | None:
+def _cheapest_good(study: Study, outcomes: Outcomes) -> Method | None:
     """The cheapest budget of the first method that is nearly as good as its best."""
-    means = {m: s.mean for m, s in outcomes_.psnr.items() if m.family == study.families[0]}
+    means = {m: s.mean for m, s in outcomes.psnr.items() if m.family == study.families[0]}
     good = [m for m, mean in means.items() if mean >= max(means.values()) - AS_GOOD_DB]
 
     def cost(method: Method) -> tuple[float, str]:
@@ -373,21 +373,19 @@ def contests(study: Study) -> list[Contest]:
     for method in study.methods:
         groups.setdefault(method.without_capacity, []).append(method)
     pairs = [(other, first) for first, *others in groups.values() for other in others]
-    by_method = {
-        values: contest for values, base in pairs if (contest := _contest(study, values, base))
-    }
-    tested = corrected({method: contest.comparison for method, contest in by_method.items()})
-    return [replace(contest, comparison=tested[method]) for method, contest in by_method.items()]
+    by_pair = {own: contest for own, base in pairs if (contest := _contest(study, own, base))}
+    tested = corrected({method: contest.comparison for method, contest in by_pair.items()})
+    return [replace(contest, comparison=tested[method]) for method, contest in by_pair.items()]
 
 
 def _contest(study: Study, method: Method, base: Method) -> Contest | None:
-    runs_of, other = study.of(method=method), study.of(method=base)
-    names = {run.scene: run.scene_label.name for run in runs_of}
-    comparison = compare(method, by_pair(runs_of), base, by_pair(other), names)
+    own, other = study.of(method=method), study.of(method=base)
+    names = {run.scene: run.scene_label.name for run in own}
+    comparison = compare(method, by_pair(own), base, by_pair(other), names)
     if comparison is None:
         return None
-    keys = by_pair(runs_of).keys() & by_pair(other).keys()
-    pairs = [[run for run in runs if (run.scene, run.seed) in keys] for runs in (runs_of, other)]
+    keys = by_pair(own).keys() & by_pair(other).keys()
+    pairs = [[run for run in runs if (run.scene, run.seed) in keys] for runs in (own, other)]
     sizes = [sum(run.record.parameters for run in runs) for runs in pairs]
     seconds = [[run.record.train_cpu_s for run in runs] for runs in pairs]
     timed = all(None not in values for values in seconds)
@@ -403,8 +401,8 @@ def _contest(study: Study, method: Method, base: Method) -> Contest | None:
 def _idle(method: Method, scene: str, runs: Sequence[ReportRun]) -> list[Idle]:
     """The parts of a method that acted too seldom on a scene; the whole if no part is named."""
     keys = sorted({key for run in runs for key in run.record.dose if key.endswith(f"_{ACTED}")})
-    shares = [_share(method, scene, key, runs) for key in (keys if len(keys) > 1 else [])]
-    idle = [one for one in shares if one is not None]
+    found = [_share(method, scene, key, runs) for key in (keys if len(keys) > 1 else [])]
+    idle = [one for one in found if one is not None]
     whole = _share(method, scene, ACTED, runs)
     return idle or ([whole] if whole else [])
 

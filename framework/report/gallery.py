@@ -65,33 +65,33 @@ class Gallery:
 
 def gallery(study: Study, scenes: Sequence[str]) -> Gallery:
     """The pictures of all complete runs on `scenes`, as far as they fit."""
-    contents = Gallery()
+    pictures = Gallery()
     copies: dict[bytes | Path, int] = {}
     for run in study.runs if scenes else ():
         for text, names in (("in 3D", (VIEW,)), ("video", VIDEOS)):
             link = run_link(study, run, text, names) if run.scene in scenes else None
             if link is not None:
                 look = (run.scene, run.method.name, run.seed, link.text, link.target)
-                contents.looks.append(look)
-    contents.videos = list(_videos(study, scenes))
+                pictures.looks.append(look)
+    pictures.videos = list(_videos(study, scenes))
     most = min(MOST_BYTES, max(FEWEST_BYTES, BYTES_PER_RUN * len(study.runs)))
     for layer in _layers(study, scenes):
-        if contents.size >= most or len(contents.images) >= MOST_IMAGES:
-            contents.left_out += len(layer)
+        if pictures.size >= most or len(pictures.images) >= MOST_IMAGES:
+            pictures.left_out += len(layer)
             continue
         for run, view in layer:
             truth = image_file(run, view, "truth")
             if truth not in copies:
-                copies[truth] = _add(contents, run, view, "truth", copies)
+                copies[truth] = _add(pictures, run, view, "truth", copies)
             indices = (
                 copies[truth],
-                _add(contents, run, view, "render"),
-                _add(contents, run, view, "error", longest=LONGEST_ERROR),
+                _add(pictures, run, view, "render"),
+                _add(pictures, run, view, "error", longest=LONGEST_ERROR),
                 study.families.index(run.method.family),
             )
             name = (run.scene, run.method.name, run.seed, outside(view), psnr_text(run, view))
-            contents.shots.append((*name, *indices))
-    return contents
+            pictures.shots.append((*name, *indices))
+    return pictures
 
 
 def _videos(study: Study, scenes: Sequence[str]) -> Iterator[tuple[str, str, int, str]]:
@@ -125,7 +125,7 @@ def _layers(study: Study, scenes: Sequence[str]) -> Iterator[list[tuple[ReportRu
 
 
 def _add(
-    contents: Gallery,
+    pictures: Gallery,
     run: ReportRun,
     view: str,
     kind: str,
@@ -138,8 +138,8 @@ def _add(
     if copies is not None and original in copies:
         return copies[original]
     copy = webp_bytes(picture(run, view, kind), longest)
-    contents.size += len(copy)
-    contents.images.append(data_uri(copy))
+    pictures.size += len(copy)
+    pictures.images.append(data_uri(copy))
     if copies is not None:
-        copies[original] = len(contents.images) - 1
-    return len(contents.images) - 1
+        copies[original] = len(pictures.images) - 1
+    return len(pictures.images) - 1

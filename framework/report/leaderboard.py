@@ -131,7 +131,7 @@ def _written(folder: Path, out_dir: Path, rival: str) -> tuple[Path, int, str]:
 
 def _entries(folder: Path, out_dir: Path, rival: str) -> tuple[list[Entry], dict[str, str]]:
     """The studies with their outcomes; and by name why others are left out."""
-    candidates: list[Entry] = []
+    entries: list[Entry] = []
     broken: dict[str, str] = {}
     for path in _study_dirs(folder):
         name = outside(os.path.relpath(path, folder)) if path != folder else outside(path.name)
@@ -144,8 +144,8 @@ def _entries(folder: Path, out_dir: Path, rival: str) -> tuple[list[Entry], dict
         if why:
             broken[name] = why
         else:
-            candidates.append(Entry(name, study, outcomes(study)))
-    return sorted(candidates, key=lambda entry: natural(entry.name)), broken
+            entries.append(Entry(name, study, outcomes(study)))
+    return sorted(entries, key=lambda entry: natural(entry.name)), broken
 
 
 def _left_out(study: Study) -> str:
@@ -216,9 +216,9 @@ def _ranks(matches: Sequence[Match]) -> list[Cells]:
 
 
 def _study_row(entry: Entry, out_dir: Path) -> Cells:
-    study, outcomes_ = entry.study, entry.outcomes
-    best = _advised(study, outcomes_)
-    values = list(outcomes_.seeds.get(best, {}).values())
+    study, outcomes = entry.study, entry.outcomes
+    best = _advised(study, outcomes)
+    values = list(outcomes.seeds.get(best, {}).values())
     runs = study.of(method=best)
     return {
         "Study": _link(entry, out_dir),
@@ -232,13 +232,13 @@ def _study_row(entry: Entry, out_dir: Path) -> Cells:
     }
 
 
-def _advised(study: Study, outcomes_: Outcomes) -> Method:
+def _advised(study: Study, outcomes: Outcomes) -> Method:
     """The verdict's method; of the baseline with several budgets, the best one."""
-    best = outcomes_.best
+    best = outcomes.best
     if best != study.baseline_of(best) or not study.has_budgets:
         return best
-    budgets = [m for m in outcomes_.psnr if m.family == study.families[0]]
-    return max(budgets, key=lambda m: (outcomes_.psnr[m].mean, m.label), default=best)
+    budgets = [m for m in outcomes.psnr if m.family == study.families[0]]
+    return max(budgets, key=lambda m: (outcomes.psnr[m].mean, m.label), default=best)
 
 
 def _link(entry: Entry, out_dir: Path) -> str | Link:

@@ -50,14 +50,14 @@ def data_set(study: Study, scene: str) -> str:
 def recipes(study: Study) -> list[Recipes]:
     """The recipes of each scene of a data set with published figures, if there are two or more."""
     entries = [entry for entry in literature() if entry.data_sets]
-    named = {entry.recipe for entry in entries if entry.recipe}
+    published = {entry.recipe for entry in entries if entry.recipe}
     tables = []
     for scene in study.tested:
         on = data_set(study, scene)
         runs: dict[str, list[ReportRun]] = defaultdict(list)
         for run in study.of(scene):
             name = recipe_of(run.record.overrides).removesuffix(SWEPT)
-            if name in named:
+            if name in published:
                 runs[name].append(run)
         if on not in (LLFF, DTU) or len(set(runs) - {"baseline"}) < FEWEST:
             continue
@@ -132,9 +132,11 @@ def _reversals(
             methods = Method(recipe=recipe), Method(recipe=other)
             c = compare(methods[0], measured[recipe], methods[1], measured[other])
             if c is not None and c.difference < 0:
-                ours = format_difference(c.difference) + (" significant" if c.significant else "")
+                here_psnr = format_difference(c.difference) + (
+                    " significant" if c.significant else ""
+                )
                 there = format_difference(published - printed[other])
-                pairs.append(f"{titles[other]} ({there}, {ours})")
+                pairs.append(f"{titles[other]} ({there}, {here_psnr})")
         if pairs:
             rows.append({REVERSED: titles[recipe], OVER: "; ".join(pairs)})
     return rows
@@ -178,8 +180,8 @@ def _figures(row: Mapping[str, str]) -> str:
 def scene_rows(names: set[str]) -> list[dict[str, str]]:
     """Published figures of scenes with these names, by scene."""
     rows = [row for entry in literature() for row in entry.rows("scenes")]
-    result = [r for r in rows if r["scene"] in names or r["scene"].removeprefix("llff_") in names]
-    return sorted(result, key=lambda row: row["scene"])
+    found = [r for r in rows if r["scene"] in names or r["scene"].removeprefix("llff_") in names]
+    return sorted(found, key=lambda row: row["scene"])
 
 
 def published_sources(study: Study) -> str:

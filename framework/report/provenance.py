@@ -92,11 +92,11 @@ def _times(study: Study) -> list[str]:
 
 
 def _scenes(study: Study) -> list[str]:
-    result = {run.scene: run.record.scene for run in study.runs}
+    records = {run.scene: run.record.scene for run in study.runs}
     return [
         f"{label}: protocol {outside(scene.protocol)}, fingerprint {code(scene.fingerprint)};"
         f" trained on {_first(scene.training)}; tested on {_first(scene.test) or 'none'}"
-        for label, scene in result.items()
+        for label, scene in records.items()
         if scene is not None and scene.training
     ]
 
@@ -117,6 +117,6 @@ def _commands(study: Study) -> list[str]:
         words = [word for word in overrides if not word.startswith("seed=")]
         seeds[" ".join(words)].append(str(seed))
     return [
-        f"{code(line) or 'none'}: seed {', '.join(sorted(set(result), key=int))}"
-        for line, result in seeds.items()
+        f"{code(line) or 'none'}: seed {', '.join(sorted(set(values), key=int))}"
+        for line, values in seeds.items()
     ]

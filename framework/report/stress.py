@@ -53,9 +53,9 @@ class Panel:
         means = {}
         for level in self.levels:
             values = [run.mean("psnr") for run in self.runs.get(method, {}).get(level, [])]
-            measured = [value for value in values if value is not None]
-            if measured and len(measured) == len(values):
-                means[level] = float(np.mean(measured))
+            present = [value for value in values if value is not None]
+            if present and len(present) == len(values):
+                means[level] = float(np.mean(present))
         return means
 
 
@@ -90,26 +90,26 @@ class Limit:
 
 def panels(study: Study) -> list[Panel]:
     """The panels of a study of stresses; none if one of its tested runs is in no panel."""
-    every, rich = _all_panels(study)
-    return next((subset for subset in (rich, every) if _holds(subset, study)), [])
+    every, rich = _found(study)
+    return next((complete for complete in (rich, every) if _holds(complete, study)), [])
 
 
 def panels_beside(study: Study) -> list[Panel]:
     """The panels of a study that has other scenes too."""
-    return [] if panels(study) else _all_panels(study)[1]
+    return [] if panels(study) else _found(study)[1]
 
 
-def _all_panels(study: Study) -> tuple[list[Panel], list[Panel]]:
+def _found(study: Study) -> tuple[list[Panel], list[Panel]]:
     """All panels, and those with `FEWEST_LEVELS`."""
     every = [p for axis in STRESSES for p in _panels_along(study, axis)]
     names = file_names(panel.title for panel in every)
-    result = [replace(p, file=f"stress_{names[p.title]}_{p.axis.short}") for p in every]
-    return result, [panel for panel in result if len(panel.levels) >= FEWEST_LEVELS]
+    found = [replace(p, file=f"stress_{names[p.title]}_{p.axis.short}") for p in every]
+    return found, [panel for panel in found if len(panel.levels) >= FEWEST_LEVELS]
 
 
-def _holds(subset: Sequence[Panel], study: Study) -> bool:
+def _holds(some: Sequence[Panel], study: Study) -> bool:
     """Whether each tested run is in one of the panels."""
-    shown = {run.run.run_dir for panel in subset for run in panel.all_runs}
+    shown = {run.run.run_dir for panel in some for run in panel.all_runs}
     return all(run.run.run_dir in shown for run in study.runs if run.tested)
 
 
@@ -122,13 +122,13 @@ def limits(study: Study, shown: Sequence[Panel]) -> list[Limit]:
         if (gains := _gains(study, panel, method)) is not None
     ]
     tests = sum(len(strengths) for _, _, (strengths, _) in cells)
-    breakdowns = []
+    results = []
     for panel, method, (strengths, values) in cells:
         drawn = tuple(gains_of_levels(values, tests))
         broken = break_down(strengths, values, tests)
         levels = tuple(float(v) for v in strengths)
-        breakdowns.append(Limit(panel, method, study.baseline_of(method), broken, levels, drawn))
-    return breakdowns
+        results.append(Limit(panel, method, study.baseline_of(method), broken, levels, drawn))
+    return results
 
 
 def shown_scenes(study: Study, shown: Sequence[Panel]) -> list[str]:
@@ -151,12 +151,12 @@ def _panels_along(study: Study, axis: Axis) -> list[Panel]:
             label = run.scene_label
             others = tuple((k, value_text(v)) for k, v in label.data.items() if k != axis.key)
             groups[label.without(axis.short), others].append(run)
-    result = []
+    found = []
     for runs in groups.values():
         levels = {level for run in runs if (level := run.level(axis)) is not None}
         if len(levels) > 1:
-            result.append(_panel(study, axis, runs, sorted(levels, key=lambda v: axis.harder * v)))
-    return result
+            found.append(_panel(study, axis, runs, sorted(levels, key=lambda v: axis.harder * v)))
+    return found
 
 
 def _panel(study: Study, axis: Axis, runs: list[ReportRun], levels: list[float]) -> Panel:
@@ -185,16 +185,16 @@ def _title(study: Study, axis: Axis, run: ReportRun) -> str:
 def by_seed(values: Pairs) -> dict[int, float]:
     """Seed -> mean over its scenes, which are several if two labels have one strength, as
     `n_views=all` and the number of all."""
-    gains: dict[int, list[float]] = defaultdict(list)
+    by_place: dict[int, list[float]] = defaultdict(list)
     for (_, seed), value in values.items():
-        gains[seed].append(value)
-    return {seed: float(np.mean(gain)) for seed, gain in gains.items()}
+        by_place[seed].append(value)
+    return {seed: float(np.mean(own)) for seed, own in by_place.items()}
 
 
 def _differences(runs: Sequence[ReportRun], base: Sequence[ReportRun]) -> dict[int, float]:
     """Seed -> difference of `runs` to `base`, over the scenes that both have with it."""
-    values, others = by_pair(runs), by_pair(base)
-    return by_seed({key: values[key] - others[key] for key in values if key in others})
+    difference, others = by_pair(runs), by_pair(base)
+    return by_seed({key: difference[key] - others[key] for key in difference if key in others})
 
 
 def _gains(study: Study, panel: Panel, method: Method) -> tuple[np.ndarray, np.ndarray] | None:
@@ -203,13 +203,13 @@ def _gains(study: Study, panel: Panel, method: Method) -> tuple[np.ndarray, np.n
     base = study.baseline_of(method)
     if base == method or base not in panel.runs:
         return None
-    result = [
+    found = [
         _differences(panel.runs[method].get(v, []), panel.runs[base].get(v, []))
         for v in panel.levels
     ]
-    keys = [(k, seed) for k, values in enumerate(result) for seed in values]
+    keys = [(k, seed) for k, own in enumerate(found) for seed in own]
     used, seeds = block(keys) if keys else ([], [])
     if len(used) < 2 or not seeds:
         return None
-    gains = [[result[k][seed] for seed in seeds] for k in used]
+    gains = [[found[k][seed] for seed in seeds] for k in used]
     return np.array([panel.levels[k] for k in used]), np.array(gains)

@@ -283,10 +283,10 @@ def deviation_rows(outcomes: Outcomes) -> list[Row]:
             "Seeds": str(psnr.n),
         }
         if several:
-            comparison = outcomes.scene_sigma.get(method)
+            scene_sigma = outcomes.scene_sigma.get(method)
             text = (
-                f"{format_significant(comparison[0])} [{format_span(comparison[1])}]"
-                if comparison
+                f"{format_significant(scene_sigma[0])} [{format_span(scene_sigma[1])}]"
+                if scene_sigma
                 else ABSENT
             )
             row["mean of the scenes' σ (dB)"] = text
@@ -316,8 +316,8 @@ def draw_rows(draws: Sequence[Draws]) -> list[Row]:
 
 def cost_rows(study: Study, scene: str) -> list[Row]:
     """What every method costs on a scene."""
-    result = entries(study, scene)
-    pay = [result[k].method for k in paying(result, train_s)]
+    found = entries(study, scene)
+    pay = [found[k].method for k in paying(found, train_s)]
     marks = {method: "cheapest" if method == pay[0] else "yes" for method in pay}
     return [
         {

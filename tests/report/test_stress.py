@@ -132,7 +132,7 @@ def test_all_views_and_their_number_are_pairs_of_one_strength(tmp_path: Path) ->
     study = collect(table(tmp_path, rows))
     (panel,) = panels(study)
     (found,) = limits(study, [panel])
-    assert found.found.n == 3 and found.levels == (9, 3)
+    assert found.breakdown.n == 3 and found.levels == (9, 3)
     assert [mean for mean, _ in found.gains] == pytest.approx([0.4, 0.5])
 
 

@@ -74,9 +74,9 @@ def _courses(name: str, look: int, index: int, runs: Sequence[Evaluations]) -> l
 
 
 def _mean_point(step: int, pairs: Sequence[tuple[float, float]]) -> Point:
-    mean = spread([psnr for _, psnr in pairs])
+    spreads = spread([psnr for _, psnr in pairs])
     seconds = sum(second for second, _ in pairs) / len(pairs)
-    return Point(seconds, mean.mean, *mean.ends, f"step {step}")
+    return Point(seconds, spreads.mean, *spreads.ends, f"step {step}")
 
 
 def pair_curves(runs: Sequence[ReportRun]) -> Chart | None:
@@ -98,18 +98,18 @@ def pair_curves(runs: Sequence[ReportRun]) -> Chart | None:
 
 def cost_charts(study: Study, scene: str) -> list[tuple[Chart, ...]]:
     """PSNR against seconds; against Gaussians and file size where these differ."""
-    candidates = entries(study, scene)
-    if len(candidates) < 2:
+    options = entries(study, scene)
+    if len(options) < 2:
         return []
     label = f"training time (s, {'CPU' if study.by_cpu else 'wall clock'})"
-    panels = _panels(candidates, scene)
+    panels = _panels(options, scene)
     name = study.file_of("tradeoff", scene)
-    time = [_cost_chart(study, candidates, p, name, label, seconds_of) for p in panels]
+    time = [_cost_chart(study, options, p, name, label, seconds_of) for p in panels]
     name = study.file_of("size", scene)
     sizes = [
-        _cost_chart(study, candidates, panel, name, label, cost)
+        _cost_chart(study, options, panel, name, label, cost)
         for label, cost in (("Gaussians", gaussians), ("file size (MB)", megabytes))
-        if differs([cost(entry) for entry in candidates])
+        if differs([cost(entry) for entry in options])
         for panel in panels
     ]
     return [tuple(time), *([tuple(sizes)] if sizes else [])]
@@ -120,15 +120,15 @@ def _capacity(method: Method) -> str:
     return "=".join(method.capacity[0]) if method.capacity else ""
 
 
-def _panels(candidates: Sequence[Entry], scene: str) -> list[tuple[str, dict[int, str]]]:
+def _panels(options: Sequence[Entry], scene: str) -> list[tuple[str, dict[int, str]]]:
     """Return (title, names of the series by the index of their entries) of every chart.
 
     If there are enough colours, it is one chart with a series per method and capacity. Otherwise it
     is a chart per method, with its capacities as series. If methods or capacities are too many for
     that, it is a series per method.
     """
-    families = {k: entry.method.family.name for k, entry in enumerate(candidates)}
-    kinds = {k: _capacity(entry.method) for k, entry in enumerate(candidates)}
+    families = {k: entry.method.family.name for k, entry in enumerate(options)}
+    kinds = {k: _capacity(entry.method) for k, entry in enumerate(options)}
     names = {k: ", ".join(filter(None, (families[k], kinds[k]))) for k in families}
     if len(set(names.values())) <= len(LIGHT):
         return [(scene, names)]
@@ -144,7 +144,7 @@ def _panels(candidates: Sequence[Entry], scene: str) -> list[tuple[str, dict[int
 
 def _cost_chart(
     study: Study,
-    candidates: Sequence[Entry],
+    options: Sequence[Entry],
     panel: tuple[str, dict[int, str]],
     name: str,
     x_label: str,
@@ -153,38 +153,36 @@ def _cost_chart(
     """A series of `panel` connects its undominated entries; dominated ones are faint. Entries
     that are worth their time among all of the scene are ringed.
     """
-    ringed = set(paying(candidates, cost))
+    ringed = set(paying(options, cost))
     title, shown = panel
     families = {family.name: family for family in study.families}
     whole = set(shown.values()) <= set(families)
     order = list(families) if whole else list(dict.fromkeys(shown.values()))
-    numbers = looks(
-        families[name_of].label if name_of in families else name_of for name_of in order
-    )
+    numbers = looks(families[label].label if label in families else label for label in order)
     series = []
-    for name_of in order:
-        indices = [k for k, of in shown.items() if of == name_of]
-        best = [indices[k] for k in front([candidates[k] for k in indices], cost)]
-        look = numbers[families[name_of].label if name_of in families else name_of]
-        index = study.families.index(families[name_of]) if name_of in families else None
+    for label in order:
+        indices = [k for k, of in shown.items() if of == label]
+        best = [indices[k] for k in front([options[k] for k in indices], cost)]
+        look = numbers[families[label].label if label in families else label]
+        index = study.families.index(families[label]) if label in families else None
         rings = tuple(i for i, k in enumerate(best) if k in ringed)
-        points = tuple(_cost_point(candidates[k], cost) for k in best)
-        series.append(Series(name_of, look, points, index, joined=len(points) > 1, ringed=rings))
-        rest = tuple(_cost_point(candidates[k], cost) for k in indices if k not in best)
+        points = tuple(_cost_point(options[k], cost) for k in best)
+        series.append(Series(label, look, points, index, joined=len(points) > 1, ringed=rings))
+        rest = tuple(_cost_point(options[k], cost) for k in indices if k not in best)
         if rest:
-            series.append(Series(name_of, look, rest, index, faint=True, joined=False))
-    costs = [cost(entry) for entry in candidates]
+            series.append(Series(label, look, rest, index, faint=True, joined=False))
+    costs = [cost(entry) for entry in options]
     log_x = 0 < LOG_FROM * min(costs) < max(costs)
     drawn = tuple(s for s in series if s.points)
     return Chart(
         name, title, x_label, PSNR_LABEL, drawn, log_x, min_span=MIN_SPAN_DB,
-        band=_band(study, candidates),
+        band=_band(study, options),
     )  # fmt: skip
 
 
-def _band(study: Study, candidates: Sequence[Entry]) -> Band | None:
+def _band(study: Study, options: Sequence[Entry]) -> Band | None:
     """The range of single runs of the baseline, if it has one budget."""
-    for entry in candidates:
+    for entry in options:
         method, sd = entry.method, entry.psnr.sd
         if method == study.baseline and sd is not None and not method.budget:
             name = f"single runs of {method} (mean ± 2 σ)"
@@ -245,13 +243,15 @@ def stress_charts(
 def _grows(panel: Panel, counts: dict[Method, dict[float, list[float]]]) -> bool:
     """Whether the size of a model changes along the stress, and not as its start alone."""
     means = [[float(np.mean(n)) for n in by_level.values()] for by_level in counts.values()]
-    changes = any(max(values) > (1 + SAME_SIZE) * min(values) for values in means)
+    changes = any(max(means_of) > (1 + SAME_SIZE) * min(means_of) for means_of in means)
     return changes and any(r.record.methods.get("capacity") != "fixed" for r in panel.all_runs)
 
 
 def _points(values: dict[float, list[float]]) -> list[Point]:
     """The mean of each level's values with its 95 % interval."""
-    spreads = {level: spread(values_of) for level, values_of in values.items() if values_of}
+    spreads = {
+        level: spread(level_values) for level, level_values in values.items() if level_values
+    }
     return [Point(x, s.mean, *s.ends, f"n = {s.n}") for x, s in spreads.items()]
 
 

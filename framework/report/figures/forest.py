@@ -89,14 +89,11 @@ def forest_of(study: Study, outcomes: Outcomes) -> Forest:
     rows: list[Row] = []
     for method, c in outcomes.comparisons.items():
         for scene in study.tested if detailed else []:
-            comparison = outcomes.by_scene[scene].get(method)
-            if comparison is not None:
+            alone = outcomes.by_scene[scene].get(method)
+            if alone is not None:
                 label, index = marked(scene, study.name_of(scene)), study.scenes.index(scene)
                 rows.append(
-                    replace(
-                        _row(study, comparison, label, comparison.interval, False),
-                        scene_index=index,
-                    )
+                    replace(_row(study, alone, label, alone.interval, False), scene_index=index)
                 )
         label = f"these {study.counted(c.scenes)}" if detailed else method.name
         rows.append(_row(study, c, label, c.joint or c.interval, c.joint is not None))
@@ -130,8 +127,8 @@ def limits(rows: Sequence[Row]) -> tuple[float, float]:
     times the range of the thick ones.
     """
 
-    def ends(some_rows: Sequence[Row]) -> list[float]:
-        return [v for r in some_rows for v in (r.low, r.middle, r.high) if v is not None] + [0.0]
+    def ends(some: Sequence[Row]) -> list[float]:
+        return [v for r in some for v in (r.low, r.middle, r.high) if v is not None] + [0.0]
 
     thick = ends([row for row in rows if row.joint] or rows)
     low, high = min(thick), max(thick)

@@ -29,8 +29,8 @@ LOOKS = len(LIGHT) * len(DASHES)
 def looks(names: Iterable[str]) -> dict[str, int]:
     """Name -> look, different ones as long as there are enough."""
     wanted = sorted(set(names))
-    assigned = _known()
-    chosen = {name: assigned[name] for name in wanted if name in assigned}
+    fixed = _known()
+    chosen = {name: fixed[name] for name in wanted if name in fixed}
     for name in wanted:
         if name not in chosen:
             digest = hashlib.sha256(name.encode()).digest()

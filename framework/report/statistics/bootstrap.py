@@ -54,5 +54,5 @@ def _standard_errors(samples: np.ndarray) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = 0.5 * np.log(np.maximum(left, 0.0) / (n - 2))
         spread = ((logs - logs.mean(axis=1, keepdims=True)) ** 2).sum(axis=1)
-    result: np.ndarray = np.sqrt((n - 1) / n * spread)
-    return result
+    errors: np.ndarray = np.sqrt((n - 1) / n * spread)
+    return errors

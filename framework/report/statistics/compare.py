@@ -123,7 +123,9 @@ def compare(
     for scene, mean in zip(every, by_scene, strict=True):
         by_name[(names or {}).get(scene, scene)].append(mean)
     like = (
-        estimate([float(np.mean(item)) for item in by_name.values()]) if len(by_name) > 1 else None
+        estimate([float(np.mean(means)) for means in by_name.values()])
+        if len(by_name) > 1
+        else None
     )
     return Comparison(method, baseline, tuple(scenes), these, like)
 

@@ -78,22 +78,22 @@ def draws(study: Study) -> list[Draws]:
             label = run.scene_label
             fixed = repr(sorted((options | dict(label.data)).items()))
             groups[label.without("split"), fixed].append(run)
-    result = [
+    results = [
         _draws(name, method, study.baseline_of(method), runs)
         for (name, _), runs in groups.items()
         for method in study.methods
         if study.baseline_of(method) != method
     ]
-    return [d for d in result if d is not None]
+    return [d for d in results if d is not None]
 
 
 def _draws(scene: str, method: Method, baseline: Method, runs: Sequence[ReportRun]) -> Draws | None:
-    of_method, base = (_by_draw(runs, one) for one in (method, baseline))
+    own, base = (_by_draw(runs, one) for one in (method, baseline))
     differences = {}
-    for draw in of_method:
-        seeds = sorted(of_method[draw].keys() & base.get(draw, {}).keys())
+    for draw in own:
+        seeds = sorted(own[draw].keys() & base.get(draw, {}).keys())
         if seeds:
-            differences[draw] = tuple(of_method[draw][seed] - base[draw][seed] for seed in seeds)
+            differences[draw] = tuple(own[draw][seed] - base[draw][seed] for seed in seeds)
     if len(differences) < 2:
         return None
     over = estimate([float(np.mean(values)) for values in differences.values()])
@@ -104,12 +104,12 @@ def _draws(scene: str, method: Method, baseline: Method, runs: Sequence[ReportRu
 
 def _by_draw(runs: Sequence[ReportRun], method: Method) -> dict[str, dict[int, float]]:
     """Draw, in the order of their numbers -> seed -> PSNR."""
-    result: dict[str, dict[int, float]] = defaultdict(dict)
+    by_draw: dict[str, dict[int, float]] = defaultdict(dict)
     for run in runs:
         psnr = run.mean("psnr")
         if run.method == method and psnr is not None:
-            result[_draw(run)][run.seed] = psnr
-    return {draw: result[draw] for draw in sorted(result, key=lambda d: (len(d), d))}
+            by_draw[_draw(run)][run.seed] = psnr
+    return {draw: by_draw[draw] for draw in sorted(by_draw, key=lambda d: (len(d), d))}
 
 
 def _draw(run: ReportRun) -> str:

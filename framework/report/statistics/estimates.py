@@ -91,9 +91,9 @@ def spread(values: Sequence[float]) -> Spread:
     """Mean and standard deviation with their intervals. Raises ValueError without values."""
     if len(values) == 0:
         raise ValueError("spread: expected at least one value")
-    result = estimate(values)
-    inside = None if result.sd is None else _sd_interval(result.sd, result.n)
-    return Spread(result.n, result.mean, result.interval(), result.sd, inside)
+    mean = estimate(values)
+    inside = None if mean.sd is None else _sd_interval(mean.sd, mean.n)
+    return Spread(mean.n, mean.mean, mean.interval(), mean.sd, inside)
 
 
 @functools.cache

@@ -33,27 +33,29 @@ def format_significant(value: float, digits: int = 2) -> str:
 def format_mean(values: Sequence[float | None], most: int, show_half: bool = False) -> str:
     """The mean, rounded by the half width of its 95 % interval, with it if `show_half`; `–`
     unless there are values and none is missing."""
-    measured = [value for value in values if value is not None]
-    if not measured or len(measured) < len(values):
+    present = [value for value in values if value is not None]
+    if not present or len(present) < len(values):
         return ABSENT
-    result = spread(measured)
-    if result.mean_interval is None:
-        return f"{result.mean:.{most}f}"
-    half = (result.mean_interval.high - result.mean_interval.low) / 2
+    summary = spread(present)
+    if summary.mean_interval is None:
+        return f"{summary.mean:.{most}f}"
+    half = (summary.mean_interval.high - summary.mean_interval.low) / 2
     places = decimals(half, most)
     if show_half and half > 0:
-        return f"{result.mean:.{places}f} ± {half:.{places}f}"
-    return f"{result.mean:.{places}f}"
+        return f"{summary.mean:.{places}f} ± {half:.{places}f}"
+    return f"{summary.mean:.{places}f}"
 
 
 def format_sigma(values: Sequence[float]) -> str:
     """`0.16 [0.084 to 1.0] (n = 3)`."""
     if len(values) == 0:
         return ABSENT
-    result = spread(values)
-    if result.sd is None or result.sd_interval is None:
+    summary = spread(values)
+    if summary.sd is None or summary.sd_interval is None:
         return f"{ABSENT} (n = 1)"
-    return f"{format_significant(result.sd)} [{format_span(result.sd_interval)}] (n = {result.n})"
+    return (
+        f"{format_significant(summary.sd)} [{format_span(summary.sd_interval)}] (n = {summary.n})"
+    )
 
 
 def format_span(interval: Interval) -> str:
@@ -93,5 +95,5 @@ def format_difference(difference: float) -> str:
 
 def average(values: Sequence[float | None]) -> float | None:
     """The mean; None unless there are values and none is missing."""
-    measured = [value for value in values if value is not None]
-    return float(np.mean(measured)) if measured and len(measured) == len(values) else None
+    present = [value for value in values if value is not None]
+    return float(np.mean(present)) if present and len(present) == len(values) else None

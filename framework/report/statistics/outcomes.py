@@ -50,7 +50,7 @@ class Outcomes:
 def outcomes(study: Study) -> Outcomes:
     """The outcomes of all methods."""
     values = {m: seed_means(study.of(method=m), study.tested) for m in study.methods}
-    psnr = {method: spread(list(by_seed.values())) for method, by_seed in values.items() if by_seed}
+    psnr = {method: spread(list(found.values())) for method, found in values.items() if found}
     sigmas = {
         method: compare_sigmas(method, values[method], base, others)
         for method in study.methods
@@ -62,7 +62,7 @@ def outcomes(study: Study) -> Outcomes:
     return Outcomes(
         _best(study, psnr, comparisons),
         psnr,
-        {method: by_seed for method, by_seed in values.items() if by_seed},
+        {method: found for method, found in values.items() if found},
         _scene_sigmas(study) if several else {},
         comparisons,
         sigmas_corrected({m: c for m, c in sigmas.items() if c is not None}),
@@ -87,8 +87,8 @@ def _best(
     bases = {*study.baselines}
 
     def above(method: Method, other: Method) -> Comparison | None:
-        comparison = compare(method, values[method], other, values[other])
-        return comparison and replace(comparison, tests=comparisons[method].tests)
+        own = compare(method, values[method], other, values[other])
+        return own and replace(own, tests=comparisons[method].tests)
 
     gains: dict[Method, float] = {}
     for method in better:
@@ -126,19 +126,19 @@ def _comparisons(study: Study, scenes: Sequence[str]) -> dict[Method, Comparison
     runs = [run for run in study.runs if run.scene in scenes]
     values = {m: by_pair([run for run in runs if run.method == m]) for m in study.methods}
     names = {run.scene: run.scene_label.name for run in runs}
-    result = {
+    comparisons = {
         method: compare(method, values[method], base, values[base], names)
         for method in study.methods
         if (base := study.baseline_of(method)) != method
     }
-    return {method: c for method, c in result.items() if c is not None}
+    return {method: c for method, c in comparisons.items() if c is not None}
 
 
 def _scene_sigmas(study: Study) -> dict[Method, tuple[float, Interval]]:
-    result = {}
+    sigmas = {}
     for method in study.methods:
         samples = [list(by_pair(study.of(scene, method)).values()) for scene in study.tested]
         mean = mean_deviation(samples)
         if mean is not None:
-            result[method] = mean
-    return result
+            sigmas[method] = mean
+    return sigmas

@@ -61,9 +61,7 @@ def paired_power(ratio: float, rho: float, n: int, tests: int = 1) -> float:
     mixed = math.sqrt(max((ratio**2 + 1) ** 2 - 4 * (rho * ratio) ** 2, 1e-12))
     c = (ratio**2 - 1) / mixed
     differences, rest = _pairs(n)
-    return _share_significant(
-        differences, c * differences + math.sqrt(max(1 - c * c, 0.0)) * rest, tests
-    )
+    return _found(differences, c * differences + math.sqrt(max(1 - c * c, 0.0)) * rest, tests)
 
 
 @functools.cache
@@ -71,7 +69,7 @@ def heavy_size(n: int) -> float:
     """How often the paired test errs at 5 % where both errors of a pair, independent of each other,
     are heavy-tailed: t with 3 degrees of freedom."""
     a, b = stream(0, f"pitman-morgan/heavy/{n}").standard_t(3, (2, FEWER_DRAWS, n))
-    return _share_significant(a - b, a + b, 1)
+    return _found(a - b, a + b, 1)
 
 
 def uncorrelated(differences: np.ndarray, sums: np.ndarray) -> np.ndarray:
@@ -86,17 +84,17 @@ def uncorrelated(differences: np.ndarray, sums: np.ndarray) -> np.ndarray:
     """
     n = differences.shape[1]
     ranks = [x.argsort(axis=1).argsort(axis=1).astype(np.float64) for x in (differences, sums)]
-    p_values = []
+    found = []
     for x, y in ((differences, sums), ranks):
         x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
         size = np.sqrt((x * x).sum(1) * (y * y).sum(1))
         r = (x * y).sum(1) / np.maximum(size, 1e-150)  # equal ones are not correlated
         t = np.abs(r) * np.sqrt((n - 2) / np.maximum(1 - r * r, 1e-300))
-        p_values.append(2 * special.stdtr(n - 2, -t))
-    return np.maximum(*p_values)
+        found.append(2 * special.stdtr(n - 2, -t))
+    return np.maximum(*found)
 
 
-def _share_significant(differences: np.ndarray, sums: np.ndarray, tests: int) -> float:
+def _found(differences: np.ndarray, sums: np.ndarray, tests: int) -> float:
     return float(np.mean(uncorrelated(differences, sums) < SIGNIFICANCE / tests))
 
 
@@ -128,19 +126,19 @@ def _near(rho: float) -> float:
     return math.tanh(round(min(max(math.atanh(rho), -LARGEST_Z), LARGEST_Z), 1))
 
 
-def _lowest(chance: Callable[[float], float]) -> float | None:
+def _lowest(found: Callable[[float], float]) -> float | None:
     low, high = NO_SPREAD, 1.0
-    if chance(low) < POWER:
+    if found(low) < POWER:
         return None
     for _ in range(30):
         middle = (low + high) / 2
-        low, high = (middle, high) if chance(middle) >= POWER else (low, middle)
+        low, high = (middle, high) if found(middle) >= POWER else (low, middle)
     return low
 
 
-def _fewest(chance: Callable[[int], float]) -> int | None:
+def _fewest(found: Callable[[int], float]) -> int | None:
     def enough(n: int) -> bool:
-        return all(chance(k) >= POWER for k in (n, n + 1))
+        return all(found(k) >= POWER for k in (n, n + 1))
 
     for n in range(FEWEST, SCANNED + 1):
         if enough(n):

@@ -118,18 +118,18 @@ def compare_sigmas(
     a = np.array([values[seed] for seed in (seeds if paired else values)], dtype=np.float64)
     b = np.array([others[seed] for seed in (seeds if paired else others)], dtype=np.float64)
     sd_a, sd_b = deviation(a), deviation(b)
-    comparison = functools.partial(
+    common = functools.partial(
         SigmaComparison, method, baseline, n=len(a), other_n=len(b), steadier=sd_a < sd_b
     )
     if sd_a == 0 or sd_b == 0:
-        return comparison(ratio=None, interval=None, p=brown_forsythe(a, b))
+        return common(ratio=None, interval=None, p=brown_forsythe(a, b))
     ratio = sd_a / sd_b
     if not paired:
         interval = _ratio_interval(ratio, len(a), len(b))
-        return comparison(ratio=ratio, interval=interval, p=brown_forsythe(a, b))
+        return common(ratio=ratio, interval=interval, p=brown_forsythe(a, b))
     rho = min(max(float(np.corrcoef(a, b)[0, 1]), -MOST_ALIKE), MOST_ALIKE)
     p = float(uncorrelated((a - b)[None], (a + b)[None])[0])
-    return comparison(ratio=ratio, interval=_paired_interval(ratio, rho, len(a)), p=p, rho=rho)
+    return common(ratio=ratio, interval=_paired_interval(ratio, rho, len(a)), p=p, rho=rho)
 
 
 def sigmas_corrected(comparisons: Mapping[M, SigmaComparison]) -> dict[M, SigmaComparison]:

@@ -75,12 +75,12 @@ def identical(study: Study) -> dict[tuple[Method, ...], dict[str, list[int]]]:
 
 def constant(study: Study) -> dict[str, list[Method]]:
     """Scene -> methods whose PSNR is identical for every seed."""
-    result: dict[str, list[Method]] = defaultdict(list)
+    methods_by_scene: dict[str, list[Method]] = defaultdict(list)
     for (scene, method), group in grouped(study.runs, lambda r: (r.scene, r.method)).items():
         values = {run.mean("psnr") for run in group}
         if len(group) > 1 and len(values) == 1 and None not in values:
-            result[scene].append(method)
-    return result
+            methods_by_scene[scene].append(method)
+    return methods_by_scene
 
 
 def code_versions(sources: Sequence[Mapping[str, Any]]) -> dict[str, int]:
@@ -94,7 +94,7 @@ def code_versions(sources: Sequence[Mapping[str, Any]]) -> dict[str, int]:
         versions["the code"].add(key)
         for name, digest in (p.get("plugins") or {}).items():
             versions[code(name)].add(digest)
-    return {name: len(result) for name, result in versions.items() if len(result) > 1}
+    return {name: len(digests) for name, digests in versions.items() if len(digests) > 1}
 
 
 def _commit(source: Mapping[str, Any]) -> str:
@@ -117,14 +117,14 @@ def machines(study: Study) -> tuple[list[str], dict[str, list[ReportRun]]]:
 
 def exposures(study: Study) -> list[Exposure]:
     """The scenes whose photos were exposed differently."""
-    result = []
+    scenes = []
     for scene, group in sorted(grouped(study.runs, lambda run: run.scene).items()):
         sizes = [run.record.provenance.get(EXPOSURE) for run in group]
         percent = [100 * s for s in sizes if isinstance(s, int | float) and math.isfinite(s)]
         if percent:
             ends = min(percent), max(percent)
-            result.append(Exposure(scene, *ends, len(percent), len(group)))
-    return result
+            scenes.append(Exposure(scene, *ends, len(percent), len(group)))
+    return scenes
 
 
 def untested(study: Study) -> list[str]:
