@@ -316,8 +316,8 @@ def draw_rows(draws: Sequence[Draws]) -> list[Row]:
 
 def cost_rows(study: Study, scene: str) -> list[Row]:
     """What every method costs on a scene."""
-    found = entries(study, scene)
-    pay = [found[k].method for k in paying(found, train_s)]
+    result = entries(study, scene)
+    pay = [result[k].method for k in paying(result, train_s)]
     marks = {method: "cheapest" if method == pay[0] else "yes" for method in pay}
     return [
         {
