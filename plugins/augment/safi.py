@@ -1,4 +1,4 @@
-"""`augment=safi`: the support views of a pseudo view chosen by Fisher information.
+"""`augment=safi`: a pseudo view warped from the views that Fisher information selects.
 
 For a perturbed camera x' every training view k is scored by the information that x' would add to
 it, I_k = 1/2 tr(F(x') F(x_k)^-1). F is diagonal and taken at the warmed-up Gaussians theta_0. A
@@ -31,7 +31,6 @@ class Snapshot:
         gaussians: detached copies.
         unknown: for each of the K views the variances [N, P] of the diagonal parameters.
         blocks, prior: with blocks, the views' information [N, 6, 6] and its prior [6].
-
         epoch: when it was taken.
     """
 

@@ -1,4 +1,4 @@
-"""`capacity=budget`: a fixed number of Gaussians, placed where they help most.
+"""`capacity=budget`: a fixed number of Gaussians, allocated where they matter most.
 
 The initialisation usually makes more Gaussians than the budget. From `start` to `until` rounds
 bring the number to it in equal ratios. Every round drops the Gaussians whose removal changes the

@@ -1,4 +1,4 @@
-"""`capacity=edge_split`: a large Gaussian that covers edges of a photo is split in two.
+"""`capacity=edge_split`: split large Gaussians that cover edges of a photo.
 
 DropoutGS (Xu et al. 2025, edge-guided splitting), in addition to adaptive density control. A
 Gaussian is split if its largest standard deviation is above a share of the scene's extent and its

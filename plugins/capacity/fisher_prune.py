@@ -1,4 +1,4 @@
-"""`capacity=fisher_prune`: drop the Gaussians to which images are least sensitive (PUP-3DGS).
+"""`capacity=fisher_prune`: prune the Gaussians to which the images are least sensitive (PUP-3DGS).
 
 Hanson et al. 2025, "PUP 3D-GS: principled uncertainty pruning for 3D Gaussian splatting". The
 sensitivity is log det of the 6x6 Fisher block of mean and log-scale, summed over the training

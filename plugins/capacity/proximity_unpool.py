@@ -1,4 +1,4 @@
-"""`capacity=proximity_unpool`: where Gaussians are far apart, new ones are put between them.
+"""`capacity=proximity_unpool`: add Gaussians between neighbours that are far apart.
 
 FSGS (Zhu et al. 2024, section 3.2 and its code). A large Gaussian whose nearest three others are at
 a mean squared distance above a threshold gets a new Gaussian in the middle to each. It has the

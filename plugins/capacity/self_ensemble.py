@@ -1,4 +1,4 @@
-"""`capacity=self_ensemble`: the second of two fields is perturbed where its renders are uncertain.
+"""`capacity=self_ensemble`: perturb a second field where renders are uncertain.
 
 SE-GS (Zhao et al. 2025): a second field is trained with the model and perturbed now and then, and
 the model is kept similar to it at unseen cameras (`reg=co_register`). Uncertain pixels are those

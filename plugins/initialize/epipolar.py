@@ -1,4 +1,4 @@
-"""`init=epipolar`: a Gaussian for every pixel whose match lies on its epipolar line.
+"""`init=epipolar`: one Gaussian per pixel whose match lies on its epipolar line.
 
 NexusGS (Zheng et al. 2025): a pixel is matched with its two nearest views. The match is moved onto
 its epipolar line, or refused if it is a pixel or more away. Of two depths the one is kept that a

@@ -1,4 +1,4 @@
-"""`init=patch_growth`: points of consistent depth, and points around them that all photos confirm.
+"""`init=patch_growth`: consistent points, and places around them that all photos confirm.
 
 The growth of points in the code of Binocular-Guided 3DGS (Han et al. 2024, `triangulate.py`, not in
 its text), which needs no network. In every round some points are drawn, and places around them from

@@ -1,4 +1,4 @@
-"""`reg=binocular`: a render from beside a photo, moved back by its depth, should be the photo.
+"""`reg=binocular`: a render from a shifted camera, warped back by depth, should match the photo.
 
 Binocular-Guided 3DGS (Han et al. 2024, arXiv 2410.18822, section 3.1). The camera is moved by t
 along its x axis. The render there is warped into the photo by the disparity -f t / D of the photo's

@@ -1,4 +1,4 @@
-"""`reg=depth_local_global`: depth should match patch by patch, first by means, then by opacities.
+"""`reg=depth_local_global`: patchwise match of normalized depth (DNGaussian).
 
 DNGaussian (Li et al. 2024, arXiv 2403.06912). Before the update on the photo, one step of the
 optimizer moves the centres alone, with all opacities at 0.95 ("hard" depth). Another moves the

@@ -1,4 +1,4 @@
-"""`reg=depth_rank`: what is known to be nearer should be rendered nearer.
+"""`reg=depth_rank`: pixels that are known to be nearer should be rendered nearer.
 
 SparseNeRF (Wang et al. 2023, its training code). For random pairs of pixels whose first is nearer
 by the known depth: the mean of max(d1 - d2 + margin, 0). For neighbours of similar known depth: the

@@ -1,4 +1,4 @@
-"""`reg=frequency`: Gaussians may be as fine as frequencies are open, one octave after another.
+"""`reg=frequency`: limit how small Gaussians may be, one octave after another.
 
 FreeNeRF (Yang et al. 2023, section 3.3) hides the high frequencies of a NeRF's positional encoding
 and opens its octaves linearly until nine tenths of the training. Gaussians have no encoding; the

@@ -1,4 +1,4 @@
-"""`reg=patch_smoothness`: depth should be smooth in small patches of cameras without photos.
+"""`reg=patch_smoothness`: smooth depth in small patches of unseen views.
 
 RegNeRF (Niemeyer et al. 2022, section 3.2 and its code): the sum over 8 x 8 patches of the squared
 differences of neighbouring depths, times the patch's coverage (without a gradient). Its weight

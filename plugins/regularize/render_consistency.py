@@ -1,4 +1,4 @@
-"""`reg=render_consistency`: a render without some Gaussians should look like the one with all.
+"""`reg=render_consistency`: a render with dropped Gaussians should match the full render.
 
 DropoutGS (Xu et al. 2025, arXiv 2504.09491, random dropout regularization). The render of all
 Gaussians is compared with the photo. Another is made in which each Gaussian is left out with

@@ -1,4 +1,4 @@
-"""`reg=sh_dropout`: random Gaussians are trained without their view-dependent colour.
+"""`reg=sh_dropout`: train random Gaussians without view-dependent colour.
 
 ReDI-GS (2026), the colour half of its DropAnSH. In a step a share p of the Gaussians has its SH
 bands above degree d zeroed: c' = m c with m = 0 there and 1 elsewhere. By the chain rule

@@ -1,4 +1,4 @@
-"""`reg=sharpness`: the gradient is taken where the loss is larger nearby, so that minima are flat.
+"""`reg=sharpness`: sharpness-aware minimization of the means.
 
 Sharpness-aware minimisation for Gaussians (FASR 2026 after Foret et al. 2021). Every Gaussian's
 parameters are moved by rho along its gradient, and the gradient there is mixed with the original
