@@ -20,8 +20,12 @@ SEEN = 1e-6  # alpha from which a pixel shows something
 
 @dataclass(frozen=True)
 class TorchTarget:
-    """What the loss needs of a photo, once per view. image: [3, H, W], multiplied by mask [H, W]
-    (None: all counts). mean, variance: [3, H, W], its window's statistics."""
+    """What the loss needs of a photo, once per view.
+
+    Attributes:
+        image: [3, H, W], multiplied by mask [H, W] (None: all counts).
+        mean, variance: [3, H, W], its window's statistics.
+    """
 
     image: Tensor
     mask: Tensor | None
@@ -69,7 +73,11 @@ def loss_gradient(
 
 
 def roughness_gradient(alpha: Tensor, depth: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
-    """In alpha and depth [H, W]; weights: [2, H, W]."""
+    """In alpha and depth [H, W].
+
+    Args:
+        weights: [2, H, W].
+    """
     shows = (alpha > SEEN) & (depth > 0)
     inverse = torch.where(shows, 1 / torch.where(shows, depth, 1.0), 0.0)
     disparity, pull = alpha * inverse, torch.zeros_like(alpha)

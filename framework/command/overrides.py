@@ -35,9 +35,12 @@ REMOVABLE = {*GROUPS} - {*OBJECT_GROUPS, "method", "preset"}
 
 
 def normalise(argv: Sequence[str]) -> list[str]:
-    """Return `argv` as Hydra accepts it. Raises UserError for words that it could not read.
+    """Return `argv` as Hydra accepts it.
 
     A leading `+` of a group is removed: Hydra wants none for groups of the defaults list.
+
+    Raises:
+        UserError: for words that it could not read.
     """
     check_utf8("command line", *argv)
     arguments = [re.sub(rf"^\+(?=({'|'.join(GROUPS)})=)", "", argument) for argument in argv]
@@ -71,7 +74,11 @@ def parse_flags(arguments: Sequence[str]) -> Any:
 
 
 def parsed(words: Sequence[str]) -> list[Override]:
-    """Parse overrides by Hydra's grammar. Raises UserError, or one of Hydra's errors."""
+    """Parse overrides by Hydra's grammar.
+
+    Raises:
+        UserError: or one of Hydra's errors.
+    """
     try:
         overrides = OverridesParser.create().parse_overrides(list(words))
     except (ValueError, RecursionError) as error:  # an integer of thousands of digits, for instance
@@ -157,8 +164,10 @@ def check_run_count(overrides: Sequence[Override], params: Mapping[Any, Any]) ->
 def check_method(overrides: Sequence[Override], swept: Iterable[Any]) -> None:
     """Check a `method=` together with `augment=` and `reg=`, given or swept.
 
-    Prints a note if one of its two choices is replaced. Raises UserError if both are, since the
-    method would change nothing.
+    Prints a note if one of its two choices is replaced.
+
+    Raises:
+        UserError: if both are, since the method would change nothing.
     """
     chosen = {override.get_key_element(): override.input_line for override in overrides}
     if "method" in chosen and {"augment", "reg"} <= {*chosen, *swept}:

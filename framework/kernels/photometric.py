@@ -207,8 +207,9 @@ def _gradient_row(windows: Any, i: int, near: Any, pulls: Any, values: Any, grad
 def statistics(block: int, blocks: int, b: Any, mask: Any, mean: Any, variance: Any) -> None:
     """Compute mean and variance [C, H, S] of the windows of a target b [C, H, W].
 
-    mask: ones [H, W]. The third blur, of the render times b, is not needed here; a target is
-    prepared once.
+    Args:
+        mask: ones [H, W]. The third blur, of the render times b, is not needed here; a target is
+            prepared once.
     """
     channels, height, _ = b.shape
     wide = mean.shape[2]

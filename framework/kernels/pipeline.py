@@ -284,8 +284,11 @@ class Workspace:
 
     def blend_moments(self, image: Image, mask: np.ndarray) -> None:
         """Second moments of the image's derivatives -> `sums`, and with view-dependent colour
-        `slopes` and `cross`; see `moments.blend_moments` and `information`. mask: [H, W], or empty:
-        of all pixels."""
+        `slopes` and `cross`; see `moments.blend_moments` and `information`.
+
+        Args:
+            mask: [H, W], or empty: of all pixels.
+        """
         self.sums = grown(self.sums, int(self.bounds[-1]))
         slopes, cross = self._direction_buffers()
         slots = self._scratch(self.slots)

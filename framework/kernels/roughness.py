@@ -38,8 +38,12 @@ def roughness_rows(
     in_alpha: Any,
     in_depth: Any,
 ) -> None:
-    """A range of rows of the gradients in alpha and depth [H, W]. weights: [2, H, W], towards the
-    right neighbour and the lower one. Row by row without branches, for vectors."""
+    """A range of rows of the gradients in alpha and depth [H, W].
+
+    Args:
+        weights: [2, H, W], towards the right neighbour and the lower one. Row by row without
+            branches, for vectors.
+    """
     height, width = alpha.shape
     y0, y1 = height * block // blocks, height * (block + 1) // blocks
     above, below = max(0, y0 - 1), min(height, y1 + 1)

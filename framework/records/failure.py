@@ -18,8 +18,14 @@ FAILED, COMPOSED = "failed.json", ".hydra/config.yaml"
 
 @dataclass(frozen=True)
 class Failure:
-    """A failed run. error: one line; kind: a word or two. again: the command that repeats the
-    run. Both texts are "" and the composed config is empty if they were not kept."""
+    """A failed run.
+
+    Attributes:
+        error: one line.
+        kind: a word or two.
+        again: the command that repeats the run. Both texts are "" and the composed config is empty
+            if they were not kept.
+    """
 
     error: str
     kind: str

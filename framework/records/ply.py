@@ -131,8 +131,9 @@ def read_ply(path: Path) -> tuple[Gaussians, Tensor | None]:
 def read_splats(path: Path) -> Splats:
     """The content as arrays, without torch.
 
-    Raises UserError when the file is missing, is no splat PLY, is too large, its size contradicts
-    its header, or it holds NaN or infinity.
+    Raises:
+        UserError: when the file is missing, is no splat PLY, is too large, its size contradicts its
+            header, or it holds NaN or infinity.
     """
     with open_regular(path, PLY_BYTES) as file:
         header = _read_header(file, path)

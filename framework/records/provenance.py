@@ -100,7 +100,8 @@ def identity_of(
 ) -> str:
     """SHA-256 hex of all that determines a run's result; see the module's text.
 
-    files: purpose -> fingerprint of the files beside the scene that the config only names.
+    Args:
+        files: purpose -> fingerprint of the files beside the scene that the config only names.
     """
     effective = {key: value for key, value in config.items() if key not in NEUTRAL_KEYS}
     content = {
@@ -115,7 +116,11 @@ def identity_of(
 
 def strict_json(value: Any, indent: int | None = None, compact: bool = False) -> str:
     """JSON with sorted keys, of plain values only. A non-finite number becomes null; another field
-    explains it. compact: without blanks."""
+    explains it.
+
+    Args:
+        compact: without blanks.
+    """
     return json.dumps(
         plain_json(value),
         indent=indent,

@@ -52,8 +52,12 @@ HISTORY_COLUMNS = ("step", "seconds", "loss", "test_psnr", "gaussians", "sh_degr
 
 @dataclass(frozen=True)
 class Table:
-    """The columns of a table by name. texts: a cell without text is "". numbers: float64, a cell
-    without a value is NaN."""
+    """The columns of a table by name.
+
+    Attributes:
+        texts: a cell without text is "".
+        numbers: float64, a cell without a value is NaN.
+    """
 
     texts: Mapping[str, list[str]]
     numbers: Mapping[str, np.ndarray]
@@ -121,8 +125,10 @@ def history_csv(history: Sequence[HistoryRow]) -> str:
 def read_table(path: Path) -> Table:
     """A table written here.
 
-    Raises ValueError, IndexError, OverflowError or csv.Error for anything else, UserError for what
-    is no file or too large a one.
+    Raises:
+        ValueError, IndexError, OverflowError, csv.Error: for other content.
+        UserError: for what is
+            no file or too large a one.
     """
     columns, *rows = list(csv.reader(io.StringIO(read_text(path, RUN_BYTES), newline="")))
     needed = METRIC_COLUMNS if path.name == METRICS_CSV else HISTORY_COLUMNS

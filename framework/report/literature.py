@@ -32,7 +32,11 @@ REVERSED, OVER = "Published above", "but below here (dB as published, dB here)"
 
 @dataclass(frozen=True)
 class Recipes:
-    """The recipes of a scene. reversals: pairs in the opposite order of the published one."""
+    """The recipes of a scene.
+
+    Attributes:
+        reversals: pairs in the opposite order of the published one.
+    """
 
     scene: str
     rows: list[Row]

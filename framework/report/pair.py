@@ -38,8 +38,12 @@ METRICS = ("psnr", "ssim", "flip", "lpips", AVERAGE)
 
 @dataclass(frozen=True)
 class PairVerdict:
-    """Which run has the higher PSNR. kind: a branch of the macro `pair_verdict`; better: views on
-    which the higher one is better, of so many."""
+    """Which run has the higher PSNR.
+
+    Attributes:
+        kind: a branch of the macro `pair_verdict`.
+        better: views on which the higher one is better, of so many.
+    """
 
     kind: str
     high: ReportRun
@@ -225,7 +229,11 @@ def _facts(study: Study) -> list[Row]:
 
 
 def main(arguments: list[str], prog: str) -> int:
-    """The subcommand; exit status 0. Raises UserError for bad input."""
+    """The subcommand; exit status 0.
+
+    Raises:
+        UserError: for bad input.
+    """
     text = "A small report of two runs: options that differ, every view, pictures, courses."
     parser = Arguments(prog=prog, description=text)
     parser.add_argument(

@@ -118,8 +118,11 @@ def without(rows: Sequence[Row], *headings: str) -> list[Row]:
 
 @dataclass(frozen=True)
 class Result:
-    """A value of the table of results: mean ± sigma over seeds, with fixed decimals; rank: 1 for
-    the best of its column, 2 for the second."""
+    """A value of the table of results: mean ± sigma over seeds, with fixed decimals.
+
+    Attributes:
+        rank: 1 for the best of its column, 2 for the second.
+    """
 
     mean: float
     sigma: float | None

@@ -17,19 +17,31 @@ T = TypeVar("T")
 
 
 def scene(name: str, cls: type, answer: T) -> T:
-    """`found`, a Scene if `cls` is a plugin. Raises UserError, naming it, for anything else."""
+    """`found`, a Scene if `cls` is a plugin.
+
+    Raises:
+        UserError: naming it, for anything else.
+    """
     return _checked(f"scene={name}: load", cls, answer, _check_scene)
 
 
 def depth(name: str, cls: type, answer: T, training: TrainingSet) -> T:
-    """`found`, a map per training view. Raises UserError as `scene` does."""
+    """`found`, a map per training view.
+
+    Raises:
+        UserError: as `scene` does.
+    """
     return _checked(
         f"depth={name}: measure", cls, answer, lambda maps: _check_depth(maps, training)
     )
 
 
 def gaussians(name: str, cls: type, answer: T, sh_degree: int) -> T:
-    """`found`, Gaussians of this degree. Raises UserError as `scene` does."""
+    """`found`, Gaussians of this degree.
+
+    Raises:
+        UserError: as `scene` does.
+    """
 
     def check(value: Any) -> None:
         check_gaussians("the Gaussians", value, None, (sh_degree + 1) ** 2 - 1)

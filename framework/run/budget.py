@@ -35,7 +35,11 @@ Trial = Callable[[TrainerOptions], float]
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen for `seconds`. step_s: of a step before the second camera, as measured."""
+    """What was chosen for `seconds`.
+
+    Attributes:
+        step_s: of a step before the second camera, as measured.
+    """
 
     identity: str
     seconds: float
@@ -101,8 +105,11 @@ def chosen(
 def choose(
     identity: str, options: TrainerOptions, n_views: int, step_s: float, ratio: float = 1.0
 ) -> Choice:
-    """Steps of `step_s` seconds for `options.seconds`, shared by as many members as pay. ratio: how
-    much longer a step with the second camera takes."""
+    """Steps of `step_s` seconds for `options.seconds`, shared by as many members as pay.
+
+    Args:
+        ratio: how much longer a step with the second camera takes.
+    """
 
     def fits(total: int) -> bool:
         members = members_of(options.members, total, n_views)

@@ -34,8 +34,10 @@ def lacks_lpips(record: RunRecord, network: Lpips | None) -> bool:
 def with_lpips(run_dir: Path, record: RunRecord, network: Lpips | None) -> RunRecord:
     """The complete `record` in `run_dir` with LPIPS, and so written; call it within the run's lock.
 
-    The record comes last: a process killed before leaves it as it was, to be done again. Raises
-    UserError where the run's files are missing or damaged.
+    The record comes last: a process killed before leaves it as it was, to be done again.
+
+    Raises:
+        UserError: where the run's files are missing or damaged.
     """
     if network is None or not lacks_lpips(record, network):
         return record

@@ -38,10 +38,14 @@ MOST_PARAMS = 100  # that MLflow takes at once (its REST API, runs/log-batch)
 class Tracked:
     """What a tracker gets of a run.
 
-    study, name: of its folder. folder: for files of the tracker, there already. options: by full
-    name (`trainer.steps`), None as "null". rows: (finished steps, name -> finite value), in order;
-    names are the columns of `history.csv`, as `loss`, `test_psnr`, `log/...`. summary: mean over
-    the test views of each metric that could be measured, `gaussians` and `train_s`.
+    Attributes:
+        study, name: of its folder.
+        folder: for files of the tracker, there already.
+        options: by full name (`trainer.steps`), None as "null".
+        rows: (finished steps, name -> finite value), in order; names are the columns of
+            `history.csv`, as `loss`, `test_psnr`, `log/...`.
+        summary: mean over the test views of each metric that could be measured, `gaussians` and
+            `train_s`.
     """
 
     study: str

@@ -53,9 +53,11 @@ def bands_evidence(
 ) -> BandsEvidence:
     """Compute the evidence of the M > 0 Gaussians that have SH bands above 0.
 
-    centers: [3] of every view's camera. colours: [N, 3], every view's information on the three
-    coefficients of sh0, at unit noise: a_v / (4 pi), 0 where the colour is clamped. noise: the
-    variance s2.
+    Args:
+        centers: [3] of every view's camera.
+        colours: [N, 3], every view's information on the three coefficients of sh0, at unit noise:
+            a_v / (4 pi), 0 where the colour is clamped.
+        noise: the variance s2.
     """
     m, degree = len(gaussians.shN), gaussians.sh_degree
     coefficients = gaussians.shN.double().numpy()  # [M, K - 1, 3]

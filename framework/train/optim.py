@@ -42,8 +42,12 @@ class Adam(Optimizer):
         rates: Mapping[str, float],
         opacity_decay: float = 1.0,
     ) -> tuple[str, ...]:
-        """See `Optimizer`. Raises ValueError when shapes or dtypes differ. The tensors of one
-        `params` object must stay where they are in memory."""
+        """See `Optimizer`.
+
+        Raises:
+            ValueError: when shapes or dtypes differ. The tensors of one `params` object must stay
+                where they are in memory.
+        """
         gradients, views = dict(grads.items()), self._views_of(params)
         rows: list[tuple[np.ndarray, ...]] = []
         for k, (name, parameter) in enumerate(params.items()):
@@ -67,8 +71,11 @@ class Adam(Optimizer):
         self, gradient: RenderGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
     ) -> tuple[tuple[str, ...], Tensor]:
         """See `Optimizer`: the gradient never is in memory as a whole, a few Gaussians' at a time
-        is used while the cache has it. Raises ValueError as `step`, and RuntimeError if `gradient`
-        was used before."""
+        is used while the cache has it.
+
+        Raises:
+            ValueError: as `step`, and RuntimeError if `gradient` was used before.
+        """
         assert isinstance(gradient, ScreenGradient)
         params = gradient.gaussians
         p, m, v = zip(*self._views_of(params), strict=True)

@@ -69,7 +69,11 @@ class RunningPlugin:
         return getattr(type(self.plugin), hook, None) not in (None, getattr(Regularizer, hook))
 
     def call(self, hook: str, ctx: StepContext, *arguments: Any) -> Any:
-        """Call a hook with a context it may only read. Raises UserError for every failure."""
+        """Call a hook with a context it may only read.
+
+        Raises:
+            UserError: for every failure.
+        """
         renders = [value for value in arguments if isinstance(value, Render)]
         with hooks.checked_call(self.plugin, hook, ctx.step, ctx.gaussians, ctx.other, *renders):
             return getattr(self.plugin, hook)(ctx, *arguments)

@@ -26,7 +26,11 @@ GROWTH = 1.25  # largest ratio of the numbers after and before a round
 @register("capacity", "budget")
 @dataclass(frozen=True)
 class Budget(RoundsCapacity):
-    """gaussians: the number from `until` on; members (`trainer.members`) share it."""
+    """Options of `capacity=budget`.
+
+    Attributes:
+        gaussians: the number from `until` on; members (`trainer.members`) share it.
+    """
 
     gaussians: int = 5000
 

@@ -18,8 +18,12 @@ from framework.toolbox.neighbours import nearest_distance
 @register("capacity", "co_prune")
 @dataclass(frozen=True)
 class CoPrune(Capacity):
-    """distance: largest distance to the nearest Gaussian of the other field, in scene extents.
-    every: share of the training between two rounds."""
+    """Options of `capacity=co_prune`.
+
+    Attributes:
+        distance: largest distance to the nearest Gaussian of the other field, in scene extents.
+        every: share of the training between two rounds.
+    """
 
     title: ClassVar[str] = "Co-pruning"
     paper: ClassVar[str] = "corgs"

@@ -60,7 +60,10 @@ class Epipolar(Initializer):
         self, training: TrainingSet, depth: tuple[DepthMap, ...], sh_degree: int, seed: int
     ) -> Gaussians:
         """Make round Gaussians on the matched pixels, as large as the pixels they represent.
-        `depth` is not used. Raises UserError when hardly any pixel has a match.
+        `depth` is not used.
+
+        Raises:
+            UserError: when hardly any pixel has a match.
         """
         import numpy as np
         import torch
@@ -94,7 +97,8 @@ class Epipolar(Initializer):
     def depths(self, training: TrainingSet) -> list[np.ndarray]:
         """[H, W] float64 of every view: the depth of the match that is least sensitive, 0 = none.
 
-        Raises UserError as `depth=plane_sweep` does, where views are too few or too small.
+        Raises:
+            UserError: as `depth=plane_sweep` does, where views are too few or too small.
         """
         from framework.depth.consistency import agreeing_views
         from framework.depth.matching.sweep import checked, grey, sweep_view

@@ -69,7 +69,8 @@ class PatchGrowth(Initializer):
     ) -> Gaussians:
         """Round Gaussians at the points, as large as the way to the three nearest others (3DGS).
 
-        Raises UserError when there are too few points to begin with.
+        Raises:
+            UserError: when there are too few points to begin with.
         """
         from framework.initialize.isotropic import isotropic_gaussians
         from framework.initialize.sparse import neighbour_scales

@@ -30,8 +30,12 @@ EDGE = 0.33  # how fast smoothing fades with a step of the image, whose values a
 @register("reg", "binocular")
 @dataclass(frozen=True)
 class Binocular(Regularizer):
-    """shift: largest move of the camera, in mean distances to the next camera. smooth: weight of
-    the disparity's smoothness, in pixels."""
+    """Options of `reg=binocular`.
+
+    Attributes:
+        shift: largest move of the camera, in mean distances to the next camera.
+        smooth: weight of the disparity's smoothness, in pixels.
+    """
 
     title: ClassVar[str] = "Binocular"
     paper: ClassVar[str] = "binocular"

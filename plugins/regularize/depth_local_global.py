@@ -34,9 +34,14 @@ SHARE = 0.01  # of the image's deviation that a patch's is kept above
 @register("reg", "depth_local_global")
 @dataclass(frozen=True)
 class DepthLocalGlobal(Regularizer):
-    """smallest, largest: patch size in pixels, drawn uniformly. margin: smaller residuals do not
-    count. whole: weight of the global loss. soft_from: share of the training before which only
-    means move."""
+    """Options of `reg=depth_local_global`.
+
+    Attributes:
+        smallest, largest: patch size in pixels, drawn uniformly.
+        margin: smaller residuals do not count.
+        whole: weight of the global loss.
+        soft_from: share of the training before which only means move.
+    """
 
     title: ClassVar[str] = "DNGaussian depth"
     paper: ClassVar[str] = "dngaussian"

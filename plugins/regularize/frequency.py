@@ -30,8 +30,13 @@ FINEST = 1 / math.pi  # pixels
 @register("reg", "frequency")
 @dataclass(frozen=True)
 class Frequency(Regularizer):
-    """octaves: number of octaves that are closed at first. opened: share of the training after
-    which all are open (FreeNeRF: 0.9 for 3 photos, 0.7 for 6, 0.5 for 9)."""
+    """Options of `reg=frequency`.
+
+    Attributes:
+        octaves: number of octaves that are closed at first.
+        opened: share of the training after which all are open (FreeNeRF: 0.9 for 3 photos, 0.7 for
+            6, 0.5 for 9).
+    """
 
     title: ClassVar[str] = "Frequency"
     paper: ClassVar[str] = "freenerf"

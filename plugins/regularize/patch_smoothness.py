@@ -23,9 +23,14 @@ if TYPE_CHECKING:
 @register("reg", "patch_smoothness")
 @dataclass(frozen=True)
 class PatchSmoothness(Regularizer):
-    """patch: patch size in pixels. initial: weight in the first step relative to the last (RegNeRF:
-    4000); the default 1 is constant. falling: share of the training over which it decays,
-    exponentially."""
+    """Options of `reg=patch_smoothness`.
+
+    Attributes:
+        patch: patch size in pixels.
+        initial: weight in the first step relative to the last (RegNeRF: 4000); the default 1 is
+            constant.
+        falling: share of the training over which it decays, exponentially.
+    """
 
     title: ClassVar[str] = "Patch smoothness"
     paper: ClassVar[str] = "regnerf"

@@ -23,8 +23,13 @@ if TYPE_CHECKING:
 @register("reg", "render_consistency")
 @dataclass(frozen=True)
 class RenderConsistency(Regularizer):
-    """p: share of the Gaussians that the second render drops. compensate: multiply what it keeps by
-    1 / (1 - p). ssim_weight: w."""
+    """Options of `reg=render_consistency`.
+
+    Attributes:
+        p: share of the Gaussians that the second render drops.
+        compensate: multiply what it keeps by 1 / (1 - p).
+        ssim_weight: w.
+    """
 
     title: ClassVar[str] = "Render consistency"
     paper: ClassVar[str] = "dropoutgs"

@@ -26,8 +26,12 @@ ROUNDING = 1e-9  # 3 x 0.2 is above 0.6 in floating point
 @register("reg", "sh_dropout")
 @dataclass(frozen=True)
 class ShDropout(Regularizer):
-    """p: share of the Gaussians without bands, drawn in every step. each: share of the training
-    after which one more degree is spared; reg.stop ends it earlier."""
+    """Options of `reg=sh_dropout`.
+
+    Attributes:
+        p: share of the Gaussians without bands, drawn in every step.
+        each: share of the training after which one more degree is spared; reg.stop ends it earlier.
+    """
 
     title: ClassVar[str] = "SH dropout"
     paper: ClassVar[str] = "dropansh"

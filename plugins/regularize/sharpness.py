@@ -25,8 +25,12 @@ if TYPE_CHECKING:
 @register("reg", "sharpness")
 @dataclass(frozen=True)
 class Sharpness(Regularizer):
-    """rho: how far means are moved, in standard deviations of the Gaussian. share: of the gradient
-    there in what the optimizer gets."""
+    """Options of `reg=sharpness`.
+
+    Attributes:
+        rho: how far means are moved, in standard deviations of the Gaussian.
+        share: of the gradient there in what the optimizer gets.
+    """
 
     title: ClassVar[str] = "Sharpness"
     paper: ClassVar[str] = "fasr"

@@ -130,8 +130,10 @@ def project_backward(
     1, dx, dx^2, dy, dx dy, dy^2, then follows weight times d loss / d (r, g, b, depth), see
     `blend.blend_backward`.
 
-    gaussians: means, quats, log-scales, logits, shN and factors. projected: degree, camera, rows,
-    clipped, each Gaussian's first part, and the parts' sums. gradients: out, as `Arrays.flat`.
+    Args:
+        gaussians: means, quats, log-scales, logits, shN and factors.
+        projected: degree, camera, rows, clipped, each Gaussian's first part, and the parts' sums.
+        gradients: out, as `Arrays.flat`.
     """
     means, quats, log_scales, logits, shN, factors = gaussians
     degree, camera, rows, clipped, first, sums = projected

@@ -274,7 +274,9 @@ def pull_back_moments(
     """Fisher block [N, 6, 6] in (mean, log-scale); diagonal [N, 14] in (mean 3, log-scale 3,
     quat 4, opacity logit, sh0 3). Zeros where the camera sees nothing of the Gaussian.
 
-    slopes, cross: empty where no colour depends on the direction. All inputs are flat."""
+    Args:
+        slopes, cross: empty where no colour depends on the direction. All inputs are flat.
+    """
     n = len(logits)
     scratch, square = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)
     moments, slope = np.empty(256, np.float32), np.empty(256, np.float32)

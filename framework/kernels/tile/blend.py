@@ -160,8 +160,9 @@ def read_gradients(
 
     `behind` receives the sum over channels of the gradient times the pixel, its initial S.
 
-    image, gradient: colours, alpha, depth; the gradients of the last two may be empty. held:
-    scratch.
+    Args:
+        image, gradient: colours, alpha, depth; the gradients of the last two may be empty.
+        held: scratch.
     """
     width, height = size
     rgb, alpha, depth = image

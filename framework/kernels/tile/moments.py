@@ -117,8 +117,9 @@ def blend_moments(
     Here r is the sum over the channels of weight x slope x alpha d C / d alpha with slopes 0, 2, 4;
     lanes 5-9 use slopes 1, 3, 5.
 
-    slopes: flat [N, 16], cross: like `sums`; both empty without view-dependent colour. mask: flat
-    [H W], or empty; pixels at or below 0.5 do not count.
+    Args:
+        slopes: flat [N, 16], cross: like `sums`; both empty without view-dependent colour.
+        mask: flat [H W], or empty; pixels at or below 0.5 do not count.
     """
     # One long body: with its first loop over rows, of six arrays, as an inlined function it takes
     # 1.3 to 1.8 times as long (`benchmarks/speed/fisher.py`).

@@ -101,7 +101,11 @@ def _found(differences: np.ndarray, sums: np.ndarray, tests: int) -> float:
 @functools.cache
 def detectable(n: int, other_n: int, tests: int = 1, rho: float | None = None) -> float | None:
     """The ratio below 1 from which on the test finds a lower deviation with `POWER`; None where it
-    would find none, however small. rho: of pairs, None of independent samples."""
+    would find none, however small.
+
+    Args:
+        rho: of pairs, None of independent samples.
+    """
     if rho is None:
         return _lowest(lambda ratio: power(ratio, n, other_n, tests))
     return _lowest(lambda ratio: paired_power(ratio, _near(rho), n, tests))
@@ -110,7 +114,11 @@ def detectable(n: int, other_n: int, tests: int = 1, rho: float | None = None) -
 @functools.cache
 def seeds_needed(ratio: float, tests: int = 1, rho: float | None = None) -> int | None:
     """Seeds per method with which, and with one more, the test finds this ratio with `POWER`; None
-    above `MOST_SEEDS`. rho: of pairs, None of independent samples."""
+    above `MOST_SEEDS`.
+
+    Args:
+        rho: of pairs, None of independent samples.
+    """
     lower = min(ratio, 1 / ratio)
     if rho is None:
         return _fewest(lambda n: power(lower, n, n, tests))

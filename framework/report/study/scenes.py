@@ -54,7 +54,11 @@ class SceneLabel:
 def scene_labels(
     configs: Sequence[Mapping[str, Any]], scenes: Sequence[SceneInfo | None]
 ) -> list[SceneLabel]:
-    """The label of each run's scene. scenes: None for a run that failed before it was loaded."""
+    """The label of each run's scene.
+
+    Args:
+        scenes: None for a run that failed before it was loaded.
+    """
     flat = [
         _without_idle_strength(config)
         for config in with_defaults([flatten(config) for config in configs])

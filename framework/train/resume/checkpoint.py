@@ -67,7 +67,11 @@ def state_classes(plugins: Iterable[Any]) -> list[type]:
 
 
 def pack(value: Any, classes: Iterable[type], identity: str, owner: str) -> bytes:
-    """`value` as the bytes of a safetensors file. Raises UserError for what cannot be held."""
+    """`value` as the bytes of a safetensors file.
+
+    Raises:
+        UserError: for what cannot be held.
+    """
     tree, tensors = encode(value, classes, owner)
     # under one key: several would be written in another order by each process
     return save(tensors, {KEY: json.dumps({"identity": identity, "tree": tree})})
@@ -75,7 +79,10 @@ def pack(value: Any, classes: Iterable[type], identity: str, owner: str) -> byte
 
 def unpack(path: Path, classes: Iterable[type], wanted: str | None = None) -> tuple[str, Any]:
     """(identity, value) of a file of `pack`; of one with another identity than the wanted the value
-    is None: it may hold what these classes never were. Raises ValueError, also when it is damaged.
+    is None: it may hold what these classes never were.
+
+    Raises:
+        ValueError: also when it is damaged.
     """
     file_size(path, CHECKPOINT_BYTES)  # a file, before safetensors maps it
     try:
@@ -106,8 +113,11 @@ def remove_checkpoints(run_dir: Path) -> None:
 class Checkpoints:
     """The checkpoints of one run (a `training_state.Keeper`).
 
-    run_dir: the run's folder. identity: of the run. plugins: the chosen ones, whose state is held.
-    part: of the run, if it has several trainings.
+    Args:
+        run_dir: the run's folder.
+        identity: of the run.
+        plugins: the chosen ones, whose state is held.
+        part: of the run, if it has several trainings.
     """
 
     def __init__(
@@ -118,8 +128,11 @@ class Checkpoints:
         self._next = 0.0
 
     def begin(self, n_bytes: int) -> None:
-        """The training begins. n_bytes: about the size of the first, from which its cost is
-        guessed."""
+        """The training begins.
+
+        Args:
+            n_bytes: about the size of the first, from which its cost is guessed.
+        """
         self._next = time.perf_counter() + COST_TIMES * n_bytes / SLOW_DISK
 
     def newest(self, check: Check) -> TrainerState | None:
