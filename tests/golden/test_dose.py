@@ -74,14 +74,14 @@ def train(chosen: Plugins, **options: Any) -> tuple[Trained, list[list[str]]]:
 def test_an_epoch_has_k_real_updates_and_the_pseudo_view_s_own_before_one_of_them() -> None:
     _, plain = train(plugins())
     _, together = train(plugins(**darker()))
-    trained, own = train(plugins(**darker()), pseudo_steps="own")
-    assert len(plain) == len(together) == STEPS and len(own) == STEPS + STEPS // K
-    assert all(len(update) == 1 for update in own)
+    trained, ours = train(plugins(**darker()), pseudo_steps="own")
+    assert len(plain) == len(together) == STEPS and len(ours) == STEPS + STEPS // K
+    assert all(len(update) == 1 for update in ours)
     # the same real view at every step, and the pseudo views at the same steps
-    assert [update for update in own if update != ["dark"]] == plain
+    assert [update for update in ours if update != ["dark"]] == plain
     joins = [update[0] for update in together if update[1:]]
-    assert [after[0] for update, after in itertools.pairwise(own) if update == ["dark"]] == joins
-    assert own[-1] != ["dark"]
+    assert [after[0] for update, after in itertools.pairwise(ours) if update == ["dark"]] == joins
+    assert ours[-1] != ["dark"]
     assert trained.history[-1].step == STEPS
     assert trained.dose["steps"][0] == STEPS + STEPS // K
     assert trained.dose["loss.real"][0] == STEPS and trained.dose["loss.pseudo"][0] == STEPS // K
@@ -102,9 +102,9 @@ def test_opacities_fade_in_real_updates_alone(monkeypatch: pytest.MonkeyPatch) -
     decays: list[float] = []
     step_from = Adam.step_from
 
-    def noted(self: Adam, found: Any, rates: Any, decay: float = 1.0) -> Any:
+    def noted(self: Adam, actual: Any, rates: Any, decay: float = 1.0) -> Any:
         decays.append(decay)
-        return step_from(self, found, rates, decay)
+        return step_from(self, actual, rates, decay)
 
     monkeypatch.setattr(Adam, "step_from", noted)
     options = {"opacity_decay": 0.9, "pace_steps": 0, "binocular": 0.0}
@@ -127,9 +127,9 @@ def test_the_second_camera_is_beside_photos_of_the_last_third_alone(
     own_pace = {"pseudo_steps": how, "pace_steps": 0}
     trained, names = train(plugins(**darker()), **own_pace)
     steps = [pair for pair in zip(names, watched, strict=True) if pair[0] != ["dark"]]
-    assert [beside[0] for _, beside in steps] == [False] * 9 + [True] * 3  # from 8.004 on
+    assert [shifted[0] for _, shifted in steps] == [False] * 9 + [True] * 3  # from 8.004 on
     dark = [pair for pair in zip(names, watched, strict=True) if "dark" in pair[0]]
-    assert dark and not any(beside[update.index("dark")] for update, beside in dark)
+    assert dark and not any(shifted[update.index("dark")] for update, shifted in dark)
     plain, _ = train(plugins(**darker()), **own_pace, binocular=0.0)
     assert parameters_sha256(plain.gaussians) != parameters_sha256(trained.gaussians)
     # the reported loss is that of the photos alone, until the term has moved something
@@ -214,14 +214,18 @@ def test_the_dose_of_a_training() -> None:
     uniform = registry.build("reg", {"name": "uniform", "p": 0.5, "schedule": "constant",
                                      "count": "exact", "start": 0.25, "stop": 0.75})  # fmt: skip
     trained, _ = train(plugins(**darker(every=2, weight=0.0), reg=uniform))
-    found = summary(trained.dose)
-    assert (found["views_asked"], found["views_made"]) == (4, 2)
-    assert (found["refused_mood"], found["refused_coverage"], found["refused_other"]) == (2, 0, 0)
+    actual = summary(trained.dose)
+    assert (actual["views_asked"], actual["views_made"]) == (4, 2)
+    assert (actual["refused_mood"], actual["refused_coverage"], actual["refused_other"]) == (
+        2,
+        0,
+        0,
+    )
     quiet, _ = train(plugins(augment=ActivePlugin(Darker(every=2, silent=3))))
     assert [summary(quiet.dose)[f"refused_{why}"] for why in ("mood", "other")] == [1, 1]
-    assert found["light_mean"] == 1.5 and found["pseudo_share_of_loss"] == 0
-    assert found["reg_acted_share"] == 1.0 and found["acted_share"] == 0.5
-    assert found["share_dropped_mean"] == pytest.approx(0.25)  # half of them in half of the steps
+    assert actual["light_mean"] == 1.5 and actual["pseudo_share_of_loss"] == 0
+    assert actual["reg_acted_share"] == 1.0 and actual["acted_share"] == 0.5
+    assert actual["share_dropped_mean"] == pytest.approx(0.25)  # half of them in half of the steps
     assert summary(train(plugins())[0].dose) == {}
     term = registry.build("reg", {"name": "patch_smoothness", "weight": 1e4})
     shares = [summary(train(plugins(**darker(), **reg))[0].dose) for reg in ({}, {"reg": term})]
@@ -274,5 +278,5 @@ def test_a_loss_term_is_an_act_however_many_views_a_step_has() -> None:
     idle = summary(train(plugins(**darker(every=99), reg=ActivePlugin(Regularizer())))[0].dose)
     assert idle["reg_acted_share"] == 0 and idle["views_made"] == 1
     trained, _ = train(plugins(**darker(), reg=ActivePlugin(Faint())))
-    found = summary(trained.dose)
-    assert found["reg_acted_share"] == 1.0 and "share_dropped_mean" not in found
+    actual = summary(trained.dose)
+    assert actual["reg_acted_share"] == 1.0 and "share_dropped_mean" not in actual
