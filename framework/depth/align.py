@@ -1,9 +1,9 @@
 """Aligns depth of unknown scale with the scene's sparse points.
 
-Depth from elsewhere is often known only up to a factor, and inverse depth of a monocular network up
-to a factor and a shift (Ranftl et al., TPAMI 2022, section 5). Both fits are robust. The factor is
-a median of ratios. Factor and shift minimise the sum of absolute residuals, by iteratively
-reweighted least squares (Schlossmacher, JASA 1973).
+Depth from other programs is often known only up to a factor. Inverse depth of a monocular network
+is known up to a factor and a shift (Ranftl et al., TPAMI 2022, section 5). Both fits are robust.
+The factor is a median of ratios. Factor and shift minimise the sum of absolute residuals, by
+iteratively reweighted least squares (Schlossmacher, JASA 1973).
 """
 
 from __future__ import annotations

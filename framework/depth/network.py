@@ -69,7 +69,7 @@ def predict_views(training: TrainingSet, options: DepthAnything3Options) -> tupl
 
 
 def predict(training: TrainingSet, options: DepthAnything3Options) -> Prediction:
-    """What the network says of the training views, with depth in scene units as it sees them."""
+    """Call the network on the training views; its depth is in units of the poses."""
     images = [_pixels(view.image) for view in training.views]
     sizes = sorted({image.shape[:2] for image in images})
     require(

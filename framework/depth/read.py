@@ -56,7 +56,7 @@ def find_file(folder: Path, view: str) -> Path:
 
 
 def _with_suffixes(image: Path) -> list[Path]:
-    """The files named like `image` with a depth suffix instead of its own, or after it."""
+    """The files named like `image`, with a depth suffix in place of or after the suffix."""
     stems = dict.fromkeys([image.with_suffix("").name, image.name])
     candidates = [image.with_name(f"{stem}{suffix}") for stem in stems for suffix in SUFFIXES]
     return [path for path in candidates if is_file(path)]

@@ -18,8 +18,8 @@ NEARER, FARTHER = 0.85, 1.3  # how far surfaces may lie beyond the triangulated 
 def depth_bounds(training: TrainingSet, index: int) -> tuple[float, float]:
     """(nearest, farthest) depth to search in view `index`, in scene units.
 
-    From the 0.5 % and 99.5 % quantiles of the sparse points inside the view's frustum; with fewer
-    than `MIN_POINTS` of them, from the scene's own bounds; both widened by the same factors.
+    The bounds are the 0.5 % and 99.5 % quantiles of the sparse points inside the view's frustum.
+    With fewer than `MIN_POINTS` points they are the scene's bounds. Both are widened.
     """
     camera = training.views[index].camera
     uvz = project(camera, training.points.xyz.numpy())

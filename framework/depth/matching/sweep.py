@@ -63,8 +63,11 @@ def cost_volume(
     bounds: tuple[float, float],
     options: PlaneSweepOptions,
 ) -> NDArray[np.int16]:
-    """[H, D, W] matching costs of view `index`: the mean of the best half of its sources, rounded
-    down (at least one), which leaves out those where the surface is hidden."""
+    """[H, D, W] matching costs of view `index`.
+
+    A cost is the mean over the best half of the sources, rounded down (at least one). This leaves
+    out sources in which the surface is hidden.
+    """
     near, far = bounds
     height, width = images[index].shape
     transfers = [pixel_transfer(views[index].camera, views[s].camera) for s in sources]
