@@ -130,7 +130,7 @@ def test_a_scene_of_one_colour_ends_with_a_handful_and_says_so(
         result = trained(with_images(lambda _, image: torch.full_like(image, 0.5)), 300)
     assert FEWEST <= len(result.gaussians) <= HANDFUL
     (message,) = [record.getMessage() for record in caplog.records]
-    assert "almost no Gaussian raises the evidence" in message and "\n" not in message
+    assert "hardly any Gaussian is worth its cost" in message and "\n" not in message
 
 
 def test_the_size_follows_the_content() -> None:

@@ -31,7 +31,7 @@ from tests.cli.conftest import FakeRuns
         (["reg="], "uar, uar_hard, uniform"),
         (["scene.path=photos"], "; for a folder of photos add scene=photos"),
         (["report"], "report: expected DIR, got too few words; usage: "),
-        (["fetch"], "fetch: expected lpips, got too few words; usage: "),
+        (["fetch"], "fetch: expected lpips or itermvs, got too few words; usage: "),
         (["study"], "study: expected submit or status or collect or cancel, got too few words"),
         (["study", "status", "foo", "--dir", "none"], "none: expected the submission 'foo', found"),
         (["render", "RUN", "--cameras", "/nope"], "--cameras: expected a cameras.json as 3DGS "),

@@ -20,7 +20,14 @@ OURS = {"math", "portable", "tensors", "ctx"}  # ctx.log notes a number
 ACTIVATED = ("gaussians.scales", "gaussians.opacities")  # PyTorch's exponential and sigmoid
 NO_TRAINING = (
     *("command", "report", "view", "exports", "records", "run/trackers.py"),
-    *("scenes/photos", "scenes/placement.py", "scenes/cameras.py", "depth/network.py", "types.py"),
+    *(
+        "scenes/photos",
+        "scenes/placement.py",
+        "scenes/cameras.py",
+        "depth/network.py",
+        "depth/itermvs",
+        "types.py",
+    ),
     # twins in PyTorch and NumPy, for tests and other devices
     *("kernels/reference.py", "backends", "fisher/in_torch.py", "train/torch_adam.py"),
     "compute/tensors.py",  # PyTorch's on other devices
