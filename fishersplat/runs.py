@@ -91,13 +91,13 @@ def load_run(path: Path | str) -> Run:
         UserError: The folder has no completed run, or its files are damaged.
     """
     folder = Path(path)
-    found = read_run(folder)
+    result = read_run(folder)
     require(
-        found.record.status == "complete",
-        f"{folder}: expected a completed run, got one with status '{found.record.status}'; run it"
+        result.record.status == "complete",
+        f"{folder}: expected a completed run, got one with status '{result.record.status}'; run it"
         " again",
     )
-    return Run(folder, found.record, _frame(found.metrics), _frame(found.history))
+    return Run(folder, result.record, _frame(result.metrics), _frame(result.history))
 
 
 def _frame(table: Table) -> pd.DataFrame:

@@ -82,10 +82,10 @@ def printable_line(text: str) -> str:
 
 def nearest_hint(name: str, options: Iterable[str]) -> str:
     """Text that lists `options` and, if one is close to `name`, suggests it."""
-    known = sorted(options)
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.7)
+    available = sorted(options)
+    close = difflib.get_close_matches(name, available, n=1, cutoff=0.7)
     suggestion = f"did you mean '{close[0]}'? " if close else ""
-    return f"{suggestion}available: {', '.join(known) or 'none'}"
+    return f"{suggestion}available: {', '.join(available) or 'none'}"
 
 
 def require(condition: bool, message: str) -> None:
@@ -97,8 +97,8 @@ def require(condition: bool, message: str) -> None:
 def check_option(options: object, group: str, name: str, ok: bool, expected: str) -> None:
     """Raise UserError, with what `group.name` of `options` is and should be, unless `ok`."""
     got = getattr(options, name)
-    told = "nothing" if got == "" else got
-    require(ok, f"{group}.{name}: expected {expected}, got {told}")
+    shown = "nothing" if got == "" else got
+    require(ok, f"{group}.{name}: expected {expected}, got {shown}")
 
 
 def mendable(error: OSError) -> bool:
@@ -113,8 +113,8 @@ def os_line(error: OSError, path: Path | str | None = None) -> str:
     if isinstance(where, bytes):
         where = where.decode("utf-8", "replace")
     if error.errno == errno.ENOENT:
-        found = "expected a file or folder, found none"
-        return f"{where}: {found}; correct the path, or choose a place that takes new ones"
+        problem = "expected a file or folder, found none"
+        return f"{where}: {problem}; correct the path, or choose a place that takes new ones"
     if error.errno == errno.EEXIST:
         return f"{where}: expected a folder or nothing yet, got a file; choose another place"
     expected = "what may be opened"
@@ -130,8 +130,8 @@ def os_line(error: OSError, path: Path | str | None = None) -> str:
 def out_of_memory(error: BaseException) -> bool:
     """Whether an error of any library means that memory or threads are exhausted."""
     text = str(error).lower()
-    known = isinstance(error, RuntimeError | ImportError | OSError)
-    return isinstance(error, MemoryError) or (known and any(word in text for word in NO_MEMORY))
+    typical = isinstance(error, RuntimeError | ImportError | OSError)
+    return isinstance(error, MemoryError) or (typical and any(word in text for word in NO_MEMORY))
 
 
 def memory_line(error: BaseException) -> str:
@@ -167,9 +167,9 @@ class Arguments(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         message = self._with_choices(message)
         for theirs, ours in REWORDED:
-            found, count = re.subn(f"^{theirs}$", ours, message)
+            line, count = re.subn(f"^{theirs}$", ours, message)
             if count:
-                message = found
+                message = line
                 break
         usage = " ".join(self.format_usage().split())
         raise UserError(f"{self.prog}: {message}; {usage}")
@@ -178,5 +178,5 @@ class Arguments(argparse.ArgumentParser):
         """Replace names of arguments in a message about missing words by their choices."""
         opening, required, names = message.partition("arguments are required: ")
         choices = {a.dest: " or ".join(map(str, a.choices)) for a in self._actions if a.choices}
-        told = [choices.get(name, name) for name in names.split(", ")]
-        return f"{opening}{required}{', '.join(told)}"
+        words = [choices.get(name, name) for name in names.split(", ")]
+        return f"{opening}{required}{', '.join(words)}"

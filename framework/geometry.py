@@ -59,7 +59,9 @@ def quaternions(rotations: Tensor) -> Tensor:
 def covariances(quats: Tensor, log_scales: Tensor) -> Tensor:
     """[N, 3, 3] covariances R diag(exp(log_scales))^2 R^T (3DGS, eq. 6).
 
-    quats: [N, 4] wxyz. log_scales: [N, 3], natural logarithm of standard deviations.
+    Args:
+        quats: [N, 4] wxyz.
+        log_scales: [N, 3], natural logarithm of standard deviations.
     """
     axes = rotation_matrices(quats) * exp(log_scales)[..., None, :]
     return (axes[..., :, None, :] * axes[..., None, :, :]).sum(-1)
@@ -90,8 +92,10 @@ def project(points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
 def unproject(depth: Tensor, camera: Camera) -> Tensor:
     """[H, W, 3] world points of the pixel centres at `depth` [H, W] (camera-space z, scene units).
 
-    The inverse of `project`; a depth of 0 gives the camera's centre. Raises ValueError when the
-    map is not of the camera's size.
+    The inverse of `project`; a depth of 0 gives the camera's centre.
+
+    Raises:
+        ValueError: when the map is not of the camera's size.
     """
     if tuple(depth.shape) != (camera.height, camera.width):
         raise ValueError(

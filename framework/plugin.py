@@ -289,7 +289,7 @@ class Regularizer(Plugin):
         return iter(())
 
     def gradient(
-        self, ctx: StepContext, state: Any, found: Mapping[str, Tensor], at: GradientAt
+        self, ctx: StepContext, state: Any, gradients: Mapping[str, Tensor], at: GradientAt
     ) -> Mapping[str, Tensor] | None:
         """Change the gradient that the optimizer receives.
 
@@ -298,12 +298,12 @@ class Regularizer(Plugin):
         Args:
             ctx: the training.
             state: of the plugin.
-            found: gradient of the step's loss by parameter name.
+            gradients: gradient of the step's loss by parameter name.
             at: `at(gaussians)` returns the gradient at other values, with a second pass over the
                 views.
 
         Returns:
-            The gradient by parameter name, or None to keep `found`.
+            The gradient by parameter name, or None to keep `gradients`.
         """
         return None
 

@@ -71,8 +71,8 @@ def register(group: str, name: str) -> Callable[[C], C]:
     `metrics.also=name`)."""
 
     def add(cls: C) -> C:
-        known = [*GROUPS, *PARTS]
-        require(group in known, f"register: unknown group {group}; {nearest_hint(group, known)}")
+        groups = [*GROUPS, *PARTS]
+        require(group in groups, f"register: unknown group {group}; {nearest_hint(group, groups)}")
         _check_class(group, name, cls)
         classes = _table(group)
         other = classes.get(name)
@@ -171,11 +171,11 @@ def _check_contract(group: str, name: str, cls: type, where: str) -> None:
         f"{getattr(base, '__name__', group)}, got another; derive it",
     )
     hooks = REQUIRED[group]
-    told = f"the method `{hooks[0]}`" if len(hooks) == 1 else f"one of {', '.join(hooks)}"
+    needed = f"the method `{hooks[0]}`" if len(hooks) == 1 else f"one of {', '.join(hooks)}"
     require(
         getattr(cls, "idle", False)
         or any(getattr(cls, hook) is not getattr(base, hook) for hook in hooks),
-        f"{where}: expected {told}, got none; add it",
+        f"{where}: expected {needed}, got none; add it",
     )
     for _, _, option in plain_fields(cls) if group == "metric" else ():
         require(
@@ -201,8 +201,8 @@ def discover() -> None:
             with plugin_call(f"{file}: importing it"):
                 _import_file(name, file)
     for point in _installed():
-        told = f"entry point {point.name} = {point.value}: importing it"
-        with plugin_call(told, "fix or uninstall that package"):
+        source = f"entry point {point.name} = {point.value}: importing it"
+        with plugin_call(source, "fix or uninstall that package"):
             point.load()
 
 
@@ -287,15 +287,15 @@ def parts_of(group: str, name: str) -> list[str]:
     """The names in a choice of several plugins, `name` if it is one. Raises UserError."""
     names = name.split(JOINED_BY)
     if len(names) > 1:
-        told = f"{group}=[{','.join(names)}]"
+        choice = f"{group}=[{','.join(names)}]"
         require(
             group in JOINABLE,
-            f"{told}: expected one {group}, got {len(names)}; a run may have several of"
+            f"{choice}: expected one {group}, got {len(names)}; a run may have several of"
             f" {' and '.join(JOINABLE)} alone",
         )
         require(
             all(names) and len(set(names)) == len(names),
-            f"{told}: expected different names, got {', '.join(map(repr, names))}; name each once",
+            f"{choice}: expected different names, got {', '.join(map(repr, names))}; use each once",
         )
     return names
 
@@ -305,9 +305,9 @@ def part(group: str, config: Mapping[str, Any]) -> Any:
     options = dict(config)
     name = str(options.pop("name", ""))
     cls = lookup(group, name)
-    known = {key: option for key, _, option in plain_fields(cls)}
-    _check_known(f"{group}={name}", options, known)
-    for key, option in known.items():
+    fields = {key: option for key, _, option in plain_fields(cls)}
+    _check_known(f"{group}={name}", options, fields)
+    for key, option in fields.items():
         require(
             key in options or option.default is not dataclasses.MISSING,
             f"{group}={name}: expected {key}, got nothing; give {group}.{key}=...",
@@ -315,9 +315,9 @@ def part(group: str, config: Mapping[str, Any]) -> Any:
     return _made(f"{group}={name}", cls, options)
 
 
-def _check_known(where: str, options: Iterable[str], known: Mapping[str, Any]) -> None:
+def _check_known(where: str, options: Iterable[str], existing: Mapping[str, Any]) -> None:
     for key in options:
-        require(key in known, f"{where}: unknown option '{key}'; {nearest_hint(key, known)}")
+        require(key in existing, f"{where}: unknown option '{key}'; {nearest_hint(key, existing)}")
 
 
 def _made(where: str, cls: Any, options: Mapping[str, Any]) -> Any:
@@ -343,13 +343,13 @@ def build(group: str, config: Mapping[str, Any]) -> ActivePlugin:
     options = dict(config)
     name = str(options.pop("name", ""))
     cls: Any = lookup(group, name)
-    known = {row[0]: row for row in option_fields(cls)}
-    _check_known(f"{group}={name}", options, known)
-    keys = {key: float(options.pop(key, known[key][2].default)) for key in FRAMEWORK_KEYS}
+    fields = {row[0]: row for row in option_fields(cls)}
+    _check_known(f"{group}={name}", options, fields)
+    keys = {key: float(options.pop(key, fields[key][2].default)) for key in FRAMEWORK_KEYS}
     with plugin_call(f"{group}={name}: weighted"):
         weighted = cls.weighted()
     require(
-        keys["weight"] == known["weight"][2].default or weighted,
+        keys["weight"] == fields["weight"][2].default or weighted,
         f"{group}={name}: weight multiplies a loss, and {name} has none; drop {group}.weight, or"
         f" compare it with a variant that sets it, a file conf/{group}/VARIANT.yaml",
     )

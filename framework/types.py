@@ -26,7 +26,10 @@ PSEUDO = "pseudo"  # the tag the trainer gives to the views that an augmenter re
 class Camera:
     """A pinhole camera.
 
-    viewmat: [4, 4] float64 world-to-camera. K: [3, 3] float64, pixels. width, height: pixels.
+    Attributes:
+        viewmat: [4, 4] float64 world-to-camera.
+        K: [3, 3] float64, pixels.
+        width, height: pixels.
     """
 
     viewmat: Tensor
@@ -70,12 +73,16 @@ class Camera:
 class View:
     """A camera with what it saw.
 
-    image: [3, H, W] float32 in [0, 1]. mask: [H, W] float32 in [0, 1] or None (all valid).
-    weight: factor of this view's photometric loss. depth: [H, W] float32 exact depth (0 = unknown)
-    where a scene has it; only `depth=ground_truth` and diagnostics read it. tags:
-    ("interpolating",) or ("extrapolating",) on test views (`framework.scenes.placement`),
-    (PSEUDO,) on augmented ones. lens: (k1, k2, p1, p2, k3) of the distortion that was taken out of
-    the stored photo (`framework.scenes.lens.Distortion`), () for none.
+    Attributes:
+        image: [3, H, W] float32 in [0, 1].
+        mask: [H, W] float32 in [0, 1] or None (all valid).
+        weight: factor of this view's photometric loss.
+        depth: [H, W] float32 exact depth (0 = unknown) where a scene has it; only
+            `depth=ground_truth` and diagnostics read it.
+        tags: ("interpolating",) or ("extrapolating",) on test views (`framework.scenes.placement`),
+            (PSEUDO,) on augmented ones.
+        lens: (k1, k2, p1, p2, k3) of the distortion that was taken out of the stored photo
+            (`framework.scenes.lens.Distortion`), () for none.
     """
 
     name: str
@@ -106,7 +113,10 @@ class DepthMap:
 class SparsePoints:
     """Triangulated points that at least two *training* views observe.
 
-    xyz: [M, 3] float64. rgb: [M, 3] float32 in [0, 1]. visible: [M, n_train] bool.
+    Attributes:
+        xyz: [M, 3] float64.
+        rgb: [M, 3] float32 in [0, 1].
+        visible: [M, n_train] bool.
     """
 
     xyz: Tensor
@@ -116,8 +126,11 @@ class SparsePoints:
 
 @dataclass(frozen=True)
 class TrainingSet:
-    """The training part of a scene, without test views. paper: the grey in [0, 1] behind
-    transparent photos, None where all are opaque."""
+    """The training part of a scene, without test views.
+
+    Attributes:
+        paper: the grey in [0, 1] behind transparent photos, None where all are opaque.
+    """
 
     scene: str
     views: tuple[View, ...]
@@ -139,7 +152,11 @@ class TrainingSet:
 
 @dataclass(frozen=True)
 class Scene:
-    """A loaded scene under a named split protocol. fingerprint: SHA-256 of all that was loaded."""
+    """A loaded scene under a named split protocol.
+
+    Attributes:
+        fingerprint: SHA-256 of all that was loaded.
+    """
 
     name: str
     protocol: str
@@ -265,10 +282,12 @@ def edited(
 class Render:
     """What a camera sees of the Gaussians.
 
-    rgb: [3, H, W], composited on the background. alpha: [H, W] = 1 - transmittance.
-    depth: [H, W] = sum of blend weight x z, not divided by alpha; [0, 0] where the caller of
-    `rasterize` did without. radii: [N] float32 pixels, the
-    larger half-side of the footprint's box, 0 where culled.
+    Attributes:
+        rgb: [3, H, W], composited on the background.
+        alpha: [H, W] = 1 - transmittance.
+        depth: [H, W] = sum of blend weight x z, not divided by alpha; [0, 0] where the caller of
+            `rasterize` did without.
+        radii: [N] float32 pixels, the larger half-side of the footprint's box, 0 where culled.
     """
 
     rgb: Tensor

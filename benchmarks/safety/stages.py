@@ -223,19 +223,21 @@ def metrics(folder: Path) -> dict[str, str]:
     for kind in ("VGG-16", "AlexNet"):
         torch.save(state_dict(kind, features(kind)), folder / f"{kind}.pth")
         networks[kind] = lpips.load(folder / f"{kind}.pth")
-    images = [view.image for view in _training().views]
-    noise = torch.from_numpy(stream(0, "stages").random(images[0].shape)).float()
-    mask = (images[0][0] > 0.4).float()
+    first, second, third, *_ = [view.image for view in _training().views]
+    noise = torch.from_numpy(stream(0, "stages").random(first.shape)).float()
+    mask = (first[0] > 0.4).float()
     pairs = [
-        (images[0], images[1], None),
-        (images[0], (images[0] + 0.05 * noise).clamp(0, 1), None),
-        (images[2], noise, mask),
+        (first, second, None),
+        (first, (first + 0.05 * noise).clamp(0, 1), None),
+        (third, noise, mask),
     ]
     for name in ("psnr", "ssim", "flip"):
         values = [getattr(evaluate, name)(*pair) for pair in pairs]
         hashes[f"metric {name}"] = digest(map(repr, values))
     for kind, network in networks.items():
-        values = [evaluate.lpips(x, y, network, m, c) for x, y, m in pairs for c in (True, False)]
+        images = [evaluate._pair(*pair)[:2] for pair in pairs]
+        both = evaluate.lpips_of(images, network, both=True)
+        values = [v for pair in zip(both["lpips"], both["lpips_01"], strict=True) for v in pair]
         hashes[f"metric lpips {kind}"] = digest(map(repr, values))
     return hashes
 

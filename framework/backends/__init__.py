@@ -24,7 +24,10 @@ NUMBA = Numba()
 
 def build_rasterizer(config: Mapping[str, Any]) -> Rasterizer:
     """The rasterizer of a run's configuration; `numba` of one from before there was a choice.
-    Raises UserError on an unknown name."""
+
+    Raises:
+        UserError: on an unknown name.
+    """
     options = dict(config.get("rasterizer") or {"name": NUMBA.name})
     name = str(options.pop("name", ""))
     if name not in RASTERIZERS:

@@ -18,8 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TakenGradient:
-    """A gradient that is whole already; see `contract.RenderGradient`. tensors: by name.
-    means2d: [N, 2] in pixels."""
+    """A gradient that is whole already; see `contract.RenderGradient`.
+
+    Attributes:
+        tensors: by name.
+        means2d: [N, 2] in pixels.
+    """
 
     gaussians: Gaussians
     radii: Tensor

@@ -107,9 +107,11 @@ class Rasterizer(ABC):
     ) -> RenderGradient:
         """Render, and take the gradient of a loss of the colours.
 
-        image_gradient: gets rgb [3, H, W] and returns the loss's gradient in it. absolute: also sum
-        absolute gradients; only if `single_pixels`. depth_gradient: gets alpha and depth [H, W] and
-        returns gradients in them, which are added.
+        Args:
+            image_gradient: gets rgb [3, H, W] and returns the loss's gradient in it.
+            absolute: also sum absolute gradients; only if `single_pixels`.
+            depth_gradient: gets alpha and depth [H, W] and returns gradients in them, which are
+                added.
         """
 
     @abstractmethod
@@ -124,7 +126,11 @@ class Rasterizer(ABC):
         mask: Tensor | None = None,
     ) -> FisherInformation:
         """Information of the camera's image on each Gaussian, on the CPU; see
-        `framework.fisher.information`. mask: [H, W] on the CPU."""
+        `framework.fisher.information`.
+
+        Args:
+            mask: [H, W] on the CPU.
+        """
 
     @abstractmethod
     def target(self, image: Tensor, mask: Tensor | None) -> Any:
@@ -143,7 +149,11 @@ class Rasterizer(ABC):
     @abstractmethod
     def roughness_gradient(self, alpha: Any, depth: Any, weights: Tensor) -> tuple[Any, Any]:
         """The gradient in alpha and depth [H, W], as `render` or `render_gradient` has them, of
-        `framework.kernels.roughness`. weights: [2, H, W], on `device`."""
+        `framework.kernels.roughness`.
+
+        Args:
+            weights: [2, H, W], on `device`.
+        """
 
     @abstractmethod
     def binocular_gradient(
@@ -156,6 +166,9 @@ class Rasterizer(ABC):
         tolerance: float,
         weight: float,
     ) -> tuple[Any, Any, Any]:
-        """The gradients of `framework.kernels.binocular`, in alpha and depth [H, W], as `render`
-        or `render_gradient` has them, and in the colours of `beside`, which the moved camera sees.
-        target: the photo's."""
+        """The gradients of `framework.kernels.binocular`, in alpha and depth [H, W], as `render` or
+        `render_gradient` has them, and in the colours of `beside`, which the moved camera sees.
+
+        Args:
+            target: the photo's.
+        """

@@ -44,11 +44,11 @@ class Gsplat(ByAutograd):
             f"rasterizer=gsplat: expected a CUDA device, got none that torch {torch.__version__}"
             " can use; run it where there is one, or use rasterizer=numba",
         )
-        found = _installed()
+        installed = _installed()
         require(
-            found == VERSION,
+            installed == VERSION,
             f"rasterizer=gsplat: expected the package gsplat {VERSION}, got"
-            f" {found or 'none'}; {INSTALL}",
+            f" {installed or 'none'}; {INSTALL}",
         )
         require(
             _compiled(),

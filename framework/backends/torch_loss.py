@@ -20,8 +20,12 @@ SEEN = 1e-6  # alpha from which a pixel shows something
 
 @dataclass(frozen=True)
 class TorchTarget:
-    """What the loss needs of a photo, once per view. image: [3, H, W], multiplied by mask [H, W]
-    (None: all counts). mean, variance: [3, H, W], its window's statistics."""
+    """What the loss needs of a photo, once per view.
+
+    Attributes:
+        image: [3, H, W], multiplied by mask [H, W] (None: all counts).
+        mean, variance: [3, H, W], its window's statistics.
+    """
 
     image: Tensor
     mask: Tensor | None
@@ -69,7 +73,11 @@ def loss_gradient(
 
 
 def roughness_gradient(alpha: Tensor, depth: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
-    """In alpha and depth [H, W]; weights: [2, H, W]."""
+    """In alpha and depth [H, W].
+
+    Args:
+        weights: [2, H, W].
+    """
     shows = (alpha > SEEN) & (depth > 0)
     inverse = torch.where(shows, 1 / torch.where(shows, depth, 1.0), 0.0)
     disparity, pull = alpha * inverse, torch.zeros_like(alpha)
@@ -94,9 +102,9 @@ def binocular_gradient(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """In alpha and depth [H, W], and in the colours of `beside`."""
     leaves = [t.detach().requires_grad_() for t in (alpha, depth, beside.rgb)]
-    own = _disparities(*leaves[:2])
-    width = own.shape[1]
-    there = torch.arange(width, device=own.device) - moves * own
+    disparity = _disparities(*leaves[:2])
+    width = disparity.shape[1]
+    there = torch.arange(width, device=disparity.device) - moves * disparity
     inside = (there >= 0) & (there <= width - 1)
     left = there.detach().clamp(0, max(width - 2, 0)).floor().long()
     share, right = there - left, (left + 1).clamp(max=width - 1)
@@ -108,8 +116,8 @@ def binocular_gradient(
     with torch.no_grad():
         depths = _disparities(beside.alpha, beside.depth)
         shown = (depths > 0).float()
-        counts = inside & (own > 0) & (moved_back(shown) == 1)
-        counts &= (moved_back(depths) - own).abs() < tolerance
+        counts = inside & (disparity > 0) & (moved_back(shown) == 1)
+        counts &= (moved_back(depths) - disparity).abs() < tolerance
         if target.mask is not None:
             counts &= target.mask > WHOLE
     loss = weight * ((moved_back(leaves[2]) - target.image).abs() * counts).sum()

@@ -35,9 +35,12 @@ REMOVABLE = {*GROUPS} - {*OBJECT_GROUPS, "method", "preset"}
 
 
 def normalise(argv: Sequence[str]) -> list[str]:
-    """Return `argv` as Hydra accepts it. Raises UserError for words that it could not read.
+    """Return `argv` as Hydra accepts it.
 
     A leading `+` of a group is removed: Hydra wants none for groups of the defaults list.
+
+    Raises:
+        UserError: for words that it could not read.
     """
     check_utf8("command line", *argv)
     arguments = [re.sub(rf"^\+(?=({'|'.join(GROUPS)})=)", "", argument) for argument in argv]
@@ -71,7 +74,11 @@ def parse_flags(arguments: Sequence[str]) -> Any:
 
 
 def parsed(words: Sequence[str]) -> list[Override]:
-    """Parse overrides by Hydra's grammar. Raises UserError, or one of Hydra's errors."""
+    """Parse overrides by Hydra's grammar.
+
+    Raises:
+        UserError: or one of Hydra's errors.
+    """
     try:
         overrides = OverridesParser.create().parse_overrides(list(words))
     except (ValueError, RecursionError) as error:  # an integer of thousands of digits, for instance
@@ -123,19 +130,19 @@ def check_given_twice(words: Sequence[str]) -> None:
 
     A study's file may have the same keys; the command line replaces those.
     """
-    given: dict[str, str] = {}
+    first: dict[str, str] = {}
     for word in words:
         key, equals, _ = word.partition("=")
         key = key.lstrip("+")
         if not equals or key.startswith(("-", "~")):
             continue
-        if key in given:
+        if key in first:
             expected = "choice" if key in GROUPS else "value"
             raise UserError(
-                f"{key}: expected one {expected}, got two words ({given[key]} and {word});"
-                f" {_instead_of_two(key, given[key], word)}"
+                f"{key}: expected one {expected}, got two words ({first[key]} and {word});"
+                f" {_instead_of_two(key, first[key], word)}"
             )
-        given[key] = word
+        first[key] = word
 
 
 def check_run_count(overrides: Sequence[Override], params: Mapping[Any, Any]) -> None:
@@ -157,18 +164,20 @@ def check_run_count(overrides: Sequence[Override], params: Mapping[Any, Any]) ->
 def check_method(overrides: Sequence[Override], swept: Iterable[Any]) -> None:
     """Check a `method=` together with `augment=` and `reg=`, given or swept.
 
-    Prints a note if one of its two choices is replaced. Raises UserError if both are, since the
-    method would change nothing.
+    Prints a note if one of its two choices is replaced.
+
+    Raises:
+        UserError: if both are, since the method would change nothing.
     """
-    given = {override.get_key_element(): override.input_line for override in overrides}
-    if "method" in given and {"augment", "reg"} <= {*given, *swept}:
+    chosen = {override.get_key_element(): override.input_line for override in overrides}
+    if "method" in chosen and {"augment", "reg"} <= {*chosen, *swept}:
         raise UserError(
-            f"{given['method']}: expected no method together with augment and reg, which replace"
+            f"{chosen['method']}: expected no method together with augment and reg, which replace"
             " both of its choices; leave it out, or leave them out"
         )
     for group in ("augment", "reg"):
-        if "method" in given and group in given:
-            note = f"note: {given[group]} replaces the {group} of {given['method']}"
+        if "method" in chosen and group in chosen:
+            note = f"note: {chosen[group]} replaces the {group} of {chosen['method']}"
             print(note, file=sys.stderr)  # what --cfg prints is data
 
 
@@ -191,11 +200,11 @@ def _options_of_swept_groups(arguments: Sequence[str], overrides: Sequence[str])
     Hydra first composes a configuration without the swept keys, where the group has its default
     choice, which may lack the option.
     """
-    given = parsed(overrides)
-    swept = {o.key_or_group for o in given if o.is_sweep_override()} & set(OBJECT_GROUPS)
+    values = parsed(overrides)
+    swept = {o.key_or_group for o in values if o.is_sweep_override()} & set(OBJECT_GROUPS)
     fixed = {
         o.input_line
-        for o in given
+        for o in values
         if o.key_or_group.partition(".")[0] in swept
         and "." in o.key_or_group
         and not o.is_sweep_override()

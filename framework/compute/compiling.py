@@ -15,7 +15,8 @@ COMPILE = "numba:compile"
 class Compilations(event.Listener):  # type: ignore[misc]  # numba has no types
     """Kernels compiled, and wall seconds from the start of the first to the end of the last one.
 
-    on_first: called once, as the first begins.
+    Args:
+        on_first: called once, as the first begins.
     """
 
     def __init__(self, on_first: Callable[[], None]) -> None:

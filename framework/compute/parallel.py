@@ -48,20 +48,20 @@ def run_blocks(
     kernel: Callable[..., Any],
     *args: Any,
     blocks: int = BLOCKS,
-    own: Sequence[tuple[Any, ...]] = (),
+    scratch: Sequence[tuple[Any, ...]] = (),
 ) -> None:
-    """Call `kernel(block, blocks, *own[thread], *args)` for every block; returns when all are done.
+    """Call `kernel(block, blocks, *scratch[thread], *args)` for every block, and wait for all.
 
     Every thread, including the caller, has a range of blocks, as neighbours share cache lines. Then
     it helps others with theirs. Raises whatever a block raised.
 
-    own: scratch of each thread, whose content is lost after a block. It limits the number of
-        threads.
-    Empty: no such arguments.
+    Args:
+        scratch: arguments for each thread, whose content is lost after a block. They limit the
+            number of threads; without them the kernel gets none.
     """
     pool = threads()
-    n = min(pool, len(own)) if own else pool
-    scratch = own or ((),) * n
+    n = min(pool, len(scratch)) if scratch else pool
+    scratch = scratch or ((),) * n
     # a task may not wait for the pool, whose threads may be at other tasks
     if n == 1 or in_task():
         for block in range(blocks):

@@ -128,9 +128,9 @@ def _powers(x: Any, y: Any, out: Any) -> None:
 
 
 def _each(function: Any, x: ArrayLike, *more: Any) -> Array:
-    given = np.ascontiguousarray(x, np.float64)
-    out = np.empty_like(given)
-    function(given.reshape(-1), *more, out.reshape(-1))
+    values = np.ascontiguousarray(x, np.float64)
+    out = np.empty_like(values)
+    function(values.reshape(-1), *more, out.reshape(-1))
     return out.reshape(np.shape(x))
 
 
@@ -172,16 +172,16 @@ def logit(p: ArrayLike) -> Array:
 
 def arctan(x: ArrayLike) -> Array:
     """The angle in radians, float64 of the shape of x. Three halvings, then the series."""
-    given = np.array(x, np.float64)
+    values = np.array(x, np.float64)
     with np.errstate(divide="ignore"):
-        rest = np.where(np.abs(given) > 1, 1 / given, given)
+        rest = np.where(np.abs(values) > 1, 1 / values, values)
     for _ in range(3):
         rest = rest / (1 + np.sqrt(1 + rest * rest))
     square, series = rest * rest, np.zeros_like(rest)
     for k in range(14, -1, -1):
         series = series * -square + 1 / (2 * k + 1)
     angle = 8 * rest * series
-    return np.where(np.abs(given) > 1, np.copysign(np.pi / 2, given) - angle, angle)
+    return np.where(np.abs(values) > 1, np.copysign(np.pi / 2, values) - angle, angle)
 
 
 def sinc_cosine(square: Any) -> Any:

@@ -10,10 +10,13 @@ from framework.compute.parallel import in_task
 
 
 class Stopwatch:
-    """Runs from its creation. wall_s, cpu_s: seconds already counted before, in another process.
+    """Runs from its creation.
 
     CPU time is that of the whole process, all threads together; that of its thread in a task, which
     has just the one.
+
+    Args:
+        wall_s, cpu_s: seconds already counted before, in another process.
     """
 
     def __init__(self, wall_s: float = 0.0, cpu_s: float = 0.0) -> None:

@@ -57,19 +57,19 @@ class _Computed(Function):
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, function: Any, pull_back: Any) -> Tensor:
-        found = torch.from_numpy(np.asarray(function(x.detach().numpy()))).to(x.dtype)
-        ctx.save_for_backward(found)
-        ctx.save_for_forward(found)
+        result = torch.from_numpy(np.asarray(function(x.detach().numpy()))).to(x.dtype)
+        ctx.save_for_backward(result)
+        ctx.save_for_forward(result)
         ctx.pull_back = pull_back
-        return found
+        return result
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
-        (found,) = ctx.saved_tensors
-        return ctx.pull_back(gradient, found), None, None
+        (result,) = ctx.saved_tensors
+        return ctx.pull_back(gradient, result), None, None
 
     @staticmethod
     def jvp(ctx: Any, tangent: Tensor, *_: None) -> Tensor:
-        (found,) = ctx.saved_tensors
-        moved: Tensor = ctx.pull_back(tangent, found)
+        (result,) = ctx.saved_tensors
+        moved: Tensor = ctx.pull_back(tangent, result)
         return moved

@@ -56,7 +56,11 @@ def agreeing_views(
     tolerance: float,
 ) -> NDArray[np.int32]:
     """[H, W] int32: how many of `others` confirm the depth of view `index` to the relative
-    `tolerance`. depths: one [H, W] float32 map per view, 0 = unknown (never confirmed)."""
+    `tolerance`.
+
+    Args:
+        depths: one [H, W] float32 map per view, 0 = unknown (never confirmed).
+    """
     count = np.zeros(depths[index].shape, np.int32)
     for other in others:
         A, t = pixel_transfer(cameras[index], cameras[other])

@@ -24,10 +24,13 @@ DEFAULT_STRENGTH = 0.5
 class DepthProvider:
     """Base of all providers, with the options they share.
 
-    corruption: none, or noise, bias, holes, blur, several joined by + in the order they act. For
-    instance `noise+holes`. strength: of all corruptions, in [0, 1]; 0 changes nothing. 1 is as bad
-    as `framework.depth.corruption` says. corruption_seed: of their draws. The run's seed does not
-    move them: all seeds of a study meet the same spoiled depth.
+    Attributes:
+        corruption: none, or noise, bias, holes, blur, several joined by + in the order they act.
+            For instance `noise+holes`.
+        strength: of all corruptions, in [0, 1]; 0 changes nothing. 1 is as bad as
+            `framework.depth.corruption` says.
+        corruption_seed: of their draws. The run's seed does not move them: all seeds of a study
+            meet the same spoiled depth.
     """
 
     corruption: str = NONE

@@ -53,7 +53,8 @@ class PlaneSweep(PlaneSweepOptions):
     def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
         """Dense depth of every training view; confidence > 0 only where another view agrees.
 
-        Raises UserError if there are fewer than two views, or no two of them overlap.
+        Raises:
+            UserError: if there are fewer than two views, or no two of them overlap.
         """
         from framework.depth.matching.sweep import sweep_views
 
@@ -75,14 +76,19 @@ class DepthFile(DepthFileOptions):
     def measure(self, training: TrainingSet) -> tuple[DepthMap, ...]:
         """The aligned maps; confidence 1 where depth is known (and, with `tolerance`, confirmed).
 
-        Raises UserError on a missing, unreadable or invalid file, or too few points to align with.
+        Raises:
+            UserError: on a missing, unreadable or invalid file, or too few points to align with.
         """
         from framework.depth.read import read_views
 
         return read_views(training, self)
 
     def fingerprint(self, training: TrainingSet) -> str:
-        """SHA-256 hex of the files of all training views. Raises UserError on a missing one."""
+        """SHA-256 hex of the files of all training views.
+
+        Raises:
+            UserError: on a missing one.
+        """
         from framework.depth.read import files_sha256
 
         return files_sha256(training, self)
@@ -100,8 +106,9 @@ class DepthAnything3(DepthAnything3Options):
         """Depth in scene units, with the network's confidence; 0 in its sky and where no other
         view agrees.
 
-        Raises UserError if package, weights or sparse points are missing, the images differ in
-        size, or the network fails.
+        Raises:
+            UserError: if package, weights or sparse points are missing, the images differ in size,
+                or the network fails.
         """
         from framework.depth.network import predict_views
 
@@ -119,7 +126,11 @@ class DepthAnything3(DepthAnything3Options):
         return self.weights
 
     def fingerprint(self, training: TrainingSet) -> str:
-        """SHA-256 hex of the weights and the package's version. Raises UserError without them."""
+        """SHA-256 hex of the weights and the package's version.
+
+        Raises:
+            UserError: without them.
+        """
         from framework.depth.network import weights_sha256
 
         return weights_sha256(self)

@@ -19,7 +19,11 @@ NAME = "scene"
 
 
 def main(arguments: list[str], prog: str) -> int:
-    """Exit status 0. Raises UserError for bad input."""
+    """Exit status 0.
+
+    Raises:
+        UserError: for bad input.
+    """
     options = _parser(prog).parse_args(arguments)
     kinds = _kinds(options.format)
     from framework.records.record import RECORD

@@ -51,7 +51,11 @@ SUFFIXES = {
 
 
 def packed(gaussians: Gaussians, background: Tensor, kind: str) -> bytes:
-    """Return the content of a file of this kind. Raises UserError if its package is missing."""
+    """Return the content of a file of this kind.
+
+    Raises:
+        UserError: if its package is missing.
+    """
     check_writer(kind)
     return _WRITERS[kind](_full(gaussians), background)
 

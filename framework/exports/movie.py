@@ -58,7 +58,11 @@ def check_kind(path: Path, fps: int) -> None:
 
 
 def encoded(pictures: Pictures, kind: str, fps: int) -> bytes:
-    """The file's content. kind: one of `SUFFIXES`."""
+    """The file's content.
+
+    Args:
+        kind: one of `SUFFIXES`.
+    """
     if kind == ".mp4":
         return _mp4(pictures, fps)
     return _webm(pictures, fps) if kind == ".webm" else _animated(pictures, kind, fps)

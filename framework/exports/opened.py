@@ -60,7 +60,11 @@ class OpenedRun:
 
 
 def open_run(folder: Path) -> OpenedRun:
-    """Read a run. Raises UserError unless `folder` is that of a finished run."""
+    """Read a run.
+
+    Raises:
+        UserError: unless `folder` is that of a finished run.
+    """
     import torch
 
     from framework.records.ply import read_ply
@@ -88,7 +92,11 @@ def open_run(folder: Path) -> OpenedRun:
 
 
 def read_named_cameras(path: Path) -> list[NamedCamera]:
-    """Read cameras in the file's order. Raises UserError for another kind of file."""
+    """Read cameras in the file's order.
+
+    Raises:
+        UserError: for another kind of file.
+    """
     content = read_json(path, TEXT_BYTES)
     if isinstance(content, dict) and "frames" in content:
         return _from_transforms(path)

@@ -28,7 +28,11 @@ LOOKED_AT = 9  # cameras whose depths are used
 
 @dataclass(frozen=True)
 class Painter:
-    """Draws `shown` (rgb, depth, both) from any camera. near, far: range of the colour map."""
+    """Draws `shown` (rgb, depth, both) from any camera.
+
+    Attributes:
+        near, far: range of the colour map.
+    """
 
     run: OpenedRun
     shown: str
@@ -85,7 +89,11 @@ PERIOD_S = {True: 0.2, False: 10.0}  # on a terminal, and elsewhere
 
 
 class Ticks:
-    """Prints progress and the time left. what: the items, as in `frames`."""
+    """Prints progress and the time left.
+
+    Args:
+        what: the items, as in `frames`.
+    """
 
     def __init__(self, what: str, stream: TextIO | None = None) -> None:
         self._what, self._stream = what, stream if stream is not None else sys.stderr

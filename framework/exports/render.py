@@ -19,7 +19,11 @@ MOST_PIXELS = 20_000_000  # of a picture; the kernels take about 100 bytes for e
 
 
 def main(arguments: list[str], prog: str) -> int:
-    """Exit status 0. Raises UserError for bad input."""
+    """Exit status 0.
+
+    Raises:
+        UserError: for bad input.
+    """
     options = _parser(prog).parse_args(arguments)
     check_side(options.size)
     require(

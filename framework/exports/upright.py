@@ -27,8 +27,9 @@ SAMPLES = 64  # directions at which turned harmonics are compared; 16 would do
 def upright(poses: Rig, distance: float) -> Array:
     """[4, 4] from the world of the rig to the upright one.
 
-    distance: of the middle from the mean camera, if all cameras look the same way; otherwise the
-    middle is where their axes meet.
+    Args:
+        distance: of the middle from the mean camera, if all cameras look the same way; otherwise
+            the middle is where their axes meet.
     """
     forward = poses.forward.mean(axis=0)
     if np.linalg.norm(forward) < 0.1:  # all around, level: any direction is as good

@@ -29,7 +29,11 @@ FPS = (1, 60)
 
 
 def main(arguments: list[str], prog: str) -> int:
-    """Exit status 0. Raises UserError for bad input."""
+    """Exit status 0.
+
+    Raises:
+        UserError: for bad input.
+    """
     options = _parser(prog).parse_args(arguments)
     low, high = FPS
     require(low <= options.fps <= high, f"--fps: expected {low} to {high}, got {options.fps}")
@@ -100,7 +104,11 @@ def is_study(folder: Path) -> bool:
 
 
 def runs_of_methods(folder: Path) -> list[Path]:
-    """The complete run of lowest seed of each configuration. Raises UserError if there is none."""
+    """The complete run of lowest seed of each configuration.
+
+    Raises:
+        UserError: if there is none.
+    """
     lowest: dict[str, tuple[int, Path]] = {}
     for file in sorted(folder.glob(f"{RUN_FOLDERS}/*/{RECORD}")):
         record = read_record(file)

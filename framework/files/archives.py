@@ -33,8 +33,12 @@ class Archive(zipfile.ZipFile):
 
 
 def open_zip(path: Path, unpacked_bytes: int) -> zipfile.ZipFile:
-    """Open an archive. Raises UserError for a damaged one, or if its file, table of contents or
-    unpacked content is too large."""
+    """Open an archive.
+
+    Raises:
+        UserError: for a damaged one, or if its file, table of contents or unpacked content is too
+            large.
+    """
     file = open_regular(path, unpacked_bytes)
     try:
         return _opened(path, file, unpacked_bytes)

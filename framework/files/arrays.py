@@ -27,14 +27,22 @@ UNREADABLE = (OSError, EOFError, RuntimeError, ValueError, zipfile.BadZipFile, z
 
 
 def read_npy(path: Path) -> NDArray[Any]:
-    """The array of a `.npy` file. Raises UserError for a damaged, too large or non-numeric one."""
+    """The array of a `.npy` file.
+
+    Raises:
+        UserError: for a damaged, too large or non-numeric one.
+    """
     with open_regular(path, ARRAY_BYTES) as file:
         return _array(file, os.fstat(file.fileno()).st_size, str(path))
 
 
 def read_npz(path: Path, keys: list[str], most_bytes: int = ARRAY_BYTES) -> list[NDArray[Any]]:
-    """The arrays named `keys` of a `.npz` file. Raises UserError as `read_npy`, or when one is
-    missing; `most_bytes` is for all members of the file together."""
+    """The arrays named `keys` of a `.npz` file.
+
+    Raises:
+        UserError: as `read_npy`, or when one is missing; `most_bytes` is for all members of the
+            file together.
+    """
     with open_zip(path, most_bytes) as archive:
         names = [name.removesuffix(".npy") for name in archive.namelist()]
         missing = [key for key in keys if key not in names]

@@ -23,12 +23,20 @@ LARGEST_INTEGER = 2**64
 
 
 def read_json(path: Path, limit: int) -> Any:
-    """The value of a JSON file of at most `limit` bytes. Raises UserError for any other content."""
+    """The value of a JSON file of at most `limit` bytes.
+
+    Raises:
+        UserError: for any other content.
+    """
     return json_value(path, read_text(path, limit))
 
 
 def json_value(path: Path, text: str) -> Any:
-    """The value of a JSON text in the file `path`. Raises UserError for any other content."""
+    """The value of a JSON text in the file `path`.
+
+    Raises:
+        UserError: for any other content.
+    """
     try:
         value = json.loads(text, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
@@ -38,7 +46,11 @@ def json_value(path: Path, text: str) -> Any:
 
 
 def read_yaml(path: Path) -> Any:
-    """The value of a YAML file. Raises UserError for any other content."""
+    """The value of a YAML file.
+
+    Raises:
+        UserError: for any other content.
+    """
     text = read_text(path, CONFIG_BYTES)
     _check_events(path, text)
     try:

@@ -25,8 +25,12 @@ KINDS = {
 
 
 def open_regular(path: Path, limit: int) -> BufferedReader:
-    """The file, opened for reading its bytes. Raises UserError unless it is a regular one of at
-    most `limit` bytes; OSError where the machine has no memory or handles left."""
+    """The file, opened for reading its bytes.
+
+    Raises:
+        UserError: unless it is a regular one of at most `limit` bytes; OSError where the machine
+            has no memory or handles left.
+    """
     file_size(path, limit)  # before it is opened: to open a device may do something
     try:
         # should it have become a pipe since, it does not wait for a writer
@@ -70,8 +74,12 @@ def read_text(path: Path, limit: int) -> str:
 
 
 def file_size(path: Path, limit: int) -> int:
-    """The size of the file in bytes. Raises UserError unless it is a regular one of at most
-    `limit` bytes: the check for libraries that open a file by its name."""
+    """The size of the file in bytes.
+
+    Raises:
+        UserError: unless it is a regular one of at most `limit` bytes: the check for libraries that
+            open a file by its name.
+    """
     try:
         return _check(os.stat(path), path, limit)
     except OSError as error:

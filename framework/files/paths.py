@@ -17,8 +17,12 @@ NAME_BYTES = 255  # of one part of a path, on the usual file systems
 
 
 def inside(folder: Path, name: str | Path) -> Path:
-    """`folder` / `name`, which need not exist. Raises UserError when the name is absolute or it (or
-    a link on the way) leads out of the folder; the folder itself may be a link."""
+    """`folder` / `name`, which need not exist.
+
+    Raises:
+        UserError: when the name is absolute or it (or a link on the way) leads out of the folder;
+            the folder itself may be a link.
+    """
     text = str(name)
     where = f"{folder}: expected names inside this folder, got {text[:100]!r}"
     parts = Path(text).parts

@@ -31,8 +31,10 @@ DAY_S = 86400.0
 def own_folder(prefix: str) -> Iterator[Path]:
     """A temporary folder of this process in the cache.
 
-    It is removed at the end, or by a call an hour later if the process is killed. Raises Unwritable
-    if it cannot be made.
+    It is removed at the end, or by a call an hour later if the process is killed.
+
+    Raises:
+        Unwritable: if it cannot be made.
     """
     parent = cache_dir()
     tidy(prefix)

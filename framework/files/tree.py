@@ -24,14 +24,22 @@ PLAIN = (type(None), bool, int, float, str)
 def encode(value: Any, classes: Iterable[type], owner: str) -> tuple[Any, dict[str, Tensor]]:
     """Encode to (JSON value, name -> contiguous tensor, which may share memory with the value).
 
-    owner: for messages. Raises UserError for an unsupported value.
+    Args:
+        owner: for messages.
+
+    Raises:
+        UserError: for an unsupported value.
     """
     encoder = _Encoder({_name(cls): cls for cls in classes}, owner)
     return encoder.node(value), encoder.tensors
 
 
 def decode(node: Any, tensors: Mapping[str, Tensor], classes: Iterable[type]) -> Any:
-    """Inverse of `encode`. Raises ValueError, KeyError or TypeError for damaged input."""
+    """Inverse of `encode`.
+
+    Raises:
+        ValueError, KeyError or TypeError: for damaged input.
+    """
     return _Decoder({_name(cls): cls for cls in classes}, tensors).value(node)
 
 

@@ -48,8 +48,11 @@ class Written:
             self._files[path] = len(data), hashlib.sha256(data).hexdigest()
 
     def check(self, content: bool = True) -> None:
-        """Raise Disturbed for the first file that is missing or changed. content: compare the
-        content, not only the size."""
+        """Raise Disturbed for the first file that is missing or changed.
+
+        Args:
+            content: compare the content, not only the size.
+        """
         for path, (size, digest) in sorted(self._files.items()):
             changed = difference(path, size, digest if content else None)
             if changed:
@@ -94,8 +97,8 @@ def following(folder: Path) -> Iterator[Written]:
 def write_whole(path: Path, content: bytes | str) -> None:
     """Replace `path` by `content` in one step; text is UTF-8. A reader never sees half of it.
 
-    Raises Unwritable when the disk is full or the folder cannot be written; nothing is changed
-    then.
+    Raises:
+        Unwritable: when the disk is full or the folder cannot be written; nothing is changed then.
     """
     data = content.encode("utf-8") if isinstance(content, str) else content
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -118,7 +121,11 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make `path` and what is missing above it. Raises Unwritable if that fails."""
+    """Make `path` and what is missing above it.
+
+    Raises:
+        Unwritable: if that fails.
+    """
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

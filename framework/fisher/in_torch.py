@@ -75,7 +75,7 @@ def fisher_in_torch(
     block, turns = _pulled_back(conics.detach(), jacobian, slopes, moments, through_colour, weights)
     logit_slope = 1 - exact.opacities.detach()[seen.index]
     shown = (seen.colors.detach() > 0) * weights[:, None]
-    own = torch.cat(
+    item = torch.cat(
         [
             block.diagonal(dim1=1, dim2=2),
             turns,
@@ -86,7 +86,7 @@ def fisher_in_torch(
     )
     rows = seen.index
     blocks = block.new_zeros(n, 6, 6).index_copy(0, rows, block)
-    diagonal = own.new_zeros(n, 14).index_copy(0, rows, own.clamp(min=0))
+    diagonal = item.new_zeros(n, 14).index_copy(0, rows, item.clamp(min=0))
     visible = torch.zeros(n, dtype=torch.bool, device=rows.device)
     visible = visible.index_copy(0, rows, on_screen)
     return FisherInformation(blocks.float().cpu(), diagonal.float().cpu(), visible.cpu())
@@ -158,7 +158,7 @@ def _sums(
     flat = torch.cat(columns, 1).detach().float()
     flat = torch.cat([flat, flat.new_zeros(1, flat.shape[1])])  # an entry that fills up a list
     behind = flat.new_zeros(3) if background is None else background.to(flat)
-    found = flat.new_zeros(len(lists.footprint), len(POWERS) + 3 * len(MEMBERS) + 1)
+    result = flat.new_zeros(len(lists.footprint), len(POWERS) + 3 * len(MEMBERS) + 1)
     across = -(-camera.width // TILE)
     for tiles, longest in _batches(lists.start, PAIRS.get(device.type, PAIRS["cuda"])):
         places = lists.start[tiles][:, None] + torch.arange(longest, device=device)
@@ -166,9 +166,9 @@ def _sums(
         places = places.clamp(max=len(lists.footprint) - 1)
         rows = torch.where(real, lists.footprint[places], len(flat) - 1)
         corner = torch.stack([tiles % across, tiles // across], 1) * TILE
-        found[places[real]] = _tile_sums(flat[rows], corner, camera, behind, shown)[real]
+        result[places[real]] = _tile_sums(flat[rows], corner, camera, behind, shown)[real]
     per_footprint = torch.segment_reduce(
-        found[lists.by_footprint], "sum", lengths=lists.counts, initial=0
+        result[lists.by_footprint], "sum", lengths=lists.counts, initial=0
     ).double()
     at = {power: k for k, power in enumerate(POWERS)}
     pick = [[at[i + k, j + m] for k, m in MEMBERS] for i, j in MEMBERS]
@@ -206,8 +206,8 @@ def _tile_sums(
     odds = torch.where(raw > ALPHA_MAX, 0.0, alpha / (1 - alpha))
     steps = []  # alpha dC / d alpha of each channel
     for channel, colour in enumerate((red, green, blue)):
-        given = weight * colour
-        rest = given.flip(1).cumsum(1).flip(1) + background[channel] * after[:, -1:]
+        values = weight * colour
+        rest = values.flip(1).cumsum(1).flip(1) + background[channel] * after[:, -1:]
         steps.append(odds * (before * colour - rest))
     q = steps[0] ** 2 + steps[1] ** 2 + steps[2] ** 2
     dx_powers, e_powers = [torch.ones_like(dx), dx], [torch.ones_like(e), e]

@@ -86,9 +86,13 @@ def information_gains(
     for reference in references:
         _check_shapes(candidate, reference)
     if candidate.ndim == 2:
-        return gains_over(candidate, [variances(known, prior) for known in references], form)
+        return gains_over(
+            candidate, [variances(available, prior) for available in references], form
+        )
     gained = _float64(candidate)
-    return [_block_gain(gained, _float64(known), prior.numpy(), form) for known in references]
+    return [
+        _block_gain(gained, _float64(available), prior.numpy(), form) for available in references
+    ]
 
 
 def variances(diagonal: Tensor, prior: Tensor) -> Tensor:
@@ -126,14 +130,14 @@ def _check_shapes(candidate: Tensor, reference: Tensor) -> None:
         )
 
 
-def _block_gain(gained: np.ndarray, known: np.ndarray, prior: np.ndarray, form: str) -> float:
+def _block_gain(gained: np.ndarray, reference: np.ndarray, prior: np.ndarray, form: str) -> float:
     """1/2 sum tr(H' (H + Lambda)^-1), or the difference of the log determinants; for Lambda see
     `information_gains`."""
-    floor = _floor(known + gained, prior)
+    floor = _floor(reference + gained, prior)
     if form == "log":
-        return 0.5 * float(np.sum(_log_det(known + gained, floor) - _log_det(known, floor)))
+        return 0.5 * float(np.sum(_log_det(reference + gained, floor) - _log_det(reference, floor)))
     lambdas = floor[:, :, None] * np.eye(prior.shape[0])
-    return 0.5 * float(np.sum(portable.inverses(known + lambdas) * gained))
+    return 0.5 * float(np.sum(portable.inverses(reference + lambdas) * gained))
 
 
 def block_prior(blocks: Sequence[Tensor], regulariser: float) -> Tensor:

@@ -25,8 +25,10 @@ def background_color(kind: str, training: TrainingSet) -> Tensor:
 
     `mean` is that of the valid training pixels, or the paper of transparent photos. `black` and
     `white` log a warning if the paper is another. For `random`, which training steps draw by
-    `random_background`, evaluation uses the mean, as it differs least on average. Raises UserError
-    if the masks leave no pixel to train on.
+    `random_background`, evaluation uses the mean, as it differs least on average.
+
+    Raises:
+        UserError: if the masks leave no pixel to train on.
     """
     import torch
 

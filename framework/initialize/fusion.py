@@ -41,8 +41,10 @@ class SurfacePixels:
 class Mapped:
     """The training views with their depth, from the most central to the outermost one.
 
-    order: their indices in `training`. seen: their confident depth. density: of each, [H, W]
-    float64, see `sampling.detail_density`.
+    Attributes:
+        order: their indices in `training`.
+        seen: their confident depth.
+        density: of each, [H, W] float64, see `sampling.detail_density`.
     """
 
     training: TrainingSet

@@ -17,8 +17,9 @@ FLOOR = 0.15  # density of a pixel without any detail, in units of the image's m
 def detail_density(image: np.ndarray, detail: float) -> np.ndarray:
     """[H, W] float64 relative sampling density (g / mean g)^detail + 0.15.
 
-    image: [3, H, W]. g: gradient magnitude of the grey image, smoothed by two 5 x 5 box filters.
-    An image without any gradient gets a uniform density.
+    Args:
+        image: [3, H, W]. g: gradient magnitude of the grey image, smoothed by two 5 x 5 box
+            filters. An image without any gradient gets a uniform density.
     """
     grey = image.astype(np.float64).mean(0)
     dy, dx = (_central_difference(grey, axis) for axis in (0, 1))

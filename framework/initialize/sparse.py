@@ -23,7 +23,12 @@ SMALLEST_SCALE = 1e-4  # in scene extents; keeps coinciding points from becoming
 
 @dataclass(frozen=True)
 class Sparse:
-    """scale_factor: multiplies the neighbour distance. opacity: of every Gaussian."""
+    """Options of `init=sparse`.
+
+    Attributes:
+        scale_factor: multiplies the neighbour distance.
+        opacity: of every Gaussian.
+    """
 
     scale_factor: float = 1.0
     opacity: float = 0.1
@@ -38,7 +43,8 @@ class Sparse:
     ) -> Gaussians:
         """One Gaussian per point of `training.points`; depth and seed play no part.
 
-        Raises UserError when there are too few points for neighbour distances.
+        Raises:
+            UserError: when there are too few points for neighbour distances.
         """
         from framework.initialize.isotropic import isotropic_gaussians
 
@@ -57,7 +63,8 @@ class Sparse:
 def neighbour_scales(xyz: np.ndarray, smallest: float) -> np.ndarray:
     """[M] root mean squared distance to the 3 nearest other points, at least `smallest`.
 
-    xyz: [M, 3], M > 3, scene units.
+    Args:
+        xyz: [M, 3], M > 3, scene units.
     """
     import numpy as np
     from scipy.spatial import cKDTree

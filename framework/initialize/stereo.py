@@ -24,13 +24,17 @@ LARGEST_BUDGET = 100_000  # of those that are not set by hand
 class Stereo:
     """How the depth maps become Gaussians.
 
-    budget: number of Gaussians; 0 = `per_pixel` times the training pixels. There are fewer if
-    fusion leaves fewer pixels. per_pixel: Gaussians per training pixel, if budget is 0; at most
-    100,000 in all. 0.07 gives 40,000 for three photos of 504x378. detail: exponent of the local
-    image gradient in the sampling density; 0 = uniform. tolerance: relative depth difference up to
-    which two views show the same surface. scale_factor: standard deviation in units of the mean
-    spacing of the samples. opacity: of every Gaussian. completion: sampling density of pixels with
-    guessed depth, relative to consistent ones; 0 = none.
+    Attributes:
+        budget: number of Gaussians; 0 = `per_pixel` times the training pixels. There are fewer if
+            fusion leaves fewer pixels.
+        per_pixel: Gaussians per training pixel, if budget is 0. At most 100,000 in all; 0.07 gives
+            40,000 for three photos of 504x378.
+        detail: exponent of the local image gradient in the sampling density; 0 = uniform.
+        tolerance: relative depth difference up to which two views show the same surface.
+        scale_factor: standard deviation in units of the mean spacing of the samples.
+        opacity: of every Gaussian.
+        completion: sampling density of pixels with guessed depth, relative to consistent ones; 0 =
+            none.
     """
 
     budget: int = 0
@@ -59,7 +63,8 @@ class Stereo:
         Sample i with sampling probability p_i represents 1 / p_i pixels, so its standard deviation
         is scale_factor * pixel size / sqrt(p_i).
 
-        Raises UserError if fewer than 100 pixels have consistent depth.
+        Raises:
+            UserError: if fewer than 100 pixels have consistent depth.
         """
         import numpy as np
 

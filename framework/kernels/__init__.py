@@ -144,16 +144,16 @@ def _backward_images(image: Image, grads: tuple[Tensor | None, ...]) -> tuple[Im
     """The render and the gradient in it, as the kernel reads them: with alpha and depth, or with
     neither for a loss of the colours alone."""
 
-    def gradient(given: Tensor | None, like: np.ndarray) -> np.ndarray:
-        return np.zeros_like(like) if given is None else _numpy(given)
+    def gradient(gradients: Tensor | None, like: np.ndarray) -> np.ndarray:
+        return np.zeros_like(like) if gradients is None else _numpy(gradients)
 
     rgb, alpha, depth = image.rgb, image.alpha, image.depth
     g_rgb, g_alpha, g_depth = grads[:3]
     if g_alpha is None and g_depth is None:
         return image, Image(gradient(g_rgb, rgb), _NOTHING, _NOTHING)
     whole = depth if depth.size else np.zeros_like(alpha)
-    given = Image(gradient(g_rgb, rgb), gradient(g_alpha, alpha), gradient(g_depth, alpha))
-    return Image(rgb, alpha, whole), given
+    gradients = Image(gradient(g_rgb, rgb), gradient(g_alpha, alpha), gradient(g_depth, alpha))
+    return Image(rgb, alpha, whole), gradients
 
 
 def rasterize(
@@ -342,12 +342,12 @@ def _tensors(
     expected = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "opacity_logits": (n,)}
     banded = min(n, gaussians.shN.shape[0])
     expected |= {"sh0": (n, 1, 3), "shN": (banded, gaussians.shN.shape[1], 3)}
-    given = dict(gaussians.items())
-    for name, tensor in given.items():
+    tensors = dict(gaussians.items())
+    for name, tensor in tensors.items():
         _check_shape(name, tensor, expected[name], n)
     _check_shape("opacity_factors", factors, (n,), n)
     _check_shape("means2d_offset", offset, (n, 2), n)
-    return (*given.values(), factors, offset)
+    return (*tensors.values(), factors, offset)
 
 
 def _check_shape(name: str, tensor: Tensor, shape: tuple[int, ...], n: int) -> None:

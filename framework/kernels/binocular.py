@@ -31,36 +31,38 @@ def _disparities(alpha: Any, depth: Any, into: Any) -> None:
 
 
 @inlined
-def _places(own: Any, beside: Any, mask: Any, numbers: Any, left: Any, share: Any) -> None:
+def _places(disparity: Any, shifted: Any, mask: Any, numbers: Any, left: Any, share: Any) -> None:
     """Fill, for every pixel of a row, the pixel to its left in the shifted render, the fraction
-    to the next one, and into `own` its weight (0 if it does not count).
+    to the next one, and into `disparity` its weight (0 if it does not count).
     """
     moves, tolerance, weight = numbers
-    width = len(own)
+    width = len(disparity)
     last, most = np.float32(width - 1), np.float32(max(width - 2, 0))
     to_right = np.uint32(width > 1)
     for x in range(width):
-        there = np.float32(x) - moves * own[x]
-        counts = (own[x] > _ZERO) & (mask[x] > _WHOLE) & (there >= _ZERO) & (there <= last)
+        there = np.float32(x) - moves * disparity[x]
+        counts = (disparity[x] > _ZERO) & (mask[x] > _WHOLE) & (there >= _ZERO) & (there <= last)
         at = np.uint32(min(there, most)) if counts else np.uint32(0)
         rest = there - np.float32(at) if counts else _ZERO
-        near, far = beside[at], beside[at + to_right]
-        apart = abs((near + rest * (far - near)) - own[x])
+        near, far = shifted[at], shifted[at + to_right]
+        apart = abs((near + rest * (far - near)) - disparity[x])
         counts = counts & (near > _ZERO) & (far > _ZERO) & (apart < tolerance)
         left[x], share[x] = at, rest
-        own[x] = weight if counts else _ZERO
+        disparity[x] = weight if counts else _ZERO
 
 
 @inlined
-def _pull(rgb: Any, photo: Any, own: Any, left: Any, share: Any, in_rgb: Any, slope: Any) -> None:
+def _pull(
+    rgb: Any, photo: Any, weights: Any, left: Any, share: Any, in_rgb: Any, slope: Any
+) -> None:
     """One colour of a row: the gradient in what is seen from beside, and added to `slope` how the
     loss moves with the place where a pixel is seen."""
-    to_right = np.uint32(len(own) > 1)
-    for x in range(len(own)):
+    to_right = np.uint32(len(weights) > 1)
+    for x in range(len(weights)):
         at, rest = left[x], share[x]
         near, far = rgb[at], rgb[at + to_right]
         error = near + rest * (far - near) - photo[x]
-        pull = own[x] if error > _ZERO else (-own[x] if error < _ZERO else _ZERO)
+        pull = weights[x] if error > _ZERO else (-weights[x] if error < _ZERO else _ZERO)
         in_rgb[at] += pull * (_ONE - rest)
         in_rgb[at + to_right] += pull * rest
         slope[x] += pull * (far - near)
@@ -86,20 +88,20 @@ def binocular_rows(
 ) -> None:
     """Compute a range of rows of the gradients; the arguments are those of `binocular_gradient`."""
     height, width = alpha.shape
-    own, beside = np.empty(width, np.float32), np.empty(width, np.float32)
+    disparity, disparity_beside = np.empty(width, np.float32), np.empty(width, np.float32)
     share, slope = np.empty(width, np.float32), np.empty(width, np.float32)
     left = np.empty(width, np.uint32)
     for y in range(height * block // blocks, height * (block + 1) // blocks):
-        _disparities(alpha[y], depth[y], own)
-        _disparities(alpha_beside[y], depth_beside[y], beside)
-        _places(own, beside, mask[y], (moves, tolerance, weight), left, share)
+        _disparities(alpha[y], depth[y], disparity)
+        _disparities(alpha_beside[y], depth_beside[y], disparity_beside)
+        _places(disparity, disparity_beside, mask[y], (moves, tolerance, weight), left, share)
         slope[:] = _ZERO
         for c in range(3):
             in_rgb[c, y] = _ZERO
-            _pull(rgb_beside[c, y], photo[c, y], own, left, share, in_rgb[c, y], slope)
+            _pull(rgb_beside[c, y], photo[c, y], disparity, left, share, in_rgb[c, y], slope)
         to_alpha, to_depth, a, z = in_alpha[y], in_depth[y], alpha[y], depth[y]
         for x in range(width):
-            counts = own[x] > _ZERO
+            counts = disparity[x] > _ZERO
             pull = moves * slope[x] / z[x] if counts else _ZERO
             to_alpha[x] = -pull
             to_depth[x] = pull * (a[x] / z[x]) if counts else _ZERO
@@ -131,8 +133,8 @@ def binocular_gradient(
         Gradients in alpha and depth [H, W] of the photo's camera and in the colours [3, H, W] of
         the shifted one, float32, in a buffer that is reused once unreferenced.
     """
-    found = _lender.lend([alpha.shape, alpha.shape, photo.shape])
+    gradients = _lender.lend([alpha.shape, alpha.shape, photo.shape])
     numbers = np.float32(moves), np.float32(tolerance), np.float32(weight)
-    run_blocks(binocular_rows, alpha, depth, *beside, photo, mask, *numbers, *found)
-    in_alpha, in_depth, in_rgb = found
+    run_blocks(binocular_rows, alpha, depth, *beside, photo, mask, *numbers, *gradients)
+    in_alpha, in_depth, in_rgb = gradients
     return in_alpha, in_depth, in_rgb

@@ -155,7 +155,7 @@ def _partial_rows(
     blurred: Any,
     first: int,
     count: int,
-    own: Any,
+    counted: Any,
     target: Any,
     width: int,
     windows: Any,
@@ -179,7 +179,7 @@ def _partial_rows(
             partials[:, to + i] = ZERO
             continue
         _ssim_row(windows, i, mean[y], variance[y], values, derived, width)
-        if y >= own[0] and y < own[1]:
+        if y >= counted[0] and y < counted[1]:
             sums[y] = _sum(values)
         _across(derived, partials, to + i)
 
@@ -207,8 +207,9 @@ def _gradient_row(windows: Any, i: int, near: Any, pulls: Any, values: Any, grad
 def statistics(block: int, blocks: int, b: Any, mask: Any, mean: Any, variance: Any) -> None:
     """Compute mean and variance [C, H, S] of the windows of a target b [C, H, W].
 
-    mask: ones [H, W]. The third blur, of the render times b, is not needed here; a target is
-    prepared once.
+    Args:
+        mask: ones [H, W]. The third blur, of the render times b, is not needed here; a target is
+            prepared once.
     """
     channels, height, _ = b.shape
     wide = mean.shape[2]

@@ -248,7 +248,7 @@ class Workspace:
             gradient.flat(),
             self.sums.reshape(-1),
             blocks=len(self.n_slots),
-            own=[(slots,) for slots in self._scratch(self.slots)],
+            scratch=[(slots,) for slots in self._scratch(self.slots)],
         )
 
     def blend_backward(self, image: Image, gradient: Image) -> None:
@@ -284,8 +284,11 @@ class Workspace:
 
     def blend_moments(self, image: Image, mask: np.ndarray) -> None:
         """Second moments of the image's derivatives -> `sums`, and with view-dependent colour
-        `slopes` and `cross`; see `moments.blend_moments` and `information`. mask: [H, W], or empty:
-        of all pixels."""
+        `slopes` and `cross`; see `moments.blend_moments` and `information`.
+
+        Args:
+            mask: [H, W], or empty: of all pixels.
+        """
         self.sums = grown(self.sums, int(self.bounds[-1]))
         slopes, cross = self._direction_buffers()
         slots = self._scratch(self.slots)
@@ -310,7 +313,7 @@ class Workspace:
             slopes.reshape(-1),
             cross.reshape(-1),
             blocks=len(self.n_slots),
-            own=list(zip(slots, mixed, strict=True)),
+            scratch=list(zip(slots, mixed, strict=True)),
         )
 
     def projected(self) -> tuple[Any, ...]:

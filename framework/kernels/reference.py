@@ -76,10 +76,16 @@ def rasterize_reference(
 ) -> Render:
     """What `camera` sees of `gaussians`, in their dtype; memory and time are O(N H W).
 
-    background: [3], default black; not differentiated. sh_degree: the active degree, at most the
-    stored one (default). opacity_factors: [N], multiply the activated opacities. means2d_offset:
-    [N, 2], added to the projected means; a zero tensor here receives dLoss/dmeans2d in pixels.
-    near: Gaussians whose mean has z < near are culled. Raises ValueError on a wrong shape.
+    Args:
+        background: [3], default black; not differentiated.
+        sh_degree: the active degree, at most the stored one (default).
+        opacity_factors: [N], multiply the activated opacities.
+        means2d_offset: [N, 2], added to the projected means; a zero tensor here receives
+            dLoss/dmeans2d in pixels.
+        near: Gaussians whose mean has z < near are culled.
+
+    Raises:
+        ValueError: on a wrong shape.
     """
     n = len(gaussians)
     background = gaussians.means.new_zeros(3) if background is None else background

@@ -22,10 +22,10 @@ _NONE, _ZERO = np.float32(-1), np.float32(0)
 
 
 @inlined
-def _step(own: Any, other: Any, weight: Any) -> Any:
-    """w times the slope of |own - other| in own, of disparities; below 0 nothing is seen."""
-    slope = weight if own > other else (-weight if own < other else _ZERO)
-    return slope if (own >= _ZERO) & (other >= _ZERO) else _ZERO
+def _step(disparity: Any, other: Any, weight: Any) -> Any:
+    """w times the slope of |disparity - other|; a negative disparity means that nothing is seen."""
+    slope = weight if disparity > other else (-weight if disparity < other else _ZERO)
+    return slope if (disparity >= _ZERO) & (other >= _ZERO) else _ZERO
 
 
 @kernel
@@ -38,8 +38,12 @@ def roughness_rows(
     in_alpha: Any,
     in_depth: Any,
 ) -> None:
-    """A range of rows of the gradients in alpha and depth [H, W]. weights: [2, H, W], towards the
-    right neighbour and the lower one. Row by row without branches, for vectors."""
+    """A range of rows of the gradients in alpha and depth [H, W].
+
+    Args:
+        weights: [2, H, W], towards the right neighbour and the lower one. Row by row without
+            branches, for vectors.
+    """
     height, width = alpha.shape
     y0, y1 = height * block // blocks, height * (block + 1) // blocks
     above, below = max(0, y0 - 1), min(height, y1 + 1)

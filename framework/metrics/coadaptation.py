@@ -102,10 +102,13 @@ def with_coadaptation(
 def effective_rank(log_scales: ArrayLike) -> float:
     """Mean over the Gaussians of exp(-sum_i q_i log q_i), q_i = s_i^2 / sum_j s_j^2.
 
-    1 is a needle, 2 a disc, 3 a ball; NaN without a Gaussian. log_scales: [N, 3].
+    1 is a needle, 2 a disc, 3 a ball; NaN without a Gaussian.
 
     Source: Roy & Vetterli 2007, "The effective rank"; of Gaussians' covariances, whose eigenvalues
     are s_i^2, Hyung et al. 2024, arXiv 2406.11672.
+
+    Args:
+        log_scales: [N, 3].
     """
     logs = 2 * np.asarray(log_scales, np.float64)
     if len(logs) == 0:

@@ -96,7 +96,8 @@ class Lpips:
     def distance(self, x: np.ndarray, y: np.ndarray, centred: bool = True) -> Measurement:
         """LPIPS of two [H, W, 3] float images in [0, 1]; Missing if they are too small.
 
-        centred: map them to [-1, 1] first, as the authors do.
+        Args:
+            centred: map them to [-1, 1] first, as the authors do.
         """
         if min(x.shape[:2]) < self._backbone.min_size:
             return Missing(

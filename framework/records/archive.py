@@ -34,7 +34,11 @@ LEFT_OUT = ("seed", "methods", "parameters", "files")  # from other fields, and 
 
 @dataclass(frozen=True)
 class Entry:
-    """A run of an archive. kind, again: of a failed one, see above."""
+    """A run of an archive.
+
+    Attributes:
+        kind, again: of a failed one, see above.
+    """
 
     run: Run
     kind: str = ""

@@ -31,8 +31,12 @@ def write_cameras(
     near: float | None = None,
     exposure: Callable[[Camera], list[float]] | None = None,
 ) -> None:
-    """Write both files into `folder`. near: depth in scene units, where the renders begin.
-    exposure: of a camera, the factors [3] of its photo's colours to those of the model."""
+    """Write both files into `folder`.
+
+    Args:
+        near: depth in scene units, where the renders begin.
+        exposure: of a camera, the factors [3] of its photo's colours to those of the model.
+    """
     listed = [_listed(number, view) for number, view in enumerate([*test, *training])]
     write_whole(folder / CAMERAS, json.dumps(listed))
     transforms: dict[str, Any] = {

@@ -18,8 +18,14 @@ FAILED, COMPOSED = "failed.json", ".hydra/config.yaml"
 
 @dataclass(frozen=True)
 class Failure:
-    """A failed run. error: one line; kind: a word or two. again: the command that repeats the
-    run. Both texts are "" and the composed config is empty if they were not kept."""
+    """A failed run.
+
+    Attributes:
+        error: one line.
+        kind: a word or two.
+        again: the command that repeats the run. Both texts are "" and the composed config is empty
+            if they were not kept.
+    """
 
     error: str
     kind: str
@@ -31,15 +37,15 @@ class Failure:
 def read_failure(run_dir: Path) -> Failure:
     """Raises UserError when the files are missing or damaged."""
     path, composed = run_dir / FAILED, run_dir / COMPOSED
-    told = read_json(path, RUN_BYTES)
+    content = read_json(path, RUN_BYTES)
     config = read_yaml(composed) if os.path.lexists(composed) else None
     try:
-        check_failure(told)
+        check_failure(content)
         check_config(config or {}, complete=False)
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(
             f"{path}: expected the error of a failed run, got a damaged file"
             f" ({type(error).__name__}: {error}); delete that folder and run again"
         ) from error
-    kind, again = told.get("kind", ""), told.get("again", "")
-    return Failure(told["error"], kind, tuple(told["overrides"]), config or {}, again)
+    kind, again = content.get("kind", ""), content.get("again", "")
+    return Failure(content["error"], kind, tuple(content["overrides"]), config or {}, again)

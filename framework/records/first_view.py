@@ -31,16 +31,26 @@ MIDDLE = 0.25  # of the picture's sides, left out at each edge
 def write_settings(
     folder: Path, training: Sequence[View], means: Tensor, background: Tensor, near: float
 ) -> None:
-    """Write `settings.json` into `folder`. means: [M, 3] of the Gaussians. background: [3]. near:
-    depth in scene units, where the renders begin."""
+    """Write `settings.json` into `folder`.
+
+    Args:
+        means: [M, 3] of the Gaussians.
+        background: [3].
+        near: depth in scene units, where the renders begin.
+    """
     cameras = [view.camera for view in training]
     away = _ahead(cameras[_middle(cameras)], means, near)
     write_whole(folder / SETTINGS, settings(cameras, background.tolist(), away))
 
 
 def settings(cameras: Sequence[Camera], background: Sequence[float], distance: float) -> str:
-    """The file's content. cameras: of the training views, in the model's world. The first view is
-    that of the camera nearest to their mean; distance: from it to the point it turns around."""
+    """The file's content.
+
+    Args:
+        cameras: of the training views, in the model's world. The first view is that of the camera
+            nearest to their mean.
+        distance: from it to the point it turns around.
+    """
     camera = cameras[_middle(cameras)]
     center, forward = camera.center.numpy(), camera.viewmat[2, :3].numpy()
     longer = max(camera.width, camera.height)  # the viewer takes it for the window's longer side

@@ -55,7 +55,7 @@ def property_names(rest: int) -> list[str]:
 def write_ply(path: Path, gaussians: Gaussians, background: Tensor) -> int:
     """Write `gaussians` (as float32) and `background` [3]; returns the size in bytes, with that of
     the file of SH bands, which is written or removed."""
-    n, banded, beside = len(gaussians), len(gaussians.shN), bands_path(path)
+    n, banded, bands_file = len(gaussians), len(gaussians.shN), bands_path(path)
     mixed = gaussians.sh_degree > 0 and banded < n
     rest = gaussians.shN.shape[1] if banded == n else 0
     table = _to_table(gaussians, rest)
@@ -72,9 +72,9 @@ def write_ply(path: Path, gaussians: Gaussians, background: Tensor) -> int:
     content = "\n".join(header).encode("ascii") + b"\n" + table.tobytes()
     bands = _npy(gaussians.shN) if mixed else b""
     if mixed:
-        write_whole(beside, bands)
+        write_whole(bands_file, bands)
     else:
-        beside.unlink(missing_ok=True)
+        bands_file.unlink(missing_ok=True)
     write_whole(path, content)
     return len(content) + len(bands)
 
@@ -131,17 +131,18 @@ def read_ply(path: Path) -> tuple[Gaussians, Tensor | None]:
 def read_splats(path: Path) -> Splats:
     """The content as arrays, without torch.
 
-    Raises UserError when the file is missing, is no splat PLY, is too large, its size contradicts
-    its header, or it holds NaN or infinity.
+    Raises:
+        UserError: when the file is missing, is no splat PLY, is too large, its size contradicts its
+            header, or it holds NaN or infinity.
     """
     with open_regular(path, PLY_BYTES) as file:
         header = _read_header(file, path)
         rest = _rest_count(header.names, path)
         expected = file.tell() + 4 * header.count * len(header.names)
-        found = os.fstat(file.fileno()).st_size
+        size = os.fstat(file.fileno()).st_size
         require(
-            found == expected,
-            f"{path}: expected {expected} bytes for {header.count} vertices, got {found};"
+            size == expected,
+            f"{path}: expected {expected} bytes for {header.count} vertices, got {size};"
             " the file is damaged, write it again",
         )
         raw = np.fromfile(file, dtype="<f4").reshape(header.count, len(header.names))
@@ -161,18 +162,18 @@ def _read_bands(path: Path, header: _Header) -> np.ndarray:
     """Read [M, K-1, 3] from the file that the header of `path` names."""
     from framework.files.arrays import read_npy
 
-    beside, m = bands_path(path), header.banded
+    bands_file, m = bands_path(path), header.banded
     require(
         not any(name.startswith("f_rest_") for name in header.names) and 0 < m < header.count,
         f"{path}: expected 'comment bands M' with 0 < M < {header.count} and no f_rest properties,"
         f" got M = {m}; the header is damaged, write the file again",
     )
-    require(is_file(beside), f"{beside}: expected the SH bands of {path.name}, found none")
-    bands = read_npy(beside)
+    require(is_file(bands_file), f"{bands_file}: expected the SH bands of {path.name}, found none")
+    bands = read_npy(bands_file)
     fits = bands.ndim == 3 and bands.shape[0] == m and bands.shape[1:] in BANDS_SHAPES
     require(
         bool(fits and np.isfinite(bands).all()),
-        f"{beside}: expected finite numbers of shape [{m}, 3, 8 or 15, 3], got"
+        f"{bands_file}: expected finite numbers of shape [{m}, 3, 8 or 15, 3], got"
         f" {list(bands.shape)}; write {path.name} again",
     )
     return np.ascontiguousarray(bands, dtype=np.float32)

@@ -68,7 +68,11 @@ class Progress(Protocol):
     def step(
         self, step: int, n_steps: int, loss: float, gaussians: int, psnr: float | None = None
     ) -> None:
-        """`step` of `n_steps` steps are done. psnr: last test PSNR in dB, if there is one."""
+        """`step` of `n_steps` steps are done.
+
+        Args:
+            psnr: last test PSNR in dB, if there is one.
+        """
 
     def note(self, text: str) -> None:
         """Something worth keeping on the screen."""
@@ -95,7 +99,11 @@ class Silent:
 
 class Parts:
     """Several trainings, perhaps at the same time, whose steps `whole` shows as one count of
-    `n_steps`. done: finished steps of each."""
+    `n_steps`.
+
+    Args:
+        done: finished steps of each.
+    """
 
     def __init__(self, whole: Progress, n_steps: int, done: Sequence[int]) -> None:
         self._whole, self._n_steps, self._done = whole, n_steps, list(done)
@@ -124,8 +132,11 @@ class Part(Silent):
 class Terminal:
     """Writes to `stream`: in place if `in_place`, else a line every 10 s or 10 % of the steps.
 
-    label: who speaks, for instance "[run 4 of 12] safi+uar seed 1"; short_label: the same for a
-    narrow terminal. clock: seconds, monotonic. tested: whether there are test views.
+    Args:
+        label: who speaks, for instance "[run 4 of 12] safi+uar seed 1".
+        short_label: the same for a narrow terminal.
+        clock: seconds, monotonic.
+        tested: whether there are test views.
     """
 
     def __init__(

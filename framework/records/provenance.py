@@ -43,14 +43,14 @@ BITS = "bits"  # of a run whose rasterizer does not keep them: why its repetitio
 
 def provenance() -> dict[str, Any]:
     """Versions, git state (None outside a checkout), CPU, threads: all JSON values."""
-    own = [place for place, _ in own_plugins()]
+    folders = [place for place, _ in own_plugins()]
     return {
         "fishersplat": framework.__version__,
         "python": platform.python_version(),
         "packages": package_versions(),
         "git": git_state(ROOT),
         "code": code_hash(),
-        **({"own_plugins": own} if own else {}),
+        **({"own_plugins": folders} if folders else {}),
         "cpu": cpu_model(),
         "cores": os.cpu_count(),
         "threads": threads(),
@@ -61,13 +61,13 @@ def provenance() -> dict[str, Any]:
 @functools.cache
 def package_versions() -> dict[str, str | None]:
     """Installed versions of the packages a result depends on; None for one not installed."""
-    found: dict[str, str | None] = {}
+    versions: dict[str, str | None] = {}
     for package in PACKAGES:
         try:
-            found[package] = version(package)
+            versions[package] = version(package)
         except PackageNotFoundError:
-            found[package] = None
-    return found
+            versions[package] = None
+    return versions
 
 
 def git_state(root: Path) -> dict[str, Any] | None:
@@ -100,7 +100,8 @@ def identity_of(
 ) -> str:
     """SHA-256 hex of all that determines a run's result; see the module's text.
 
-    files: purpose -> fingerprint of the files beside the scene that the config only names.
+    Args:
+        files: purpose -> fingerprint of the files beside the scene that the config only names.
     """
     effective = {key: value for key, value in config.items() if key not in NEUTRAL_KEYS}
     content = {
@@ -115,7 +116,11 @@ def identity_of(
 
 def strict_json(value: Any, indent: int | None = None, compact: bool = False) -> str:
     """JSON with sorted keys, of plain values only. A non-finite number becomes null; another field
-    explains it. compact: without blanks."""
+    explains it.
+
+    Args:
+        compact: without blanks.
+    """
     return json.dumps(
         plain_json(value),
         indent=indent,

@@ -83,8 +83,12 @@ class StageTime:
 
 @dataclass(frozen=True)
 class SceneInfo:
-    """What was trained on. fingerprint: SHA-256 of all that was loaded. training, test: names of
-    views, the latter empty where every one trains."""
+    """What was trained on.
+
+    Attributes:
+        fingerprint: SHA-256 of all that was loaded.
+        training, test: names of views, the latter empty where every one trains.
+    """
 
     name: str
     protocol: str
@@ -97,15 +101,21 @@ class SceneInfo:
 class RunRecord:
     """One run. `write_run` fills in the fields from `gaussians` down.
 
-    config: resolved. timings: by stage, in order; the training itself is `TRAIN_STAGE`.
-    provenance: see `framework.records.provenance`. resumed: how often an interrupted training was
-    taken up again; its time is the sum of the parts, the other stages' that of the last process.
-    sh_degree: the highest of any Gaussian. banded: how many have one above 0; None: all, or none
-    where it is 0. summary: mean over the test views of each metric. dose: what the method did, by
-    the trainer's own counts, as a flat mapping to numbers and texts; empty where none were kept.
-    warnings: everything that the run warned about, one line each. files: path within the folder ->
-    bytes and SHA-256 of every other file that the run wrote; empty in older records. error: one
-    line, of a failed run.
+    Attributes:
+        config: resolved.
+        timings: by stage, in order; the training itself is `TRAIN_STAGE`.
+        provenance: see `framework.records.provenance`.
+        resumed: how often an interrupted training was taken up again; its time is the sum of the
+            parts, the other stages' that of the last process.
+        sh_degree: the highest of any Gaussian.
+        banded: how many have one above 0; None: all, or none where it is 0.
+        summary: mean over the test views of each metric.
+        dose: what the method did, by the trainer's own counts, as a flat mapping to numbers and
+            texts; empty where none were kept.
+        warnings: everything that the run warned about, one line each.
+        files: path within the folder -> bytes and SHA-256 of every other file that the run wrote;
+            empty in older records.
+        error: one line, of a failed run.
     """
 
     identity: str
@@ -161,7 +171,11 @@ class RunRecord:
 
 @dataclass(frozen=True)
 class Run:
-    """A run read back. metrics, history: the two tables, empty for a failed run."""
+    """A run read back.
+
+    Attributes:
+        metrics, history: the two tables, empty for a failed run.
+    """
 
     run_dir: Path
     record: RunRecord
@@ -182,11 +196,16 @@ def write_run(
 ) -> RunRecord:
     """Write all files of a finished run; returns the record as written.
 
-    background: [3]. renders: the test views with their [3, H, W] images, in the order of `metrics`.
-    before: what of the run was written already. stale: files of an earlier run, which are removed
-    unless this one writes them too. An old record is removed first, so that a half-repeated run
-    never looks complete, and the new one stands only over files that are there as written. Raises
-    Disturbed where somebody removed or changed one meanwhile.
+    Args:
+        background: [3].
+        renders: the test views with their [3, H, W] images, in the order of `metrics`.
+        before: what of the run was written already.
+        stale: files of an earlier run, which are removed unless this one writes them too. An old
+            record is removed first, so that a half-repeated run never looks complete, and the new
+            one stands only over files that are there as written.
+
+    Raises:
+        Disturbed: where somebody removed or changed one meanwhile.
     """
     from framework.records.ply import write_ply
 
@@ -263,8 +282,8 @@ def write_failed(
     is kept.
     """
     error = printable_line(" ".join(error.split()))
-    told = {"error": error, "kind": kind, "overrides": list(overrides), "again": again}
-    write_whole(run_dir / FAILED, strict_json(told, indent=2) + "\n")
+    content = {"error": error, "kind": kind, "overrides": list(overrides), "again": again}
+    write_whole(run_dir / FAILED, strict_json(content, indent=2) + "\n")
     record = RunRecord(
         identity="",
         config=config,
@@ -288,7 +307,11 @@ def _is_complete(run_dir: Path) -> bool:
 
 
 def read_record(path: Path) -> RunRecord:
-    """The record in a `record.json`. Raises UserError when it is missing or damaged."""
+    """The record in a `record.json`.
+
+    Raises:
+        UserError: when it is missing or damaged.
+    """
     content = read_json(path, RUN_BYTES)
     try:
         return record_of(content)
@@ -300,7 +323,11 @@ def read_record(path: Path) -> RunRecord:
 
 
 def read_run(run_dir: Path) -> Run:
-    """A run with its tables, without torch. Raises UserError when files are missing or damaged."""
+    """A run with its tables, without torch.
+
+    Raises:
+        UserError: when files are missing or damaged.
+    """
     record = read_record(run_dir / RECORD)
     if record.status != "complete":
         return Run(run_dir, record, Table({}, {}), Table({}, {}))
@@ -336,9 +363,9 @@ def damaged_file(run_dir: Path, identity: str) -> str:
     except UserError:
         return f"{RECORD} is damaged" if is_file(run_dir / RECORD) else ""
     for name, (size, digest) in record.files.items() if record.identity == identity else ():
-        found = difference(inside(run_dir, name), size, digest)
-        if found:
-            return f"{name}: expected the {size:,} bytes that the run wrote, got {found}"
+        problem = difference(inside(run_dir, name), size, digest)
+        if problem:
+            return f"{name}: expected the {size:,} bytes that the run wrote, got {problem}"
     return ""
 
 
@@ -383,7 +410,11 @@ def record_content(record: RunRecord) -> dict[str, Any]:
 
 
 def record_of(content: dict[str, Any]) -> RunRecord:
-    """The record with this content. Raises ValueError, KeyError or TypeError for any other."""
+    """The record with this content.
+
+    Raises:
+        ValueError, KeyError or TypeError: for any other.
+    """
     check_record(content)
     scene = content["scene"]
     lists = ("training", "test")

@@ -109,14 +109,20 @@ def are_texts(value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(text, str) for text in value)
 
 
-def _check_provenance(told: Any) -> None:
-    _check("provenance", told, isinstance(told, Mapping))
+def _check_provenance(provenance: Any) -> None:
+    _check("provenance", provenance, isinstance(provenance, Mapping))
     for key in FACTS:
-        _check(f"provenance.{key}", told.get(key), isinstance(told.get(key), str | None))
+        _check(
+            f"provenance.{key}", provenance.get(key), isinstance(provenance.get(key), str | None)
+        )
     for key in COUNTS:
-        _check(f"provenance.{key}", told.get(key), told.get(key) is None or _is_count(told[key]))
-    packages, git = told.get("packages"), told.get("git")
-    plugins = told.get("plugins", {})
+        _check(
+            f"provenance.{key}",
+            provenance.get(key),
+            provenance.get(key) is None or _is_count(provenance[key]),
+        )
+    packages, git = provenance.get("packages"), provenance.get("git")
+    plugins = provenance.get("plugins", {})
     hashes = isinstance(plugins, Mapping) and all(map(_is_line, (*plugins, *plugins.values())))
     _check("provenance.plugins", plugins, hashes)
     texts = isinstance(packages, Mapping) and all(

@@ -52,8 +52,12 @@ HISTORY_COLUMNS = ("step", "seconds", "loss", "test_psnr", "gaussians", "sh_degr
 
 @dataclass(frozen=True)
 class Table:
-    """The columns of a table by name. texts: a cell without text is "". numbers: float64, a cell
-    without a value is NaN."""
+    """The columns of a table by name.
+
+    Attributes:
+        texts: a cell without text is "".
+        numbers: float64, a cell without a value is NaN.
+    """
 
     texts: Mapping[str, list[str]]
     numbers: Mapping[str, np.ndarray]
@@ -100,8 +104,8 @@ def metrics_csv(metrics: Sequence[ViewMetrics], stems: Sequence[str]) -> str:
         reasons = {k: v.reason for k, v in values.items() if isinstance(v, Missing)}
         numbers = [None if isinstance(v, Missing) else v for v in values.values()]
         explained = json.dumps(reasons) if reasons else None
-        own, others = numbers[: len(METRICS)], numbers[len(METRICS) :]
-        cells = [entry.view, " ".join(entry.tags), *own, entry.render_s, stem, explained]
+        main_metrics, others = numbers[: len(METRICS)], numbers[len(METRICS) :]
+        cells = [entry.view, " ".join(entry.tags), *main_metrics, entry.render_s, stem, explained]
         rows.append([*cells, *others])
     also = metrics[0].also if metrics else {}
     return _csv([*METRIC_COLUMNS, *also], rows)
@@ -121,8 +125,10 @@ def history_csv(history: Sequence[HistoryRow]) -> str:
 def read_table(path: Path) -> Table:
     """A table written here.
 
-    Raises ValueError, IndexError, OverflowError or csv.Error for anything else, UserError for what
-    is no file or too large a one.
+    Raises:
+        ValueError, IndexError, OverflowError, csv.Error: for other content.
+        UserError: for what is
+            no file or too large a one.
     """
     columns, *rows = list(csv.reader(io.StringIO(read_text(path, RUN_BYTES), newline="")))
     needed = METRIC_COLUMNS if path.name == METRICS_CSV else HISTORY_COLUMNS
@@ -157,10 +163,10 @@ def _write_view(folder: Path, stem: str, view: View, rgb: Tensor) -> None:
 
 def remove_made_of_model(run_dir: Path) -> None:
     """Remove what commands made of the model that a training replaced, and nothing else."""
-    made = [run_dir / name for name in (VIEW, *VIDEOS)]
-    made += [run_dir / EXPORT / f"scene.{ending}" for ending in EXPORTED]
-    made += filter(is_rendered, (run_dir / PICTURES).glob("*.png"))
-    for file in made:
+    derived = [run_dir / name for name in (VIEW, *VIDEOS)]
+    derived += [run_dir / EXPORT / f"scene.{ending}" for ending in EXPORTED]
+    derived += filter(is_rendered, (run_dir / PICTURES).glob("*.png"))
+    for file in derived:
         if not file.is_dir():
             file.unlink(missing_ok=True)
 

@@ -20,8 +20,14 @@ SEARCH = "search.json"
 
 @dataclass(frozen=True)
 class Trial:
-    """A trial. words: the options that varied. value: of the metric; None if the trial failed, with
-    the reason in error. run: name of the run's folder. train_s: CPU seconds of the training."""
+    """A trial.
+
+    Attributes:
+        words: the options that varied.
+        value: of the metric; None if the trial failed, with the reason in error.
+        run: name of the run's folder.
+        train_s: CPU seconds of the training.
+    """
 
     number: int
     value: float | None
@@ -41,8 +47,11 @@ class Searched:
 
 
 def read_search(folder: Path) -> Searched | None:
-    """The search whose runs are in `folder`; None where there was none. Raises UserError for a file
-    that no search wrote."""
+    """The search whose runs are in `folder`; None where there was none.
+
+    Raises:
+        UserError: for a file that no search wrote.
+    """
     path = folder / SEARCH
     if not is_file(path):
         return None

@@ -44,7 +44,11 @@ MOST_NAMED = 8  # differences that are not significant, in the verdict
 
 @dataclass(frozen=True)
 class Report:
-    """A report that was written. verdict: as plain text."""
+    """A report that was written.
+
+    Attributes:
+        verdict: as plain text.
+    """
 
     path: Path
     study: Study

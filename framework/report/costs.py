@@ -159,14 +159,14 @@ class Choice:
 def choices(study: Study, scene: str) -> list[Choice]:
     """Which configuration to take at each of `LIMITS_S`, limits with the same answer together; none
     of a single configuration, or if runs of different machines do not compare."""
-    found = entries(study, scene)
-    if len(found) < 2 or not one_machine(study, scene):
+    candidates = entries(study, scene)
+    if len(candidates) < 2 or not one_machine(study, scene):
         return []
     answers: dict[Entry | None, list[float]] = {}
     for limit in LIMITS_S:
-        within = [entry for entry in found if entry.train_s <= limit]
+        within = [entry for entry in candidates if entry.train_s <= limit]
         answers.setdefault(_best_within(study, within) if within else None, []).append(limit)
-    quickest = min(found, key=train_s)
+    quickest = min(candidates, key=train_s)
     return [Choice(tuple(limits), entry, quickest) for entry, limits in answers.items()]
 
 

@@ -138,15 +138,15 @@ class Findings:
 
         Tests are corrected for all other methods.
         """
-        best, found = self.outcomes.best, self.outcomes.comparisons
-        if best not in found or self.study.has_budgets or self.panels:
+        best, result = self.outcomes.best, self.outcomes.comparisons
+        if best not in result or self.study.has_budgets or self.panels:
             return []
         values = {m: by_pair(self.study.of(method=m)) for m in (*self.outcomes.psnr, best)}
         others = [compare(m, values[m], best, values[best]) for m in values if m != best]
         comparable = [c for c in others if c is not None and c.joint is not None]
         tested = [replace(c, tests=len(comparable)) for c in comparable]
         # the verdict has the comparison with its own baseline, corrected for others
-        alike = [c for c in tested if not c.significant and c.method != found[best].baseline]
+        alike = [c for c in tested if not c.significant and c.method != result[best].baseline]
         return sorted(alike, key=_difference)[::-1]
 
     @cached_property
@@ -162,8 +162,8 @@ class Findings:
         """Scene -> which configuration to take for a given time."""
         if self.panels:
             return {}
-        found = {scene: choices(self.study, scene) for scene in self.study.tested}
-        return {scene: answer for scene, answer in found.items() if answer}
+        by_scene = {scene: choices(self.study, scene) for scene in self.study.tested}
+        return {scene: answer for scene, answer in by_scene.items() if answer}
 
     @property
     def advised_budgets(self) -> list[Choice]:
@@ -185,7 +185,7 @@ class Findings:
     def photo_effects(self) -> list[tuple[float, Draws]]:
         """Gains that significantly depend on which photos were drawn, with their corrected p."""
         p = [(d.alike.p, d) for d in self.draws if d.alike is not None and d.alike.p is not None]
-        sure = [(len(p) * own, d) for own, d in p if len(p) * own < SIGNIFICANCE]
+        sure = [(len(p) * p_value, d) for p_value, d in p if len(p) * p_value < SIGNIFICANCE]
         return sorted(sure, key=lambda pair: pair[0])
 
     @property
@@ -197,18 +197,18 @@ class Findings:
         """Costs of the advised method and of its baseline, or of the best other method. With
         several budgets these are the cheapest and the most expensive.
         """
-        found = self.outcomes
-        if not found.psnr:
+        result = self.outcomes
+        if not result.psnr:
             return []
-        best = found.best
+        best = result.best
         methods = [best, self.study.baseline_of(best)]
         if self.study.has_budgets:
-            family = [m for m in found.psnr if m.family == best.family]
+            family = [m for m in result.psnr if m.family == best.family]
             costs = [cost_of(m, self.study.of(method=m)) for m in family]
             measured = sorted((c for c in costs if c.cpu_s), key=lambda cost: cost.cpu_s or 0.0)
             return list(dict.fromkeys([measured[0], measured[-1]])) if measured else []
-        if methods[0] == methods[1] and found.comparisons:
-            comparisons = found.comparisons
+        if methods[0] == methods[1] and result.comparisons:
+            comparisons = result.comparisons
             methods[1] = max(comparisons, key=lambda m: comparisons[m].difference)
         return [cost_of(m, self.study.of(method=m)) for m in dict.fromkeys(methods)]
 
@@ -237,7 +237,7 @@ class Findings:
         """Role -> names of the tested scenes that have it."""
         names = list(dict.fromkeys(map(self.study.name_of, self.study.tested)))
         by_role = {r: [n for n in names if role(n) == r] for r in (CHOSE, HELPED, TESTS, YOURS)}
-        return {r: found for r, found in by_role.items() if found}
+        return {r: result for r, result in by_role.items() if result}
 
     @cached_property
     def idle(self) -> list[Idle]:
@@ -373,19 +373,19 @@ def contests(study: Study) -> list[Contest]:
     for method in study.methods:
         groups.setdefault(method.without_capacity, []).append(method)
     pairs = [(other, first) for first, *others in groups.values() for other in others]
-    by_pair = {own: contest for own, base in pairs if (contest := _contest(study, own, base))}
-    tested = corrected({method: contest.comparison for method, contest in by_pair.items()})
-    return [replace(contest, comparison=tested[method]) for method, contest in by_pair.items()]
+    by_method = {m: contest for m, base in pairs if (contest := _contest(study, m, base))}
+    tested = corrected({method: contest.comparison for method, contest in by_method.items()})
+    return [replace(contest, comparison=tested[method]) for method, contest in by_method.items()]
 
 
 def _contest(study: Study, method: Method, base: Method) -> Contest | None:
-    own, other = study.of(method=method), study.of(method=base)
-    names = {run.scene: run.scene_label.name for run in own}
-    comparison = compare(method, by_pair(own), base, by_pair(other), names)
+    runs_of, other = study.of(method=method), study.of(method=base)
+    names = {run.scene: run.scene_label.name for run in runs_of}
+    comparison = compare(method, by_pair(runs_of), base, by_pair(other), names)
     if comparison is None:
         return None
-    keys = by_pair(own).keys() & by_pair(other).keys()
-    pairs = [[run for run in runs if (run.scene, run.seed) in keys] for runs in (own, other)]
+    keys = by_pair(runs_of).keys() & by_pair(other).keys()
+    pairs = [[run for run in runs if (run.scene, run.seed) in keys] for runs in (runs_of, other)]
     sizes = [sum(run.record.parameters for run in runs) for runs in pairs]
     seconds = [[run.record.train_cpu_s for run in runs] for runs in pairs]
     timed = all(None not in values for values in seconds)
@@ -401,8 +401,8 @@ def _contest(study: Study, method: Method, base: Method) -> Contest | None:
 def _idle(method: Method, scene: str, runs: Sequence[ReportRun]) -> list[Idle]:
     """The parts of a method that acted too seldom on a scene; the whole if no part is named."""
     keys = sorted({key for run in runs for key in run.record.dose if key.endswith(f"_{ACTED}")})
-    found = [_share(method, scene, key, runs) for key in (keys if len(keys) > 1 else [])]
-    idle = [one for one in found if one is not None]
+    shares = [_share(method, scene, key, runs) for key in (keys if len(keys) > 1 else [])]
+    idle = [one for one in shares if one is not None]
     whole = _share(method, scene, ACTED, runs)
     return idle or ([whole] if whole else [])
 

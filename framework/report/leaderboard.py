@@ -54,7 +54,11 @@ RESULTS = {1: "better", 0: "", -1: "worse"}
 
 @dataclass(frozen=True)
 class Entry:
-    """A study with its outcomes. name: its folder below the one that was given."""
+    """A study with its outcomes.
+
+    Attributes:
+        name: its folder below the one that was given.
+    """
 
     name: str
     study: Study
@@ -325,8 +329,12 @@ def _csv(matches: Sequence[Match]) -> str:
 
 
 def main(arguments: list[str], prog: str) -> int:
-    """The subcommand; exit status 0. Raises UserError for bad input, and if the leaderboard, which
-    is written all the same, has no study."""
+    """The subcommand; exit status 0.
+
+    Raises:
+        UserError: for bad input, and if the leaderboard, which is written all the same, has no
+            study.
+    """
     text = "What all studies of a folder say about every method, from their runs or archives."
     parser = Arguments(prog=prog, description=text)
     parser.add_argument("folder", type=Path, metavar="DIR", help="folder of studies, as reports")

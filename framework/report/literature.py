@@ -32,7 +32,11 @@ REVERSED, OVER = "Published above", "but below here (dB as published, dB here)"
 
 @dataclass(frozen=True)
 class Recipes:
-    """The recipes of a scene. reversals: pairs in the opposite order of the published one."""
+    """The recipes of a scene.
+
+    Attributes:
+        reversals: pairs in the opposite order of the published one.
+    """
 
     scene: str
     rows: list[Row]
@@ -180,8 +184,8 @@ def _figures(row: Mapping[str, str]) -> str:
 def scene_rows(names: set[str]) -> list[dict[str, str]]:
     """Published figures of scenes with these names, by scene."""
     rows = [row for entry in literature() for row in entry.rows("scenes")]
-    found = [r for r in rows if r["scene"] in names or r["scene"].removeprefix("llff_") in names]
-    return sorted(found, key=lambda row: row["scene"])
+    result = [r for r in rows if r["scene"] in names or r["scene"].removeprefix("llff_") in names]
+    return sorted(result, key=lambda row: row["scene"])
 
 
 def published_sources(study: Study) -> str:

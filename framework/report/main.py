@@ -17,7 +17,11 @@ BASELINE_HELP = (
 
 
 def main(arguments: list[str], prog: str) -> int:
-    """The subcommand; exit status 0. Raises UserError for bad input, and if no run has finished."""
+    """The subcommand; exit status 0.
+
+    Raises:
+        UserError: for bad input, and if no run has finished.
+    """
     parser = Arguments(prog=prog, description=__doc__)
     parser.add_argument(
         "study_dirs", type=Path, nargs="+", metavar="DIR", help="folder of a study, as reports/demo"

@@ -38,8 +38,12 @@ METRICS = ("psnr", "ssim", "flip", "lpips", AVERAGE)
 
 @dataclass(frozen=True)
 class PairVerdict:
-    """Which run has the higher PSNR. kind: a branch of the macro `pair_verdict`; better: views on
-    which the higher one is better, of so many."""
+    """Which run has the higher PSNR.
+
+    Attributes:
+        kind: a branch of the macro `pair_verdict`.
+        better: views on which the higher one is better, of so many.
+    """
 
     kind: str
     high: ReportRun
@@ -159,7 +163,7 @@ def _options(a: ReportRun, b: ReportRun) -> tuple[list[Row], list[Row]]:
     rows: list[Row] = []
     inner: list[Row] = []
     for key in sorted(one.keys() | other.keys()):
-        values = [value_text(own[key]) if key in own else "" for own in (one, other)]
+        values = [value_text(item[key]) if key in item else "" for item in (one, other)]
         if key not in NO_OPTIONS and values[0] != values[1]:
             group, _, option = key.partition(".")
             place = inner if group in groups and option != "name" else rows
@@ -179,7 +183,7 @@ def _views(a: ReportRun, b: ReportRun) -> list[Row]:
     for view in [view for view in a.psnr if view in b.psnr]:
         row: Row = {"View": outside(view)}
         for metric in metrics:
-            one, other = (own[metric].get(view, math.nan) for own in columns)
+            one, other = (values[metric].get(view, math.nan) for values in columns)
             for run, value in ((a, one), (b, other)):
                 row[f"{heading_of(metric)}, {run.method}"] = _text(value, digits(metric))
             if metric == "psnr":
@@ -191,10 +195,10 @@ def _views(a: ReportRun, b: ReportRun) -> list[Row]:
 
 
 def _column(run: ReportRun, metric: str) -> Mapping[str, float]:
-    found = run.run.metrics
-    if metric not in found.numbers:
+    result = run.run.metrics
+    if metric not in result.numbers:
         return {}
-    return dict(zip(found.texts["view"], found.numbers[metric].tolist(), strict=True))
+    return dict(zip(result.texts["view"], result.numbers[metric].tolist(), strict=True))
 
 
 def _text(value: float, places: int) -> str:
@@ -225,7 +229,11 @@ def _facts(study: Study) -> list[Row]:
 
 
 def main(arguments: list[str], prog: str) -> int:
-    """The subcommand; exit status 0. Raises UserError for bad input."""
+    """The subcommand; exit status 0.
+
+    Raises:
+        UserError: for bad input.
+    """
     text = "A small report of two runs: options that differ, every view, pictures, courses."
     parser = Arguments(prog=prog, description=text)
     parser.add_argument(

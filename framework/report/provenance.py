@@ -17,7 +17,11 @@ SHOWN_VIEWS = 12
 
 @dataclass(frozen=True)
 class Provenance:
-    """Lines of the section. varying_bits: whether some run's rasterizer is not deterministic."""
+    """Lines of the section.
+
+    Attributes:
+        varying_bits: whether some run's rasterizer is not deterministic.
+    """
 
     facts: list[str]
     scenes: list[str]

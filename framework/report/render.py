@@ -104,7 +104,11 @@ def columns(rows: Sequence[Row]) -> list[str]:
 
 
 def webp(pixels: Any, longest: int | None = None) -> str:
-    """A picture as a data URI. longest: side in pixels; None: as it is."""
+    """A picture as a data URI.
+
+    Args:
+        longest: side in pixels; None: as it is.
+    """
     return data_uri(webp_bytes(pixels, longest))
 
 
@@ -122,7 +126,11 @@ def data_uri(content: bytes, kind: str = "image/webp") -> str:
 
 
 def render(template: str, kind: str, page: Page, **context: Any) -> str:
-    """The body of a report. kind: `markdown` or `html`."""
+    """The body of a report.
+
+    Args:
+        kind: `markdown` or `html`.
+    """
     page.headings = []
     body = templates().get_template(template).render(page=page, kind=kind, **context)
     parts: Any = templates().get_template(f"{kind}.jinja").make_module({"page": page, "kind": kind})

@@ -103,13 +103,13 @@ def _found(study: Study) -> tuple[list[Panel], list[Panel]]:
     """All panels, and those with `FEWEST_LEVELS`."""
     every = [p for axis in STRESSES for p in _panels_along(study, axis)]
     names = file_names(panel.title for panel in every)
-    found = [replace(p, file=f"stress_{names[p.title]}_{p.axis.short}") for p in every]
-    return found, [panel for panel in found if len(panel.levels) >= FEWEST_LEVELS]
+    result = [replace(p, file=f"stress_{names[p.title]}_{p.axis.short}") for p in every]
+    return result, [panel for panel in result if len(panel.levels) >= FEWEST_LEVELS]
 
 
-def _holds(some: Sequence[Panel], study: Study) -> bool:
+def _holds(subset: Sequence[Panel], study: Study) -> bool:
     """Whether each tested run is in one of the panels."""
-    shown = {run.run.run_dir for panel in some for run in panel.all_runs}
+    shown = {run.run.run_dir for panel in subset for run in panel.all_runs}
     return all(run.run.run_dir in shown for run in study.runs if run.tested)
 
 
@@ -151,12 +151,12 @@ def _panels_along(study: Study, axis: Axis) -> list[Panel]:
             label = run.scene_label
             others = tuple((k, value_text(v)) for k, v in label.data.items() if k != axis.key)
             groups[label.without(axis.short), others].append(run)
-    found = []
+    result = []
     for runs in groups.values():
         levels = {level for run in runs if (level := run.level(axis)) is not None}
         if len(levels) > 1:
-            found.append(_panel(study, axis, runs, sorted(levels, key=lambda v: axis.harder * v)))
-    return found
+            result.append(_panel(study, axis, runs, sorted(levels, key=lambda v: axis.harder * v)))
+    return result
 
 
 def _panel(study: Study, axis: Axis, runs: list[ReportRun], levels: list[float]) -> Panel:
@@ -188,7 +188,7 @@ def by_seed(values: Pairs) -> dict[int, float]:
     by_place: dict[int, list[float]] = defaultdict(list)
     for (_, seed), value in values.items():
         by_place[seed].append(value)
-    return {seed: float(np.mean(own)) for seed, own in by_place.items()}
+    return {seed: float(np.mean(gain)) for seed, gain in by_place.items()}
 
 
 def _differences(runs: Sequence[ReportRun], base: Sequence[ReportRun]) -> dict[int, float]:
@@ -203,13 +203,13 @@ def _gains(study: Study, panel: Panel, method: Method) -> tuple[np.ndarray, np.n
     base = study.baseline_of(method)
     if base == method or base not in panel.runs:
         return None
-    found = [
+    result = [
         _differences(panel.runs[method].get(v, []), panel.runs[base].get(v, []))
         for v in panel.levels
     ]
-    keys = [(k, seed) for k, own in enumerate(found) for seed in own]
+    keys = [(k, seed) for k, values in enumerate(result) for seed in values]
     used, seeds = block(keys) if keys else ([], [])
     if len(used) < 2 or not seeds:
         return None
-    gains = [[found[k][seed] for seed in seeds] for k in used]
+    gains = [[result[k][seed] for seed in seeds] for k in used]
     return np.array([panel.levels[k] for k in used]), np.array(gains)

@@ -118,8 +118,11 @@ def without(rows: Sequence[Row], *headings: str) -> list[Row]:
 
 @dataclass(frozen=True)
 class Result:
-    """A value of the table of results: mean ± sigma over seeds, with fixed decimals; rank: 1 for
-    the best of its column, 2 for the second."""
+    """A value of the table of results: mean ± sigma over seeds, with fixed decimals.
+
+    Attributes:
+        rank: 1 for the best of its column, 2 for the second.
+    """
 
     mean: float
     sigma: float | None
@@ -316,8 +319,8 @@ def draw_rows(draws: Sequence[Draws]) -> list[Row]:
 
 def cost_rows(study: Study, scene: str) -> list[Row]:
     """What every method costs on a scene."""
-    found = entries(study, scene)
-    pay = [found[k].method for k in paying(found, train_s)]
+    result = entries(study, scene)
+    pay = [result[k].method for k in paying(result, train_s)]
     marks = {method: "cheapest" if method == pay[0] else "yes" for method in pay}
     return [
         {

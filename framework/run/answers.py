@@ -16,34 +16,48 @@ from framework.types import DepthMap, Scene, SparsePoints, TrainingSet
 T = TypeVar("T")
 
 
-def scene(name: str, cls: type, found: T) -> T:
-    """`found`, a Scene if `cls` is a plugin. Raises UserError, naming it, for anything else."""
-    return _checked(f"scene={name}: load", cls, found, _check_scene)
+def scene(name: str, cls: type, answer: T) -> T:
+    """`found`, a Scene if `cls` is a plugin.
+
+    Raises:
+        UserError: naming it, for anything else.
+    """
+    return _checked(f"scene={name}: load", cls, answer, _check_scene)
 
 
-def depth(name: str, cls: type, found: T, training: TrainingSet) -> T:
-    """`found`, a map per training view. Raises UserError as `scene` does."""
-    return _checked(f"depth={name}: measure", cls, found, lambda maps: _check_depth(maps, training))
+def depth(name: str, cls: type, answer: T, training: TrainingSet) -> T:
+    """`found`, a map per training view.
+
+    Raises:
+        UserError: as `scene` does.
+    """
+    return _checked(
+        f"depth={name}: measure", cls, answer, lambda maps: _check_depth(maps, training)
+    )
 
 
-def gaussians(name: str, cls: type, found: T, sh_degree: int) -> T:
-    """`found`, Gaussians of this degree. Raises UserError as `scene` does."""
+def gaussians(name: str, cls: type, answer: T, sh_degree: int) -> T:
+    """`found`, Gaussians of this degree.
+
+    Raises:
+        UserError: as `scene` does.
+    """
 
     def check(value: Any) -> None:
         check_gaussians("the Gaussians", value, None, (sh_degree + 1) ** 2 - 1)
 
-    return _checked(f"init={name}: build", cls, found, check)
+    return _checked(f"init={name}: build", cls, answer, check)
 
 
-def _checked(where: str, cls: type, found: T, check: Callable[[Any], None]) -> T:
+def _checked(where: str, cls: type, answer: T, check: Callable[[Any], None]) -> T:
     if _built_in(cls):
-        return found
+        return answer
     with plugin_call(f"{where}: what it returns"):
         try:
-            check(found)
+            check(answer)
         except ValueError as error:
             raise UserError(f"{where}: {error}; fix the plugin") from error
-    return found
+    return answer
 
 
 def called(where: str, cls: type) -> AbstractContextManager[None]:
@@ -55,34 +69,34 @@ def _built_in(cls: type) -> bool:
     return cls.__module__.partition(".")[0] == "framework"
 
 
-def _check_scene(found: Any) -> None:
-    check_kind("the scene", found, Scene)
+def _check_scene(answer: Any) -> None:
+    check_kind("the scene", answer, Scene)
     for text in ("name", "protocol", "fingerprint"):
-        check_kind(f"the scene's {text}", getattr(found, text), str)
-        if not getattr(found, text):
+        check_kind(f"the scene's {text}", getattr(answer, text), str)
+        if not getattr(answer, text):
             raise ValueError(f"the scene's {text}: expected a text, got an empty one")
-    check_kind("the training set", found.training, TrainingSet)
-    if not found.training.views:
+    check_kind("the training set", answer.training, TrainingSet)
+    if not answer.training.views:
         raise ValueError("the training set: expected at least one view, got none")
-    for part, views in (("training", found.training.views), ("test", found.test)):
+    for part, views in (("training", answer.training.views), ("test", answer.test)):
         check_kind(f"the {part} views", views, tuple)
         for number, view in enumerate(views):
             check_view(f"{part} view {number}", view)
-    names = [view.name for view in (*found.training.views, *found.test)]
+    names = [view.name for view in (*answer.training.views, *answer.test)]
     if len(set(names)) < len(names):
         raise ValueError("the views: expected different names, got one twice")
-    check_kind("the points", found.training.points, SparsePoints)
-    if not 0 < found.training.near < found.training.far:
-        near, far = found.training.near, found.training.far
+    check_kind("the points", answer.training.points, SparsePoints)
+    if not 0 < answer.training.near < answer.training.far:
+        near, far = answer.training.near, answer.training.far
         raise ValueError(f"the bounds: expected 0 < near < far, got {near} and {far}")
 
 
-def _check_depth(found: Any, training: TrainingSet) -> None:
-    check_kind("the maps", found, tuple)
-    if len(found) != len(training.views):
+def _check_depth(answer: Any, training: TrainingSet) -> None:
+    check_kind("the maps", answer, tuple)
+    if len(answer) != len(training.views):
         views = len(training.views)
-        raise ValueError(f"expected a map for each of {views} training views, got {len(found)}")
-    for view, one in zip(training.views, found, strict=True):
+        raise ValueError(f"expected a map for each of {views} training views, got {len(answer)}")
+    for view, one in zip(training.views, answer, strict=True):
         check_kind(f"the map of {view.name}", one, DepthMap)
         for part in ("depth", "confidence"):
             size = view.camera.height, view.camera.width

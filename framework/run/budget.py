@@ -35,7 +35,11 @@ Trial = Callable[[TrainerOptions], float]
 
 @dataclass(frozen=True)
 class Choice:
-    """What was chosen for `seconds`. step_s: of a step before the second camera, as measured."""
+    """What was chosen for `seconds`.
+
+    Attributes:
+        step_s: of a step before the second camera, as measured.
+    """
 
     identity: str
     seconds: float
@@ -56,7 +60,7 @@ class Choice:
         )
 
     @property
-    def told(self) -> dict[str, Any]:
+    def record(self) -> dict[str, Any]:
         """For the record."""
         return {
             "seconds": self.seconds,
@@ -91,8 +95,8 @@ def chosen(
     if longer > steps:
         step_s = max(1e-5, trial(dataclasses.replace(one, steps=longer)) / longer)
     without = dataclasses.replace(one, steps=BESIDE, binocular_from=0.0, pace_steps=0)
-    beside = dataclasses.replace(without, binocular=options.binocular)
-    ratio = max(1.0, trial(beside) / trial(without)) if options.binocular > 0 else 1.0
+    extra = dataclasses.replace(without, binocular=options.binocular)
+    ratio = max(1.0, trial(extra) / trial(without)) if options.binocular > 0 else 1.0
     choice = choose(identity, options, n_views, step_s, ratio)
     write_whole(folder / FILE, json.dumps(dataclasses.asdict(choice)) + "\n")
     return choice
@@ -101,8 +105,11 @@ def chosen(
 def choose(
     identity: str, options: TrainerOptions, n_views: int, step_s: float, ratio: float = 1.0
 ) -> Choice:
-    """Steps of `step_s` seconds for `options.seconds`, shared by as many members as pay. ratio: how
-    much longer a step with the second camera takes."""
+    """Steps of `step_s` seconds for `options.seconds`, shared by as many members as pay.
+
+    Args:
+        ratio: how much longer a step with the second camera takes.
+    """
 
     def fits(total: int) -> bool:
         members = members_of(options.members, total, n_views)

@@ -77,7 +77,7 @@ from framework.run.preparation import (
 from framework.run.training import Run, initial, renderer, thinned, train, try_out
 from framework.run.untouched import Shared, foreign
 from framework.run.warmup import Warmup
-from framework.train.dose import told
+from framework.train.dose import summary as dose_summary
 from framework.train.resume.checkpoint import remove_checkpoints
 from framework.train.trainer import Trained
 from framework.types import Gaussians, Scene, View
@@ -214,7 +214,7 @@ class Experiment:
         options = TrainerOptions(**self.config["trainer"])
         if options.seconds > 0:
             choice = self._budget(run, options)
-            options, facts["budget"] = choice.applied(options), choice.told
+            options, facts["budget"] = choice.applied(options), choice.record
         config = {**self.config, "trainer": dataclasses.asdict(options)}
         trained = train(run, config, self.progress)
         timings[TRAIN_STAGE] = StageTime(trained.wall_s, trained.cpu_s)
@@ -228,7 +228,7 @@ class Experiment:
             provenance=facts,
             peak_memory_bytes=peak_memory_bytes(),
             resumed=trained.resumed,
-            dose=told(trained.dose),
+            dose=dose_summary(trained.dose),
             warnings=tuple(dict.fromkeys(warnings)),
         )
         return self._write(record, preparation, trained, near, metrics, renders)
@@ -245,7 +245,7 @@ class Experiment:
             len(run.scene.training.views),
             lambda trial: try_out(run, self.config, trial).wall_s,
         )
-        seconds, repeat = choice.told["seconds"], choice.told["repeat"]
+        seconds, repeat = choice.record["seconds"], choice.record["repeat"]
         self.progress.note(f"{seconds:g} s of training: {repeat}")
         return choice
 

@@ -34,8 +34,10 @@ def lacks_lpips(record: RunRecord, network: Lpips | None) -> bool:
 def with_lpips(run_dir: Path, record: RunRecord, network: Lpips | None) -> RunRecord:
     """The complete `record` in `run_dir` with LPIPS, and so written; call it within the run's lock.
 
-    The record comes last: a process killed before leaves it as it was, to be done again. Raises
-    UserError where the run's files are missing or damaged.
+    The record comes last: a process killed before leaves it as it was, to be done again.
+
+    Raises:
+        UserError: where the run's files are missing or damaged.
     """
     if network is None or not lacks_lpips(record, network):
         return record
@@ -50,8 +52,8 @@ def with_lpips(run_dir: Path, record: RunRecord, network: Lpips | None) -> RunRe
     metrics = with_average(metrics)
     measured = [*values, AVERAGE] if AVERAGE in metrics[0].also else [*values]
     summary = dict(record.summary) | {name: mean_of(metrics, name) for name in measured}
-    told = dict(record.provenance) | {LPIPS: network.name}
-    filled = dataclasses.replace(record, summary=summary, provenance=told)
+    provenance = dict(record.provenance) | {LPIPS: network.name}
+    filled = dataclasses.replace(record, summary=summary, provenance=provenance)
     others = {name: of for name, of in record.files.items() if name != METRICS_CSV}
     # a process killed between the two must not leave a table that the record calls damaged
     write_record(run_dir, dataclasses.replace(record, files=others))
@@ -95,11 +97,11 @@ def _view(table: Table, i: int) -> ViewMetrics:
     reasons = json.loads(table.texts["missing"][i] or "{}")
     numbers = {metric: float(column[i]) for metric, column in table.numbers.items()}
     render_s = numbers.pop("render_s")
-    found = {m: Missing(str(reasons[m])) if math.isnan(v) else v for m, v in numbers.items()}
+    result = {m: Missing(str(reasons[m])) if math.isnan(v) else v for m, v in numbers.items()}
     return ViewMetrics(
         view=table.texts["view"][i],
         tags=tuple(table.texts["tags"][i].split()),
         render_s=render_s,
-        **{metric: found.pop(metric) for metric in METRICS},
-        also=found,
+        **{metric: result.pop(metric) for metric in METRICS},
+        also=result,
     )

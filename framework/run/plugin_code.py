@@ -24,14 +24,14 @@ DYNAMIC = {"importlib", "__import__", "exec", "eval", "runpy", "pkgutil", "regis
 
 def chosen_plugins(config: Mapping[str, Any]) -> dict[str, type]:
     """Return `group=NAME` -> class of every plugin and part that the run uses."""
-    found: dict[str, type] = {}
+    classes: dict[str, type] = {}
     for group in (*registry.GROUPS, *registry.PARTS):
         chosen = config["metrics"].get("also") if group == "metric" else config[group]["name"]
         for name in str(chosen).split(registry.JOINED_BY) if chosen else ():
             cls = registry.table(group).get(name)
             if cls is not None:
-                found[f"{group}={name}"] = cls
-    return found
+                classes[f"{group}={name}"] = cls
+    return classes
 
 
 def plugin_hashes(config: Mapping[str, Any]) -> dict[str, str]:
@@ -67,18 +67,18 @@ class _Source(NamedTuple):
 @functools.cache
 def _sources(own_folder: str | None) -> dict[Path, _Source]:
     """Read every plugin file once per process: edits during a study do not change running code."""
-    found = [(file, "", file.relative_to(ROOT).as_posix()) for file in FOLDER.rglob("*.py")]
-    found += [(file, "own", f"own {place}") for place, file in own_plugins()]
+    sources = [(file, "", file.relative_to(ROOT).as_posix()) for file in FOLDER.rglob("*.py")]
+    sources += [(file, "own", f"own {place}") for place, file in own_plugins()]
     for point in entry_points(group=ENTRY_POINTS):
         package = point.module.partition(".")[0]
         spec = importlib.util.find_spec(package)
         for folder in map(Path, (spec and spec.submodule_search_locations) or ()):
-            found += [
+            sources += [
                 (f, package, f"{package}/{f.relative_to(folder)}") for f in folder.rglob("*.py")
             ]
         if spec and spec.origin and not spec.submodule_search_locations:
-            found.append((Path(spec.origin), package, package))
-    return {file.resolve(): _Source(name, file.read_bytes(), tree) for file, tree, name in found}
+            sources.append((Path(spec.origin), package, package))
+    return {file.resolve(): _Source(name, file.read_bytes(), tree) for file, tree, name in sources}
 
 
 def _imported(start: Path, sources: Mapping[Path, _Source]) -> set[Path]:
@@ -89,14 +89,14 @@ def _imported(start: Path, sources: Mapping[Path, _Source]) -> set[Path]:
     """
     if sources[start].tree not in ("", "own"):
         return {file for file in sources if sources[file].tree == sources[start].tree}
-    found, todo = set[Path](), [start]
+    imported, todo = set[Path](), [start]
     while todo:
         file = todo.pop()
-        if file not in found:
-            found.add(file)
+        if file not in imported:
+            imported.add(file)
             names = set(_names(sources[file].content))
             todo += [f for f in sources if names & DYNAMIC or _may_be(f, names, file)]
-    return found
+    return imported
 
 
 def _may_be(other: Path, names: Set[str], importer: Path) -> bool:

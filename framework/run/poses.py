@@ -35,12 +35,12 @@ def checked_poses(name: str, loader: object, training: TrainingSet) -> PoseCheck
     return check
 
 
-def _remedies(own: str | None) -> Iterator[Remedy]:
-    """(What would fit and how to get it, the repair). own: the convention the loader decoded."""
-    for other in CONVENTIONS if own else ():
-        if other != own:
+def _remedies(convention: str | None) -> Iterator[Remedy]:
+    """(What would fit and how to get it, the repair). convention: as the loader read them."""
+    for other in CONVENTIONS if convention else ():
+        if other != convention:
             text = f"they fit when read as {other}: scene.poses={other}"
-            yield text, partial(repaired, layout=own or "", other=other)
+            yield text, partial(repaired, layout=convention or "", other=other)
     upside_down = "they fit photos turned by 180 degrees: apply the EXIF orientation to the files"
     yield upside_down, _turned
     moved = "they fit if the scene lies {} than said: correct scene.near and scene.far"

@@ -38,10 +38,14 @@ MOST_PARAMS = 100  # that MLflow takes at once (its REST API, runs/log-batch)
 class Tracked:
     """What a tracker gets of a run.
 
-    study, name: of its folder. folder: for files of the tracker, there already. options: by full
-    name (`trainer.steps`), None as "null". rows: (finished steps, name -> finite value), in order;
-    names are the columns of `history.csv`, as `loss`, `test_psnr`, `log/...`. summary: mean over
-    the test views of each metric that could be measured, `gaussians` and `train_s`.
+    Attributes:
+        study, name: of its folder.
+        folder: for files of the tracker, there already.
+        options: by full name (`trainer.steps`), None as "null".
+        rows: (finished steps, name -> finite value), in order; names are the columns of
+            `history.csv`, as `loss`, `test_psnr`, `log/...`.
+        summary: mean over the test views of each metric that could be measured, `gaussians` and
+            `train_s`.
     """
 
     study: str
@@ -126,8 +130,11 @@ def ready(tracker: str | None) -> None:
     """Raise UserError unless the option `tracker` names one whose package is installed, or none."""
     if tracker is None or tracker == NONE:
         return
-    known = [NONE, *TRACKERS]
-    require(tracker in known, f"tracker={tracker}: unknown tracker; {nearest_hint(tracker, known)}")
+    available = [NONE, *TRACKERS]
+    require(
+        tracker in available,
+        f"tracker={tracker}: unknown tracker; {nearest_hint(tracker, available)}",
+    )
     spec = importlib.util.find_spec(tracker)
     require(
         spec is not None and spec.origin is not None,  # no origin: only a folder of that name

@@ -240,11 +240,11 @@ def initial(
 
 def _paced(run: Run, config: Mapping[str, Any], progress: Progress) -> TrainerOptions:
     """The options of one member, with steps and rates adapted to the number of photos."""
-    n_views, given = len(run.scene.training.views), TrainerOptions(**config["trainer"])
-    options = schedule.paced(schedule.shared(given, n_views), n_views)
-    if options.steps > given.steps:
+    n_views, values = len(run.scene.training.views), TrainerOptions(**config["trainer"])
+    options = schedule.paced(schedule.shared(values, n_views), n_views)
+    if options.steps > values.steps:
         progress.note(
-            f"{options.steps} steps instead of trainer.steps={given.steps}: trainer.visits="
+            f"{options.steps} steps instead of trainer.steps={values.steps}: trainer.visits="
             f"{options.visits} of each of {n_views} photos"
         )
     return options
@@ -286,8 +286,8 @@ def _resumed(parts: list[Part], progress: Progress) -> int:
 def _evaluated(run: Run, joined: Trained, options: TrainerOptions) -> Trained:
     """`joined` with a history that ends with the joined Gaussians."""
     evaluate = run.test_psnr(options)
-    found = evaluate and evaluate(joined.gaussians, joined.background, joined.sh_degree)
-    last = replace(joined.history[-1], test_psnr=found, gaussians=len(joined.gaussians))
+    result = evaluate and evaluate(joined.gaussians, joined.background, joined.sh_degree)
+    last = replace(joined.history[-1], test_psnr=result, gaussians=len(joined.gaussians))
     return replace(joined, history=(*joined.history[:-1], last))
 
 

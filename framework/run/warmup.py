@@ -190,8 +190,8 @@ def _train(
     # also what the user lets act for a short while only
     plugins = Plugins.of(config).always()
     rasterizer = build_rasterizer(config)
-    given = training, depth, gaussians, options, plugins, 0, Silent()
-    Trainer(*given, warns=False, rasterizer=rasterizer).run()
+    values = training, depth, gaussians, options, plugins, 0, Silent()
+    Trainer(*values, warns=False, rasterizer=rasterizer).run()
     _update(training.views[0], gaussians.clone().to(rasterizer.device), rasterizer)
 
 

@@ -60,7 +60,11 @@ class Shot:
 
 @dataclass(frozen=True)
 class Tracks:
-    """Points of a sparse model. seen: [M, n] over the n images, sorted by name."""
+    """Points of a sparse model.
+
+    Attributes:
+        seen: [M, n] over the n images, sorted by name.
+    """
 
     xyz: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     rgb: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.uint8))
@@ -69,7 +73,8 @@ class Tracks:
     def of_images(self, columns: Sequence[int]) -> Tracks:
         """The tracks over other images, without points that lose all images but one.
 
-        columns: index in `seen` of each image, -1 for an image without tracks.
+        Args:
+            columns: index in `seen` of each image, -1 for an image without tracks.
         """
         index = np.array(columns, dtype=np.intp)
         if not len(self.xyz):
@@ -91,7 +96,11 @@ class Tracks:
 
 
 def untracked(xyz: NDArray[np.float64], rgb: NDArray[np.uint8], images: int) -> Tracks:
-    """Points without a track. Raises UserError for too many."""
+    """Points without a track.
+
+    Raises:
+        UserError: for too many.
+    """
     require(
         len(xyz) * images <= MODEL_CELLS,
         f"points: expected at most {MODEL_CELLS:,} points x images, got {len(xyz) * images:,};"

@@ -40,7 +40,8 @@ TRAINING, TESTING = "transforms_train.json", "transforms_test.json"
 class Blender:
     """Options of `scene=blender`.
 
-    near, far: depth bounds in scene units, between which the object lies.
+    Attributes:
+        near, far: depth bounds in scene units, between which the object lies.
     """
 
     path: str  # folder of the scene
@@ -57,7 +58,11 @@ class Blender:
         check_choice("blender", "paper", self.paper, tuple(PAPERS))
 
     def load(self) -> Scene:
-        """Load the scene. Raises UserError if files and photos do not fit together."""
+        """Load the scene.
+
+        Raises:
+            UserError: if files and photos do not fit together.
+        """
         from framework.scenes.assemble import Tracks, assemble
         from framework.scenes.images import scene_folder
         from framework.scenes.photo import read_shots

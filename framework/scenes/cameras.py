@@ -33,7 +33,11 @@ ASTRAY = 1000.0  # times the rig's size and the far bound; farther cameras see n
 
 
 def checked_pose(viewmat: NDArray[np.float64], where: str) -> NDArray[np.float64]:
-    """Return the [4, 4] world-to-camera. Raises UserError unless it is a rigid motion."""
+    """Return the [4, 4] world-to-camera.
+
+    Raises:
+        UserError: unless it is a rigid motion.
+    """
     require(
         bool(np.isfinite(viewmat).all()),
         f"{where}: expected a finite pose, got NaN or infinity; correct it or remove the photo",
@@ -68,7 +72,11 @@ def check_quaternion(quaternion: Sequence[float], where: str) -> None:
 
 
 def checked_lens(lens: Lens, where: str) -> Lens:
-    """Return the lens. Raises UserError for an impossible one."""
+    """Return the lens.
+
+    Raises:
+        UserError: for an impossible one.
+    """
     numbers = (lens.fx, lens.fy, lens.cx, lens.cy, *astuple(lens.distortion))
     sides = f"{lens.width}x{lens.height}"
     require(
@@ -122,7 +130,10 @@ def check_places(
     distort the mean of every method.
 
     The rig's size is the median distance to the median position, which is robust to one wrong
-    position. centers: [n, 3].
+    position.
+
+    Args:
+        centers: [n, 3].
     """
     away = np.linalg.norm(centers - np.median(centers, axis=0), axis=1)
     most = ASTRAY * (float(np.median(away)) + far)

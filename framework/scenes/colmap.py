@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 class Colmap:
     """Options of `scene=colmap`.
 
-    near, far: depth bounds in scene units; null = from the points.
+    Attributes:
+        near, far: depth bounds in scene units; null = from the points.
     """
 
     path: str  # folder of the scene
@@ -48,7 +49,11 @@ class Colmap:
         check_folder_options("colmap", self)
 
     def load(self) -> Scene:
-        """Load the scene. Raises UserError if folder, model and photos do not fit together."""
+        """Load the scene.
+
+        Raises:
+            UserError: if folder, model and photos do not fit together.
+        """
         from framework.scenes.images import scene_folder
 
         folder = scene_folder("colmap", self.path)

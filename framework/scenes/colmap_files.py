@@ -64,8 +64,12 @@ class Camera(NamedTuple):
 
 
 class Image(NamedTuple):
-    """A registered image. pose: quaternion wxyz and translation, world-to-camera. points: number
-    of its 2D points."""
+    """A registered image.
+
+    Attributes:
+        pose: quaternion wxyz and translation, world-to-camera.
+        points: number of its 2D points.
+    """
 
     id: int
     pose: tuple[float, ...]
@@ -75,7 +79,11 @@ class Image(NamedTuple):
 
 
 class Point(NamedTuple):
-    """A 3D point. track: [n, 2] image id, and index of the image's 2D point."""
+    """A 3D point.
+
+    Attributes:
+        track: [n, 2] image id, and index of the image's 2D point.
+    """
 
     id: int
     xyz: tuple[float, ...]

@@ -95,7 +95,11 @@ def choose_model(
 
 
 def read_model(folder: Path) -> Model:
-    """Read the model in `folder`. Raises UserError for missing, damaged or unsupported files."""
+    """Read the model in `folder`.
+
+    Raises:
+        UserError: for missing, damaged or unsupported files.
+    """
     cameras, images, tracks = read_files(folder)
     require(len(images) > 0, f"{folder}: expected images with poses, got none; rebuild the model")
     used = {image.camera for image in images}  # others may have models that are not supported

@@ -33,10 +33,13 @@ DAMAGED = (OSError, SyntaxError, ValueError, EOFError)  # raised by Pillow; the 
 
 @contextmanager
 def opened(path: Path, most: int = IMAGE_PIXELS) -> Iterator[Image.Image]:
-    """Open an image and decode its header. Raises UserError for whatever is wrong.
+    """Open an image and decode its header.
 
     Images of more than `most` pixels are refused, also small files that would unpack to them.
     Pillow gets bytes, not the file: for a file it allocates whatever length a damaged header has.
+
+    Raises:
+        UserError: for whatever is wrong.
     """
     from PIL import Image
 
@@ -119,7 +122,11 @@ def has_16_bits(image: Image.Image) -> bool:
 
 
 def eight_bit(path: Path, image: Image.Image) -> Image.Image:
-    """Load an image with 8 bits per channel. Raises UserError for floats and 32-bit integers."""
+    """Load an image with 8 bits per channel.
+
+    Raises:
+        UserError: for floats and 32-bit integers.
+    """
     import numpy as np
     from PIL import Image
 

@@ -57,7 +57,8 @@ DARK_RUN = 50  # pixels: a background pixel and those above it
 class Dtu:
     """Options of `scene=dtu`.
 
-    near, far: depth bounds in millimetres.
+    Attributes:
+        near, far: depth bounds in millimetres.
     """
 
     path: str  # folder of the scene
@@ -76,7 +77,11 @@ class Dtu:
         check_choice("dtu", "train_mask", self.train_mask, TRAIN_MASKS)
 
     def load(self) -> Scene:
-        """Load the scene. Raises UserError if the folder lacks a part of the layout."""
+        """Load the scene.
+
+        Raises:
+            UserError: if the folder lacks a part of the layout.
+        """
         from framework.scenes.assemble import assemble
         from framework.scenes.dtu_cameras import read_cameras
         from framework.scenes.images import photo_folder
@@ -155,7 +160,11 @@ def _without_background(shot: Shot, level: int) -> Shot:
 
 
 def scan_folder(path: str, scan: int | None) -> Path:
-    """The folder of the scan. Raises UserError for an unknown one, with a list of all."""
+    """The folder of the scan.
+
+    Raises:
+        UserError: for an unknown one, with a list of all.
+    """
     from framework.scenes.images import scene_folder
 
     folder = scene_folder("dtu", path).resolve()

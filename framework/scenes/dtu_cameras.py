@@ -35,7 +35,11 @@ class Calibration:
 
 
 def read_cameras(folder: Path, positions: Sequence[int]) -> dict[int, Calibration]:
-    """Read the calibrations of the positions. Raises UserError for missing or invalid ones."""
+    """Read the calibrations of the positions.
+
+    Raises:
+        UserError: for missing or invalid ones.
+    """
     path = next((folder / name for name in FILES if is_file(folder / name)), None)
     if path is None:
         raise UserError(

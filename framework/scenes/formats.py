@@ -42,8 +42,11 @@ def signature(start: bytes) -> str | None:
 
 
 def pillow_formats(path: Path) -> tuple[str, ...]:
-    """The formats that Pillow may try. Raises UserError for RAW photos, and for HEIC without a
-    reader."""
+    """The formats that Pillow may try.
+
+    Raises:
+        UserError: for RAW photos, and for HEIC without a reader.
+    """
     suffix = path.suffix.lower()
     if suffix in RAW:
         raise UserError(

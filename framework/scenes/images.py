@@ -28,7 +28,11 @@ MASK_STRETCH = 1.02  # largest ratio of the two axes' scales of a resized mask
 
 
 def scene_folder(loader: str, path: str) -> Path:
-    """The scene's folder. Raises UserError if there is none."""
+    """The scene's folder.
+
+    Raises:
+        UserError: if there is none.
+    """
     folder = Path(path).expanduser()
     require(
         folder.is_dir(),

@@ -43,7 +43,8 @@ log = logging.getLogger(__name__)
 class Llff:
     """Options of `scene=llff`.
 
-    near, far: depth bounds in scene units; null = from the file.
+    Attributes:
+        near, far: depth bounds in scene units; null = from the file.
     """
 
     path: str  # folder of the scene
@@ -63,7 +64,11 @@ class Llff:
         check_option(self, "scene", "k1", -1 < self.k1 < 1, expected)
 
     def load(self) -> Scene:
-        """Load the scene. Raises UserError if the folder lacks a part of the layout."""
+        """Load the scene.
+
+        Raises:
+            UserError: if the folder lacks a part of the layout.
+        """
         from framework.scenes.assemble import assemble
         from framework.scenes.conventions import decoded_as
         from framework.scenes.images import EIGHTH_OR_FULL, photo_folder, scene_folder

@@ -29,7 +29,11 @@ class Mip360(Colmap):
         check_folder_options("mip360", self)
 
     def load(self) -> Scene:
-        """The scene. Raises UserError where folder, model and photos do not fit together."""
+        """The scene.
+
+        Raises:
+            UserError: where folder, model and photos do not fit together.
+        """
         from framework.scenes.images import EIGHTH_OR_FULL, photo_folder, scene_folder
 
         folder = scene_folder("mip360", self.path)

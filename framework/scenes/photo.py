@@ -142,7 +142,8 @@ def _undistorted(shot: Shot, distortion: Distortion) -> Shot:
 def downscaled(shot: Shot, factor: int, share: float = 0.5) -> Shot:
     """Box means over factor x factor pixels; an incomplete last row or column is cut.
 
-    share: the part of a box that must be valid for its mean to be valid.
+    Args:
+        share: the part of a box that must be valid for its mean to be valid.
     """
     if factor == 1:
         return shot

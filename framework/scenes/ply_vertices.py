@@ -44,7 +44,11 @@ class _Header:
 
 
 def read_vertices(path: Path) -> NDArray[Any]:
-    """[count] structured array of the vertices. Raises UserError for a file without vertices."""
+    """[count] structured array of the vertices.
+
+    Raises:
+        UserError: for a file without vertices.
+    """
     with open_regular(path, PLY_BYTES) as file:
         size, header = os.fstat(file.fileno()).st_size, _header(path, file.read(HEADER_BYTES))
         # a value in text takes a digit and a separator, except for the very last one
@@ -63,7 +67,11 @@ def read_vertices(path: Path) -> NDArray[Any]:
 
 
 def read_coloured(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Read positions [M, 3] and uchar colours [M, 3]. Raises UserError if the file lacks them."""
+    """Read positions [M, 3] and uchar colours [M, 3].
+
+    Raises:
+        UserError: if the file lacks them.
+    """
     require(
         is_file(path),
         f"{path}: expected a PLY file of coloured points, found none; correct scene.points",

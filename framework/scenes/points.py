@@ -170,7 +170,10 @@ def depth_bounds(
     least two of them see.
 
     Other points were found with the help of test photos. They count only if the training views
-    share fewer than `FEWEST`, with a warning. Raises UserError without any points.
+    share fewer than `FEWEST`, with a warning.
+
+    Raises:
+        UserError: without any points.
     """
     shared = tracks.for_training(train)
     counted = int(tracks.seen[:, list(train)].any(1).sum())

@@ -234,7 +234,11 @@ def published_split(name: str) -> bool:
 
 
 def protocol(name: str) -> Protocol:
-    """The protocol of that name. Raises UserError listing the available ones."""
+    """The protocol of that name.
+
+    Raises:
+        UserError: listing the available ones.
+    """
     drawn = re.fullmatch(rf"(.+){DRAWN}(0|[1-9][0-9]{{0,8}})({HELD_OUT})?", str(name), re.ASCII)
     rule = drawn and f"{drawn[1]}{drawn[3] or ''}"
     if drawn and rule in PROTOCOLS and HELD_OUT not in drawn[1]:

@@ -44,9 +44,11 @@ PAPERS = {"white": 255, "black": 0}  # grey values
 class Transforms:
     """Options of `scene=transforms`.
 
-    points: auto = the COLMAP model or the file's `ply_file_path`; none; or a PLY file of points,
-    relative to path. A PLY has no tracks: it should be made from the training views alone.
-    near, far: depth bounds in scene units; null = from the points.
+    Attributes:
+        points: auto = the COLMAP model or the file's `ply_file_path`; none; or a PLY file of
+            points, relative to path. A PLY has no tracks: it should be made from the training views
+            alone.
+        near, far: depth bounds in scene units; null = from the points.
     """
 
     path: str  # folder of the scene
@@ -66,7 +68,11 @@ class Transforms:
         check_choice("transforms", "paper", self.paper, tuple(PAPERS))
 
     def load(self) -> Scene:
-        """Load the scene. Raises UserError if file and photos do not fit together."""
+        """Load the scene.
+
+        Raises:
+            UserError: if file and photos do not fit together.
+        """
         from framework.scenes.assemble import Tracks, assemble
         from framework.scenes.images import scene_folder
         from framework.scenes.photo import read_shots

@@ -148,8 +148,10 @@ def with_photos(path: Path, frames: Sequence[Frame]) -> dict[int, Frame]:
 class Extras:
     """What nerfstudio adds about points.
 
-    ply: the file of `ply_file_path`. worlds: [4, 4] transforms that may lead from the world of the
-    COLMAP model to that of the poses.
+    Attributes:
+        ply: the file of `ply_file_path`.
+        worlds: [4, 4] transforms that may lead from the world of the COLMAP model to that of the
+            poses.
     """
 
     ply: Path | None
@@ -157,7 +159,11 @@ class Extras:
 
 
 def read_extras(path: Path) -> Extras:
-    """Read `ply_file_path` and `applied_transform`. Raises UserError for invalid ones."""
+    """Read `ply_file_path` and `applied_transform`.
+
+    Raises:
+        UserError: for invalid ones.
+    """
     data = _read_json(path)
     ply = _text(data, "ply_file_path", str(path))
     applied = data.get("applied_transform", OLD_NERFSTUDIO)
@@ -179,8 +185,11 @@ def read_extras(path: Path) -> Extras:
 
 
 def read_cameras(path: Path) -> list[Frame]:
-    """Read the frames in the file's order, without looking for photos; names as written. Raises
-    UserError for invalid values."""
+    """Read the frames in the file's order, without looking for photos; names as written.
+
+    Raises:
+        UserError: for invalid values.
+    """
     data = _read_json(path)
     entries = data.get("frames")
     if not isinstance(entries, list) or not entries:
@@ -200,7 +209,11 @@ def read_cameras(path: Path) -> list[Frame]:
 
 def read_roles(path: Path) -> tuple[set[str], set[str]]:
     """The names of the file's training and test photos, with or without suffix; empty sets if it
-    has none. Raises UserError for anything but lists of names."""
+    has none.
+
+    Raises:
+        UserError: for anything but lists of names.
+    """
     data = _read_json(path)
     roles = []
     for key in ("train_filenames", "test_filenames", "val_filenames"):

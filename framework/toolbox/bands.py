@@ -53,14 +53,16 @@ def bands_evidence(
 ) -> BandsEvidence:
     """Compute the evidence of the M > 0 Gaussians that have SH bands above 0.
 
-    centers: [3] of every view's camera. colours: [N, 3], every view's information on the three
-    coefficients of sh0, at unit noise: a_v / (4 pi), 0 where the colour is clamped. noise: the
-    variance s2.
+    Args:
+        centers: [3] of every view's camera.
+        colours: [N, 3], every view's information on the three coefficients of sh0, at unit noise:
+            a_v / (4 pi), 0 where the colour is clamped.
+        noise: the variance s2.
     """
     m, degree = len(gaussians.shN), gaussians.sh_degree
     coefficients = gaussians.shN.double().numpy()  # [M, K - 1, 3]
     basis = np.stack([_basis(gaussians.means[:m], center, degree) for center in centers], 1)
-    weights = np.stack([known[:m].double().numpy() for known in colours], 1) * 4 * np.pi
+    weights = np.stack([colour[:m].double().numpy() for colour in colours], 1) * 4 * np.pi
     spread, y0 = prior_variance(gaussians), np.sqrt(1 / (4 * np.pi))
     gain, cost = np.zeros(m), np.full(m, math.log(2))
     sh0 = gaussians.sh0[:m, 0].double().numpy().copy()

@@ -30,22 +30,22 @@ def known_depth(ctx: StepContext, view: View) -> tuple[Tensor, Tensor] | None:
     if view.pseudo:
         return None
     size = view.camera.height, view.camera.width
-    for photo, found in zip(ctx.views, ctx.depth, strict=True):
+    for photo, depth_map in zip(ctx.views, ctx.depth, strict=True):
         if photo.name == view.name:
-            made = functools.partial(_known, photo, found, size)
-            known: tuple[Tensor, Tensor] = ctx.once(
-                f"framework/known_depth/{view.name}/{size}", made
+            built = functools.partial(_known, photo, depth_map, size)
+            valid: tuple[Tensor, Tensor] = ctx.once(
+                f"framework/known_depth/{view.name}/{size}", built
             )
-            return known
+            return valid
     return None
 
 
-def _known(photo: View, found: DepthMap, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    known = (found.depth > 0) & (found.confidence > 0)
+def _known(photo: View, depth_map: DepthMap, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
+    valid = (depth_map.depth > 0) & (depth_map.confidence > 0)
     if photo.mask is not None:  # other depth may include what is masked
-        known &= photo.mask > 0.5
+        valid &= photo.mask > 0.5
     factor = photo.camera.height // size[0]
-    depth, share = (_boxes(t.float(), factor, size) for t in (found.depth, known))
+    depth, share = (_boxes(t.float(), factor, size) for t in (depth_map.depth, valid))
     return depth, share > 0.999
 
 

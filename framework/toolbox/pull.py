@@ -21,8 +21,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Pull:
-    """What was measured since the set changed last. total: [N] float32, summed gradient norms in
-    NDC. seen: [N] float32, number of steps in which the Gaussian was visible."""
+    """What was measured since the set changed last.
+
+    Attributes:
+        total: [N] float32, summed gradient norms in NDC.
+        seen: [N] float32, number of steps in which the Gaussian was visible.
+    """
 
     total: Tensor
     seen: Tensor
@@ -64,7 +68,11 @@ class PullCapacity(Capacity):
         return Pull(state.total[old] * (rows >= 0), state.seen[old] * (rows >= 0))
 
     def measured(self, state: Pull, stats: StepStats) -> Pull:
-        """`state` with the step of `stats` added. Raises ValueError when they are of two sets."""
+        """`state` with the step of `stats` added.
+
+        Raises:
+            ValueError: when they are of two sets.
+        """
         n = len(state.total)
         if len(stats.radii) != n or len(stats.means2d_grad) != n:
             raise ValueError(

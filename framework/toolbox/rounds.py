@@ -72,7 +72,7 @@ class RoundsCapacity(PullCapacity):
             " set capacity.until or capacity.stop",
         )
 
-    def selected(self, ctx: StepContext, known: TrainingInformation) -> Selection:
+    def selected(self, ctx: StepContext, information: TrainingInformation) -> Selection:
         """What a round keeps and splits, given what the training views know."""
         raise NotImplementedError
 
@@ -121,13 +121,17 @@ def training_information(ctx: StepContext) -> TrainingInformation:
 
     total, colours = None, []
     for view in ctx.views:
-        own = ctx.fisher(view.camera)
-        colours.append(own.diagonal[:, SH0:].clone())
+        of_view = ctx.fisher(view.camera)
+        colours.append(of_view.diagonal[:, SH0:].clone())
         if total is None:
-            total = FisherInformation(own.block.double(), own.diagonal.double(), own.visible)
+            total = FisherInformation(
+                of_view.block.double(), of_view.diagonal.double(), of_view.visible
+            )
         else:
             total = FisherInformation(
-                total.block + own.block, total.diagonal + own.diagonal, total.visible | own.visible
+                total.block + of_view.block,
+                total.diagonal + of_view.diagonal,
+                total.visible | of_view.visible,
             )
     if total is None:
         raise ValueError("training_information: expected at least one training view")

@@ -42,14 +42,19 @@ class WarpingState:
 class WarpingAugmenter(Augmenter):
     """One pseudo view at a new camera, warped from the training views that `select` returns.
 
-    every: epochs that a pseudo view lives (a new one costs about as much as two training steps).
-    sigma_center: the paper's sigma_C, jitter of the centre per axis, in mean distances to the next
-    camera. With a single training camera the unit is the extent. sigma_rotation: the
-    paper's sigma_theta, jitter of the orientation in degrees, about a random axis. roll: whether
-    that may turn the image in its plane. Without it the axis is one across the viewing direction.
-    temperature: softness of the z-buffer as a share of depth. min_coverage: least area of a pseudo
-    view, as a share of what confident depth covers. The reference is the mean over the training
-    views; a view that covers less is not used. The framework key `start` sets the warm-up.
+    Attributes:
+        every: epochs that a pseudo view lives (a new one costs about as much as two training
+            steps).
+        sigma_center: the paper's sigma_C, jitter of the centre per axis, in mean distances to the
+            next camera. With a single training camera the unit is the extent.
+        sigma_rotation: the paper's sigma_theta, jitter of the orientation in degrees, about a
+            random axis.
+        roll: whether that may turn the image in its plane. Without it the axis is one across the
+            viewing direction.
+        temperature: softness of the z-buffer as a share of depth.
+        min_coverage: least area of a pseudo view, as a share of what confident depth covers. The
+            reference is the mean over the training views; a view that covers less is not used. The
+            framework key `start` sets the warm-up.
     """
 
     every: int = 2
@@ -170,7 +175,8 @@ class WarpingAugmenter(Augmenter):
 class ThresholdAugmenter(WarpingAugmenter):
     """A warping method that scores the training views and warps all whose score is near the best.
 
-    eta: a view supports if its score is at most eta (the paper's symbol) x the smallest.
+    Attributes:
+        eta: a view supports if its score is at most eta (the paper's symbol) x the smallest.
     """
 
     eta: float = 1.5

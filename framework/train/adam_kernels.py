@@ -72,9 +72,12 @@ def adam_kernel(  # type: ignore[no-untyped-def]
 ):
     """Block `block` of one Adam update of several tensors, and of the decay of opacities after it.
 
-    p, g, m, v: tuples of flat float32 arrays (parameters, gradients, moments), all C-contiguous.
-    coefficients: [len(p), 2] float32, see `_adam_range`. broken: [n_blocks, len(p)] int32, out.
-    logits [N], one of p unless it has no gradient, and decay: see `_decay_range`.
+    Args:
+        p, g, m, v: tuples of flat float32 arrays (parameters, gradients, moments), all
+            C-contiguous.
+        coefficients: [len(p), 2] float32, see `_adam_range`.
+        broken: [n_blocks, len(p)] int32, out. logits [N], one of p unless it has no gradient, and
+            decay: see `_decay_range`.
     """
     for k in range(len(p)):
         n = len(p[k])
@@ -136,9 +139,12 @@ def pull_back_and_step(  # type: ignore[no-untyped-def]
     """Block `block` of `project_backward` and `adam_kernel` in one: the gradient of CHUNK Gaussians
     at a time goes to the scratch, from where it is used while the cache has it.
 
-    p, m, v: flat, of all tensors of `Gaussians` in their order. shN: [M, K, 3]. scratch:
-    float32[CHUNK (15 + 3 K)]. banded: whether shN ever had a gradient; otherwise it is left alone
-    and its moments stay 0. The others as in the two kernels.
+    Args:
+        p, m, v: flat, of all tensors of `Gaussians` in their order.
+        shN: [M, K, 3].
+        scratch: float32[CHUNK (15 + 3 K)].
+        banded: whether shN ever had a gradient; otherwise it is left alone and its moments stay 0.
+            The others as in the two kernels.
     """
     per_shN = 3 * shN.shape[1]
     widths = (3, 4, 3, 1, 3, per_shN)

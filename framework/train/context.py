@@ -57,10 +57,10 @@ class Conditions:
         """The training views prepared for warping, made on demand as they are large."""
         from framework.warp.zbuffer import prepare
 
-        found: tuple[Support, ...] = self.once(
+        supports_: tuple[Support, ...] = self.once(
             "framework/supports", lambda: prepare(self.training.views, self.depth)
         )
-        return found
+        return supports_
 
     def once(self, key: str, make: Callable[[], Any]) -> Any:
         """See `StepContext`; both fields share the values."""

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from framework.metrics.values import LARGEST
 
 Tallies = Mapping[str, tuple[int, float]]  # name -> how often, and the sum of what was added
-Told = dict[str, float | str]
+Summary = dict[str, float | str]
 
 REFUSED = "refused_"
 NONE = (0, 0.0)
@@ -57,7 +57,7 @@ def joined(parts: Iterable[Tallies]) -> Tallies:
     return whole
 
 
-def told(of: Tallies) -> Told:
+def summary(of: Tallies) -> Summary:
     """Return the record's counts, empty without a method; texts replace undefined numbers.
 
     Augmenter:
@@ -75,41 +75,41 @@ def told(of: Tallies) -> Told:
     Both: augment_acted_share and reg_acted_share are the shares of the calls in which the method
     acted; acted_share is the smaller one.
     """
-    found = _of_augmenter(of) if "augment.asked" in of else {}
+    lines = _of_augmenter(of) if "augment.asked" in of else {}
     for owner in sorted(name.removesuffix(".asked") for name in of if name.endswith(".asked")):
         if owner.partition(".")[0] == "reg":
-            found |= _of_regularizer(of, owner)
-    shares = [value for name, value in found.items() if name.endswith("_acted_share")]
+            lines |= _of_regularizer(of, owner)
+    shares = [value for name, value in lines.items() if name.endswith("_acted_share")]
     if shares:
         numbers = [value for value in shares if isinstance(value, float)]
-        found["acted_share"] = NEVER if len(numbers) < len(shares) else min(numbers)
-    return found
+        lines["acted_share"] = NEVER if len(numbers) < len(shares) else min(numbers)
+    return lines
 
 
-def _of_augmenter(of: Tallies) -> Told:
+def _of_augmenter(of: Tallies) -> Summary:
     asked, acted = of["augment.asked"]
-    found: Told = {"views_asked": asked, "views_made": of.get("augment.views", NONE)[0]}
+    lines: Summary = {"views_asked": asked, "views_made": of.get("augment.views", NONE)[0]}
     logged = _logged(of, "augment")
     refused = {name: count for name, (count, _) in logged.items() if name.startswith(REFUSED)}
     left = asked - int(acted) - sum(refused.values())
-    found |= {f"{REFUSED}coverage": 0, **refused, f"{REFUSED}other": max(0, left)}
-    found |= _means({name: tally for name, tally in logged.items() if name not in refused})
+    lines |= {f"{REFUSED}coverage": 0, **refused, f"{REFUSED}other": max(0, left)}
+    lines |= _means({name: tally for name, tally in logged.items() if name not in refused})
     real, pseudo = (of.get(f"loss.{kind}", NONE) for kind in ("real", "pseudo"))
-    found["pseudo_share_of_loss"] = _ratio(pseudo[1], real[1] + pseudo[1])
-    found["pseudo_share_of_views"] = _ratio(pseudo[0], real[0] + pseudo[0])
-    return found | {"augment_acted_share": _ratio(acted, asked)}
+    lines["pseudo_share_of_loss"] = _ratio(pseudo[1], real[1] + pseudo[1])
+    lines["pseudo_share_of_views"] = _ratio(pseudo[0], real[0] + pseudo[0])
+    return lines | {"augment_acted_share": _ratio(acted, asked)}
 
 
-def _of_regularizer(of: Tallies, owner: str) -> Told:
-    found = _means(_logged(of, owner))
+def _of_regularizer(of: Tallies, owner: str) -> Summary:
+    lines = _means(_logged(of, owner))
     if f"{owner}.dropped" in of:
-        found["share_dropped_mean"] = _ratio(of[f"{owner}.dropped"][1], of.get("steps", NONE)[0])
+        lines["share_dropped_mean"] = _ratio(of[f"{owner}.dropped"][1], of.get("steps", NONE)[0])
     acted = of.get(f"{owner}.acted", NONE)[0]
-    found["acted_share"] = _ratio(acted, of[f"{owner}.asked"][0])
+    lines["acted_share"] = _ratio(acted, of[f"{owner}.asked"][0])
     several = owner.partition(".")[2]
     if several:
-        return {f"{several}_{name}": value for name, value in found.items()}
-    return found | {"reg_acted_share": found.pop("acted_share")}
+        return {f"{several}_{name}": value for name, value in lines.items()}
+    return lines | {"reg_acted_share": lines.pop("acted_share")}
 
 
 def _logged(of: Tallies, group: str) -> dict[str, tuple[int, float]]:
@@ -118,7 +118,7 @@ def _logged(of: Tallies, group: str) -> dict[str, tuple[int, float]]:
     return {name.removeprefix(start): of[name] for name in sorted(of) if name.startswith(start)}
 
 
-def _means(tallies: Tallies) -> Told:
+def _means(tallies: Tallies) -> Summary:
     return {f"{name}_mean": _ratio(total, count) for name, (count, total) in tallies.items()}
 
 

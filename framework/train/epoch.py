@@ -53,9 +53,10 @@ class Items:
     """Views at their present resolution, kept while they are trained on: a pseudo view may live
     for some epochs.
 
-    covered: a pseudo view's loss is the mean over the pixels in its mask, which is that over the
-    frame divided by the share that they cover (outside, loss and SSIM's error are 0).
-    smoothness: of the depth behind real views.
+    Args:
+        covered: a pseudo view's loss is the mean over the pixels in its mask, which is that over
+            the frame divided by the share that they cover (outside, loss and SSIM's error are 0).
+        smoothness: of the depth behind real views.
     """
 
     def __init__(

@@ -22,8 +22,11 @@ SLOPES = (
 
 
 class Diverged(UserError):
-    """A training that cannot continue. state: values for inspection that `framework.files.tree`
-    can store."""
+    """A training that cannot continue.
+
+    Args:
+        state: values for inspection that `framework.files.tree` can store.
+    """
 
     kind = "diverged"
 
@@ -56,8 +59,9 @@ def check_appended(appended: Gaussians, where: str) -> None:
 def diverged(names: tuple[str, ...], where: str, gaussians: Gaussians, adam: AdamState) -> Diverged:
     """The error of a step that left the tensors `names` (parameters or moments) not finite.
 
-    gaussians, adam: after the step. Gradients are not kept, but recognised by the moments. An
-    infinite gradient makes the first moment infinite, NaN makes the second NaN.
+    Args:
+        gaussians, adam: after the step. Gradients are not kept, but recognised by the moments. An
+            infinite gradient makes the first moment infinite, NaN makes the second NaN.
     """
     name = names[0]
     first, second = getattr(adam.first, name), getattr(adam.second, name)

@@ -138,7 +138,8 @@ def gradient(
 def evaluated(plugin: Plugin, gaussians: Any, terms: int) -> Gaussians:
     """Check the Gaussians of `Regularizer.evaluated`, with `terms` SH coefficients above the first.
 
-    Raises UserError unless they can be written, read and trained on.
+    Raises:
+        UserError: unless they can be written, read and trained on.
     """
     with _named(_where(plugin, "evaluated")):
         check_gaussians("the Gaussians", gaussians, None, terms)

@@ -42,8 +42,12 @@ class Adam(Optimizer):
         rates: Mapping[str, float],
         opacity_decay: float = 1.0,
     ) -> tuple[str, ...]:
-        """See `Optimizer`. Raises ValueError when shapes or dtypes differ. The tensors of one
-        `params` object must stay where they are in memory."""
+        """See `Optimizer`.
+
+        Raises:
+            ValueError: when shapes or dtypes differ. The tensors of one `params` object must stay
+                where they are in memory.
+        """
         gradients, views = dict(grads.items()), self._views_of(params)
         rows: list[tuple[np.ndarray, ...]] = []
         for k, (name, parameter) in enumerate(params.items()):
@@ -67,8 +71,11 @@ class Adam(Optimizer):
         self, gradient: RenderGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
     ) -> tuple[tuple[str, ...], Tensor]:
         """See `Optimizer`: the gradient never is in memory as a whole, a few Gaussians' at a time
-        is used while the cache has it. Raises ValueError as `step`, and RuntimeError if `gradient`
-        was used before."""
+        is used while the cache has it.
+
+        Raises:
+            ValueError: as `step`, and RuntimeError if `gradient` was used before.
+        """
         assert isinstance(gradient, ScreenGradient)
         params = gradient.gaussians
         p, m, v = zip(*self._views_of(params), strict=True)
@@ -92,7 +99,7 @@ class Adam(Optimizer):
             self._banded,
             broken,
             np.float32(opacity_decay),
-            own=self._own(CHUNK * (15 + 3 * params.shN.shape[1])),
+            scratch=self._own(CHUNK * (15 + 3 * params.shN.shape[1])),
         )
         give_back(work)
         return self._names(broken), torch.from_numpy(means2d)
@@ -139,13 +146,13 @@ def _flat(tensor: Tensor) -> np.ndarray:
     return tensor.detach().numpy().reshape(-1)
 
 
-def _check(name: str, given: Tensor, parameter: Tensor) -> None:
+def _check(name: str, tensor: Tensor, parameter: Tensor) -> None:
     """That a gradient or a moment fits its parameter."""
-    if given.shape != parameter.shape:
+    if tensor.shape != parameter.shape:
         raise ValueError(
             f"Adam.{name}: expected one shape for parameter, gradient and moments, got"
-            f" {tuple(parameter.shape)} and {tuple(given.shape)}; call edit() when the set of"
+            f" {tuple(parameter.shape)} and {tuple(tensor.shape)}; call edit() when the set of"
             " Gaussians changes"
         )
-    if parameter.dtype != torch.float32 or given.dtype != torch.float32:
-        raise ValueError(f"Adam.{name}: expected float32, got {parameter.dtype} and {given.dtype}")
+    if parameter.dtype != torch.float32 or tensor.dtype != torch.float32:
+        raise ValueError(f"Adam.{name}: expected float32, got {parameter.dtype} and {tensor.dtype}")

@@ -16,8 +16,12 @@ from framework.types import Gaussians, edited
 
 @dataclass(frozen=True)
 class AdamState:
-    """All that Adam remembers. first, second: the moments, shaped like the parameters, float32.
-    steps: finished updates of each tensor, in the order of `Gaussians.items()`."""
+    """All that Adam remembers.
+
+    Attributes:
+        first, second: the moments, shaped like the parameters, float32.
+        steps: finished updates of each tensor, in the order of `Gaussians.items()`.
+    """
 
     first: Gaussians
     second: Gaussians
@@ -46,9 +50,13 @@ class Optimizer(ABC):
         (0, 1]; returns the names of tensors with a value or a second moment that is not finite now,
         which a gradient that is not finite always causes.
 
-        grads: by tensor name, shaped like the parameters; a tensor without one (None or missing)
-        is left alone, its moments too, as in torch. rates: learning rate of every tensor with a
-        gradient, in the tensor's own units. Raises ValueError when shapes differ.
+        Args:
+            grads: by tensor name, shaped like the parameters; a tensor without one (None or
+                missing) is left alone, its moments too, as in torch.
+            rates: learning rate of every tensor with a gradient, in the tensor's own units.
+
+        Raises:
+            ValueError: when shapes differ.
         """
 
     @abstractmethod
@@ -56,8 +64,11 @@ class Optimizer(ABC):
         self, gradient: RenderGradient, rates: Mapping[str, float], opacity_decay: float = 1.0
     ) -> tuple[tuple[str, ...], Tensor]:
         """`step` of `gradient.gaussians`, in place, by what `gradient.pull_back` returns: the same
-        bits. Uses `gradient` up. Returns what `step` does and, as `pull_back`, the gradient in the
-        projected means [N, 2]."""
+        bits. Uses `gradient` up.
+
+        Returns:
+            What `step` does and, as `pull_back`, the gradient in the projected means [N, 2].
+        """
 
     def edit(self, keep: Tensor | None, bands: Tensor | None, append: Gaussians | None) -> None:
         """Follow a change of the set, see `types.edited`; the moments of new ones are zero."""

@@ -69,7 +69,11 @@ class RunningPlugin:
         return getattr(type(self.plugin), hook, None) not in (None, getattr(Regularizer, hook))
 
     def call(self, hook: str, ctx: StepContext, *arguments: Any) -> Any:
-        """Call a hook with a context it may only read. Raises UserError for every failure."""
+        """Call a hook with a context it may only read.
+
+        Raises:
+            UserError: for every failure.
+        """
         renders = [value for value in arguments if isinstance(value, Render)]
         with hooks.checked_call(self.plugin, hook, ctx.step, ctx.gaussians, ctx.other, *renders):
             return getattr(self.plugin, hook)(ctx, *arguments)
@@ -405,15 +409,15 @@ def _moved(stats: StepStats, rows: Tensor) -> StepStats:
     Args:
         rows: [N'] int64, for each Gaussian its previous row, -1 for a new one.
     """
-    previous, known = rows.clamp(min=0), rows >= 0
+    previous, kept = rows.clamp(min=0), rows >= 0
 
     def follow(values: Tensor) -> Tensor:
-        return values[previous] * known.view(-1, *[1] * (values.dim() - 1))
+        return values[previous] * kept.view(-1, *[1] * (values.dim() - 1))
 
     moved = stats.map(follow)
     if moved.factors is None:
         return moved
-    return replace(moved, factors=torch.where(known, moved.factors, 1.0))
+    return replace(moved, factors=torch.where(kept, moved.factors, 1.0))
 
 
 def _moved_to(device: str | torch.device, tensors: Gradients) -> Gradients:

@@ -32,10 +32,10 @@ class TorchAdam(Optimizer):
         opacity_decay: float = 1.0,
     ) -> tuple[str, ...]:
         """See `Optimizer`."""
-        given = {name: gradient for name, gradient in grads.items() if gradient is not None}
-        if not given:
+        gradients = {name: gradient for name, gradient in grads.items() if gradient is not None}
+        if not gradients:
             return ()
-        names, pull = list(given), list(given.values())
+        names, pull = list(gradients), list(gradients.values())
         at, first, second = (
             [getattr(of, name) for name in names] for of in (params, self._first, self._second)
         )

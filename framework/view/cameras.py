@@ -50,7 +50,8 @@ class RunCamera:
 def read_cameras(run_dir: Path) -> tuple[tuple[RunCamera, ...], float]:
     """Read the cameras, test views first, and the depth where rendering begins.
 
-    Raises UserError if the file is missing or was not written by a run.
+    Raises:
+        UserError: if the file is missing or was not written by a run.
     """
     path = run_dir / TRANSFORMS
     content = read_json(path, RUN_BYTES)

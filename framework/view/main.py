@@ -15,7 +15,11 @@ HTML = (".html", ".htm")
 
 
 def main(arguments: Sequence[str], prog: str) -> int:
-    """Exit status 0. Raises UserError for bad input."""
+    """Exit status 0.
+
+    Raises:
+        UserError: for bad input.
+    """
     parser = Arguments(prog=prog, description=__doc__)
     parser.add_argument(
         "runs",

@@ -26,7 +26,11 @@ SETTINGS = ("capacity", "depth", "init")  # named if two runs differ in them
 def view_page(runs: Sequence[ViewedRun], photos: bool = True) -> str:
     """The page of one run, or of two side by side (`framework.view.check_together`).
 
-    photos: include the photos. Raises UserError for a damaged one.
+    Args:
+        photos: include the photos.
+
+    Raises:
+        UserError: for a damaged one.
     """
     models = [packed(run.splats) for run in runs]
     script = '"use strict";\n(() => {\n' + "".join(_asset(f"{n}.js") for n in SCRIPTS) + "})();\n"

@@ -16,7 +16,11 @@ BYTES_PER_PIXEL = 0.2  # of a WebP copy of this quality, rather too much
 
 
 def copies(files: Sequence[Path]) -> list[str]:
-    """Data URIs. Raises UserError for a file that is no image."""
+    """Data URIs.
+
+    Raises:
+        UserError: for a file that is no image.
+    """
     return [_copy(file, _longest(len(files))) for file in files]
 
 

@@ -53,7 +53,8 @@ class ViewedRun:
 def find_run(path: Path) -> Path:
     """The folder of a run: `path`, or the only run of the study there.
 
-    Raises UserError if there is none, or more than one.
+    Raises:
+        UserError: if there is none, or more than one.
     """
     if is_file(path / RECORD):
         return path
@@ -74,7 +75,11 @@ def find_run(path: Path) -> Path:
 
 
 def read_viewed(folder: Path) -> ViewedRun:
-    """Read a run. Raises UserError for a failed run or damaged files."""
+    """Read a run.
+
+    Raises:
+        UserError: for a failed run or damaged files.
+    """
     run = read_run(folder)
     record = run.record
     require(

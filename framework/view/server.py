@@ -21,8 +21,14 @@ PATIENCE_S = 30.0  # for an incomplete request
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves `page` under `address`. port: 0 for any free one. Raises UserError if the port is not
-    available."""
+    """Serves `page` under `address`.
+
+    Args:
+        port: 0 for any free one.
+
+    Raises:
+        UserError: if the port is not available.
+    """
 
     daemon_threads = True
 
@@ -83,7 +89,11 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def show(page: str, port: int, browse: bool) -> None:
-    """Serve the page until Ctrl-C and print its URL. browse: open a browser, if there is one."""
+    """Serve the page until Ctrl-C and print its URL.
+
+    Args:
+        browse: open a browser, if there is one.
+    """
     with PageServer(page, port) as server:
         seen = browse and _has_screen()
         hint = "" if seen or not browse else "; no screen here: open it where there is one"

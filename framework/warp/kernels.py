@@ -40,8 +40,11 @@ def project(
 ) -> None:
     """Target coordinates of every source pixel: (x, y, w) = matrix (col, row, 1, 1/z), z' = w z.
 
-    inverse_depth: [h, w] float32, 0 = none. paints: [h, w] bool. matrix: [3, 4] float64.
-    Writes u, v (pixels) and depth [h, w] float32, and the range of v per source row, bounds [h, 2].
+    Args:
+        inverse_depth: [h, w] float32, 0 = none.
+        paints: [h, w] bool.
+        matrix: [3, 4] float64. Writes u, v (pixels) and depth [h, w] float32, and the range of v
+            per source row, bounds [h, 2].
     """
     h, w = inverse_depth.shape
     for row in range(h * block // n_blocks, h * (block + 1) // n_blocks):
@@ -118,8 +121,10 @@ def splat(
 ) -> None:
     """Add gain x bilinear x exp(-(z - z_min) / (temperature z_min)) x (r, g, b, z, 1) to sums.
 
-    color: [h, w, 3] float32. zoom: f_t / f_s; m = zoom z_s / z is a point's magnification, and its
-    gain max(1, m)^2 / subdivision^2 makes a magnified surface weigh as much as one seen at par.
+    Args:
+        color: [h, w, 3] float32.
+        zoom: f_t / f_s; m = zoom z_s / z is a point's magnification, and its gain max(1, m)^2 /
+            subdivision^2 makes a magnified surface weigh as much as one seen at par.
     """
     top, bottom = height * block // n_blocks, height * (block + 1) // n_blocks
     low, high, right = np.float32(top), np.float32(bottom + 1), np.float32(width + 1)
@@ -212,7 +217,9 @@ def resolve(
     """Divide by the accumulated weight where it is at least `min_weight`; zero elsewhere. What is
     mixed is no brighter than the `brightest`, but for rounding.
 
-    image: [3, H, W], depth, weight: [H, W] float32; valid: [H, W] bool.
+    Args:
+        image: [3, H, W], depth, weight: [H, W] float32.
+        valid: [H, W] bool.
     """
     height, width = weight.shape
     top, bottom = height * block // n_blocks, height * (block + 1) // n_blocks

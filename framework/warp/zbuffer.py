@@ -39,8 +39,10 @@ REFINE_ABOVE = 1.4  # magnification from which bilinear footprints of single pix
 class Support:
     """A training view prepared for warping.
 
-    inverse_depth: [H, W] float32, 0 = unknown. paints: [H, W] bool, False where unknown or at a
-    depth edge. color: [H, W, 3] float32, contiguous.
+    Attributes:
+        inverse_depth: [H, W] float32, 0 = unknown.
+        paints: [H, W] bool, False where unknown or at a depth edge.
+        color: [H, W, 3] float32, contiguous.
     """
 
     camera: Camera
@@ -99,7 +101,11 @@ class Warped:
 
 def prepare(views: Sequence[View], depth_maps: Sequence[DepthMap]) -> tuple[Support, ...]:
     """Make views ready for warping. Only pixels with depth > 0, confidence > 0 and inside the
-    view's mask enter. Raises ValueError when the numbers or sizes of views and maps differ."""
+    view's mask enter.
+
+    Raises:
+        ValueError: when the numbers or sizes of views and maps differ.
+    """
     if len(views) != len(depth_maps):
         raise ValueError(f"prepare: expected a depth map per view, got {len(depth_maps)} maps for"
                          f" {len(views)} views")  # fmt: skip
@@ -116,9 +122,13 @@ def warp(
 ) -> Warped:
     """Warp all `supports` into `target`, blended in one soft z-buffer.
 
-    temperature: depth softness as a share of the nearest depth. min_weight: accumulated weight
-    below which a pixel counts as a hole. erode: drop the outermost pixel of ragged borders (lone
-    holes and the frame have none). Raises UserError on options out of range.
+    Args:
+        temperature: depth softness as a share of the nearest depth.
+        min_weight: accumulated weight below which a pixel counts as a hole.
+        erode: drop the outermost pixel of ragged borders (lone holes and the frame have none).
+
+    Raises:
+        UserError: on options out of range.
     """
     require(0 < temperature <= 1, f"warp: temperature must be in (0, 1], got {temperature}")
     require(min_weight > 0, f"warp: min_weight must be > 0, got {min_weight}")

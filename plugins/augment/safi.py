@@ -1,9 +1,9 @@
 """`augment=safi`: a pseudo view warped from the views that Fisher information selects.
 
-For a perturbed camera x', every training view k is scored by the information that x' would add to
-it, I_k = 1/2 tr(F(x') F(x_k)^-1), with diagonal F of the Gaussians theta_0 after the warm-up. A
-small I_k means that view k already contains what x' shows. All views with I_k <= eta min I are
-warped into x'.
+For a perturbed camera x' every training view k is scored by the information that x' would add to
+it, I_k = 1/2 tr(F(x') F(x_k)^-1). F is diagonal and taken at the warmed-up Gaussians theta_0. A
+small I_k means that view k already determines what x' would show. All views with
+I_k <= eta min I are warped into x'.
 """
 
 from __future__ import annotations
@@ -25,14 +25,12 @@ APPROXIMATIONS = ("diagonal", "block")
 
 @dataclass(frozen=True)
 class Snapshot:
-    """theta_0 and what the training views determine about it.
+    """theta_0 and the information of the training views about it.
 
     Attributes:
         gaussians: detached copies.
-        sh_degree: the active degree.
-        unknown: for each of the K views the variances [N, P] of the parameters with a diagonal.
-        blocks: the information [N, 6, 6] of the other parameters for each view, () if diagonal.
-        prior: [6] prior of the blocks, None if diagonal.
+        unknown: for each of the K views the variances [N, P] of the diagonal parameters.
+        blocks, prior: with blocks, the views' information [N, 6, 6] and its prior [6].
         epoch: when it was taken.
     """
 
@@ -47,22 +45,21 @@ class Snapshot:
 @register("augment", "safi")
 @dataclass(frozen=True)
 class Safi(ThresholdAugmenter):
-    """eta: a view is a support if I_k is at most eta x the smallest. form: "trace", the paper's
-    bound, or "log", the gain itself, whose ratios are near 1, so use an eta of about 1.05.
-    approximation: "diagonal" information, or the "block" of each Gaussian's mean and log-scale.
-    regulariser: prior precision as a share of the median diagonal of the training views. With much
-    less than 1, the trace counts only what a view does not show. downscale: factor by which images
-    are reduced for Fisher passes. refresh_epochs: epochs after which theta_0 is taken again; 0 =
-    never."""
+    """Selects support views by Fisher information.
+
+    eta: a view is a support if I_k is at most eta x the smallest. With form "log" the ratios are
+    near 1, so use an eta of about 1.05. With a regulariser far below 1 the trace counts only what a
+    view does not show.
+    """
 
     title: ClassVar[str] = "SAFI"
     paper: ClassVar[str] = "safi_uar"
 
-    form: str = "trace"
-    approximation: str = "diagonal"
-    regulariser: float = 1.0
-    downscale: int = 2
-    refresh_epochs: int = 0
+    form: str = "trace"  # "trace", the paper's bound, or "log", the gain itself
+    approximation: str = "diagonal"  # "diagonal", or the "block" of each mean and log-scale
+    regulariser: float = 1.0  # prior precision as a share of the views' median diagonal
+    downscale: int = 2  # factor by which images are reduced for Fisher passes
+    refresh_epochs: int = 0  # epochs after which theta_0 is taken again; 0 = never
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -138,9 +135,11 @@ class Safi(ThresholdAugmenter):
         camera: Camera,
         mask: Tensor | None = None,
     ) -> tuple[Tensor | None, Tensor]:
-        """Fisher information of theta_0 in `camera`, of a photo's `mask` [H, W] alone, float64,
-        lengths in scene extents: None and the [N, 14] diagonal; or the blocks [N, 6, 6] and the
-        diagonal [N, 8] of the others."""
+        """Fisher information of theta_0 in `camera`, float64, with lengths in scene extents.
+
+        Returns:
+            None and the diagonal [N, 14], or blocks [N, 6, 6] and the rest's diagonal [N, 8].
+        """
         import torch
 
         factor = min(self.downscale, camera.width, camera.height)

@@ -26,20 +26,13 @@ SHRINK = 1.6  # ... smaller by this factor (the 3DGS code's 0.8 * CHILDREN)
 @register("capacity", "adc")
 @dataclass(frozen=True)
 class AdaptiveDensityControl(PullCapacity):
-    """Options, with the defaults of the sparse-view literature (10,000 steps).
+    """Options, with the defaults of the sparse-view literature (trainings of 10,000 steps).
 
-    of_steps: length of the training to which the other step counts refer; they scale with the
-    actual length, but at least an epoch lies between densifications. 0 = they are absolute, so a
-    training of 500 steps or fewer is not densified unless `from_step` is lowered. every: steps
-    between densifications, the last one before `stop`, whose default leaves a tenth of the training
-    to settle. from_step: no densification up to this step. grad_threshold: least mean gradient
-    (loss per NDC unit). percent_dense: largest standard deviation of a "small" Gaussian, in scene
-    extents. min_opacity: prune below it. reset_every: steps between opacity resets; 0 = never.
-    reset_from: step of the first reset; 0 = `reset_every`. reset_opacity: highest opacity after a
-    reset. absolute: use sums of absolute gradients, as AbsGS (Ye et al. 2024); steps take longer.
-    count_dropped: count a dropped Gaussian as visible with zero gradient, as DropGaussian's code
-    does. max_gaussians: 0 = no limit; otherwise those with the largest gradients come first, and
-    members (`trainer.members`) share it.
+    With `of_steps` at 0 step numbers are absolute: a training of 500 steps or fewer is densified
+    only if `from_step` is lowered. Otherwise they scale with the training's length, and at least an
+    epoch lies between densifications. The last densification is before the framework key `stop`,
+    whose default leaves the last tenth for splits to settle. Joined members (`trainer.members`)
+    share `max_gaussians`.
     """
 
     title: ClassVar[str] = "ADC"
@@ -47,18 +40,18 @@ class AdaptiveDensityControl(PullCapacity):
 
     defaults: ClassVar[dict[str, float]] = {"stop": 0.9}
 
-    of_steps: int = 0
-    every: int = 100
-    from_step: int = 500
-    grad_threshold: float = 5e-4
-    percent_dense: float = 0.01
-    min_opacity: float = 0.005
-    reset_every: int = 3000
-    reset_from: int = 0
-    reset_opacity: float = 0.01
-    max_gaussians: int = 0
-    absolute: bool = False
-    count_dropped: bool = False
+    of_steps: int = 0  # training length that other step numbers refer to; 0 = absolute numbers
+    every: int = 100  # steps between densifications
+    from_step: int = 500  # no densification up to this step
+    grad_threshold: float = 5e-4  # least mean gradient (loss per NDC unit)
+    percent_dense: float = 0.01  # largest deviation of a "small" Gaussian, in scene extents
+    min_opacity: float = 0.005  # Gaussians with a lower opacity are removed
+    reset_every: int = 3000  # steps between opacity resets; 0 = never
+    reset_from: int = 0  # step of the first reset; 0 = reset_every
+    reset_opacity: float = 0.01  # the highest opacity after a reset
+    max_gaussians: int = 0  # 0 = no limit; otherwise those with the largest gradient come first
+    absolute: bool = False  # use sums of absolute gradients (AbsGS, Ye et al. 2024); slower
+    count_dropped: bool = False  # count dropped ones as seen, with gradient 0 (DropGaussian's code)
 
     def __post_init__(self) -> None:
         self.check("of_steps", self.of_steps >= 0, "an integer >= 0")

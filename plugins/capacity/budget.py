@@ -1,12 +1,14 @@
 """`capacity=budget`: a fixed number of Gaussians, allocated where they matter most.
 
-The initialization usually proposes more than the budget. From `start` to `until`, rounds reach the
-budget in equal ratios. Each round prunes the Gaussians whose removal would change the training
-images least (`fisher.scores.removal_energy`) and splits those with the largest gradients, up to the
-share `grow` of the kept ones, so that Gaussians move to where they are missing. With many views few
-epochs lie between rounds, and split Gaussians would be judged before they are trained: below ten
-epochs, `grow` falls with the square of their number (chosen by trial). After `until` the number
-stays constant, unless growth by at most a quarter per round cannot reach it.
+The initialisation usually makes more Gaussians than the budget. From `start` to `until` rounds
+bring the number to it in equal ratios. Every round drops the Gaussians whose removal changes the
+training images least (`fisher.scores.removal_energy`). It splits the share `grow` of the others
+with the largest gradient, by default all, so Gaussians move to where they are missing.
+
+With many views few epochs lie between rounds, and splits are judged before they are trained. Below
+ten epochs `grow` falls with the square of their number (chosen by experiment, see
+`benchmarks/results/capacity.md`). After `until` the number is exact and stays, unless growth by at
+most a quarter per round did not reach it.
 """
 
 from __future__ import annotations
@@ -24,7 +26,11 @@ GROWTH = 1.25  # largest ratio of the numbers after and before a round
 @register("capacity", "budget")
 @dataclass(frozen=True)
 class Budget(RoundsCapacity):
-    """gaussians: the number from `until` on; members (`trainer.members`) share it."""
+    """Options of `capacity=budget`.
+
+    Attributes:
+        gaussians: the number from `until` on; members (`trainer.members`) share it.
+    """
 
     gaussians: int = 5000
 

@@ -1,9 +1,9 @@
 """`capacity=co_prune`: prune Gaussians without a close neighbour in a second training.
 
-CoR-GS (Zhang et al. 2024, section 3.2): every 500 of 10,000 steps, a Gaussian is pruned if the
-nearest Gaussian of the other field is farther away than tau. tau is in scene units in the paper (5
-for LLFF) and in scene extents here. Combine it with another capacity:
-`capacity=[adc,co_prune]`.
+CoR-GS (Zhang et al. 2024, section 3.2): every 500 of 10,000 steps, where the nearest Gaussian of
+the other field is farther away than tau. Its tau is in scene units (5 for LLFF). Here it is in
+scene extents, so that it means the same for a scene of any size. Combine it with another capacity,
+as `capacity=[adc,co_prune]`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,12 @@ from framework.toolbox.neighbours import nearest_distance
 @register("capacity", "co_prune")
 @dataclass(frozen=True)
 class CoPrune(Capacity):
-    """distance: largest distance to the nearest Gaussian of the other field, in scene extents.
-    every: share of the training between two rounds."""
+    """Options of `capacity=co_prune`.
+
+    Attributes:
+        distance: largest distance to the nearest Gaussian of the other field, in scene extents.
+        every: share of the training between two rounds.
+    """
 
     title: ClassVar[str] = "Co-pruning"
     paper: ClassVar[str] = "corgs"

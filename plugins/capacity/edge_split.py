@@ -1,11 +1,11 @@
 """`capacity=edge_split`: split large Gaussians that cover edges of a photo.
 
-DropoutGS (Xu et al. 2025, edge-guided splitting): in addition to adaptive density control, split
-Gaussians whose largest standard deviation exceeds a share of the scene's extent and whose edge
-score exceeds a threshold. The score is the mean of the photo's Sobel edges under the Gaussian,
-weighted by its blend weights, which are the derivatives of the image by its colour; one render
-gives them all. It uses the step's view only, because the paper's normalization over views is
-unclear. Combine it with another capacity: `capacity=[adc,edge_split]`.
+DropoutGS (Xu et al. 2025, edge-guided splitting), in addition to adaptive density control. A
+Gaussian is split if its largest standard deviation is above a share of the scene's extent and its
+edge score is above a threshold. The score is the mean of the photo's edges (Sobel) under the
+Gaussian, weighted by its blend weights. These are the derivative of the image by its colour, so one
+render gives them all. The score uses the step's view alone, as the paper does not define its sum
+over pixels. Combine it with another capacity, as `capacity=[adc,edge_split]`.
 """
 
 from __future__ import annotations
@@ -25,19 +25,17 @@ if TYPE_CHECKING:
 @register("capacity", "edge_split")
 @dataclass(frozen=True)
 class EdgeSplit(Capacity):
-    """score: least edge score of a Gaussian that is split. large: least standard deviation of such
-    a Gaussian, in scene extents. every: share of the training between two rounds. at_most: share of
-    the Gaussians that a round splits."""
+    """Splits large Gaussians on edges."""
 
     title: ClassVar[str] = "Edge-guided splitting"
     paper: ClassVar[str] = "dropoutgs"
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.1, "stop": 0.7}
 
-    score: float = 0.1
-    large: float = 0.01
-    every: float = 0.05
-    at_most: float = 0.05
+    score: float = 0.1  # least edge score of a Gaussian that is split
+    large: float = 0.01  # its least standard deviation, in scene extents
+    every: float = 0.05  # share of the training between two rounds
+    at_most: float = 0.05  # largest share of the Gaussians that a round splits
 
     def __post_init__(self) -> None:
         self.check("score", 0 <= self.score <= 1, "a number in [0, 1]")

@@ -72,18 +72,20 @@ NORMAL_QUARTILES = 1.3489795  # interquartile range of N(0, 1)
 @register("capacity", "evidence")
 @dataclass(frozen=True)
 class Evidence(RoundsCapacity):
-    """criterion: "laplace", as derived; "correlated" also accounts for the correlation of residuals
-    between colour channels; with "bic" the cost is k/2 log(number of pixel values) for k parameters
-    (Schwarz 1978). pace: largest share of the Gaussians that a round prunes, for a round ten epochs
-    after the previous one; sooner, less. A larger pace keeps fewer Gaussians and costs PSNR."""
+    """Prunes Gaussians and SH bands that lower the evidence.
+
+    With "correlated" the residuals' correlation between colour channels counts. With "bic" the cost
+    is k/2 log(number of pixel values) for k parameters (Schwarz 1978). A larger pace keeps fewer
+    Gaussians and costs PSNR.
+    """
 
     title: ClassVar[str] = "Evidence"
     paper: ClassVar[str] = "mackay"
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.25, "stop": 0.75}
 
-    criterion: str = "laplace"
-    pace: float = 0.25
+    criterion: str = "laplace"  # "laplace", as derived, "correlated" or "bic"
+    pace: float = 0.25  # largest share that a round prunes, ten epochs after the last; else less
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,11 +1,13 @@
 """`capacity=fisher_prune`: prune the Gaussians to which the images are least sensitive (PUP-3DGS).
 
-PUP 3D-GS (Hanson et al. 2025). The sensitivity is log det of the 6x6 Fisher block of mean and
-log-scale, summed over the training views. The paper prunes 80 % after 30,000 steps, trains 5,000,
-prunes half of the rest and trains 5,000 more; the defaults are the same shares of a training of any
-length. There are two differences from its code. A block that few views leave singular gets a
-relative prior (`uncertainty` in `framework.fisher.scores`), without which all such Gaussians would
-tie at minus infinity. Views are used at full resolution.
+Hanson et al. 2025, "PUP 3D-GS: principled uncertainty pruning for 3D Gaussian splatting". The
+sensitivity is log det of the 6x6 Fisher block of mean and log-scale, summed over the training
+views. The paper prunes 80 % after 30,000 steps, trains 5,000, prunes half of the rest and trains
+5,000 more. The defaults are the same shares of a training of any length.
+
+Two things differ from its code. A block that few views leave singular gets a relative prior
+(`uncertainty` in `framework.fisher.scores`), as all such Gaussians would tie at minus infinity. And
+the views are taken at full resolution.
 """
 
 from __future__ import annotations
@@ -22,19 +24,16 @@ if TYPE_CHECKING:
 @register("capacity", "fisher_prune")
 @dataclass(frozen=True)
 class FisherPrune(Capacity):
-    """first: share of the Gaussians that the first round prunes. again: share of the rest that
-    every later round prunes. rounds: number of rounds. begin: share of the training before the
-    first round; the rest is fine-tuning, divided evenly among the rounds. regulariser: prior
-    precision as a share of the median diagonal of the blocks."""
+    """Prunes in rounds at the end of the training; the rest is fine-tuning."""
 
     title: ClassVar[str] = "PUP 3D-GS"
     paper: ClassVar[str] = "pup"
 
-    first: float = 0.8
-    again: float = 0.5
-    rounds: int = 2
-    begin: float = 0.75
-    regulariser: float = 1e-4
+    first: float = 0.8  # share of the Gaussians that the first round prunes
+    again: float = 0.5  # share of the rest that every later round prunes
+    rounds: int = 2  # number of rounds
+    begin: float = 0.75  # share of the training before the first round
+    regulariser: float = 1e-4  # prior precision as a share of the median diagonal of the blocks
 
     def __post_init__(self) -> None:
         self.check("first", 0 <= self.first < 1, "a share in [0, 1)")

@@ -25,8 +25,12 @@ LOWEST = -30.0  # no logit fades below, as in the trainer's own decay
 @register("capacity", "gradient_decay")
 @dataclass(frozen=True)
 class GradientDecay(Capacity):
-    """decay: factor of an opacity without a gradient after a step. relief: how much less opacities
-    with a gradient decay; 0 = all alike."""
+    """Options of `capacity=gradient_decay`.
+
+    Attributes:
+        decay: factor of an opacity without a gradient after a step.
+        relief: how much less opacities with a gradient decay; 0 = all alike.
+    """
 
     title: ClassVar[str] = "Gradient-aware decay"
     paper: ClassVar[str] = "stereogs"
@@ -48,8 +52,11 @@ class GradientDecay(Capacity):
 
 
 def fade(logits: Tensor, gradient: Tensor, decay: float, relief: float) -> tuple[Tensor, float]:
-    """[N] logits of the faded opacities, and the mean factor. logits, gradient: [N] of the
-    opacities, and the loss' in them."""
+    """[N] logits of the faded opacities, and the mean factor.
+
+    Args:
+        logits, gradient: [N] of the opacities, and the loss' in them.
+    """
     import numpy as np
     import torch
 

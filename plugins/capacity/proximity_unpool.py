@@ -1,10 +1,10 @@
 """`capacity=proximity_unpool`: add Gaussians between neighbours that are far apart.
 
-FSGS (Zhu et al. 2024, section 3.2 and its code): a large Gaussian whose three nearest neighbours
-have a mean squared distance above a threshold gets a new Gaussian halfway to each: opacity and
-scale of the neighbour, no rotation, grey. Thresholds are in scene extents; those of the paper's
-code are 5 (of a squared distance) and 1 and are rarely met. Combine it with another capacity:
-`capacity=[adc,proximity_unpool]`.
+FSGS (Zhu et al. 2024, section 3.2 and its code). A large Gaussian whose nearest three others are at
+a mean squared distance above a threshold gets a new Gaussian in the middle to each. It has the
+opacity and scale of the neighbour, no rotation, and is grey. Thresholds of distance and scale are
+in scene extents. Those of the code are 5 (of a squared distance, so in mixed units) and 1, and
+rarely reached. Combine it with another capacity, as `capacity=[adc,proximity_unpool]`.
 """
 
 from __future__ import annotations
@@ -26,19 +26,17 @@ NEIGHBOURS = 3
 @register("capacity", "proximity_unpool")
 @dataclass(frozen=True)
 class ProximityUnpool(Capacity):
-    """far: least root mean squared distance to the three nearest neighbours, in scene extents.
-    large: least standard deviation of such a Gaussian, in scene extents. every: share of the
-    training between two rounds. at_most: share of the Gaussians that a round adds."""
+    """Adds Gaussians where there are few."""
 
     title: ClassVar[str] = "Proximity unpooling"
     paper: ClassVar[str] = "fsgs"
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.2}
 
-    far: float = 0.1
-    large: float = 0.02
-    every: float = 0.01
-    at_most: float = 0.1
+    far: float = 0.1  # least root mean squared distance to the nearest three, in scene extents
+    large: float = 0.02  # least standard deviation of such a Gaussian, in scene extents
+    every: float = 0.01  # share of the training between two rounds
+    at_most: float = 0.1  # largest share of the Gaussians that a round adds
 
     def __post_init__(self) -> None:
         self.check("far", 0 < self.far < 1e6, "a number in (0, 1e6)")
@@ -66,9 +64,11 @@ class ProximityUnpool(Capacity):
 
 
 def between(gaussians: Gaussians, chosen: Tensor, neighbours: Tensor) -> Gaussians:
-    """New Gaussians in the middle between those of rows `chosen` [n] and each of their `neighbours`
-    [n, k]: n k of them, with the neighbour's scales and opacity, no rotation and no colour, which
-    is grey. They have SH bands."""
+    """Make n k Gaussians in the middle between those of rows `chosen` [n] and their `neighbours`
+    [n, k].
+
+    They have the neighbour's scales and opacity, no rotation, grey colour, and SH bands.
+    """
     import torch
 
     rows = neighbours.reshape(-1)

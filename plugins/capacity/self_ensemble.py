@@ -1,12 +1,14 @@
 """`capacity=self_ensemble`: perturb a second field where renders are uncertain.
 
-SE-GS (Zhao et al. 2025): a second field is trained and perturbed from time to time, and
-`reg=co_register` keeps the model similar to it in unseen views. Uncertain pixels are the 5 % that
-changed most over the last three renders of the model from cameras between training cameras (at a
-quarter of the size), if the change exceeds 0.01. Gaussians there get noise with an exponentially
-decreasing ratio: on opacity logits and log-scales relative to their mean size, on means relative to
-the scene's extent (paper's code: the mean coordinate, at least 1). Optimizer moments are kept.
-Combine it with another capacity: `capacity=[adc,self_ensemble] reg=co_register`.
+SE-GS (Zhao et al. 2025): a second field is trained with the model and perturbed now and then, and
+the model is kept similar to it at unseen cameras (`reg=co_register`). Uncertain pixels are those
+that changed most over the last three renders of the model from cameras between training cameras, at
+a quarter of the size. The second field is not used for this, since its own noise would increase it.
+
+In the largest 5 % of those pixels, if the change is above 0.01, Gaussians of the second field get
+noise of a ratio that falls exponentially. It acts on opacity logits and on log-scales times their
+mean size, and on means times the scene's extent (its code: the mean coordinate, at least 1). The
+optimizer's moments stay. Combine it as `capacity=[adc,self_ensemble] reg=co_register`.
 """
 
 from __future__ import annotations
@@ -43,10 +45,10 @@ class Watched:
 @register("capacity", "self_ensemble")
 @dataclass(frozen=True)
 class SelfEnsemble(Capacity):
-    """every: share of the training between two perturbations. cameras: number of unseen cameras.
-    uncertain: share of the pixels that count as uncertain. least: smaller changes never count; the
-    change is the standard deviation of the renders, mean of 5x5 pixels and the channels. first,
-    last: noise ratio at the beginning and the end."""
+    """Perturbs the second field.
+
+    A change is the standard deviation of the renders, mean of 5x5 pixels and the channels.
+    """
 
     title: ClassVar[str] = "Self-ensembling"
     paper: ClassVar[str] = "segs"
@@ -54,12 +56,12 @@ class SelfEnsemble(Capacity):
     second_field: ClassVar[bool] = True
     defaults: ClassVar[dict[str, float]] = {"start": 0.05, "stop": 0.9}
 
-    every: float = 0.05
-    cameras: int = 24
-    uncertain: float = 0.05
-    least: float = 0.01
-    first: float = 0.08
-    last: float = 0.02
+    every: float = 0.05  # share of the training between two perturbations
+    cameras: int = 24  # number of unseen cameras
+    uncertain: float = 0.05  # share of the pixels that count as uncertain
+    least: float = 0.01  # smaller changes never count
+    first: float = 0.08  # noise ratio at the beginning
+    last: float = 0.02  # noise ratio at the end
 
     def __post_init__(self) -> None:
         self.check("every", 0 < self.every <= 1, "a share in (0, 1]")

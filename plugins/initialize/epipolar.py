@@ -1,10 +1,12 @@
 """`init=epipolar`: one Gaussian per pixel whose match lies on its epipolar line.
 
 NexusGS (Zheng et al. 2025): a pixel is matched with its two nearest views. The match is moved onto
-its epipolar line, or rejected if it is a pixel or more away. Of two depths, the one less sensitive
-to an error of the match is kept. NexusGS matches by optical flow, a network. Here a pair of views
-is matched by the plane sweep and then freely, by the best correlation among places some pixels
-around; places that match better off the line are rejected. Both views of a pair must agree.
+its epipolar line, or refused if it is a pixel or more away. Of two depths the one is kept that a
+small error of the match changes less.
+
+NexusGS matches by optical flow, a network. Here a pair of views is matched by the plane sweep,
+which gives depth, and then freely, by the best correlation within a few pixels. Matches off the
+line are refused, and both views have to agree, since the search is short.
 """
 
 from __future__ import annotations
@@ -30,23 +32,19 @@ REACH = 2  # pixels around the swept match that are searched
 @register("init", "epipolar")
 @dataclass(frozen=True)
 class Epipolar(Initializer):
-    """partners: number of nearest views to match with. off_line: distance from the epipolar line,
-    in pixels, at which a match is rejected. similar: least correlation of the matched windows.
-    tolerance: largest relative depth difference between the two views of a pair. share: random
-    share of the matched pixels that become Gaussians; 1 = all. radius: of the compared window.
-    scale_factor: standard deviation in units of the mean spacing. opacity: of every Gaussian."""
+    """Gaussians on pixels with a match on the epipolar line."""
 
     title: ClassVar[str] = "Epipolar"
     paper: ClassVar[str] = "nexusgs"
 
-    partners: int = 2
-    off_line: float = 1.0
-    similar: float = 0.3
-    tolerance: float = 0.03
-    share: float = 0.2
-    radius: int = 3
-    scale_factor: float = 1.0
-    opacity: float = 0.1
+    partners: int = 2  # number of nearest views to match with
+    off_line: float = 1.0  # distance from the epipolar line, in pixels, that rejects a match
+    similar: float = 0.3  # least correlation of the matched windows
+    tolerance: float = 0.03  # largest relative depth difference between the two views of a pair
+    share: float = 0.2  # random share of the matched pixels that become Gaussians; 1 = all
+    radius: int = 3  # of the compared window, in pixels
+    scale_factor: float = 1.0  # standard deviation in units of the mean spacing
+    opacity: float = 0.1  # of every Gaussian
 
     def __post_init__(self) -> None:
         self.check("partners", 1 <= self.partners <= 100, "an integer from 1 to 100")
@@ -61,8 +59,12 @@ class Epipolar(Initializer):
     def build(
         self, training: TrainingSet, depth: tuple[DepthMap, ...], sh_degree: int, seed: int
     ) -> Gaussians:
-        """Round Gaussians on the matched pixels, each as large as the pixels it stands for.
-        `depth` plays no part. Raises UserError when hardly any pixel has a match."""
+        """Make round Gaussians on the matched pixels, as large as the pixels they represent.
+        `depth` is not used.
+
+        Raises:
+            UserError: when hardly any pixel has a match.
+        """
         import numpy as np
         import torch
 
@@ -95,7 +97,8 @@ class Epipolar(Initializer):
     def depths(self, training: TrainingSet) -> list[np.ndarray]:
         """[H, W] float64 of every view: the depth of the match that is least sensitive, 0 = none.
 
-        Raises UserError as `depth=plane_sweep` does, where views are too few or too small.
+        Raises:
+            UserError: as `depth=plane_sweep` does, where views are too few or too small.
         """
         from framework.depth.consistency import agreeing_views
         from framework.depth.matching.sweep import checked, grey, sweep_view
@@ -125,8 +128,12 @@ class Epipolar(Initializer):
     def _on_line(
         self, z: np.ndarray, image: np.ndarray, other: np.ndarray, camera: Camera, source: Camera
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Depth [H, W] of the free match moved onto the line, 0 where it is refused, and by what
-        share of itself a pixel along the line changes it [H, W]."""
+        """Move the free match onto the epipolar line.
+
+        Returns:
+            Its depth [H, W], 0 where it is refused, and the depth's relative change for a pixel
+            along the line [H, W].
+        """
         import numpy as np
 
         line = Line.of(z, camera, source)
@@ -157,8 +164,9 @@ class Line:
 
     @classmethod
     def of(cls, z: np.ndarray, camera: Camera, source: Camera) -> Line:
-        """At depth z [H, W], from p(z) = z A x + t, u = p_0 / p_2: du/dz = (a_0 p_2 - p_0 a_2) /
-        p_2^2 with a = A x (`framework.depth.transfer`)."""
+        """Derivative at depth z [H, W]: with p(z) = z A x + t, a = A x and u = p_0 / p_2,
+        du/dz = (a_0 p_2 - p_0 a_2) / p_2^2 (`framework.depth.transfer`).
+        """
         import numpy as np
 
         from framework.depth.transfer import pixel_transfer
@@ -177,10 +185,12 @@ class Line:
 def free_match(
     image: np.ndarray, other: np.ndarray, u: np.ndarray, v: np.ndarray, radius: int
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """How far (pixels, [H, W] each way) the best match of every pixel lies from (u, v) in `other`,
-    at most `REACH` each way and finer than a pixel by parabolas, and its correlation [H, W].
+    """Find every pixel's best match around (u, v) in `other`, at most `REACH` pixels away each way.
 
     Windows are warped by (u, v), so that slanted surfaces keep their form.
+
+    Returns:
+        The offsets ([H, W] each way, subpixel) and the correlation [H, W].
     """
     import numpy as np
 

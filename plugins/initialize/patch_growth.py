@@ -1,11 +1,13 @@
 """`init=patch_growth`: consistent points, and places around them that all photos confirm.
 
-Point growth in the code of Binocular-Guided 3DGS (Han et al. 2024, `triangulate.py`; its text does
-not mention it). In each round some points are drawn, places are drawn around them from a normal
-distribution, and a place is kept if the photos' patches around its projections are similar, SSIM of
-5x5 pixels of at least 0.95. Its first points are a network's matches; here they come from fused
-depth or the scene's sparse points. Its normal distribution is 10 scene units wide; here its width
-is a share of the point's depth.
+The growth of points in the code of Binocular-Guided 3DGS (Han et al. 2024, `triangulate.py`, not in
+its text), which needs no network. In every round some points are drawn, and places around them from
+a normal distribution. A place stays if the patches of the photos around its projections have an
+SSIM of at least 0.95 over 5 x 5 pixels.
+
+Its first points are those that a network matched. Here they are of the fused depth of `depth=`, or
+the scene's sparse points. Its normal distribution is 10 scene units wide. Here the width is a share
+of the point's depth.
 """
 
 from __future__ import annotations
@@ -34,26 +36,21 @@ TOLERANCE = 0.03  # relative difference of depth up to which two views show one 
 @register("init", "patch_growth")
 @dataclass(frozen=True)
 class PatchGrowth(Initializer):
-    """seeds: source of the first points: "depth" (fused pixels that several views confirm) or
-    "points" (sparse points). per_pixel: most points from depth per training pixel. growth: most
-    grown points, relative to the first ones; each round adds its share. rounds: of growth. drawn:
-    points that a round grows from. samples: places around each of them. spread: their standard
-    deviation, in mean depths of the point. similar: least SSIM of the patches, for all pairs of
-    views that contain the place. patch: patch size in pixels. opacity: of every Gaussian."""
+    """Points that grow where all photos confirm them."""
 
     title: ClassVar[str] = "Patch growth"
     paper: ClassVar[str] = "binocular"
 
-    seeds: str = "depth"
-    per_pixel: float = 0.07
-    growth: float = 1.0
-    rounds: int = 200
-    drawn: int = 100
-    samples: int = 50
-    spread: float = 0.05
-    similar: float = 0.95
-    patch: int = 5
-    opacity: float = 0.1
+    seeds: str = "depth"  # first points: of the fused "depth", or the sparse "points"
+    per_pixel: float = 0.07  # most points from depth per training pixel
+    growth: float = 1.0  # most grown points, relative to the first ones
+    rounds: int = 200  # of growth
+    drawn: int = 100  # points that a round grows from
+    samples: int = 50  # places around each of them
+    spread: float = 0.05  # their standard deviation, in mean depths of the point
+    similar: float = 0.95  # least SSIM of the patches, for all views that contain the place
+    patch: int = 5  # patch size in pixels
+    opacity: float = 0.1  # of every Gaussian
 
     def __post_init__(self) -> None:
         self.check("seeds", self.seeds in SEEDS, f"one of {', '.join(SEEDS)}")
@@ -72,7 +69,8 @@ class PatchGrowth(Initializer):
     ) -> Gaussians:
         """Round Gaussians at the points, as large as the way to the three nearest others (3DGS).
 
-        Raises UserError when there are too few points to begin with.
+        Raises:
+            UserError: when there are too few points to begin with.
         """
         from framework.initialize.isotropic import isotropic_gaussians
         from framework.initialize.sparse import neighbour_scales
@@ -186,11 +184,13 @@ class At(NamedTuple):
 def confirmed(
     places: np.ndarray, photos: Sequence[Photo], similar: float, patch: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of places [M, 3]: which all photos confirm that have them in their image, two or more [M]
-    bool, and their mean colour there [M, 3].
+    """Check places [M, 3] against all photos that have them in their image, two or more.
 
-    A patch is the one around the pixel that contains the projection. SSIM is of two patches, mean
-    over the colours, population moments without weights.
+    A patch is the one around the pixel that contains the projection. SSIM of two patches is the
+    mean over the colours, with population moments and without weights.
+
+    Returns:
+        Whether all of these photos confirm it [M] bool, and their mean colour there [M, 3].
     """
     import numpy as np
 

@@ -21,9 +21,15 @@ if TYPE_CHECKING:
 @register("reg", "anchor_dropout")
 @dataclass(frozen=True)
 class AnchorDropout(Regularizer):
-    """p: share of anchors at the end. neighbours: dropped with each anchor. refresh: share of the
-    training between two searches for neighbours; a changed set of Gaussians is searched at once.
-    compensate: divide the kept opacities by the kept share (unknown for ReDI-GS)."""
+    """Options of `reg=anchor_dropout`.
+
+    Attributes:
+        p: share of anchors at the end.
+        neighbours: dropped with each anchor.
+        refresh: share of the training between two searches for neighbours. A changed set of
+            Gaussians is searched at once.
+        compensate: divide the kept opacities by the kept share (unknown for ReDI-GS).
+    """
 
     title: ClassVar[str] = "Anchor dropout"
     paper: ClassVar[str] = "dropansh"

@@ -1,12 +1,13 @@
 """`reg=binocular`: a render from a shifted camera, warped back by depth, should match the photo.
 
-Binocular-Guided 3DGS (Han et al. 2024, arXiv 2410.18822, section 3.1). The camera moves by t along
-its x axis. The render there is warped into the photo by the disparity -f t / D of the photo's
-rendered depth D, and compared with it: mean over all pixels of |mask (warped - photo)|. The paper's
-code also smooths the disparity, mean of exp(-0.33 |dI|) |d(mask d)| along each axis, with dI the
-channel sum of central differences; the text does not mention it. Gradients flow into both renders.
+Binocular-Guided 3DGS (Han et al. 2024, arXiv 2410.18822, section 3.1). The camera is moved by t
+along its x axis. The render there is warped into the photo by the disparity -f t / D of the photo's
+rendered depth D. The loss is the mean over all pixels of |mask (warped - photo)|, with gradients
+into both renders.
 
-The trainer has a similar term, `trainer.binocular` (`framework.train.binocular`).
+Its code also smooths the disparity, by the mean of exp(-0.33 |dI|) |d(mask d)| along each axis,
+with dI the sum over channels of central differences. The text does not mention it. The trainer
+has a variant, `trainer.binocular`, see `framework.train.depth_priors`.
 """
 
 from __future__ import annotations
@@ -29,8 +30,12 @@ EDGE = 0.33  # how fast smoothing fades with a step of the image, whose values a
 @register("reg", "binocular")
 @dataclass(frozen=True)
 class Binocular(Regularizer):
-    """shift: largest move of the camera, in mean distances to the next camera. smooth: weight of
-    the disparity's smoothness, in pixels."""
+    """Options of `reg=binocular`.
+
+    Attributes:
+        shift: largest move of the camera, in mean distances to the next camera.
+        smooth: weight of the disparity's smoothness, in pixels.
+    """
 
     title: ClassVar[str] = "Binocular"
     paper: ClassVar[str] = "binocular"

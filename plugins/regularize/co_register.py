@@ -23,9 +23,14 @@ if TYPE_CHECKING:
 @register("reg", "co_register")
 @dataclass(frozen=True)
 class CoRegister(Regularizer):
-    """ssim_weight: w. second_drawn: initialize the second field with a different draw of Gaussians.
-    As in CoR-GS, it otherwise starts with the same ones and random splits make them differ; with a
-    capacity that draws nothing (`evidence`), both would stay identical."""
+    """Options of `reg=co_register`.
+
+    Attributes:
+        ssim_weight: w.
+        second_drawn: initialize the second field with a different draw of Gaussians. As in CoR-GS,
+            it otherwise starts with the same ones and random splits make them differ; with a
+            capacity that draws nothing (`evidence`), both would stay identical.
+    """
 
     title: ClassVar[str] = "Co-regularization"
     paper: ClassVar[str] = "corgs"

@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 @register("reg", "cycle_warp")
 @dataclass(frozen=True)
 class CycleWarp(Regularizer):
-    """tolerance: largest depth difference on return, as a share of the photo's largest depth."""
+    """Options of `reg=cycle_warp`.
+
+    Attributes:
+        tolerance: largest depth difference on return, as a share of the photo's largest depth.
+    """
 
     title: ClassVar[str] = "Cycle warp"
     paper: ClassVar[str] = "icogs"

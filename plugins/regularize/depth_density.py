@@ -27,20 +27,17 @@ NEIGHBOURS = 3
 @register("reg", "depth_density")
 @dataclass(frozen=True)
 class DepthDensity(Regularizer):
-    """first, last: mean drop rate at the beginning and the end of the training, linear in between.
-    refresh: share of the training after which scores are measured again. compensate: divide kept
-    opacities by their probability to be kept, as in DropGaussian, on which D2GS builds; the paper
-    does not state it."""
+    """Drops near and crowded Gaussians more often."""
 
     title: ClassVar[str] = "DD-Drop"
     paper: ClassVar[str] = "d2gs"
 
     defaults: ClassVar[dict[str, float]] = {"start": 0.1}
 
-    first: float = 0.05
-    last: float = 0.3
-    refresh: float = 0.1
-    compensate: bool = True
+    first: float = 0.05  # mean drop rate at the beginning of the training
+    last: float = 0.3  # mean drop rate at the end; linear in between
+    refresh: float = 0.1  # share of the training after which scores are measured again
+    compensate: bool = True  # divide kept opacities by their probability to be kept
 
     def __post_init__(self) -> None:
         self.check("first", 0 <= self.first < 1, "a share in [0, 1)")

@@ -1,12 +1,14 @@
 """`reg=depth_local_global`: patchwise match of normalized depth (DNGaussian).
 
-DNGaussian (Li et al. 2024, arXiv 2403.06912): before the update on the photo, one optimizer step
-moves the means only, with all opacities at 0.95 ("hard" depth), and one the opacities only ("soft"
-depth). Rendered and known depth are compared in patches of a random size. The patch mean is
-subtracted, and the result is divided by the deviation of the patch (local) or of the image
-(global). The loss is 0.1 local + 1 global: mean square of residuals above a margin. Its code for a
-start from dense points uses a margin of 0.01, DropoutGS 0.1 global. Known depth is that of
-`depth=`; only its relief within a patch matters.
+DNGaussian (Li et al. 2024, arXiv 2403.06912). Before the update on the photo, one step of the
+optimizer moves the centres alone, with all opacities at 0.95 ("hard" depth). Another moves the
+opacities alone ("soft" depth). Rendered and known depth are compared in patches of a random size.
+They are centred by the patch's mean and divided by the patch's deviation (local) or the image's
+(global).
+
+The loss is 0.1 local + 1 global, with the mean over residuals above a margin of their squares (its
+code for a dense start: a margin of 0.01; in DropoutGS 0.1 global). Known depth is that of `depth=`;
+only its relative values in a patch count.
 """
 
 from __future__ import annotations
@@ -32,9 +34,14 @@ SHARE = 0.01  # of the image's deviation that a patch's is kept above
 @register("reg", "depth_local_global")
 @dataclass(frozen=True)
 class DepthLocalGlobal(Regularizer):
-    """smallest, largest: patch size in pixels, drawn uniformly. margin: smaller residuals do not
-    count. whole: weight of the global loss. soft_from: share of the training before which only
-    means move."""
+    """Options of `reg=depth_local_global`.
+
+    Attributes:
+        smallest, largest: patch size in pixels, drawn uniformly.
+        margin: smaller residuals do not count.
+        whole: weight of the global loss.
+        soft_from: share of the training before which only means move.
+    """
 
     title: ClassVar[str] = "DNGaussian depth"
     paper: ClassVar[str] = "dngaussian"
@@ -70,7 +77,7 @@ class DepthLocalGlobal(Regularizer):
     def _loss(
         self, ctx: StepContext, view: View, moved: str, reference: tuple[Tensor, Tensor], patch: int
     ) -> Tensor | None:
-        """Of one render in which only the parameter `moved` has a gradient."""
+        """The loss of one render in which only the parameter `moved` has a gradient."""
         import torch
 
         gaussians = ctx.gaussians.detach().replace(**{moved: getattr(ctx.gaussians, moved)})

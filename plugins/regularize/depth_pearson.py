@@ -24,7 +24,11 @@ FEWEST = 16  # pixels
 @register("reg", "depth_pearson")
 @dataclass(frozen=True)
 class DepthPearson(Regularizer):
-    """inverse: compare inverse depths, whose error is even over the image for stereo."""
+    """Options of `reg=depth_pearson`.
+
+    Attributes:
+        inverse: compare inverse depths, whose error is even over the image for stereo.
+    """
 
     title: ClassVar[str] = "Pearson depth"
     paper: ClassVar[str] = "fsgs"

@@ -1,9 +1,9 @@
 """`reg=depth_rank`: pixels that are known to be nearer should be rendered nearer.
 
-SparseNeRF (Wang et al. 2023, its training code): mean max(d1 - d2 + margin, 0) over random pairs of
-pixels whose first is nearer in the known depth, and mean max(|d1 - d2| - margin, 0) over neighbours
-of similar known depth. Depths are in units of the scene's near bound, so that margins are
-independent of the scene's scale. Only the order of the known depth matters.
+SparseNeRF (Wang et al. 2023, its training code). For random pairs of pixels whose first is nearer
+by the known depth: the mean of max(d1 - d2 + margin, 0). For neighbours of similar known depth: the
+mean of max(|d1 - d2| - margin, 0). Depths are in units of the scene's near bound, so margins mean
+the same everywhere. Only the order of the known depth counts.
 """
 
 from __future__ import annotations
@@ -23,19 +23,17 @@ if TYPE_CHECKING:
 @register("reg", "depth_rank")
 @dataclass(frozen=True)
 class DepthRank(Regularizer):
-    """pairs: random pairs of pixels per render. margin: by how much the nearer pixel should be
-    nearer, in near bounds. continuity: weight of the neighbour term relative to the pair term.
-    alike: relative difference of known depth below which neighbours should stay together."""
+    """A ranking loss on depth."""
 
     title: ClassVar[str] = "Depth ranking"
     paper: ClassVar[str] = "sparsenerf"
 
     defaults: ClassVar[dict[str, float]] = {"weight": 0.5}
 
-    pairs: int = 2048
-    margin: float = 1e-4
-    continuity: float = 0.01
-    alike: float = 0.01
+    pairs: int = 2048  # random pairs of pixels per render
+    margin: float = 1e-4  # by how much the nearer pixel should be nearer, in near bounds
+    continuity: float = 0.01  # weight of the neighbour term relative to the pair term
+    alike: float = 0.01  # relative difference of known depth below which neighbours stay together
 
     def __post_init__(self) -> None:
         self.check("pairs", self.pairs >= 1, "an integer >= 1")

@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 @register("reg", "far_fidelity")
 @dataclass(frozen=True)
 class FarFidelity(Regularizer):
-    """share: of the pixels with known depth, the farthest, that count again."""
+    """Options of `reg=far_fidelity`.
+
+    Attributes:
+        share: of the pixels with known depth, the farthest, that count again.
+    """
 
     title: ClassVar[str] = "DAFE"
     paper: ClassVar[str] = "d2gs"

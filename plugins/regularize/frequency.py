@@ -1,12 +1,14 @@
 """`reg=frequency`: limit how small Gaussians may be, one octave after another.
 
 FreeNeRF (Yang et al. 2023, section 3.3) hides the high frequencies of a NeRF's positional encoding
-and opens them linearly until 90 % of the training. Gaussians have no encoding, but their size
-limits their frequency: a Gaussian of standard deviation s pixels has the spectrum
-exp(-2 pi^2 s^2 f^2), which falls by exp(-1/2) at f = 1 / (2 pi s). The finest frequency of a photo,
-half a cycle per pixel, gives s = 1 / pi pixels, and an octave less twice that. Smaller Gaussians
-are penalized by the squared log ratio. `trainer.coarse_octaves` does the same to photos and
-`trainer.sh_every` to colours; `method=freenerf` combines all three.
+and opens its octaves linearly until nine tenths of the training. Gaussians have no encoding; the
+counterpart is their smallest size. A Gaussian of standard deviation s pixels has the spectrum
+exp(-2 pi^2 s^2 f^2), which falls by exp(-1/2) at f = 1 / (2 pi s). That is 1 / pi pixels for the
+finest frequency of a photo (half a cycle per pixel), and twice as much for an octave less.
+
+The loss is the squared logarithm of the ratio by which a Gaussian is too small.
+`trainer.coarse_octaves` does the same to the photos, and `trainer.sh_every` to colours;
+`method=freenerf` has all three.
 """
 
 from __future__ import annotations
@@ -28,8 +30,13 @@ FINEST = 1 / math.pi  # pixels
 @register("reg", "frequency")
 @dataclass(frozen=True)
 class Frequency(Regularizer):
-    """octaves: number of octaves that are closed at first. opened: share of the training after
-    which all are open (FreeNeRF: 0.9 for 3 photos, 0.7 for 6, 0.5 for 9)."""
+    """Options of `reg=frequency`.
+
+    Attributes:
+        octaves: number of octaves that are closed at first.
+        opened: share of the training after which all are open (FreeNeRF: 0.9 for 3 photos, 0.7 for
+            6, 0.5 for 9).
+    """
 
     title: ClassVar[str] = "Frequency"
     paper: ClassVar[str] = "freenerf"

@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 @register("reg", "occlusion")
 @dataclass(frozen=True)
 class Occlusion(Regularizer):
-    """depth: distance below which a Gaussian is too near, in near bounds."""
+    """Options of `reg=occlusion`.
+
+    Attributes:
+        depth: distance below which a Gaussian is too near, in near bounds.
+    """
 
     title: ClassVar[str] = "Occlusion"
     paper: ClassVar[str] = "freenerf"

@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 @register("reg", "opacity_noise")
 @dataclass(frozen=True)
 class OpacityNoise(Regularizer):
-    """sigma: standard deviation of the noise, and its largest size."""
+    """Options of `reg=opacity_noise`.
+
+    Attributes:
+        sigma: standard deviation of the noise, and its largest size.
+    """
 
     title: ClassVar[str] = "Opacity noise"
     paper: ClassVar[str] = "coadapt"

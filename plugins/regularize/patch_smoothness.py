@@ -1,9 +1,9 @@
 """`reg=patch_smoothness`: smooth depth in small patches of unseen views.
 
-RegNeRF (Niemeyer et al. 2022, section 3.2 and its code): sum over 8x8 patches of the squared
-differences of neighbouring depths, times the patch's coverage (without a gradient), with a weight
-that decays from a large value over the first 512 of 70,000 steps. Here depth is in scene extents
-and cameras lie between training cameras, because evaluation poses must stay unknown.
+RegNeRF (Niemeyer et al. 2022, section 3.2 and its code): the sum over 8 x 8 patches of the squared
+differences of neighbouring depths, times the patch's coverage (without a gradient). Its weight
+falls from a large value over the first 512 of 70,000 steps. Depth is in scene extents here, and
+cameras lie between training cameras, since evaluation poses may not be used.
 """
 
 from __future__ import annotations
@@ -23,9 +23,14 @@ if TYPE_CHECKING:
 @register("reg", "patch_smoothness")
 @dataclass(frozen=True)
 class PatchSmoothness(Regularizer):
-    """patch: patch size in pixels. initial: weight in the first step relative to the last (RegNeRF:
-    4000); the default 1 is constant. falling: share of the training over which it decays,
-    exponentially."""
+    """Options of `reg=patch_smoothness`.
+
+    Attributes:
+        patch: patch size in pixels.
+        initial: weight in the first step relative to the last (RegNeRF: 4000); the default 1 is
+            constant.
+        falling: share of the training over which it decays, exponentially.
+    """
 
     title: ClassVar[str] = "Patch smoothness"
     paper: ClassVar[str] = "regnerf"
@@ -53,9 +58,11 @@ class PatchSmoothness(Regularizer):
 
 
 def roughness(depth: Tensor, alpha: Tensor, patch: int) -> Tensor:
-    """Mean over whole patches of the image [H, W] of the mean over a patch's pixels, but the last
-    row and column, of (d_ij - d_i,j+1)^2 + (d_ij - d_i+1,j)^2, times its alpha. A pixel that shows
-    nothing has no depth, so a pair with one does not count."""
+    """Mean roughness of whole patches of an image [H, W], times its alpha.
+
+    A patch's roughness is the mean over its pixels, without the last row and column, of
+    (d_ij - d_i,j+1)^2 + (d_ij - d_i+1,j)^2. Pairs with a pixel that shows nothing do not count.
+    """
     from framework.toolbox.elsewhere import SEEN
 
     rows, columns = (n // patch * patch for n in depth.shape)

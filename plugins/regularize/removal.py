@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 @register("reg", "removal")
 @dataclass(frozen=True)
 class Removal(Regularizer):
-    """p: share of the Gaussians that a render leaves out."""
+    """Options of `reg=removal`.
+
+    Attributes:
+        p: share of the Gaussians that a render leaves out.
+    """
 
     title: ClassVar[str] = "Removal"
     paper: ClassVar[str] = "coadapt"

@@ -1,9 +1,9 @@
 """`reg=render_consistency`: a render with dropped Gaussians should match the full render.
 
-DropoutGS (Xu et al. 2025, arXiv 2504.09491, random dropout regularization): in addition to the full
-render, which is compared with the photo, one is made in which each Gaussian is dropped with
-probability p. The two are compared, (1 - w) L1 + w (1 - SSIM), with gradients into both. The paper
-reports that comparing the second with the photo is worse.
+DropoutGS (Xu et al. 2025, arXiv 2504.09491, random dropout regularization). The render of all
+Gaussians is compared with the photo. Another is made in which each Gaussian is left out with
+probability p, and both renders are compared by (1 - w) L1 + w (1 - SSIM), with gradients into both.
+The text reports that comparing the second with the photo works worse.
 """
 
 from __future__ import annotations
@@ -23,8 +23,13 @@ if TYPE_CHECKING:
 @register("reg", "render_consistency")
 @dataclass(frozen=True)
 class RenderConsistency(Regularizer):
-    """p: share of the Gaussians that the second render drops. compensate: multiply what it keeps by
-    1 / (1 - p). ssim_weight: w."""
+    """Options of `reg=render_consistency`.
+
+    Attributes:
+        p: share of the Gaussians that the second render drops.
+        compensate: multiply what it keeps by 1 / (1 - p).
+        ssim_weight: w.
+    """
 
     title: ClassVar[str] = "Render consistency"
     paper: ClassVar[str] = "dropoutgs"

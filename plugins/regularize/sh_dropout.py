@@ -1,10 +1,12 @@
 """`reg=sh_dropout`: train random Gaussians without view-dependent colour.
 
-ReDI-GS (2026, the colour half of DropAnSH): in each step a share p of the Gaussians has its SH
-bands above degree d set to zero, c' = m c with m = 0 there and 1 elsewhere, so that dL/dc =
-m dL/dc' = 0. d is 0 in the first fifth of the training, 1 in the second, 2 in the third; later, and
-in evaluations, nothing is dropped. Only active bands can be dropped, so `trainer.sh_every` must
-open them early (paper: every 1,000 of 10,000 steps). Affected steps take a second pass.
+ReDI-GS (2026), the colour half of its DropAnSH. In a step a share p of the Gaussians has its SH
+bands above degree d zeroed: c' = m c with m = 0 there and 1 elsewhere. By the chain rule
+dL/dc = m dL/dc' = 0 for these. The degree d is 0 in the first fifth of the training, 1 in the
+second, 2 in the third. Later nothing is dropped, and never in an evaluation.
+
+Only active bands can be dropped, so `trainer.sh_every` has to open them early enough (the paper:
+every 1,000 of 10,000 steps). Steps that drop bands take a second pass.
 """
 
 from __future__ import annotations
@@ -24,8 +26,12 @@ ROUNDING = 1e-9  # 3 x 0.2 is above 0.6 in floating point
 @register("reg", "sh_dropout")
 @dataclass(frozen=True)
 class ShDropout(Regularizer):
-    """p: share of the Gaussians without bands, drawn in every step. each: share of the training
-    after which one more degree is spared; reg.stop ends it earlier."""
+    """Options of `reg=sh_dropout`.
+
+    Attributes:
+        p: share of the Gaussians without bands, drawn in every step.
+        each: share of the training after which one more degree is spared; reg.stop ends it earlier.
+    """
 
     title: ClassVar[str] = "SH dropout"
     paper: ClassVar[str] = "dropansh"

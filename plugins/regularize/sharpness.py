@@ -1,11 +1,13 @@
 """`reg=sharpness`: sharpness-aware minimization of the means.
 
-FASR (2026, after Foret et al. 2021): the parameters of each Gaussian are moved by rho along its
-gradient, and the gradient there is mixed with the original one, g <- (1 - share) g + share g'. Here
-only means are moved, in units of the Gaussian's mean scale, which gives most of FASR's gain (20.56
-dB of 20.78, from 19.81). All move by the same rho, while FASR adapts rho and the share to the
-frequency of the photo. A step takes twice as long, so it acts late by default (FASR: the last
-eighth keeps three quarters of its gain).
+Sharpness-aware minimisation for Gaussians (FASR 2026 after Foret et al. 2021). Every Gaussian's
+parameters are moved by rho along its gradient, and the gradient there is mixed with the original
+one, g <- (1 - share) g + share g'.
+
+Here only means are moved, in units of the Gaussian's mean scale, which FASR reports as most of the
+gain (20.56 dB of 20.78, from 19.81). All use the same rho, while in FASR rho and the share follow
+the frequency of the photo under the Gaussian. A step takes twice as long, so it acts late by
+default (FASR: the last eighth keeps three quarters of its gain).
 """
 
 from __future__ import annotations
@@ -23,8 +25,12 @@ if TYPE_CHECKING:
 @register("reg", "sharpness")
 @dataclass(frozen=True)
 class Sharpness(Regularizer):
-    """rho: how far means are moved, in standard deviations of the Gaussian. share: of the gradient
-    there in what the optimizer gets."""
+    """Options of `reg=sharpness`.
+
+    Attributes:
+        rho: how far means are moved, in standard deviations of the Gaussian.
+        share: of the gradient there in what the optimizer gets.
+    """
 
     title: ClassVar[str] = "Sharpness"
     paper: ClassVar[str] = "fasr"

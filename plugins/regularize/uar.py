@@ -43,14 +43,18 @@ class Ranking:
 class Uar(DropoutRegularizer):
     """Options, with the paper's symbols.
 
-    mode: multiply a dropped opacity by 0 ("hard") or by `soft_scale` ("soft"). soft_scale: lambda.
-    p: drop rate. schedule: "linear" gives p(t) = p x progress of the whole training, as in
-    DropGaussian, "constant" keeps p. candidate_factor: C, candidates per dropped Gaussian. refresh:
-    steps between rankings. form: "block", log det of the 6x6 block, or "diagonal", of its diagonal,
-    which ignores correlations. regulariser: prior precision as a share of the median diagonal of F.
-    compensate: brighten the kept candidates so that every opacity keeps its expectation, by the
-    factor (1-s/C)/(1-1/C), with s the factor of dropped ones. scale_tested: instead evaluate
-    candidates at their mean opacity in training, 1 - (1 - s)/C times.
+    Attributes:
+        mode: multiply a dropped opacity by 0 ("hard") or by `soft_scale` ("soft").
+        soft_scale: lambda. p: drop rate. schedule: "linear" gives p(t) = p x progress of the whole
+            training, as in DropGaussian, "constant" keeps p.
+        candidate_factor: C, candidates per dropped Gaussian.
+        refresh: steps between rankings.
+        form: "block", log det of the 6x6 block, or "diagonal", of its diagonal, which ignores
+            correlations.
+        regulariser: prior precision as a share of the median diagonal of F. compensate: scale up
+            kept candidates, so that opacities keep their expectation. It is by the factor
+            (1-s/C)/(1-1/C), with s the factor of dropped ones. scale_tested: instead evaluate
+            candidates at their mean opacity in training, 1 - (1 - s)/C times.
     """
 
     title: ClassVar[str] = "UAR"

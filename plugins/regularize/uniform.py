@@ -24,10 +24,14 @@ COUNTS = ("bernoulli", "exact")
 @dataclass(frozen=True)
 class Uniform(DropoutRegularizer):
     """p: drop rate. schedule: "linear" gives p(t) = p x progress of the whole training, "constant"
-    keeps p. count: "bernoulli" drops each Gaussian with probability p(t), "exact" drops p(t) N of
-    them, rounded. compensate: multiply the kept opacities by 1 / (1 - expected share dropped), as
-    in DropGaussian; the renderer clamps alpha if that exceeds 1. scale_tested: instead evaluate
-    opacities times 1 - p(t)."""
+    keeps p.
+
+    Attributes:
+        count: "bernoulli" drops each Gaussian with probability p(t), "exact" drops p(t) N of them,
+            rounded. compensate: multiply the kept opacities by 1 / (1 - expected share dropped).
+            DropGaussian does so; the renderer clamps alpha if that exceeds 1. scale_tested: instead
+            evaluate opacities times 1 - p(t).
+    """
 
     title: ClassVar[str] = "Uniform dropout"
     paper: ClassVar[str] = "safi_uar"

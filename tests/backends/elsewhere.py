@@ -27,18 +27,18 @@ class There(Tensor):
     here: Tensor
 
     @staticmethod
-    def __new__(cls, here: Tensor) -> There:
+    def __new__(cls, inner: Tensor) -> There:
         return Tensor._make_wrapper_subclass(
             cls,
-            here.size(),
-            strides=here.stride(),
-            storage_offset=here.storage_offset(),
-            dtype=here.dtype,
+            inner.size(),
+            strides=inner.stride(),
+            storage_offset=inner.storage_offset(),
+            dtype=inner.dtype,
             device=DEVICE,
         )
 
-    def __init__(self, here: Tensor) -> None:
-        self.here = here
+    def __init__(self, inner: Tensor) -> None:
+        self.here = inner
 
     def tolist(self) -> Any:
         return self.cpu().tolist()

@@ -81,11 +81,11 @@ def test_gradients(rasterizer: Rasterizer, seed: int, degree: int | None) -> Non
             return gradient
 
         placed = case.gaussians.to(who.device)
-        found = who.render_gradient(
+        actual = who.render_gradient(
             placed, case.camera, image_gradient, sh_degree=degree, **how(case)
         )
-        radii = found.radii.cpu()
-        tensors, means2d = found.pull_back()
+        radii = actual.radii.cpu()
+        tensors, means2d = actual.pull_back()
         return loss, {k: t.cpu() for k, t in tensors.items()}, means2d.cpu(), radii
 
     ours, theirs = taken(NUMBA), taken(rasterizer)
@@ -124,9 +124,9 @@ def test_information(rasterizer: Rasterizer, seed: int, masked: bool) -> None:
     case = scene(seed)
     size = case.camera.height, case.camera.width
     mask = (torch.rand(size, generator=_draws(seed)) > 0.4).float() if masked else None
-    given = {"background": case.background, "mask": mask}
-    ours = NUMBA.fisher(case.gaussians, case.camera, **given)
-    theirs = rasterizer.fisher(case.gaussians, case.camera, **given)
+    inputs = {"background": case.background, "mask": mask}
+    ours = NUMBA.fisher(case.gaussians, case.camera, **inputs)
+    theirs = rasterizer.fisher(case.gaussians, case.camera, **inputs)
     assert torch.equal(ours.visible, theirs.visible)
     for mine, other in ((ours.block, theirs.block), (ours.diagonal, theirs.diagonal)):
         assert other.device.type == "cpu" and other.dtype == torch.float32
@@ -142,8 +142,10 @@ def test_nobody_in_view(rasterizer: Rasterizer) -> None:
     seen = rasterizer.render(away, case.camera, background=case.background).to("cpu")
     assert torch.allclose(seen.rgb, case.background[:, None, None].expand_as(seen.rgb))
     assert not seen.radii.any() and not seen.alpha.any()
-    found = rasterizer.render_gradient(away.to(rasterizer.device), case.camera, lambda rgb: 0 * rgb)
-    assert not any(gradient.any() for gradient in found.pull_back()[0].values())
+    actual = rasterizer.render_gradient(
+        away.to(rasterizer.device), case.camera, lambda rgb: 0 * rgb
+    )
+    assert not any(gradient.any() for gradient in actual.pull_back()[0].values())
     information = rasterizer.fisher(away, case.camera)
     assert not information.visible.any() and not information.block.any()
 

@@ -34,12 +34,12 @@ class OnCPU(StandIn):
 def calls() -> Iterator[Calls]:
     """Arguments and result of each function in a render of a scene that is seen by the
     stand-in."""
-    case, found = scene(3), {}
+    case, actual = scene(3), {}
 
     def spied(function: FunctionType) -> Any:
         def call(*args: Any, **kwargs: Any) -> Any:
             result = function(*args, **kwargs)
-            found[function.__name__] = args, kwargs, result
+            actual[function.__name__] = args, kwargs, result
             return result
 
         return call
@@ -47,8 +47,8 @@ def calls() -> Iterator[Calls]:
     spies = {f.__name__: spied(f) for f in stand_in.FUNCTIONS}
     with patch.multiple("gsplat", **spies):
         OnCPU().render(case.gaussians, case.camera, **how(case))
-    assert len(found) == len(stand_in.FUNCTIONS)
-    yield found
+    assert len(actual) == len(stand_in.FUNCTIONS)
+    yield actual
 
 
 def test_it_is_the_version_that_is_pinned() -> None:
@@ -59,9 +59,9 @@ def test_it_is_the_version_that_is_pinned() -> None:
 def test_the_parameters_are_those_of_the_stand_in(function: FunctionType) -> None:
     """Names, order and defaults agree; the package may have further parameters."""
     assert getattr(gsplat, function.__name__) is getattr(wrapper, function.__name__)
-    own = inspect.signature(function).parameters.values()
+    ours = inspect.signature(function).parameters.values()
     theirs = inspect.signature(getattr(gsplat, function.__name__)).parameters.values()
-    assert [(p.name, p.default) for p in own] == [(p.name, p.default) for p in theirs]
+    assert [(p.name, p.default) for p in ours] == [(p.name, p.default) for p in theirs]
 
 
 @pytest.mark.parametrize("name", [f.__name__ for f in stand_in.FUNCTIONS])
@@ -86,8 +86,8 @@ def test_our_arguments_pass_its_checks(calls: Calls, name: str) -> None:
 def test_its_projection_is_the_stand_ins(calls: Calls) -> None:
     (means, _, quats, scales, viewmats, Ks, *size), options, ours = calls["fully_fused_projection"]
     covars, _ = in_torch._quat_scale_to_covar_preci(quats, scales, compute_preci=False)
-    known = {k: v for k, v in options.items() if k != "opacities"}
-    theirs = in_torch._fully_fused_projection(means, covars, viewmats, Ks, *size, **known)
+    reference = {k: v for k, v in options.items() if k != "opacities"}
+    theirs = in_torch._fully_fused_projection(means, covars, viewmats, Ks, *size, **reference)
     seen = (ours[0] > 0).all(-1)
     assert seen.float().mean() > 0.5
     for mine, other in zip(ours[1:4], theirs[1:4], strict=True):

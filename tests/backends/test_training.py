@@ -45,13 +45,13 @@ def plugin(group: str, name: str) -> Any:
     options = {"name": name, "start": 0.0, "stop": 1.0, "weight": 1.0, **SOON.get(name, {})}
     if not registry.lookup(group, name).weighted():
         del options["weight"]
-    known = [row[0] for row in registry.option_fields(registry.lookup(group, name))]
-    if "min_coverage" in known:
+    reference = [row[0] for row in registry.option_fields(registry.lookup(group, name))]
+    if "min_coverage" in reference:
         options["min_coverage"] = 0.05
-    return registry.build(group, {k: v for k, v in options.items() if k in ("name", *known)})
+    return registry.build(group, {k: v for k, v in options.items() if k in ("name", *reference)})
 
 
-def trainer(rasterizer: Rasterizer, steps: int, **given: Any) -> Trainer:
+def trainer(rasterizer: Rasterizer, steps: int, **inputs: Any) -> Trainer:
     """On three views of a textured plane, 64x48, with 200 Gaussians of SH degree 1."""
     training, depth, gaussians = textured_plane(1)
     draws = torch.from_numpy(stream(0, "test-start").normal(0, 0.4, (len(gaussians), 7))).float()
@@ -59,10 +59,10 @@ def trainer(rasterizer: Rasterizer, steps: int, **given: Any) -> Trainer:
         log_scales=gaussians.log_scales + draws[:, :3], quats=gaussians.quats + draws[:, 3:]
     )
     options = TrainerOptions(steps=steps, evaluations=1, sh_every=3, coarse_until=0.0)
-    names = {group: given.pop(group, name) for group, name in IDLE.items()}
+    names = {group: inputs.pop(group, name) for group, name in IDLE.items()}
     plugins = Plugins({group: plugin(group, name) for group, name in names.items()})
-    known = (training, depth, gaussians, options, plugins, 0, Silent())
-    return Trainer(*known, warns=False, rasterizer=rasterizer, **given)
+    reference = (training, depth, gaussians, options, plugins, 0, Silent())
+    return Trainer(*reference, warns=False, rasterizer=rasterizer, **inputs)
 
 
 def image(trained: Trained) -> torch.Tensor:

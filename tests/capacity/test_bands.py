@@ -32,30 +32,30 @@ def coloured(n: int, degree: int, strength: float = 0.1) -> Gaussians:
 
 def evidence(subject: Gaussians, noise: float = NOISE) -> BandsEvidence:
     views = stage()[0]
-    known = [fisher_information(subject, view.camera).diagonal[:, 11:] for view in views]
-    return bands_evidence(subject, [view.camera.center for view in views], known, noise)
+    reference = [fisher_information(subject, view.camera).diagonal[:, 11:] for view in views]
+    return bands_evidence(subject, [view.camera.center for view in views], reference, noise)
 
 
 @pytest.mark.parametrize("degree", [1, 3])
 def test_the_gain_is_what_the_best_single_colour_misses(degree: int) -> None:
     """For a single Gaussian, a pixel is weight x colour, whatever the colour."""
     subject = coloured(1, degree)
-    found = evidence(subject)
+    actual = evidence(subject)
     rows = []
     for view in stage()[0]:
         direction = torch.nn.functional.normalize(subject.means - view.camera.center, dim=1)
         values = sh_basis(direction.float(), degree)[0]
-        own = subject.sh0[0, 0] * values[0] + (values[1:, None] * subject.shN[0]).sum(0)
+        mine = subject.sh0[0, 0] * values[0] + (values[1:, None] * subject.shN[0]).sum(0)
         weight = rasterize(subject, view.camera).alpha.square().double().sum()
-        rows.append((float(weight), own.double().numpy()))
+        rows.append((float(weight), mine.double().numpy()))
     weights, colours = (np.array(column) for column in zip(*rows, strict=True))
     mean = (weights[:, None] * colours).sum(0) / weights.sum()
     missed = (weights[:, None] * (colours - mean) ** 2).sum()
     assert missed > 0
-    assert found.gain[0] == pytest.approx(missed / (2 * NOISE), rel=1e-3)
-    assert found.sh0[0] * float(values[0]) == pytest.approx(mean, rel=1e-3)
+    assert actual.gain[0] == pytest.approx(missed / (2 * NOISE), rel=1e-3)
+    assert actual.sh0[0] * float(values[0]) == pytest.approx(mean, rel=1e-3)
     # what the images really lose, with that colour in the place of the bands
-    plain = subject.replace(sh0=torch.from_numpy(found.sh0[:, None]).float())
+    plain = subject.replace(sh0=torch.from_numpy(actual.sh0[:, None]).float())
     plain = plain.with_bands(torch.zeros(1, dtype=torch.bool))
     pairs = [
         (rasterize(subject, view.camera).rgb, rasterize(plain, view.camera).rgb)
@@ -71,10 +71,12 @@ def test_the_cost_is_half_the_log_determinant_of_what_the_views_tell() -> None:
     spread = float(subject.shN.square().double().mean())
     views = stage()[0]
     expected = np.full(5, math.log(2))
-    known = [fisher_information(subject, view.camera).diagonal[:, 11:].double() for view in views]
+    reference = [
+        fisher_information(subject, view.camera).diagonal[:, 11:].double() for view in views
+    ]
     for i in range(5):
         for channel in range(3):
-            weights = np.array([4 * math.pi * float(k[i, channel]) for k in known])
+            weights = np.array([4 * math.pi * float(k[i, channel]) for k in reference])
             centers = torch.stack([view.camera.center for view in views])
             directions = torch.nn.functional.normalize(subject.means[i] - centers, dim=1)
             y = sh_basis(directions, 2)[:, 1:].numpy()

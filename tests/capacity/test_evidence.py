@@ -63,13 +63,13 @@ def test_masked_pixels_do_not_count_and_eight_bits_are_the_floor() -> None:
 
 def test_the_cost_is_half_the_log_determinant_and_grows_with_knowledge() -> None:
     subject = wall_of_gaussians(30)
-    known = training_information(watched(subject)).total
-    little, much = (description_cost(subject, known, noise) for noise in (1e-2, 1e-4))
+    reference = training_information(watched(subject)).total
+    little, much = (description_cost(subject, reference, noise) for noise in (1e-2, 1e-4))
     assert (little >= math.log(2)).all() and (much >= little).all() and much.max() > 5
-    assert np.allclose(description_cost(subject, known, 1e12), math.log(2))
+    assert np.allclose(description_cost(subject, reference, 1e12), math.log(2))
     bands = replace(subject, shN=torch.randn(30, 3, 3, generator=torch.Generator().manual_seed(0)))
-    assert (description_cost(bands, known, 1e-4) >= much).all()
-    assert description_cost(bands, known, 1e-4).max() > much.max() + 5
+    assert (description_cost(bands, reference, 1e-4) >= much).all()
+    assert description_cost(bands, reference, 1e-4).max() > much.max() + 5
 
 
 def test_a_share_of_the_unpaid_goes_or_all_that_cannot_pay_together() -> None:

@@ -30,10 +30,10 @@ def test_the_command_as_typed_and_its_variants(
 ) -> None:
     assert main(line.split()) == 0
     assert runs.methods == SEEDS
-    told = capsys.readouterr()
-    assert "[run 2 of 3] safi+uar seed 1 · finished" in told.out
-    assert told.out.splitlines()[-1] == "report: reports/embedded/report.md"
-    assert told.err == ""
+    message = capsys.readouterr()
+    assert "[run 2 of 3] safi+uar seed 1 · finished" in message.out
+    assert message.out.splitlines()[-1] == "report: reports/embedded/report.md"
+    assert message.err == ""
 
 
 def test_progress_lines_say_what_changes_from_run_to_run(
@@ -41,9 +41,9 @@ def test_progress_lines_say_what_changes_from_run_to_run(
 ) -> None:
     line = ["capacity=fixed,evidence", "trainer.steps=30", "reg=none,uar", "-m"]
     assert main(line) == 0
-    told = [text for text in capsys.readouterr().out.splitlines() if "finished" in text]
-    assert told[0] == "[run 1 of 4] none+none capacity=fixed seed 0 · finished"
-    assert told[3] == "[run 4 of 4] none+uar capacity=evidence seed 0 · finished"
+    message = [text for text in capsys.readouterr().out.splitlines() if "finished" in text]
+    assert message[0] == "[run 1 of 4] none+none capacity=fixed seed 0 · finished"
+    assert message[3] == "[run 4 of 4] none+uar capacity=evidence seed 0 · finished"
     assert runs.labels[3] == "[4/4] none+uar evidence s0"
 
 
@@ -56,13 +56,13 @@ def test_of_a_path_progress_lines_have_the_end(
         folder.mkdir(parents=True)
     paths = ",".join(f"'{folder}'" for folder in folders)
     main(["scene=llff", f"scene.path={paths}", "study=s", "-m"])
-    told = capsys.readouterr().out
-    assert "none+none scene.path=a folder/fern seed 0 · " in told
-    assert f"none+none path=a folder/{'x' * 22}… seed 0 · " in told
+    message = capsys.readouterr().out
+    assert "none+none scene.path=a folder/fern seed 0 · " in message
+    assert f"none+none path=a folder/{'x' * 22}… seed 0 · " in message
     main([numbers, "-m"])
-    told = capsys.readouterr().out
-    assert "none+none depth_smoothness=0.000125 seed 0 · " in told
-    assert "none+none depth_smoothness=0.000121 seed 0 · " in told
+    message = capsys.readouterr().out
+    assert "none+none depth_smoothness=0.000125 seed 0 · " in message
+    assert "none+none depth_smoothness=0.000121 seed 0 · " in message
 
 
 def test_spelling_does_not_change_the_folder(runs: FakeRuns) -> None:
@@ -171,9 +171,9 @@ def test_a_sweep_over_scenes_reports_each(
 
 def test_the_same_run_twice_is_refused(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["seed=0,1,0", "-m"]) == 2
-    told = capsys.readouterr().err
+    message = capsys.readouterr().err
     assert (
-        told
+        message
         == "error: multirun: expected each run once, got 'seed=0' twice; sweep each value once\n"
     )
     assert not runs.seen
@@ -185,15 +185,15 @@ def test_a_failing_run_is_recorded_and_the_others_go_on(
     runs.failures[1] = UserError("depth: expected two views, got one; add a view")
     assert main(["seed=0,1,2", "-m"]) == 2
     assert [method[2] for method in runs.methods] == [0, 1, 2]
-    told = capsys.readouterr()
+    message = capsys.readouterr()
     folder = runs.folders[1]
     reason = "depth: expected two views, got one; add a view"
-    first, head, row, again = told.err.splitlines()
+    first, head, row, again = message.err.splitlines()
     assert first.startswith("error: 1 of 3 runs failed; the same command repeats them")
     assert head.split() == ["run", "kind", "reason"]
     assert row == f"  {folder}  bad input  {reason}"
     assert again == "    python run.py seed=1 -m"
-    assert "report: reports/embedded/report.md" in told.out
+    assert "report: reports/embedded/report.md" in message.out
     record = json.loads((folder / "record.json").read_text(encoding="utf-8"))
     assert (record["status"], record["error"]) == ("failed", reason)
     runs.failures.clear()
@@ -205,10 +205,10 @@ def test_a_bug_shows_its_traceback_and_exits_with_1(
 ) -> None:
     runs.failures[0] = RuntimeError("unlucky")
     assert main([]) == 1
-    told = capsys.readouterr()
-    assert "Traceback" in told.err
-    assert told.err.splitlines()[-1] == "error: RuntimeError: unlucky"
-    assert "report:" not in told.out
+    message = capsys.readouterr()
+    assert "Traceback" in message.err
+    assert message.err.splitlines()[-1] == "error: RuntimeError: unlucky"
+    assert "report:" not in message.out
 
 
 def test_an_interrupt_is_one_line(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:

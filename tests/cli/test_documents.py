@@ -45,11 +45,11 @@ def test_every_command_of_the_documents_runs(
     command = re.sub(r"scene\.path=\S+", "scene.path=DIR", command)
     command = command.replace("NAME", "uar")  # in place of the reader's plugin
     words = [re.sub(r"^seed=.*,.*", "seed=0,1", word) for word in command.split()]
-    given = {word.split("=")[0] for word in words}
+    inputs = {word.split("=")[0] for word in words}
     for word in list(words):
         if word.startswith("sweep="):
             last = _one_run(word.removeprefix("sweep="))
-            words += [value for value in last if value.split("=")[0] not in given]
+            words += [value for value in last if value.split("=")[0] not in inputs]
     assert main(words) == 0, capsys.readouterr().err
 
 

@@ -43,16 +43,18 @@ def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_python_without_our_packages_is_told_in_a_line(tmp_path: Path) -> None:
-    told = subprocess.run(
+    message = subprocess.run(
         [sys.executable, "-S", str(ROOT / "run.py"), "seed=1"],
         cwd=tmp_path,
         env={k: v for k, v in os.environ.items() if k != "PYTHONPATH"},
         capture_output=True,
         text=True,
     )
-    assert told.returncode == 2 and told.stdout == ""
-    assert told.stderr.startswith(f"error: {sys.executable} ") and told.stderr.count("\n") == 1
-    assert "lacks torch, numba, hydra" in told.stderr and "pip install -e ." in told.stderr
+    assert message.returncode == 2 and message.stdout == ""
+    assert (
+        message.stderr.startswith(f"error: {sys.executable} ") and message.stderr.count("\n") == 1
+    )
+    assert "lacks torch, numba, hydra" in message.stderr and "pip install -e ." in message.stderr
 
 
 def test_the_version_is_ours(capsys: pytest.CaptureFixture[str]) -> None:
@@ -72,8 +74,8 @@ def test_a_terminal_that_lacks_our_letters_gets_others(monkeypatch: pytest.Monke
 
 def test_an_unknown_subcommand_is_told_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["repot", "DIR"]) == 2
-    told = capsys.readouterr().err
-    assert "got 'repot'; did you mean 'report'?" in told and told.count("\n") == 1
+    message = capsys.readouterr().err
+    assert "got 'repot'; did you mean 'report'?" in message and message.count("\n") == 1
 
 
 def test_own_plugins_are_found_when_the_command_line_asks(tmp_path: Path) -> None:
@@ -89,8 +91,8 @@ def test_own_plugins_are_found_when_the_command_line_asks(tmp_path: Path) -> Non
 def test_helpers_count_as_code_and_are_no_plugins(tmp_path: Path) -> None:
     (tmp_path / "of_mine.py").write_text(OWN)
     (tmp_path / "_helper.py").write_text("raise ValueError('imported')")
-    found = run(tmp_path, "--plugins", ".", "reg=of_mine", "--cfg", "job")
-    assert found.returncode == 0, found.stderr
+    actual = run(tmp_path, "--plugins", ".", "reg=of_mine", "--cfg", "job")
+    assert actual.returncode == 0, actual.stderr
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(OWN_VARIABLE, str(tmp_path))
         assert [place for place, _ in own_plugins()] == ["_helper.py", "of_mine.py"]

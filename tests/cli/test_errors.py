@@ -122,13 +122,13 @@ def test_bad_input_is_one_line(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str], line: str
 ) -> None:
     assert main(line.split()) == 2
-    told = capsys.readouterr()
-    lines = told.err.splitlines()
-    assert len(lines) == 1, told.err
+    message = capsys.readouterr()
+    lines = message.err.splitlines()
+    assert len(lines) == 1, message.err
     assert lines[0].startswith("error: ")
     for part in CASES[line]:
         assert part in lines[0]
-    assert "Traceback" not in told.err
+    assert "Traceback" not in message.err
     assert not runs.seen
     assert not Path("reports").exists()
 
@@ -155,9 +155,9 @@ def test_the_traceback_of_a_run_is_there_for_the_asking(
     assert main([]) == 2
     assert capsys.readouterr().err == "error: scene: no images\n"
     assert main(["traceback=true"]) == 2
-    told = capsys.readouterr().err
-    assert "Traceback" in told
-    assert told.splitlines()[-1] == "error: scene: no images"
+    message = capsys.readouterr().err
+    assert "Traceback" in message
+    assert message.splitlines()[-1] == "error: scene: no images"
 
 
 def test_a_file_that_may_not_be_opened_is_bad_input(

@@ -24,26 +24,26 @@ def config(reg: str = "none", views: int = 3, steps: int = 100, seed: int = 0) -
 
 def test_a_study_tells_its_time(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["reg=none,uar", "seed=0,1", "trainer.steps=100", "estimate=true", "-m"]) == 0
-    told = capsys.readouterr().out
+    message = capsys.readouterr().out
     # 4 runs of 100 x 0.1 s + 2 s; the trials have loaded the scene
-    assert "estimate: about 48 s for 4 runs (from 2 trials of" in told
-    assert re.search(r"^4 runs took .+ \(estimated 48 s\)$", told, re.MULTILINE)
+    assert "estimate: about 48 s for 4 runs (from 2 trials of" in message
+    assert re.search(r"^4 runs took .+ \(estimated 48 s\)$", message, re.MULTILINE)
 
 
 def test_only_the_estimate_is_printed_and_nothing_trained(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["seed=0,1", "trainer.steps=100", "estimate=only", "-m"]) == 0
-    told = capsys.readouterr().out
-    assert "estimate: about " in told and " runs took " not in told
+    message = capsys.readouterr().out
+    assert "estimate: about " in message and " runs took " not in message
     assert main(["seed=0,1", "estimate=maybe", "-m"]) == 2
     assert "estimate: expected true, false or only, got 'maybe'" in capsys.readouterr().err
 
 
 def test_nothing_is_tried_unasked(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["seed=0,1", "-m"]) == 0
-    told = capsys.readouterr().out
-    assert "estimate" not in told and re.search(r"^2 runs took [^(]+$", told, re.MULTILINE)
+    message = capsys.readouterr().out
+    assert "estimate" not in message and re.search(r"^2 runs took [^(]+$", message, re.MULTILINE)
 
 
 def test_runs_at_once_share_the_time(runs: FakeRuns, capsys: pytest.CaptureFixture[str]) -> None:

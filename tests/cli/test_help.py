@@ -52,18 +52,18 @@ def test_every_option_has_a_meaning(group: str) -> None:
         assert set(meanings(TrainerOptions)) == set(TrainerOptions.__dataclass_fields__)
         return
     for name in choices(group):
-        told = option_meanings(group, name)
-        silent = {option[0] for option in rows(group, name)} - set(told)
+        message = option_meanings(group, name)
+        silent = {option[0] for option in rows(group, name)} - set(message)
         assert not silent, f"{group}={name}: what do {silent} mean?"
-        cut = [text for text in told.values() if text.endswith("...")]
+        cut = [text for text in message.values() if text.endswith("...")]
         assert not cut, f"{group}={name}: shorten the first sentence, which help cuts off: {cut}"
 
 
 def test_the_help_shows_them(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help", "augment=safi", "preset=best"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    told = [line.split("#")[1] for line in lines if line.startswith("  eta: 1.5 ")]
-    assert told == [" a view supports if I_k is at most eta x the smallest"]
+    message = [line.split("#")[1] for line in lines if line.startswith("  eta: 1.5 ")]
+    assert message == [" a view is a support if I_k is at most eta x the smallest"]
     options = lines[lines.index("trainer:") :]
     unexplained = [line for line in options if line.startswith("  ") and "# " not in line]
     assert len(options) > 50 and all("name: " in line for line in unexplained)
@@ -73,17 +73,19 @@ def test_the_help_of_parts_is_about_them_alone(capsys: pytest.CaptureFixture[str
     assert main(["--help", "+augment=safi", "reg=[uar_hard,uniform]"]) == 0
     text = capsys.readouterr().out
     assert len(text.splitlines()) < 80
-    assert text.startswith("augment=safi: ") and "\nreg=uniform: dropout of Gaussians" in text
+    assert (
+        text.startswith("augment=safi: ") and "\nreg=uniform: dropout of random Gaussians" in text
+    )
     assert "\nreg=uar_hard: UAR that removes" in text and "DropGaussian (Park et al." in text
     config = yaml.safe_load(text.partition("KEY=VALUE:")[2].partition("All choices")[0])
     assert set(config) == {"augment", "reg"} and config["reg"]["uar_hard"]["mode"] == "hard"
-    assert "  eta: 1.5 " in text and "# a view supports if I_k" in text
+    assert "  eta: 1.5 " in text and "# a view is a support if I_k" in text
 
 
 def test_the_help_of_a_choice_of_several_asks_for_one(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help", "reg=none,uar"]) == 2
-    told = capsys.readouterr().err
-    assert told.endswith("; name one, or several that work together, as reg=[a,b]\n"), told
+    message = capsys.readouterr().err
+    assert message.endswith("; name one, or several that work together, as reg=[a,b]\n"), message
 
 
 def test_an_unknown_choice_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

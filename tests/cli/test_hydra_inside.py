@@ -14,8 +14,8 @@ def test_the_parser_has_the_flags_that_are_read() -> None:
     flags = vars(argument_parser().parse_args(["a=1", "-m"]))
     assert flags["multirun"] and flags["overrides"] == ["a=1"]
     missing = [name for name in READ if name not in flags]
-    told = "framework/command/overrides.py reads it"
-    assert not missing, f"Hydra's parser lost {missing}: {told}"
+    message = "framework/command/overrides.py reads it"
+    assert not missing, f"Hydra's parser lost {missing}: {message}"
 
 
 def test_a_sweep_is_split_as_the_runs_will_be() -> None:
@@ -26,5 +26,5 @@ def test_a_sweep_is_split_as_the_runs_will_be() -> None:
 
 def test_only_one_file_reaches_into_hydra() -> None:
     files = [*(ROOT / "framework").rglob("*.py"), *(ROOT / "plugins").rglob("*.py")]
-    found = [f.name for f in files if "hydra._internal" in f.read_text(encoding="utf-8")]
-    assert found == ["hydra_inside.py"]
+    actual = [f.name for f in files if "hydra._internal" in f.read_text(encoding="utf-8")]
+    assert actual == ["hydra_inside.py"]

@@ -42,7 +42,7 @@ def test_a_list_is_a_choice_that_names_the_folder(runs: FakeRuns) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "message"),
     [
         ("reg=[uar,uar]", "error: reg=[uar,uar]: expected different names, got 'uar', 'uar'; "),
         ("reg=[uar,nosuch]", "error: reg=nosuch: unknown reg; available: "),
@@ -76,11 +76,11 @@ def test_a_list_is_a_choice_that_names_the_folder(runs: FakeRuns) -> None:
     ],
 )
 def test_what_cannot_be_joined_is_told(
-    line: str, told: str, runs: FakeRuns, capsys: pytest.CaptureFixture[str]
+    line: str, message: str, runs: FakeRuns, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(line.split()) == 2
     error = capsys.readouterr().err
-    assert error.startswith(told) and error.count("\n") == 1 and not runs.seen
+    assert error.startswith(message) and error.count("\n") == 1 and not runs.seen
 
 
 def test_a_part_without_options_is_told() -> None:
@@ -92,5 +92,5 @@ def test_a_part_without_options_is_told() -> None:
 
 def test_the_help_tells_the_options_of_each(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--help", "reg=[uar_hard,uniform]"]) == 0
-    told = capsys.readouterr().out
-    assert "  uar_hard:\n    name: uar\n" in told and "    count: bernoulli        # " in told
+    message = capsys.readouterr().out
+    assert "  uar_hard:\n    name: uar\n" in message and "    count: bernoulli        # " in message

@@ -27,9 +27,7 @@ LIMIT_S, LIMIT_IMPORTS = 1.5, 6.0  # of CPU; in imports of Hydra, which a busy m
     ("line", "code", "expected"),
     [
         ("--help", 0, "uar_hard"),
-        ("--help augment=safi", 0, "eta:"),
         ("--cfg job", 0, "name: embedded"),
-        ("augment=sofi", 2, "did you mean 'safi'?"),
         ("trainer.steps=0", 2, "trainer.steps"),
     ],
 )

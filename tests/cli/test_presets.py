@@ -166,14 +166,14 @@ def test_the_page_of_the_paper_names_every_option_that_acts(method: str) -> None
     for word in ("trainer.pseudo_steps=own", "trainer.pseudo_mean=covered"):
         assert f"`{word}`" in page
     config = composed("preset=paper", f"method={method}")
-    known = ("trainer", "init", "depth", "augment", "reg", "capacity")
-    groups = [group for group in known if config[group].get("name") != "none"]
+    reference = ("trainer", "init", "depth", "augment", "reg", "capacity")
+    groups = [group for group in reference if config[group].get("name") != "none"]
     for group, option in ((g, o) for g in groups for o in config[g].keys() - ELSEWHERE):
         of_one = sum(option in config[other] for other in groups) == 1 and option not in SHARED
         place = rf"({group}\.)?" if of_one else rf"{group}\."
         assert re.search(rf"`{place}{option}(=[^`]*)?`", page), f"{group}.{option}"
-        told = re.search(rf"\| [^|]*`{group}\.{option}=([^`]*)`", page)  # of a table
-        assert told is None or yaml.safe_load(told[1]) == config[group][option]
+        message = re.search(rf"\| [^|]*`{group}\.{option}=([^`]*)`", page)  # of a table
+        assert message is None or yaml.safe_load(message[1]) == config[group][option]
 
 
 RECIPES = sorted(

@@ -90,9 +90,9 @@ def test_processes_run_the_code_that_the_command_runs(
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(["/elsewhere", str(tmp_path)]))
     lead_to_this_code(tmp_path)
     assert os.environ["PYTHONPATH"] == os.pathsep.join([str(tmp_path), "/elsewhere"])
-    told = [sys.executable, "-c", "import framework; print(framework.__file__)"]
-    found = subprocess.run(told, cwd="/", capture_output=True, text=True, check=True).stdout
-    assert found.strip() == str(tmp_path / "framework" / "__init__.py")
+    message = [sys.executable, "-c", "import framework; print(framework.__file__)"]
+    actual = subprocess.run(message, cwd="/", capture_output=True, text=True, check=True).stdout
+    assert actual.strip() == str(tmp_path / "framework" / "__init__.py")
 
 
 def test_code_in_site_packages_needs_no_path(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,7 +159,7 @@ def test_a_missing_extra_is_named(
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "message"),
     [
         (
             "ray",
@@ -173,11 +173,11 @@ def test_a_missing_extra_is_named(
     ],
 )
 def test_the_package_of_a_missing_launcher_is_named(
-    monkeypatch: pytest.MonkeyPatch, name: str, told: str
+    monkeypatch: pytest.MonkeyPatch, name: str, message: str
 ) -> None:
     monkeypatch.setattr(supported, "_installed", lambda module: False)
     error = MissingConfigException("", f"hydra/launcher/{name}", ["basic", "joblib"])
-    assert told in one_line(error)
+    assert message in one_line(error)
 
 
 # submissions, without processes
@@ -275,8 +275,8 @@ def test_submitted_polled_collected(tmp_path: Path) -> None:
     again = "study submit hydra.launcher.n_jobs=1 hydra/launcher=submitit_local threads=1"
     assert f"\npython run.py {again}" in done.stdout
     wait_for((tmp_path / "reports" / "far" / "report.md").exists)
-    told = command(tmp_path, "study status")
-    assert "all ended, 1 of 1 runs done, 0 failed" in told.stdout
+    message = command(tmp_path, "study status")
+    assert "all ended, 1 of 1 runs done, 0 failed" in message.stdout
     collected = command(tmp_path, "study collect")
     assert collected.returncode == 0 and "report: reports/far/report.md" in collected.stdout
 

@@ -77,7 +77,7 @@ def test_a_run_and_its_report(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "told"),
+    ("error", "code", "message"),
     [
         ('from framework.errors import UserError; raise UserError("a: expected b, got c")', 2,
          "error: a: expected b, got c\n"),
@@ -88,9 +88,9 @@ def test_a_run_and_its_report(tmp_path: Path) -> None:
          " or choose another, and run the same again\n"),
     ],
 )  # fmt: skip
-def test_bad_input_is_one_line(error: str, code: int, told: str, tmp_path: Path) -> None:
+def test_bad_input_is_one_line(error: str, code: int, message: str, tmp_path: Path) -> None:
     ended = _ended(_raising(error), tmp_path)
-    assert ended[0] == code and ended[2] == told
+    assert ended[0] == code and ended[2] == message
 
 
 SLOW = _raising("""

@@ -93,8 +93,8 @@ def test_it_refuses_in_one_line(
     pytest.importorskip("optuna", reason="optuna is an extra")
     monkeypatch.chdir(tmp_path)
     assert cli.main(["search", *line.split()]) == 2
-    told = capsys.readouterr().err
-    assert expected in told and len(told.splitlines()) == 1
+    message = capsys.readouterr().err
+    assert expected in message and len(message.splitlines()) == 1
     assert not list(tmp_path.iterdir())
 
 
@@ -141,12 +141,12 @@ def test_an_interrupted_search_loses_and_doubles_nothing(tmp_path: Path, fake: t
     under_way = fake.done[-1]
     fake.kill_after = 0
     best = run_search(search(tmp_path))
-    found = read_search(tmp_path)
-    assert found is not None and [trial.number for trial in found.trials] == list(range(12))
+    actual = read_search(tmp_path)
+    assert actual is not None and [trial.number for trial in actual.trials] == list(range(12))
     words = [" ".join(words) for words in fake.done]
     assert words.count(" ".join(under_way)) == 2, "begun, and done after the kill"
     assert len({*words}) == 12
-    top = max(found.trials, key=lambda trial: trial.value or -1e9)
+    top = max(actual.trials, key=lambda trial: trial.value or -1e9)
     assert best == list(top.words)
     assert run_search(search(tmp_path)) == best and len(fake.done) == len(words)  # all are done
     with pytest.raises(UserError, match="got another"):
@@ -156,9 +156,9 @@ def test_an_interrupted_search_loses_and_doubles_nothing(tmp_path: Path, fake: t
 @pytest.mark.parametrize("way", ["broken", "killed"])
 def test_a_trial_that_fails_counts(tmp_path: Path, fake: type[Fake], way: str) -> None:
     run_search(search(tmp_path, 4, (way,)))
-    found = read_search(tmp_path)
-    assert found is not None and len(found.trials) == 4
-    assert all(trial.value is None and way in trial.error for trial in found.trials)
+    actual = read_search(tmp_path)
+    assert actual is not None and len(actual.trials) == 4
+    assert all(trial.value is None and way in trial.error for trial in actual.trials)
 
 
 @pytest.mark.parametrize("content", ["[]", '{"metric": "psnr", "fixed": [], "trials": [1]}'])

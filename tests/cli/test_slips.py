@@ -12,7 +12,7 @@ from tests.cli.conftest import FakeRuns
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["seed=0,1"], "seed: expected one value, got several (0,1); add -m to make a run of each"),
         (
@@ -46,11 +46,11 @@ from tests.cli.conftest import FakeRuns
     ],
 )
 def test_a_slip_is_one_line(
-    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(words) == 2
     said = capsys.readouterr().err
-    assert told in said and said.startswith("error: ") and said.count("\n") == 1
+    assert message in said and said.startswith("error: ") and said.count("\n") == 1
 
 
 def test_what_replaces_a_part_of_a_method_is_told(

@@ -29,11 +29,11 @@ print("went on", file=sys.stderr)
 
 
 @pytest.mark.parametrize(
-    ("stdout", "closed", "told"),
+    ("stdout", "closed", "message"),
     [("/dev/full", (), "warning: output: No space left on device"), (os.devnull, (1,), "went on")],
 )
 def test_output_that_is_full_or_closed(
-    tmp_path: Path, stdout: str, closed: tuple[int, ...], told: str
+    tmp_path: Path, stdout: str, closed: tuple[int, ...], message: str
 ) -> None:
     def close() -> None:
         for number in closed:
@@ -50,7 +50,7 @@ def test_output_that_is_full_or_closed(
             preexec_fn=close,
         )
     assert done.returncode == 0, done.stderr
-    assert done.stderr.count(told) == 1 and "went on" in done.stderr
+    assert done.stderr.count(message) == 1 and "went on" in done.stderr
 
 
 def test_no_stream_at_all(tmp_path: Path) -> None:
@@ -74,12 +74,12 @@ def test_an_interrupt_at_the_start_is_one_line(tmp_path: Path, after_ms: int) ->
     )
     time.sleep(after_ms / 1000)
     process.send_signal(signal.SIGINT)
-    told = process.communicate(timeout=60)[1]
-    assert process.returncode == 130 and told.startswith("error: interrupted"), told
+    message = process.communicate(timeout=60)[1]
+    assert process.returncode == 130 and message.startswith("error: interrupted"), message
 
 
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "message"),
     [
         ("seed=range(0) -m", "multirun: seed=range(0) gives no value, so there is no run"),
         ("seed=0,1 reg=glob(zzz*) -m", "multirun: reg=glob(zzz*) gives no value"),
@@ -101,12 +101,12 @@ def test_a_slip_is_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     line: str,
-    told: str,
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(line.split()) == 2
     error = capsys.readouterr().err
-    assert told in error and error.startswith("error: ") and error.count("\n") == 1
+    assert message in error and error.startswith("error: ") and error.count("\n") == 1
 
 
 @pytest.mark.parametrize("make", [lambda path: path / "file" / "x", lambda path: Path("/proc/x")])

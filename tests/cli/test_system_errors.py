@@ -45,14 +45,14 @@ def test_a_line_is_answered_by_a_line(
     runs: FakeRuns, capsys: pytest.CaptureFixture[str], line: str
 ) -> None:
     assert main(line.split()) == 2
-    told = capsys.readouterr().err
-    assert LINES[line] in told and told.startswith("error: ")
-    assert told.count("\n") == 1 and len(told) < 1010
+    message = capsys.readouterr().err
+    assert LINES[line] in message and message.startswith("error: ")
+    assert message.count("\n") == 1 and len(message) < 1010
     assert not runs.seen
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "told"),
+    ("error", "code", "message"),
     [
         (OSError(errno.ENAMETOOLONG, "File name too long", "a" * 500), 2, "File name too long"),
         (OSError(errno.ENOSPC, "No space left on device"), 2, "(FISHERSPLAT_CACHE): expected room"),
@@ -68,12 +68,12 @@ def test_a_line_is_answered_by_a_line(
     ids=str,
 )
 def test_a_run_that_the_system_ends(
-    runs: FakeRuns, capsys: pytest.CaptureFixture[str], error: Exception, code: int, told: str
+    runs: FakeRuns, capsys: pytest.CaptureFixture[str], error: Exception, code: int, message: str
 ) -> None:
     runs.failures[0] = error
     assert main(["seed=0"]) == code
     (line,) = capsys.readouterr().err.splitlines()
-    assert told in line
+    assert message in line
     assert kind_of(error) == "machine"
 
 
@@ -161,8 +161,8 @@ def test_a_report_without_memory(
 
 
 def test_a_missing_depth_names_the_recipe_without_a_network() -> None:
-    told = with_variant("depth=file: expected a folder", ["preset=paper", "+method=fsgs,corgs"])
-    assert told.endswith("take the plane sweep instead of a network: method=fsgs_sweep")
+    text = with_variant("depth=file: expected a folder", ["preset=paper", "+method=fsgs,corgs"])
+    assert text.endswith("take the plane sweep instead of a network: method=fsgs_sweep")
     for message, words in (
         ("depth=file: expected a folder", ["method=corgs"]),
         ("scene.path: expected a folder", ["method=fsgs"]),

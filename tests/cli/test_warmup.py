@@ -81,7 +81,7 @@ def test_both_ways_of_a_gradient_are_warmed_up(monkeypatch: pytest.MonkeyPatch) 
     for name in ("step", "step_from"):
         way = getattr(Adam, name)
         monkeypatch.setattr(
-            Adam, name, lambda *given, way=way, name=name: (ways.append(name), way(*given))[1]
+            Adam, name, lambda *inputs, way=way, name=name: (ways.append(name), way(*inputs))[1]
         )
     monkeypatch.setattr(
         PluginCalls, "regularization", lambda *_: Regularization(penalty=lambda _: penalty)
@@ -99,7 +99,7 @@ def test_compiling_is_told_once_and_only_where_something_compiles(
         for add in (1, 2):
             numba.njit(lambda x, add=add: x + add)(1)
 
-    class Told(Silent):
+    class Recorder(Silent):
         def __init__(self) -> None:
             self.lines: list[str] = []
 
@@ -109,19 +109,19 @@ def test_compiling_is_told_once_and_only_where_something_compiles(
         def note(self, text: str) -> None:
             self.lines.append(text)
 
-    told = Told()
+    recorder = Recorder()
     for part in ("_train", "_initialize"):
         monkeypatch.setattr(warmup, part, lambda *_: None)
-    with Warmup(composed(), told) as nothing:
+    with Warmup(composed(), recorder) as nothing:
         nothing.begin()
         nothing.finish()
-    assert told.lines == []
+    assert recorder.lines == []
     monkeypatch.setattr(warmup, "_train", compiles)
-    with Warmup(composed("capacity=adc"), told) as something:
+    with Warmup(composed("capacity=adc"), recorder) as something:
         something.begin()
         something.finish()
-    assert [line.split(":")[0] for line in told.lines] == [
+    assert [line.split(":")[0] for line in recorder.lines] == [
         warmup.FIRST.split(":")[0],
-        told.lines[1],
+        recorder.lines[1],
     ]
-    assert told.lines[1].startswith("2 kernels compiled in ")
+    assert recorder.lines[1].startswith("2 kernels compiled in ")

@@ -23,11 +23,11 @@ OURS = ("framework/", "tests/", "benchmarks/", "docs/", "conf/", "sweeps/")
 
 def named(page: str) -> list[tuple[str, str]]:
     """(path, name or "") of `path`, `path:name` and `:name`, which is of the path before it."""
-    found, last = [], ""
+    actual, last = [], ""
     for path, name in re.findall(rf"`({FILE})?(?::([\w.]+))?`", page):
         last = path or last
-        found.append((last, name))
-    return found
+        actual.append((last, name))
+    return actual
 
 
 def holds(file: Path, name: str) -> bool:
@@ -52,8 +52,8 @@ def names_of(node: ast.stmt) -> list[str]:
 
 def test_what_the_page_names_exists() -> None:
     for path, name in dict.fromkeys(named(PAGE)):
-        found = path == "__init__.py" or (ROOT / path).is_file()  # the first is that of any room
-        assert found, f"docs/architecture.md: no file {path}"
+        actual = path == "__init__.py" or (ROOT / path).is_file()  # the first is that of any room
+        assert actual, f"docs/architecture.md: no file {path}"
         assert not name or holds(ROOT / path, name), f"docs/architecture.md: {path} has no {name}"
 
 

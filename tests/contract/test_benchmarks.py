@@ -24,7 +24,7 @@ def places() -> set[tuple[str, str]]:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
     )
-    return {(found[1], found[2]) for text in texts if (found := STAGE.fullmatch(text))}
+    return {(actual[1], actual[2]) for text in texts if (actual := STAGE.fullmatch(text))}
 
 
 @pytest.mark.parametrize(("module", "name"), sorted(places()))

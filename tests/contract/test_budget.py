@@ -65,9 +65,9 @@ def test_a_damaged_choice_is_made_anew(tmp_path: Path, text: str) -> None:
 
 def test_what_was_chosen_is_told_as_it_is_typed() -> None:
     choice = Choice("a", 60.0, 0.1, 300, 2, 0.25)
-    told = choice.told["repeat"].split()
-    given = {
-        word.partition("=")[0].removeprefix("trainer."): word.partition("=")[2] for word in told
+    message = choice.record["repeat"].split()
+    inputs = {
+        word.partition("=")[0].removeprefix("trainer."): word.partition("=")[2] for word in message
     }
     again = choice.applied(MINUTE)
-    assert {name: str(getattr(again, name)).removesuffix(".0") for name in given} == given
+    assert {name: str(getattr(again, name)).removesuffix(".0") for name in inputs} == inputs

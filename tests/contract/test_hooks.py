@@ -26,7 +26,7 @@ def plugin(base: type, group: str) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("result", "told"),
+    ("result", "message"),
     [
         (None, r"expected to return \(list of views, state\), got NoneType"),
         ([VIEW], r"expected to return \(list of views, state\), got list"),
@@ -39,13 +39,13 @@ def plugin(base: type, group: str) -> Any:
         (([dataclasses.replace(VIEW, image=VIEW.image + torch.inf)], None), "got infinity"),
     ],
 )
-def test_pseudo_views(result: object, told: str) -> None:
-    with pytest.raises(UserError, match=rf"^augment=mine: pseudo_views: .*{told}"):
+def test_pseudo_views(result: object, message: str) -> None:
+    with pytest.raises(UserError, match=rf"^augment=mine: pseudo_views: .*{message}"):
         hooks.pseudo_views(plugin(Augmenter, "augment"), result)
 
 
 @pytest.mark.parametrize(
-    ("result", "told"),
+    ("result", "message"),
     [
         (torch.ones(3), r"expected to return \(factors or None, state\), got Tensor"),
         ((torch.ones(2), None), r"expected float32 \[3\], got float32 \[2\]"),
@@ -54,13 +54,13 @@ def test_pseudo_views(result: object, told: str) -> None:
         ((torch.tensor([1.0, torch.inf, 1.0]), None), "expected finite numbers >= 0"),
     ],
 )
-def test_opacity_factors(result: object, told: str) -> None:
-    with pytest.raises(UserError, match=rf"^reg=mine: opacity_factors: .*{told}"):
+def test_opacity_factors(result: object, message: str) -> None:
+    with pytest.raises(UserError, match=rf"^reg=mine: opacity_factors: .*{message}"):
         hooks.opacity_factors(plugin(Regularizer, "reg"), result, 3)
 
 
 @pytest.mark.parametrize(
-    ("term", "told"),
+    ("term", "message"),
     [
         (0.5, "expected a scalar tensor, got float"),
         (torch.ones(2, 3), r"expected a scalar tensor, got Tensor \[2, 3\]"),
@@ -68,8 +68,8 @@ def test_opacity_factors(result: object, told: str) -> None:
         (GRADIENT * torch.nan, "expected a finite number, got nan"),
     ],
 )
-def test_loss_term(term: object, told: str) -> None:
-    with pytest.raises(UserError, match=rf"^reg=mine: loss: .*{told}"):
+def test_loss_term(term: object, message: str) -> None:
+    with pytest.raises(UserError, match=rf"^reg=mine: loss: .*{message}"):
         hooks.loss_term(plugin(Regularizer, "reg"), term)
 
 
@@ -101,7 +101,7 @@ def test_edits() -> None:
 
 def test_what_a_capacity_adds_fits_what_there_is() -> None:
     mine = plugin(Capacity, "capacity")
-    for name, value, told in (
+    for name, value, message in (
         (
             "means",
             THREE.means.double(),
@@ -111,7 +111,7 @@ def test_what_a_capacity_adds_fits_what_there_is() -> None:
         ("shN", torch.zeros(3, 3, 3), r"in `append.shN`, got float32 \[3, 3, 3\]"),
     ):
         odd = THREE.replace(**{name: value})
-        with pytest.raises(UserError, match=f"^capacity=mine: update: expected .*{told}"):
+        with pytest.raises(UserError, match=f"^capacity=mine: update: expected .*{message}"):
             hooks.edits(mine, (Edits(append=odd), None), THREE)
     with pytest.raises(UserError, match="expected Gaussians in `append`, got list"):
         hooks.edits(mine, (Edits(append=[]), None), THREE)  # type: ignore[arg-type]
@@ -145,12 +145,12 @@ def test_a_step_of_its_own_and_another_gradient() -> None:
         hooks.sub_step(mine, (loss, ("colour",)))
     with pytest.raises(UserError, match=r"substeps: expected a scalar loss of ctx.gaussians"):
         hooks.sub_step(mine, (torch.zeros(()), ("means",)))
-    found = {"means": torch.zeros(3, 3)}
-    assert hooks.gradient(mine, found, found) is found
+    actual = {"means": torch.zeros(3, 3)}
+    assert hooks.gradient(mine, actual, actual) is actual
     with pytest.raises(UserError, match="gradient: expected means, got"):
-        hooks.gradient(mine, {}, found)
+        hooks.gradient(mine, {}, actual)
     with pytest.raises(UserError, match="gradient: `means`: expected float32"):
-        hooks.gradient(mine, {"means": torch.zeros(2, 3)}, found)
+        hooks.gradient(mine, {"means": torch.zeros(2, 3)}, actual)
     assert hooks.evaluated(mine, THREE, THREE.shN.shape[1]) is THREE
     with pytest.raises(UserError, match="evaluated: the Gaussians: expected Gaussians, got int"):
         hooks.evaluated(mine, 3, 0)
@@ -185,7 +185,7 @@ def test_a_class_that_is_no_plugin_is_told_at_its_definition() -> None:
     class Slip(Regularizer):
         defaults: ClassVar[dict[str, float]] = {"wieght": 0.1}
 
-    for cls, told in (
+    for cls, message in (
         (Hookless, "expected one of opacity_factors, loss, "),
         (Other, "expected a class derived from framework.plugin.Regularizer"),
         (Slip, "expected some of weight, start, stop in `defaults`, got 'wieght'"),
@@ -194,7 +194,7 @@ def test_a_class_that_is_no_plugin_is_told_at_its_definition() -> None:
         (Weighted, "got a field 'weight'"),
         (Untyped, "write 'strength: float = 0.5'"),
     ):
-        with pytest.raises(UserError, match=rf"^reg=bad \(.*{cls.__name__}\): .*{told}"):
+        with pytest.raises(UserError, match=rf"^reg=bad \(.*{cls.__name__}\): .*{message}"):
             register("reg", "bad")(cls)
     for name in ("a+b", "a/b", "1", "Mine", "null"):
         with pytest.raises(UserError, match="expected a name of lower-case letters"):
@@ -237,11 +237,11 @@ def test_a_hook_that_raises_is_placed() -> None:
 
 
 def test_what_a_hook_is_given_it_may_not_write_into() -> None:
-    mine, given = plugin(Augmenter, "augment"), THREE.clone()
-    with hooks.checked_call(mine, "pseudo_views", 3, given):
-        given.means.clone().add_(1)
+    mine, inputs = plugin(Augmenter, "augment"), THREE.clone()
+    with hooks.checked_call(mine, "pseudo_views", 3, inputs):
+        inputs.means.clone().add_(1)
     with (
         pytest.raises(UserError, match=r"^augment=mine: pseudo_views, step 3: expected ctx\.gauss"),
-        hooks.checked_call(mine, "pseudo_views", 3, given),
+        hooks.checked_call(mine, "pseudo_views", 3, inputs),
     ):
-        given.opacity_logits.add_(1)
+        inputs.opacity_logits.add_(1)

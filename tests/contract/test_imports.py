@@ -96,8 +96,8 @@ def loaded(path: Path, seen: set[Path]) -> Iterator[str]:
     seen.add(path)
     for module in at_import_time(path):
         yield module
-        own = ROOT / Path(*module.split("."))
-        for file in (own.with_suffix(".py"), own / "__init__.py"):
+        ours = ROOT / Path(*module.split("."))
+        for file in (ours.with_suffix(".py"), ours / "__init__.py"):
             if file.is_file() and file not in seen:
                 yield from loaded(file, seen)
 
@@ -131,22 +131,22 @@ def room(module: str) -> str:
 def climbs(path: Path, module: str = "") -> list[str]:
     """The imports of a file, or of a text in place of `module`, that go up or to a room that
     the list lacks."""
-    own, found = room(module or module_of(path)), []
+    ours, actual = room(module or module_of(path)), []
     for other_module, _ in taken(path):
         other = room(other_module)
-        if not other or other == own or not covers("framework", other_module):
+        if not other or other == ours or not covers("framework", other_module):
             continue
-        if other not in ROOMS or ROOMS.index(other) < ROOMS.index(own):
-            found.append(f"{own} imports {other_module} of {other}, which is above it")
-    return found
+        if other not in ROOMS or ROOMS.index(other) < ROOMS.index(ours):
+            actual.append(f"{ours} imports {other_module} of {other}, which is above it")
+    return actual
 
 
 def past_the_door(path: Path) -> list[str]:
     """What a file takes from other rooms that their doors do not hand out."""
-    own, found = module_of(path), []
+    ours, actual = module_of(path), []
     for module, name in taken(path):
         if not covers("framework", module) or (
-            covers("framework", own) and room(own) == room(module)
+            covers("framework", ours) and room(ours) == room(module)
         ):
             continue
         inside = module.split(".")[2:]
@@ -155,8 +155,8 @@ def past_the_door(path: Path) -> list[str]:
         if door is None or door.name != "__init__.py" or room(module) == "" or wanted is None:
             continue
         if wanted not in handed_out(door):
-            found.append(f"{own} takes {wanted} from {room(module)}, whose __all__ lacks it")
-    return found
+            actual.append(f"{ours} takes {wanted} from {room(module)}, whose __all__ lacks it")
+    return actual
 
 
 def handed_out(door: Path) -> list[str]:
@@ -191,9 +191,9 @@ def test_the_framework_imports_and_names_no_plugin() -> None:
 def test_a_plugin_imports_only_its_contracts() -> None:
     for path in PLUGINS:
         ours = [module for module in everything(path) if covers("framework", module)]
-        found = [m for m in ours if not any(covers(rule, m) for rule in PLUGIN_MAY_IMPORT)]
-        found += [module for module in everything(path) if covers("plugins", module)]
-        assert not found, name_of(path)
+        actual = [m for m in ours if not any(covers(rule, m) for rule in PLUGIN_MAY_IMPORT)]
+        actual += [module for module in everything(path) if covers("plugins", module)]
+        assert not actual, name_of(path)
 
 
 def test_a_plugin_is_light_to_import() -> None:
@@ -205,8 +205,8 @@ def test_a_plugin_is_light_to_import() -> None:
 def test_the_report_reads_records_only() -> None:
     for path in REPORT:
         modules = everything(path)
-        found = [m for m in modules if any(covers(rule, m) for rule in REPORT_MUST_NOT_IMPORT)]
-        assert not found, name_of(path)
+        actual = [m for m in modules if any(covers(rule, m) for rule in REPORT_MUST_NOT_IMPORT)]
+        assert not actual, name_of(path)
 
 
 def test_imports_go_down_only() -> None:
@@ -223,8 +223,8 @@ def test_imports_go_down_only() -> None:
 def test_an_import_that_climbs_is_found_wherever_it_stands(text: str, tmp_path: Path) -> None:
     file = tmp_path / "climbing.py"
     file.write_text(text)
-    (found,) = climbs(file, "framework.files.climbing")
-    assert found.startswith("files imports framework.") and found.endswith("which is above it")
+    (actual,) = climbs(file, "framework.files.climbing")
+    assert actual.startswith("files imports framework.") and actual.endswith("which is above it")
 
 
 def test_rooms_are_entered_by_their_doors() -> None:

@@ -19,11 +19,11 @@ NAMES = {re.split(r"[\[<>=~!; ]", line)[0] for group in GROUPS for line in group
 
 def licence(name: str) -> str:
     """What an installed package says its licence is."""
-    told = metadata(name)
-    classifiers = [c for c in told.get_all("Classifier") or [] if c.startswith("License")]
-    lines = (told.get("License") or "").strip().splitlines()[:1]  # some put the whole text there
-    found = [*filter(None, [told.get("License-Expression")]), *classifiers, *lines]
-    return "; ".join(found or _first_line_of_file(name))
+    message = metadata(name)
+    classifiers = [c for c in message.get_all("Classifier") or [] if c.startswith("License")]
+    lines = (message.get("License") or "").strip().splitlines()[:1]  # some put the whole text there
+    actual = [*filter(None, [message.get("License-Expression")]), *classifiers, *lines]
+    return "; ".join(actual or _first_line_of_file(name))
 
 
 def _first_line_of_file(name: str) -> list[str]:
@@ -35,12 +35,12 @@ def _first_line_of_file(name: str) -> list[str]:
 @pytest.mark.parametrize("name", sorted(NAMES - {PROJECT["name"]}))
 def test_no_dependency_is_copyleft(name: str) -> None:
     try:
-        told = licence(name)
+        message = licence(name)
     except PackageNotFoundError:
         pytest.skip(f"{name}: not installed here, an extra")
-    assert told, f"{name}: no licence in its metadata"
+    assert message, f"{name}: no licence in its metadata"
     # "or" leaves the choice, as of packages under BSD or GPL
-    assert not all(COPYLEFT.search(part) for part in re.split(r"\s+OR\s+|; ", told)), told
+    assert not all(COPYLEFT.search(part) for part in re.split(r"\s+OR\s+|; ", message)), message
 
 
 def test_the_project_states_its_own() -> None:

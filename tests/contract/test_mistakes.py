@@ -23,7 +23,7 @@ from framework.records.record import read_run
 from framework.records.run_files import HistoryRow, history_csv
 from framework.registry import ActivePlugin
 from framework.run import answers
-from framework.train.dose import Dose, told
+from framework.train.dose import Dose, summary
 from tests.contract.test_hooks import as_before
 from tests.golden.test_contracts import trainer
 from tests.record.fakes import fake_run
@@ -213,7 +213,7 @@ def test_numbers_beyond_what_is_read_are_not_written(tmp_path: Path) -> None:
     dose = Dose()
     dose.open("reg.asked")
     dose.add("log.reg.x", 1e300)
-    assert told(dose.kept())["x_mean"] == f"beyond {LARGEST:g}"
+    assert summary(dose.kept())["x_mean"] == f"beyond {LARGEST:g}"
     path = fake_run(tmp_path)
     row = HistoryRow(1, 0.1, 1e300, 5, 0, logged={"x": 1e300})
     (path / "history.csv").write_text(history_csv([row]))

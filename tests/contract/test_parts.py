@@ -148,12 +148,12 @@ def test_a_metric_measures_and_changes_nothing(name: str) -> None:
 
 def test_what_a_metric_measures_is_saved_and_read_again(tmp_path: Path) -> None:
     view = textured_plane(0)[0].views[0]
-    found, _ = evaluate(
+    actual, _ = evaluate(
         lambda camera: view.image * 0.9, [view], also={"edges": MEASURES["edges"]()}
     )
-    assert found[0].value("edges") == found[0].also["edges"] > 0
-    (tmp_path / METRICS_CSV).write_text(metrics_csv(found, ["view"]), encoding="utf-8")
-    assert read_table(tmp_path / METRICS_CSV).numbers["edges"][0] == found[0].value("edges")
+    assert actual[0].value("edges") == actual[0].also["edges"] > 0
+    (tmp_path / METRICS_CSV).write_text(metrics_csv(actual, ["view"]), encoding="utf-8")
+    assert read_table(tmp_path / METRICS_CSV).numbers["edges"][0] == actual[0].value("edges")
 
 
 def test_a_metric_that_fails_costs_no_training() -> None:
@@ -188,13 +188,13 @@ def test_wrong_answers_name_their_plugin() -> None:
     training, maps, gaussians = textured_plane(0)
     with pytest.raises(UserError, match=r"^depth=odd: measure: expected a map for each of 3"):
         answers.depth("odd", type(self_made()), maps[:2], training)
-    for part, value, told in (
+    for part, value, message in (
         ("depth", -1.0, "expected finite numbers >= 0"),
         ("depth", torch.inf, "expected finite numbers >= 0"),
         ("confidence", 100.0, r"expected numbers in \[0, 1\]"),
     ):
         odd = dataclasses.replace(maps[0], **{part: torch.full_like(maps[0].depth, value)})
-        with pytest.raises(UserError, match=rf"^depth=odd: measure: the {part} of .*: {told}"):
+        with pytest.raises(UserError, match=rf"^depth=odd: measure: the {part} of .*: {message}"):
             answers.depth("odd", type(self_made()), (odd, *maps[1:]), training)
     with pytest.raises(UserError, match=r"^init=odd: build: the Gaussians\.shN: expected float32"):
         answers.gaussians("odd", type(self_made()), gaussians, 1)
@@ -243,7 +243,7 @@ def test_what_cannot_be_a_part_is_refused() -> None:
 
         def load(self) -> Any: ...
 
-    for group, name, cls, told in [
+    for group, name, cls, message in [
         ("init", "bare", Bare, "derived from framework.plugin.Initializer"),
         ("init", "idle", Idle, "expected the method `build`"),
         ("metric", "needy", Needy, "expected a default for 'needs'"),
@@ -253,5 +253,5 @@ def test_what_cannot_be_a_part_is_refused() -> None:
         ("scene", "named", Named, "got a field 'name'"),
         ("depht", "own", Taken, "unknown group depht; did you mean 'depth'"),
     ]:
-        with pytest.raises(UserError, match=told):
+        with pytest.raises(UserError, match=message):
             registry.register(group, name)(cls)

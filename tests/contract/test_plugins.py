@@ -30,8 +30,8 @@ def test_it_builds_from_its_defaults(group: str, name: str) -> None:
     for option, kind, field in registry.option_fields(cls):
         assert kind is not None
         assert field.default is not dataclasses.MISSING, option
-    own = {field.name for field in dataclasses.fields(cls)}
-    assert not own & {"name", *registry.FRAMEWORK_KEYS}
+    ours = {field.name for field in dataclasses.fields(cls)}
+    assert not ours & {"name", *registry.FRAMEWORK_KEYS}
 
 
 def test_an_unknown_option_is_refused() -> None:

@@ -106,17 +106,17 @@ def test_updates_of_pseudo_views_alone_are_taken_up_too(
     augment = dataclasses.replace(augment, plugin=rare)
     chosen = Plugins({**chosen.each, "augment": augment})
     files = Files(tmp_path, chosen)
-    own: dict[str, Any] = {"pseudo_steps": "own", "pseudo_mean": "covered"}
-    whole = train(chosen, files, **own)
-    asked, made = whole.dose["augment.asked"]
-    assert asked == 7 and 0 < made < asked
+    ours: dict[str, Any] = {"pseudo_steps": "own", "pseudo_mean": "covered"}
+    whole = train(chosen, files, **ours)
+    asked, built = whole.dose["augment.asked"]
+    assert asked == 7 and 0 < built < asked
     assert whole.dose["steps"][0] == OPTIONS.steps + whole.dose["loss.pseudo"][0] > OPTIONS.steps
     messages = [record.getMessage() for record in caplog.records]
     for step in TAKEN_UP_AT:
         caplog.clear()
         state = files.checkpoints(step).newest(files.check)
         assert state is not None and max(state.field.adam.steps) == state.dose["steps"][0]
-        assert outcome(train(chosen, start=state, **own)) == outcome(whole)
+        assert outcome(train(chosen, start=state, **ours)) == outcome(whole)
         assert [record.getMessage() for record in caplog.records] == messages
 
 

@@ -36,21 +36,21 @@ def _trained() -> Iterator[Path]:
 
 def rounded(text: str) -> list[str]:
     """What in the source `text` a library rounds by the processor."""
-    found = []
+    actual = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
-            found.append(f"line {node.lineno}: @")
+            actual.append(f"line {node.lineno}: @")
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
             of, name = ast.unparse(node.func.value), node.func.attr
             if name in ROUNDED and of not in OURS and (of, name) != ("np", "sqrt"):
-                found.append(f"line {node.lineno}: {of}.{name}")
+                actual.append(f"line {node.lineno}: {of}.{name}")
         elif isinstance(node, ast.Attribute) and ast.unparse(node).endswith(ACTIVATED):
-            found.append(f"line {node.lineno}: {ast.unparse(node)}")
-    return found
+            actual.append(f"line {node.lineno}: {ast.unparse(node)}")
+    return actual
 
 
 def test_nothing_in_a_training_is_rounded_by_the_processor() -> None:
-    found = {str(path.relative_to(ROOT)): rounded(path.read_text("utf-8")) for path in _trained()}
-    assert len(found) > 100
-    found = {path: lines for path, lines in found.items() if lines}
-    assert not found, f"{found}: framework.compute.portable and tensors round alike everywhere"
+    actual = {str(path.relative_to(ROOT)): rounded(path.read_text("utf-8")) for path in _trained()}
+    assert len(actual) > 100
+    actual = {path: lines for path, lines in actual.items() if lines}
+    assert not actual, f"{actual}: framework.compute.portable and tensors round alike everywhere"

@@ -85,11 +85,11 @@ def train(**names: str) -> tuple[Trained, bool]:
     training, depth, gaussians = textured_plane(1)
     tilt = torch.linspace(0.99, 1.01, depth[0].depth.shape[1])  # of a flat one nothing correlates
     depth = tuple(dataclasses.replace(each, depth=each.depth * tilt) for each in depth)
-    given = training, depth, gaussians
-    before = content_sha256(given)
+    inputs = training, depth, gaussians
+    before = content_sha256(inputs)
     options = TrainerOptions(steps=20, sh_degree=1, sh_every=8, evaluations=1)
-    trained = Trainer(*given, options, plugins, 0, Silent()).run()
-    return trained, content_sha256(given) == before
+    trained = Trainer(*inputs, options, plugins, 0, Silent()).run()
+    return trained, content_sha256(inputs) == before
 
 
 def bits(**names: str) -> str:
@@ -181,9 +181,9 @@ class Home(Regularizer):
     sign: ClassVar[float] = 1.0
 
     def gradient(
-        self, ctx: StepContext, state: Any, found: Mapping[str, Tensor], at: GradientAt
+        self, ctx: StepContext, state: Any, actual: Mapping[str, Tensor], at: GradientAt
     ) -> Mapping[str, Tensor]:
-        return {**found, "means": self.sign * ctx.gaussians.means.detach()}
+        return {**actual, "means": self.sign * ctx.gaussians.means.detach()}
 
 
 class Away(Home):
@@ -196,10 +196,10 @@ class Mirrored(Regularizer):
     """The means' gradient as it is where they are mirrored at the origin."""
 
     def gradient(
-        self, ctx: StepContext, state: Any, found: Mapping[str, Tensor], at: GradientAt
+        self, ctx: StepContext, state: Any, actual: Mapping[str, Tensor], at: GradientAt
     ) -> Mapping[str, Tensor]:
         mirrored = ctx.gaussians.replace(means=-ctx.gaussians.means.detach())
-        return {**found, "means": at(mirrored)["means"]}
+        return {**actual, "means": at(mirrored)["means"]}
 
 
 def test_a_gradient_elsewhere_holds_what_the_regularizers_before_made_of_it(

@@ -68,11 +68,11 @@ def test_bias_is_one_factor_per_view_spread_over_the_range() -> None:
 
 
 def test_holes_take_the_stated_share_nested_and_without_confidence() -> None:
-    known = float((step_maps()[0].depth > 0).sum())
+    reference = float((step_maps()[0].depth > 0).sum())
     small, large = (corrupt(step_maps(), ["holes"], s, 0)[0] for s in (0.25, 1.0))
     for spoiled, strength in ((small, 0.25), (large, 1.0)):
         left = float((spoiled.depth > 0).sum())
-        assert left == pytest.approx((1 - HOLES * strength) * known, abs=1)
+        assert left == pytest.approx((1 - HOLES * strength) * reference, abs=1)
         assert torch.equal(spoiled.confidence > 0, spoiled.depth > 0)
     assert bool(((small.depth > 0) | (large.depth == 0)).all())
     gone = (small.depth[1:] == 0).float()

@@ -138,12 +138,12 @@ def test_depth_comes_back_in_scene_units(
     maps = provider(weights, align=align, process_res=280).estimate(scene)
     assert loaded == [str(weights)] and network.device == torch.device("cpu")
     assert network.calls[0]["process_res"] == 280
-    for found, of in zip(maps, scene.views, strict=True):
-        assert found.depth.shape == found.confidence.shape == of.image.shape[1:]
-        assert found.depth.dtype == found.confidence.dtype == torch.float32
-        error = np.abs(found.depth.numpy() / plane_depth(of.camera) - 1)
+    for actual, of in zip(maps, scene.views, strict=True):
+        assert actual.depth.shape == actual.confidence.shape == of.image.shape[1:]
+        assert actual.depth.dtype == actual.confidence.dtype == torch.float32
+        error = np.abs(actual.depth.numpy() / plane_depth(of.camera) - 1)
         assert np.median(error) < 0.005 and (error < 0.02).mean() > 0.99
-        confident = found.confidence.numpy()
+        confident = actual.confidence.numpy()
         assert confident.max() == pytest.approx(0.75) and (confident > 0).mean() > 0.8
 
 

@@ -46,19 +46,19 @@ def exposed(photos: Sequence[View], log_gains: np.ndarray) -> list[View]:
 
 
 def depths(photos: Sequence[View]) -> list[DepthMap]:
-    found = [torch.from_numpy(plane.plane_depth(view.camera)).float() for view in photos]
-    return [DepthMap(depth, torch.ones_like(depth)) for depth in found]
+    actual = [torch.from_numpy(plane.plane_depth(view.camera)).float() for view in photos]
+    return [DepthMap(depth, torch.ones_like(depth)) for depth in actual]
 
 
 def test_the_gains_are_found_and_taken_out() -> None:
     photos = views()
-    found = find_exposures(exposed(photos, GAINS), depths(photos))
-    assert found is not None
-    assert found.log_gains == pytest.approx(GAINS - GAINS.mean(0), abs=0.01)
+    actual = find_exposures(exposed(photos, GAINS), depths(photos))
+    assert actual is not None
+    assert actual.log_gains == pytest.approx(GAINS - GAINS.mean(0), abs=0.01)
     common = torch.from_numpy(np.exp(GAINS.mean(0))).float()[:, None, None]
-    for view, evened in zip(photos, found.evened(exposed(photos, GAINS)), strict=True):
+    for view, evened in zip(photos, actual.evened(exposed(photos, GAINS)), strict=True):
         assert torch.allclose(evened.image, view.image * common, rtol=0.02)
-    assert "root mean square 9 %" in found.message()
+    assert "root mean square 9 %" in actual.message()
 
 
 def test_wrong_depth_in_places_and_highlights_hardly_matter() -> None:
@@ -69,9 +69,9 @@ def test_wrong_depth_in_places_and_highlights_hardly_matter() -> None:
         each.confidence[40:50] = 0
     shiny = exposed(photos, GAINS)
     shiny[1].image[:, 30:45, 30:50] += 0.2
-    found = find_exposures(shiny, maps)
-    assert found is not None
-    assert found.log_gains == pytest.approx(GAINS - GAINS.mean(0), abs=0.03)
+    actual = find_exposures(shiny, maps)
+    assert actual is not None
+    assert actual.log_gains == pytest.approx(GAINS - GAINS.mean(0), abs=0.03)
 
 
 def test_colours_that_scatter_are_believed_less() -> None:
@@ -81,11 +81,11 @@ def test_colours_that_scatter_are_believed_less() -> None:
         blocks = draws.uniform(-0.25, 0.25, (view.image.shape[1] // 6 + 1, 17))
         pattern = np.kron(blocks, np.ones((6, 6)))[: view.image.shape[1], : view.image.shape[2]]
         view.image[2] = (view.image[2] + torch.from_numpy(pattern).float()).clamp(0.05, 0.95)
-    found = find_exposures(photos, depths(photos))
-    assert found is not None
+    actual = find_exposures(photos, depths(photos))
+    assert actual is not None
     exact = GAINS - GAINS.mean(0)
-    assert found.log_gains[:, :2] == pytest.approx(exact[:, :2], abs=0.01)
-    assert 0.3 < (found.log_gains[:, 2] * exact[:, 2]).sum() / (exact[:, 2] ** 2).sum() < 0.8
+    assert actual.log_gains[:, :2] == pytest.approx(exact[:, :2], abs=0.01)
+    assert 0.3 < (actual.log_gains[:, 2] * exact[:, 2]).sum() / (exact[:, 2] ** 2).sum() < 0.8
 
 
 def test_nothing_is_changed_where_there_is_nothing_to_mend_or_to_see() -> None:
@@ -105,8 +105,8 @@ def test_many_photos_in_a_row_keep_their_drift() -> None:
     seen = [plane.view(str(i), camera) for i, camera in enumerate(cameras)]
     photos = [replace(view, image=0.2 + 0.3 * view.image) for view in seen]
     drift = np.linspace(-0.4, 0.4, len(photos))[:, None].repeat(3, axis=1)
-    found = find_exposures(exposed(photos, drift), depths(photos))
-    assert found is not None and found.log_gains == pytest.approx(drift, abs=0.02)
+    actual = find_exposures(exposed(photos, drift), depths(photos))
+    assert actual is not None and actual.log_gains == pytest.approx(drift, abs=0.02)
 
 
 def test_what_a_mask_hides_does_not_count() -> None:
@@ -116,9 +116,9 @@ def test_what_a_mask_hides_does_not_count() -> None:
     spoiled = photos[0].image.clone()
     spoiled[:, :50] *= 0.5
     photos[0] = replace(photos[0], image=spoiled, mask=mask)
-    found = find_exposures(photos, depths(photos))
-    assert found is not None
-    assert found.log_gains == pytest.approx(GAINS - GAINS.mean(0), abs=0.02)
+    actual = find_exposures(photos, depths(photos))
+    assert actual is not None
+    assert actual.log_gains == pytest.approx(GAINS - GAINS.mean(0), abs=0.02)
 
 
 @pytest.mark.parametrize("hidden", [0.0, 1.0])
@@ -131,9 +131,9 @@ def test_beside_a_mask_its_colours_do_not_count_either(hidden: float) -> None:
             mask[first : first + 6] = 0
         image = torch.where(mask > 0.5, view.image, torch.tensor(hidden))
         photos[k] = replace(view, image=image, mask=mask)
-    found = find_exposures(photos, depths(photos))
-    assert found is not None
-    assert found.log_gains == pytest.approx(GAINS - GAINS.mean(0), abs=0.01)
+    actual = find_exposures(photos, depths(photos))
+    assert actual is not None
+    assert actual.log_gains == pytest.approx(GAINS - GAINS.mean(0), abs=0.01)
 
 
 def test_spoiled_depth_does_not_change_the_photos(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -153,15 +153,15 @@ def test_spoiled_depth_does_not_change_the_photos(monkeypatch: pytest.MonkeyPatc
 
 def test_a_new_view_is_exposed_as_the_photos_around_it() -> None:
     cameras = tuple(plane.camera((x, 0, 0), (8, 6), 10.0) for x in (0.0, 1.0, 5.0))
-    found = Exposures(cameras, np.array([[0.3] * 3, [-0.1] * 3, [-0.2] * 3]))
-    assert found.at(cameras[1]) == pytest.approx([-0.1] * 3, abs=1e-4)
+    actual = Exposures(cameras, np.array([[0.3] * 3, [-0.1] * 3, [-0.2] * 3]))
+    assert actual.at(cameras[1]) == pytest.approx([-0.1] * 3, abs=1e-4)
     middle = plane.camera((0.5, 0, 0), (8, 6), 10.0)
     weights = np.array([1 / 0.5**2, 1 / 0.5**2, 1 / 4.5**2])
     mean = (weights * [0.3, -0.1, -0.2]).sum() / weights.sum()
-    assert found.at(middle) == pytest.approx([mean] * 3, abs=1e-4)
+    assert actual.at(middle) == pytest.approx([mean] * 3, abs=1e-4)
     grey = torch.full((3, 6, 8), 0.5)
-    assert torch.allclose(found.applied(grey, middle), grey * np.exp(mean), atol=1e-4)
-    assert found.factors(middle) == pytest.approx([np.exp(mean)] * 3, abs=1e-4)
+    assert torch.allclose(actual.applied(grey, middle), grey * np.exp(mean), atol=1e-4)
+    assert actual.factors(middle) == pytest.approx([np.exp(mean)] * 3, abs=1e-4)
 
 
 def test_a_run_evens_the_photos_and_tests_as_they_were_exposed(
@@ -196,8 +196,8 @@ def test_a_run_evens_the_photos_and_tests_as_they_were_exposed(
         assert isinstance(psnr, float)
         results[evened] = psnr
         last = (folder / "history.csv").read_text(encoding="utf-8").splitlines()
-        told = [float(row["test_psnr"]) for row in csv.DictReader(last) if row["test_psnr"]]
-        assert told[-1] == pytest.approx(psnr, abs=0.05)
+        message = [float(row["test_psnr"]) for row in csv.DictReader(last) if row["test_psnr"]]
+        assert message[-1] == pytest.approx(psnr, abs=0.05)
         frames = json.loads((folder / "transforms.json").read_text(encoding="utf-8"))["frames"]
         assert all(("exposure" in frame) == (evened == "true") for frame in frames)
         factors = [frame["exposure"] for frame in frames[:6] if "exposure" in frame]

@@ -37,11 +37,11 @@ def test_files_are_read_back(tmp_path: Path, suffix: str) -> None:
     scene = plane_scene()
     write(tmp_path, scene, exact(scene), suffix)
     options = {"path": str(tmp_path), "align": "none", "png_scale": 5000.0}
-    for found, truth in zip(
+    for actual, truth in zip(
         build_provider("file", options).estimate(scene), exact(scene), strict=True
     ):
-        np.testing.assert_allclose(found.depth.numpy(), truth, atol=2e-4)
-        assert float(found.confidence.min()) == 1
+        np.testing.assert_allclose(actual.depth.numpy(), truth, atol=2e-4)
+        assert float(actual.confidence.min()) == 1
 
 
 @pytest.mark.parametrize(
@@ -57,18 +57,18 @@ def test_alignment_recovers_scene_units(tmp_path: Path, kind: str, mode: str) ->
     maps = [(d if kind == "depth" else 1 / d) * 40 + shift for d in exact(scene)]
     write(tmp_path, scene, maps, ".npy")
     options = {"path": str(tmp_path), "kind": kind, "align": mode}
-    for found, truth in zip(
+    for actual, truth in zip(
         build_provider("file", options).estimate(scene), exact(scene), strict=True
     ):
-        np.testing.assert_allclose(found.depth.numpy(), truth, rtol=0.01)
+        np.testing.assert_allclose(actual.depth.numpy(), truth, rtol=0.01)
 
 
 def test_maps_of_another_size_are_resampled(tmp_path: Path) -> None:
     scene = plane_scene()
     write(tmp_path, scene, [np.repeat(np.repeat(d, 2, 0), 2, 1) for d in exact(scene)], ".npy")
     options = {"path": str(tmp_path), "align": "none"}
-    found = build_provider("file", options).estimate(scene)[0]
-    np.testing.assert_allclose(found.depth.numpy(), exact(scene)[0], rtol=1e-6)
+    actual = build_provider("file", options).estimate(scene)[0]
+    np.testing.assert_allclose(actual.depth.numpy(), exact(scene)[0], rtol=1e-6)
 
 
 def test_maps_of_stored_photos_lose_the_lens_too(tmp_path: Path) -> None:
@@ -81,15 +81,15 @@ def test_maps_of_stored_photos_lose_the_lens_too(tmp_path: Path) -> None:
         maps.append(1.0 + columns + 1000.0 * rows)  # a value encodes its position
     write(tmp_path, scene, maps, ".npy")
     options = {"path": str(tmp_path), "align": "none"}
-    view, found = bent.views[0], build_provider("file", options).estimate(bent)[0].depth.numpy()
+    view, actual = bent.views[0], build_provider("file", options).estimate(bent)[0].depth.numpy()
     K, (height, width) = view.camera.K.numpy(), view.image.shape[1:]
     row, column = height // 8, width // 8
     x, y = (column + 0.5 - K[0, 2]) / K[0, 0], (row + 0.5 - K[1, 2]) / K[1, 1]
     factor = 1 - 0.2 * (x * x + y * y)
     u, v = K[0, 0] * x * factor + K[0, 2], K[1, 1] * y * factor + K[1, 2]
     assert (int(u), int(v)) != (column, row)
-    assert found[row, column] == maps[0][int(v), int(u)]
-    assert found[height // 2, width // 2] == maps[0][height // 2, width // 2]
+    assert actual[row, column] == maps[0][int(v), int(u)]
+    assert actual[height // 2, width // 2] == maps[0][height // 2, width // 2]
     straight = build_provider("file", {**options, "straight": True}).estimate(bent)[0]
     assert straight.depth[row, column] == maps[0][row, column]
 
@@ -111,9 +111,9 @@ def test_invalid_values_are_counted_or_masked(tmp_path: Path) -> None:
     options = {"path": str(tmp_path), "align": "none"}
     with pytest.raises(UserError, match=r"middle\.npy, got 3 of 8320 invalid \(1 NaN, 1 inf"):
         build_provider("file", options).estimate(scene)
-    found = build_provider("file", {**options, "invalid": "mask"}).estimate(scene)[1]
-    assert found.depth[0, :3].tolist() == found.confidence[0, :3].tolist() == [0, 0, 0]
-    assert float(found.confidence[1:].min()) == 1
+    actual = build_provider("file", {**options, "invalid": "mask"}).estimate(scene)[1]
+    assert actual.depth[0, :3].tolist() == actual.confidence[0, :3].tolist() == [0, 0, 0]
+    assert float(actual.confidence[1:].min()) == 1
 
 
 def _renamed(scene: TrainingSet, *names: str) -> TrainingSet:
@@ -126,8 +126,8 @@ def test_views_of_the_same_name_have_their_own_files(tmp_path: Path) -> None:
     for i, file in enumerate(("cam1/0001.npy", "cam2/0001.jpg.npy", "0002.npy")):
         (tmp_path / file).parent.mkdir(exist_ok=True)
         np.save(tmp_path / file, np.full_like(exact(scene)[i], i + 1))
-    found = build_provider("file", {"path": str(tmp_path), "align": "none"}).estimate(scene)
-    assert [float(m.depth.max()) for m in found] == [1, 2, 3]
+    actual = build_provider("file", {"path": str(tmp_path), "align": "none"}).estimate(scene)
+    assert [float(m.depth.max()) for m in actual] == [1, 2, 3]
 
 
 @pytest.mark.parametrize("names", [("cam1/0001.jpg", "cam2/0001.jpg"), ("0001.jpg", "0001.png")])
@@ -236,8 +236,8 @@ def test_a_wrong_kind_is_noticed(tmp_path: Path) -> None:
 
 def test_ground_truth_is_the_views_own_depth() -> None:
     scene = plane_scene()
-    found = build_provider("ground_truth", {}).estimate(scene)
-    assert all(torch.equal(m.depth, v.depth) for m, v in zip(found, scene.views, strict=True))
+    actual = build_provider("ground_truth", {}).estimate(scene)
+    assert all(torch.equal(m.depth, v.depth) for m, v in zip(actual, scene.views, strict=True))
     bare = replace(scene, views=(replace(scene.views[0], depth=None), *scene.views[1:]))
     with pytest.raises(UserError, match=r"got none for view 'left.JPG'; use depth=plane_sweep"):
         build_provider("ground_truth", {}).estimate(bare)

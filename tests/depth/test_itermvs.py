@@ -22,19 +22,19 @@ needs_weights = pytest.mark.skipif(not CHECKPOINT.is_file(), reason="no IterMVS 
 @needs_weights
 @pytest.mark.parametrize("scene", ["dtu_scan24", "llff_horns"])
 def test_the_network_reproduces_its_reference(scene: str) -> None:
-    given = np.load(PUBLISHED / "reference" / f"{scene}.npz")
+    inputs = np.load(PUBLISHED / "reference" / f"{scene}.npz")
     network = IterMvs(read_checkpoint(CHECKPOINT))
-    photos = torch.from_numpy(given["photos"]).float() * 2 / 255 - 1
+    photos = torch.from_numpy(inputs["photos"]).float() * 2 / 255 - 1
     views = [
         Posed(network.features(photo), torch.from_numpy(K), torch.from_numpy(viewmat))
-        for photo, K, viewmat in zip(photos, given["K"], given["viewmats"], strict=True)
+        for photo, K, viewmat in zip(photos, inputs["K"], inputs["viewmats"], strict=True)
     ]
     depth, confidence = network.depth(
-        views[0], views[1:], float(given["near"]), float(given["far"])
+        views[0], views[1:], float(inputs["near"]), float(inputs["far"])
     )
-    error = np.abs(depth.numpy() / given["depth"] - 1)
+    error = np.abs(depth.numpy() / inputs["depth"] - 1)
     assert np.mean(error < 1e-3) > 0.99
-    assert np.mean(np.abs(confidence.numpy() - given["confidence"]) < 1e-2) > 0.99
+    assert np.mean(np.abs(confidence.numpy() - inputs["confidence"]) < 1e-2) > 0.99
 
 
 @needs_weights

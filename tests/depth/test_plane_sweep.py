@@ -25,9 +25,9 @@ def maps() -> tuple[DepthMap, ...]:
 
 
 def test_confident_pixels_are_within_one_and_three_percent(maps: tuple[DepthMap, ...]) -> None:
-    for found, of in zip(maps, plane_scene().views, strict=True):
-        error = np.abs(found.depth.numpy() / plane_depth(of.camera) - 1)
-        confident = found.confidence.numpy() > 0
+    for actual, of in zip(maps, plane_scene().views, strict=True):
+        error = np.abs(actual.depth.numpy() / plane_depth(of.camera) - 1)
+        confident = actual.confidence.numpy() > 0
         assert confident.mean() > 0.7
         assert (error[confident] < 0.01).mean() > 0.97
         assert (error[confident] < 0.03).mean() > 0.99
@@ -54,8 +54,8 @@ def test_depth_scales_with_the_scene(maps: tuple[DepthMap, ...]) -> None:
 
     views = tuple(replace(v, camera=enlarged(v.camera)) for v in scene.views)
     large = replace(scene, views=views, near=1000 * scene.near, far=1000 * scene.far)
-    for found, first in zip(sweep(large), maps, strict=True):
-        ratio = found.depth / first.depth / 1000
+    for actual, first in zip(sweep(large), maps, strict=True):
+        ratio = actual.depth / first.depth / 1000
         assert float(((ratio - 1).abs() < 1e-4).float().mean()) > 0.999
 
 
@@ -76,9 +76,9 @@ def test_a_view_without_overlap_gets_no_depth(caplog: pytest.LogCaptureFixture) 
     turned[:3, :3] = torch.diag(torch.tensor([-1.0, 1.0, -1.0])).double() @ turned[:3, :3]
     alone = replace(scene.views[0], name="alone", camera=replace(away, viewmat=turned))
     views = (*scene.views, alone)
-    found = sweep(replace(scene, views=views, points=no_points(4)))
-    assert float(found[3].depth.max()) == float(found[3].confidence.max()) == 0
-    assert float(found[0].confidence.max()) > 0
+    actual = sweep(replace(scene, views=views, points=no_points(4)))
+    assert float(actual[3].depth.max()) == float(actual[3].confidence.max()) == 0
+    assert float(actual[0].confidence.max()) > 0
     assert "alone" in caplog.text
 
 

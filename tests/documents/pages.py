@@ -38,12 +38,12 @@ class Block:
 
 def blocks(page: Path) -> list[Block]:
     """The code blocks of a Markdown file in their order."""
-    found = []
+    actual = []
     for language, rest, text in FENCE.findall(page.read_text(encoding="utf-8")):
         title = re.search(r'title="([^"]+)"', rest)
         code = re.search(r"exit=(\d+)", rest)
-        found.append(Block(language, title[1] if title else "", text, int(code[1]) if code else 0))
-    return found
+        actual.append(Block(language, title[1] if title else "", text, int(code[1]) if code else 0))
+    return actual
 
 
 def words_of(line: str) -> list[str] | None:

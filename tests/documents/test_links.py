@@ -24,8 +24,8 @@ HEADING = re.compile(r"^#{1,6} +(.+?)\s*$", re.MULTILINE)
 
 def anchors(page: Path) -> set[str]:
     """What a link may name behind `#`: the headings in small letters, words joined by hyphens."""
-    found = HEADING.findall(re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.M | re.S))
-    plain = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text).lower() for text in found]
+    actual = HEADING.findall(re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.M | re.S))
+    plain = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text).lower() for text in actual]
     return {re.sub(r"[^\w\- ]", "", text).strip().replace(" ", "-") for text in plain}
 
 

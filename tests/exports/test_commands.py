@@ -44,8 +44,8 @@ def test_webm_is_the_default_without_pyav(
 ) -> None:
     monkeypatch.setattr("framework.exports.movie.has_h264", lambda: False)
     assert command(["video", str(run), "--seconds", "0.5"]) == 0
-    told = capfd.readouterr()
-    assert "spiral past 3 cameras" in told.out and "OpenCV" not in told.err
+    message = capfd.readouterr()
+    assert "spiral past 3 cameras" in message.out and "OpenCV" not in message.err
     capture = cv2.VideoCapture(str(run / "video.webm"))
     good, frame = capture.read()
     assert good and frame.shape == (HEIGHT, WIDTH, 3)
@@ -70,8 +70,8 @@ def test_a_study_has_a_small_video_of_each_method(
     (tmp_path / "runs" / "b0" / "video.gif").write_bytes(b"")
     line = [str(tmp_path), "--seconds", "0.2", "--size", "32"]
     assert video.main(line, "video") == 0
-    made = sorted(file.relative_to(tmp_path).as_posix() for file in tmp_path.rglob("video.webm"))
-    assert made == ["runs/a0/video.webm"] and "b0/video.gif exists" in capsys.readouterr().out
+    built = sorted(file.relative_to(tmp_path).as_posix() for file in tmp_path.rglob("video.webm"))
+    assert built == ["runs/a0/video.webm"] and "b0/video.gif exists" in capsys.readouterr().out
     with pytest.raises(UserError, match="--out: expected none with a study"):
         video.main([*line, "--out", "a.webm"], "video")
 
@@ -84,7 +84,7 @@ def test_mp4_is_h264(run: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--fps", "0"], "--fps: expected 1 to 60"),
         (["--seconds", "nan"], "--seconds: expected"),
@@ -94,8 +94,8 @@ def test_mp4_is_h264(run: Path) -> None:
         (["--out", "a.gif", "--fps", "60"], "--fps: expected at most 50 for a GIF"),
     ],
 )
-def test_bad_options_end_in_one_line(run: Path, words: list[str], told: str) -> None:
-    with pytest.raises(UserError, match=told):
+def test_bad_options_end_in_one_line(run: Path, words: list[str], message: str) -> None:
+    with pytest.raises(UserError, match=message):
         video.main([str(run), *words], "video")
 
 
@@ -113,9 +113,9 @@ def test_pictures_are_the_renders_of_the_run(run: Path) -> None:
         out = run / name.replace(".json", "")
         assert render.main([str(run), "--cameras", str(run / name), "--out", str(out)], "r") == 0
         opened = open_run(run)
-        for given in read_named_cameras(run / name):
-            picture = np.asarray(Image.open(out / f"{Path(given.name).stem}.png"))
-            assert np.array_equal(picture, quantise(opened.render(given.camera).rgb))
+        for inputs in read_named_cameras(run / name):
+            picture = np.asarray(Image.open(out / f"{Path(inputs.name).stem}.png"))
+            assert np.array_equal(picture, quantise(opened.render(inputs.camera).rgb))
 
 
 def test_a_run_s_own_pictures_are_not_written_over(run: Path) -> None:
@@ -167,7 +167,7 @@ GOOD = {
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         ([], "expected cameras"),
         ({"a": 1}, "expected cameras"),
@@ -180,10 +180,12 @@ GOOD = {
         ({"frames": [{"file_path": "a", "transform_matrix": np.eye(4).tolist()}]}, "w and h"),
     ],
 )
-def test_cameras_that_are_none_end_in_one_line(tmp_path: Path, content: object, told: str) -> None:
+def test_cameras_that_are_none_end_in_one_line(
+    tmp_path: Path, content: object, message: str
+) -> None:
     file = tmp_path / "cameras.json"
     file.write_text(json.dumps(content))
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=message):
         read_named_cameras(file)
 
 
@@ -200,8 +202,8 @@ def test_a_folder_that_is_no_run_ends_in_one_line(
 
 @pytest.mark.parametrize("near", [0, -1, True, "a", None])
 def test_a_forged_near_plane_is_refused(run: Path, near: object) -> None:
-    told = json.loads((run / "transforms.json").read_text())
-    (run / "transforms.json").write_text(json.dumps({**told, "near_plane": near}))
+    message = json.loads((run / "transforms.json").read_text())
+    (run / "transforms.json").write_text(json.dumps({**message, "near_plane": near}))
     with pytest.raises(UserError, match="near_plane"):
         open_run(run)
 

@@ -188,16 +188,16 @@ def test_the_command_writes_cameras_and_the_first_view(
     files = {file.name for file in (run / "export").iterdir()}
     assert files == names | {"cameras.json", "transforms.json", "settings.json"}
 
-    told = json.loads((run / "export" / "settings.json").read_text())
-    assert told["background"]["color"] == pytest.approx([0.25, 0.5, 0.75])
-    first = np.array(told["camera"]["position"]) * [-1, -1, 1]
-    given = read_named_cameras(run / "export" / "cameras.json")
-    assert min(np.linalg.norm(one.camera.center.numpy() - first) for one in given) < 1e-6
+    message = json.loads((run / "export" / "settings.json").read_text())
+    assert message["background"]["color"] == pytest.approx([0.25, 0.5, 0.75])
+    first = np.array(message["camera"]["position"]) * [-1, -1, 1]
+    inputs = read_named_cameras(run / "export" / "cameras.json")
+    assert min(np.linalg.norm(one.camera.center.numpy() - first) for one in inputs) < 1e-6
 
     opened = open_run(run)
     read, _ = read_ply(run / "export" / "scene.ply")
     before = rasterize(opened.gaussians, opened.cameras[2].camera).rgb
-    assert float((rasterize(read, given[2].camera).rgb - before).abs().max()) < 2e-3
+    assert float((rasterize(read, inputs[2].camera).rgb - before).abs().max()) < 2e-3
 
 
 def test_the_runs_own_files_are_not_written_over(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def test_the_rig_knows_where_it_looks_and_which_way_is_up() -> None:
 @pytest.mark.parametrize("kind", ["spline", "spiral", "orbit"])
 def test_a_flight_is_smooth_and_closed(kind: str, tmp_path: Path) -> None:
     run = open_run(run_folder(tmp_path / "run", all_around()))
-    lens = lens_of([given.camera for given in run.cameras], None)
+    lens = lens_of([inputs.camera for inputs in run.cameras], None)
     way = flight(run, kind, 60, lens)
     assert len(way) == 60
     for camera in way:

@@ -33,9 +33,9 @@ def small_run(folder: Path) -> None:
 def commanded(main: Callable[[list[str], str], int], *words: str) -> Callable[[Path], None]:
     def read(folder: Path) -> None:
         with _out() as out, contextlib.redirect_stdout(None):
-            run, given = folder / "runs" / "run", [word.format(out=out) for word in words]
+            run, inputs = folder / "runs" / "run", [word.format(out=out) for word in words]
             cameras = ["--cameras", str(run / "cameras.json")] if main is render.main else []
-            assert main([str(run), *given, *cameras], "fuzz") == 0
+            assert main([str(run), *inputs, *cameras], "fuzz") == 0
 
     return read
 

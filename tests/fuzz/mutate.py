@@ -92,10 +92,10 @@ def _word(data: bytes, draw: np.random.Generator) -> bytes:
 
 
 def _replace(pattern: bytes, data: bytes, draw: np.random.Generator) -> bytes:
-    found = list(re.finditer(pattern, data[:200_000]))
-    if not found:
+    actual = list(re.finditer(pattern, data[:200_000]))
+    if not actual:
         return data
-    match = found[int(draw.integers(len(found)))]
+    match = actual[int(draw.integers(len(actual)))]
     word = WORDS[int(draw.integers(len(WORDS)))]
     return data[: match.start()] + word + data[match.end() :]
 
@@ -122,10 +122,10 @@ def _floats(data: bytes, draw: np.random.Generator) -> bytes:
 
 def _twice(data: bytes, draw: np.random.Generator) -> bytes:
     """One number in place of another."""
-    found = list(re.finditer(rb"-?\d+\.?\d*(?:e[+-]?\d+)?", data[:200_000]))
-    if not found:
+    actual = list(re.finditer(rb"-?\d+\.?\d*(?:e[+-]?\d+)?", data[:200_000]))
+    if not actual:
         return data
-    old, new = (found[int(draw.integers(len(found)))] for _ in range(2))
+    old, new = (actual[int(draw.integers(len(actual)))] for _ in range(2))
     return data[: old.start()] + new.group() + data[old.end() :]
 
 
@@ -138,13 +138,13 @@ TEXTS = (".txt", ".csv", ".json", ".yaml", ".ply", ".line")
 
 
 def _socket(path: Path) -> None:
-    here = Path.cwd()
+    inner = Path.cwd()
     os.chdir(path.parent)  # a socket's path has at most 107 bytes
     try:
-        with socket.socket(socket.AF_UNIX) as made:
-            made.bind(path.name)
+        with socket.socket(socket.AF_UNIX) as built:
+            built.bind(path.name)
     finally:
-        os.chdir(here)
+        os.chdir(inner)
 
 
 PUT: tuple[Callable[[Path], object], ...] = (

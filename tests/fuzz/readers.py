@@ -128,10 +128,10 @@ def _study(folder: Path) -> None:
 def _reported(folder: Path) -> None:
     """The report always lists the sound run, and each damaged one in a line."""
     path = build_report(folder)
-    told = path.read_text(encoding="utf-8")
-    assert "(runs/sound/)" in told, "the sound run is missing"
+    message = path.read_text(encoding="utf-8")
+    assert "(runs/sound/)" in message, "the sound run is missing"
     (folder / "report.html").read_text(encoding="utf-8")
-    rows = [line for line in told.splitlines() if "| damaged |" in line]
+    rows = [line for line in message.splitlines() if "| damaged |" in line]
     if rows:
         assert all(len(row) < 1500 for row in rows)
         raise UserError("a damaged run is listed")

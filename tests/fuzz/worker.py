@@ -44,8 +44,8 @@ def fuzz(results: Path, reader: str, cases: int, seed: int) -> list[str]:
 def main(arguments: list[str]) -> None:
     results, name, cases, seed = arguments
     reader = READERS[name]
-    with tempfile.TemporaryDirectory() as made, open(results, "w", encoding="utf-8") as out:
-        folder = Path(made)
+    with tempfile.TemporaryDirectory() as built, open(results, "w", encoding="utf-8") as out:
+        folder = Path(built)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # libraries complain there
         reader.make(folder)
         reader.read(folder)

@@ -17,12 +17,12 @@ from benchmarks.safety.determinism import BITS, SSE, committed, stages, versions
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the hash is of x86-64")
 def test_the_bits_are_those_committed() -> None:
     expected = json.loads(BITS.read_text(encoding="utf-8"))
-    found = committed(stages(SSE))
-    differ = sorted(stage for stage in found if found[stage] != expected["stages"].get(stage))
+    actual = committed(stages(SSE))
+    differ = sorted(stage for stage in actual if actual[stage] != expected["stages"].get(stage))
     others = sorted(set(versions().items()) - set(expected["versions"].items()))
     if differ and others:
         pytest.skip(f"other versions than the committed bits': {others}; other bits: {differ}")
     assert not differ, (
         f"other bits: {differ}; if that is meant, run benchmarks/safety/determinism.py --update"
     )
-    assert found.keys() == expected["stages"].keys()
+    assert actual.keys() == expected["stages"].keys()

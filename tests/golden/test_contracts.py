@@ -127,10 +127,10 @@ class Sub(Regularizer):
 
 
 def test_a_regularizer_may_take_steps_of_its_own() -> None:
-    plain, own = trainer(), trainer(reg=ActivePlugin(Sub()))
-    before, after = plain.run().gaussians, own.run().gaussians
-    assert own.state().dose["substeps"] == (8, 0.0)
-    steps = own.field.optimizer.state().steps
+    plain, ours = trainer(), trainer(reg=ActivePlugin(Sub()))
+    before, after = plain.run().gaussians, ours.run().gaussians
+    assert ours.state().dose["substeps"] == (8, 0.0)
+    steps = ours.field.optimizer.state().steps
     assert steps[0] == 8 and steps[1] == 4 and steps[3] == 8
     assert after.opacity_logits.mean() < before.opacity_logits.mean()
 
@@ -142,7 +142,7 @@ class Again(Regularizer):
     shift: float = 0.0
 
     def gradient(
-        self, ctx: StepContext, state: Any, found: Mapping[str, Tensor], at: GradientAt
+        self, ctx: StepContext, state: Any, actual: Mapping[str, Tensor], at: GradientAt
     ) -> Mapping[str, Tensor]:
         return at(ctx.gaussians.replace(means=ctx.gaussians.means + self.shift))
 
@@ -265,7 +265,7 @@ def test_a_second_field_has_parameters_draws_and_capacity_of_its_own(tmp_path: A
     chosen = {"reg": {"reg.uniform": uniform, "reg.Pair": ActivePlugin(Pair())}}
     keeper = Keeper(2)
     whole = trainer(keeper, capacity=ActivePlugin(Watch()), **chosen)
-    found = bits(whole)
+    actual = bits(whole)
     assert whole.second is not None
     assert not torch.equal(whole.second.params.means, whole.field.params.means)
     assert len(whole.second.params) == len(whole.field.params)
@@ -273,7 +273,7 @@ def test_a_second_field_has_parameters_draws_and_capacity_of_its_own(tmp_path: A
     path = tmp_path / "state.safetensors"
     path.write_bytes(keeper.state)
     state = unpack(path, state_classes([Pair()]), "id")[1]
-    assert bits(trainer(start=state, capacity=ActivePlugin(Watch()), **chosen)) == found
+    assert bits(trainer(start=state, capacity=ActivePlugin(Watch()), **chosen)) == actual
 
 
 def test_what_the_photos_hold_on_to_fades_less() -> None:
@@ -316,7 +316,7 @@ class Odd(Regularizer):
         self._odd("substeps", ctx.gaussians)
 
     def gradient(
-        self, ctx: StepContext, state: Any, found: Mapping[str, Tensor], at: GradientAt
+        self, ctx: StepContext, state: Any, actual: Mapping[str, Tensor], at: GradientAt
     ) -> Mapping[str, Tensor] | None:
         self._odd("gradient", ctx.gaussians)
         return at(ctx.gaussians)

@@ -21,7 +21,7 @@ from framework.records.record import parameters_sha256
 from framework.registry import ActivePlugin
 from framework.run.members import in_turn
 from framework.run.plane import textured_plane
-from framework.train.dose import NEVER, joined, told
+from framework.train.dose import NEVER, joined, summary
 from framework.train.epoch import Item, Items
 from framework.train.optim import Adam
 from framework.train.trainer import Plugins, Trained, Trainer
@@ -74,14 +74,14 @@ def train(chosen: Plugins, **options: Any) -> tuple[Trained, list[list[str]]]:
 def test_an_epoch_has_k_real_updates_and_the_pseudo_view_s_own_before_one_of_them() -> None:
     _, plain = train(plugins())
     _, together = train(plugins(**darker()))
-    trained, own = train(plugins(**darker()), pseudo_steps="own")
-    assert len(plain) == len(together) == STEPS and len(own) == STEPS + STEPS // K
-    assert all(len(update) == 1 for update in own)
+    trained, ours = train(plugins(**darker()), pseudo_steps="own")
+    assert len(plain) == len(together) == STEPS and len(ours) == STEPS + STEPS // K
+    assert all(len(update) == 1 for update in ours)
     # the same real view at every step, and the pseudo views at the same steps
-    assert [update for update in own if update != ["dark"]] == plain
+    assert [update for update in ours if update != ["dark"]] == plain
     joins = [update[0] for update in together if update[1:]]
-    assert [after[0] for update, after in itertools.pairwise(own) if update == ["dark"]] == joins
-    assert own[-1] != ["dark"]
+    assert [after[0] for update, after in itertools.pairwise(ours) if update == ["dark"]] == joins
+    assert ours[-1] != ["dark"]
     assert trained.history[-1].step == STEPS
     assert trained.dose["steps"][0] == STEPS + STEPS // K
     assert trained.dose["loss.real"][0] == STEPS and trained.dose["loss.pseudo"][0] == STEPS // K
@@ -102,9 +102,9 @@ def test_opacities_fade_in_real_updates_alone(monkeypatch: pytest.MonkeyPatch) -
     decays: list[float] = []
     step_from = Adam.step_from
 
-    def noted(self: Adam, found: Any, rates: Any, decay: float = 1.0) -> Any:
+    def noted(self: Adam, actual: Any, rates: Any, decay: float = 1.0) -> Any:
         decays.append(decay)
-        return step_from(self, found, rates, decay)
+        return step_from(self, actual, rates, decay)
 
     monkeypatch.setattr(Adam, "step_from", noted)
     options = {"opacity_decay": 0.9, "pace_steps": 0, "binocular": 0.0}
@@ -127,9 +127,9 @@ def test_the_second_camera_is_beside_photos_of_the_last_third_alone(
     own_pace = {"pseudo_steps": how, "pace_steps": 0}
     trained, names = train(plugins(**darker()), **own_pace)
     steps = [pair for pair in zip(names, watched, strict=True) if pair[0] != ["dark"]]
-    assert [beside[0] for _, beside in steps] == [False] * 9 + [True] * 3  # from 8.004 on
+    assert [shifted[0] for _, shifted in steps] == [False] * 9 + [True] * 3  # from 8.004 on
     dark = [pair for pair in zip(names, watched, strict=True) if "dark" in pair[0]]
-    assert dark and not any(beside[update.index("dark")] for update, beside in dark)
+    assert dark and not any(shifted[update.index("dark")] for update, shifted in dark)
     plain, _ = train(plugins(**darker()), **own_pace, binocular=0.0)
     assert parameters_sha256(plain.gaussians) != parameters_sha256(trained.gaussians)
     # the reported loss is that of the photos alone, until the term has moved something
@@ -178,7 +178,7 @@ def test_the_loss_over_the_covered_pixels() -> None:
 
 
 def test_what_is_told_by_hand() -> None:
-    assert told({"steps": (10, 0.0), "loss.real": (10, 5.0)}) == {}
+    assert summary({"steps": (10, 0.0), "loss.real": (10, 5.0)}) == {}
     tallies = {
         **{"steps": (12, 0.0), "loss.real": (12, 3.0), "loss.pseudo": (2, 1.0)},
         **{"augment.asked": (6, 2.0), "augment.views": (2, 0.0)},
@@ -186,17 +186,17 @@ def test_what_is_told_by_hand() -> None:
         **{"reg.asked": (8, 0.0), "reg.acted": (6, 0.0), "reg.dropped": (8, 1.2)},
         **{"log.reg.ranked": (2, 60.0), "log.capacity.noise": (1, 1.0)},
     }
-    assert told(tallies) == {
+    assert summary(tallies) == {
         **{"views_asked": 6, "views_made": 2, "refused_coverage": 3, "refused_other": 1},
         **{"coverage_mean": 0.5, "ranked_mean": 30.0},
         **{"pseudo_share_of_loss": 0.25, "pseudo_share_of_views": pytest.approx(1 / 7)},
         **{"share_dropped_mean": pytest.approx(0.1), "reg_acted_share": 0.75},
         **{"augment_acted_share": pytest.approx(1 / 3), "acted_share": pytest.approx(1 / 3)},
     }
-    unasked = told({"steps": (1, 0.0), "augment.asked": (0, 0.0), "augment.views": (0, 0.0)})
+    unasked = summary({"steps": (1, 0.0), "augment.asked": (0, 0.0), "augment.views": (0, 0.0)})
     assert unasked["views_asked"] == 0 and unasked["acted_share"] == NEVER
     assert (
-        told({"augment.asked": (1, 1.0), "log.augment.x": (1, float("nan"))})["x_mean"]
+        summary({"augment.asked": (1, 1.0), "log.augment.x": (1, float("nan"))})["x_mean"]
         == "not finite"
     )
 
@@ -205,8 +205,8 @@ def test_members_are_told_together() -> None:
     one, _ = train(plugins(**darker()))
     two = in_turn([[one], [one]], STEPS, one.gaussians).dose
     assert two == joined([one.dose, one.dose]) and two["steps"] == (2 * STEPS, 0.0)
-    assert told(two)["pseudo_share_of_loss"] == pytest.approx(
-        told(one.dose)["pseudo_share_of_loss"]
+    assert summary(two)["pseudo_share_of_loss"] == pytest.approx(
+        summary(one.dose)["pseudo_share_of_loss"]
     )
 
 
@@ -214,20 +214,24 @@ def test_the_dose_of_a_training() -> None:
     uniform = registry.build("reg", {"name": "uniform", "p": 0.5, "schedule": "constant",
                                      "count": "exact", "start": 0.25, "stop": 0.75})  # fmt: skip
     trained, _ = train(plugins(**darker(every=2, weight=0.0), reg=uniform))
-    found = told(trained.dose)
-    assert (found["views_asked"], found["views_made"]) == (4, 2)
-    assert (found["refused_mood"], found["refused_coverage"], found["refused_other"]) == (2, 0, 0)
+    actual = summary(trained.dose)
+    assert (actual["views_asked"], actual["views_made"]) == (4, 2)
+    assert (actual["refused_mood"], actual["refused_coverage"], actual["refused_other"]) == (
+        2,
+        0,
+        0,
+    )
     quiet, _ = train(plugins(augment=ActivePlugin(Darker(every=2, silent=3))))
-    assert [told(quiet.dose)[f"refused_{why}"] for why in ("mood", "other")] == [1, 1]
-    assert found["light_mean"] == 1.5 and found["pseudo_share_of_loss"] == 0
-    assert found["reg_acted_share"] == 1.0 and found["acted_share"] == 0.5
-    assert found["share_dropped_mean"] == pytest.approx(0.25)  # half of them in half of the steps
-    assert told(train(plugins())[0].dose) == {}
+    assert [summary(quiet.dose)[f"refused_{why}"] for why in ("mood", "other")] == [1, 1]
+    assert actual["light_mean"] == 1.5 and actual["pseudo_share_of_loss"] == 0
+    assert actual["reg_acted_share"] == 1.0 and actual["acted_share"] == 0.5
+    assert actual["share_dropped_mean"] == pytest.approx(0.25)  # half of them in half of the steps
+    assert summary(train(plugins())[0].dose) == {}
     term = registry.build("reg", {"name": "patch_smoothness", "weight": 1e4})
-    shares = [told(train(plugins(**darker(), **reg))[0].dose) for reg in ({}, {"reg": term})]
+    shares = [summary(train(plugins(**darker(), **reg))[0].dose) for reg in ({}, {"reg": term})]
     photometric = [float(share["pseudo_share_of_loss"]) for share in shares]  # type: ignore[arg-type]
     assert photometric[1] == pytest.approx(photometric[0], rel=0.2)  # without what the term adds
-    more = [told(train(plugins(**darker(weight=w)))[0].dose) for w in (0.3, 1.0)]
+    more = [summary(train(plugins(**darker(weight=w)))[0].dose) for w in (0.3, 1.0)]
     assert 0 < more[0]["pseudo_share_of_loss"] < more[1]["pseudo_share_of_loss"] < 0.5  # type: ignore[operator]
 
 
@@ -271,8 +275,8 @@ def test_a_loss_term_is_an_act_however_many_views_a_step_has() -> None:
             total: Tensor = ctx.gaussians.opacities.mean()
             return total
 
-    idle = told(train(plugins(**darker(every=99), reg=ActivePlugin(Regularizer())))[0].dose)
+    idle = summary(train(plugins(**darker(every=99), reg=ActivePlugin(Regularizer())))[0].dose)
     assert idle["reg_acted_share"] == 0 and idle["views_made"] == 1
     trained, _ = train(plugins(**darker(), reg=ActivePlugin(Faint())))
-    found = told(trained.dose)
-    assert found["reg_acted_share"] == 1.0 and "share_dropped_mean" not in found
+    actual = summary(trained.dose)
+    assert actual["reg_acted_share"] == 1.0 and "share_dropped_mean" not in actual

@@ -79,7 +79,7 @@ def start(folder: Path, augment: str, reg: str, seed: int) -> None:
     run = Run(
         scene,
         depth,
-        lambda own: initial(config, scene, depth, options, own),
+        lambda ours: initial(config, scene, depth, options, ours),
         run_dir,
         "identity",
         force=False,

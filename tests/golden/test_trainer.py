@@ -109,16 +109,16 @@ def test_a_loss_may_be_of_the_gaussians_themselves() -> None:
     assert faint.gaussians.opacities.mean() < 0.8 * plain.gaussians.opacities.mean()
 
 
-@pytest.mark.parametrize(("coverage", "told"), [(1.0, True), (0.0, False)])
+@pytest.mark.parametrize(("coverage", "text"), [(1.0, True), (0.0, False)])
 def test_an_augmenter_that_gave_nothing_is_told(
-    coverage: float, told: bool, caplog: pytest.LogCaptureFixture
+    coverage: float, text: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     built = registry.build("augment", {"name": "dba", "min_coverage": coverage, "stop": 1.0})
     with caplog.at_level(logging.WARNING, "framework"):
         _train(plugins(augment=built))
         _train(plugins())
     messages = [record.getMessage() for record in caplog.records]
-    assert len(messages) == told
+    assert len(messages) == text
     assert all("augment=dba: made no pseudo view in any of" in message for message in messages)
 
 
@@ -193,9 +193,9 @@ def test_a_pseudo_view_adds_its_weighted_gradient_to_its_step(
         gradients.append({name: gradient.clone() for name, gradient in grads.items()})
         return step(self, params, grads, *others)
 
-    def whole_first(self: Adam, found: ScreenGradient, *others: Any) -> tuple[Any, Tensor]:
-        tensors, means2d = found.pull_back()
-        return noted(self, found.gaussians, tensors, *others), means2d
+    def whole_first(self: Adam, actual: ScreenGradient, *others: Any) -> tuple[Any, Tensor]:
+        tensors, means2d = actual.pull_back()
+        return noted(self, actual.gaussians, tensors, *others), means2d
 
     def watched(self: Any, ctx: StepContext, state: Any, stats: StepStats) -> Any:
         pulls.append(stats.means2d_grad.clone())
@@ -294,8 +294,8 @@ def test_a_view_is_made_ready_once_while_it_is_the_same() -> None:
     image.mul_(0.5)  # its plugin may change what is its own
     torch.testing.assert_close(items.get(pseudo, 2).view.image, torch.full((3, 8, 8), 0.3))
     with torch.inference_mode():  # as from a network: their writes are not counted
-        made = View("pseudo-1", camera, 0.5 * image, torch.ones(16, 16), tags=(PSEUDO,))
-    assert items.get(made, 2) is not items.get(made, 2)
+        built = View("pseudo-1", camera, 0.5 * image, torch.ones(16, 16), tags=(PSEUDO,))
+    assert items.get(built, 2) is not items.get(built, 2)
     items.begin([replace(pseudo, name="pseudo-3")])
     assert not items._kept
 

@@ -48,8 +48,8 @@ def test_every_photo_trains_and_nothing_is_tested(
     line = f"scene=transforms scene.path=photos scene.n_views={n_views} scene.split=none {TINY}"
     for reused in (False, True):
         assert main([*line.split(), *bounds]) == 0
-        *told, page, report = capsys.readouterr().out.splitlines()
-        (last,) = (line for line in told if " · not tested (scene.split=none) · " in line)
+        *message, page, report = capsys.readouterr().out.splitlines()
+        (last,) = (line for line in message if " · not tested (scene.split=none) · " in line)
         assert ("reused" in last) == reused
     study = Path("reports") / f"transforms_photos_{n_views}v_untested"
     assert page == f"page: {study}/report.html"

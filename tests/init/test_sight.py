@@ -36,8 +36,8 @@ def disturbed() -> Mapped:
     for exact in depth:
         shape = tuple(exact.depth.shape)
         off = torch.from_numpy(rng.uniform(0.8, 1.2, shape)).float()
-        known = torch.from_numpy(rng.random(shape) < 0.7).float()
-        maps.append(DepthMap(exact.depth * off, known))
+        reference = torch.from_numpy(rng.random(shape) < 0.7).float()
+        maps.append(DepthMap(exact.depth * off, reference))
     return mapped(training, maps, 0.5)
 
 
@@ -85,15 +85,15 @@ def test_guesses(threads: int) -> None:
         guess = step * torch.from_numpy(start)
         xyz = unproject(guess, maps.views[2].camera).reshape(-1, 3)
         free = left & ((xyz - torch.from_numpy(center)).square().sum(1).sqrt() >= radius)
-        known = torch.zeros_like(free)
+        reference = torch.zeros_like(free)
         for other in (0, 1):
             shows, through = asked(xyz, maps, other, depth_of(maps, other), TOLERANCE)
             guessed = torch.from_numpy(maps.seen.image(guesses, other))
             free &= ~through
-            known |= shows | asked(xyz, maps, other, guessed, SAME)[0]
-        enters = (free & ~known).numpy()
+            reference |= shows | asked(xyz, maps, other, guessed, SAME)[0]
+        enters = (free & ~reference).numpy()
         expected[enters] = guess.reshape(-1).numpy()[enters]
         np.testing.assert_array_equal(places.reshape(-1, 3)[enters], xyz[enters].numpy())
         left &= ~free
-        assert enters.any() and (free & known).any()  # there is something to see
+        assert enters.any() and (free & reference).any()  # there is something to see
     np.testing.assert_array_equal(depth.reshape(-1), expected)

@@ -92,8 +92,8 @@ def test_members_that_were_asked_for_have_all_their_steps() -> None:
 
 def test_the_second_camera_waits_for_the_steps_that_the_views_pay_for() -> None:
     def share(steps: int, n_views: int, **options: Any) -> float:
-        given = TrainerOptions(steps=steps, **options)
-        return schedule.paced(given, n_views).binocular_from
+        inputs = TrainerOptions(steps=steps, **options)
+        return schedule.paced(inputs, n_views).binocular_from
 
     assert [share(steps, 3) for steps in (75, 300, 375, 600, 3000)] == [1, 1, 0.8, 0.667, 0.667]
     assert share(2430, 43) == pytest.approx(1720 / 2430)

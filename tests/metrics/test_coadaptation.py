@@ -24,20 +24,20 @@ CAMERA = Camera(torch.eye(4), torch.eye(3), 2, 1)
 
 def test_the_variance_counts_where_all_renders_show_something() -> None:
     """The left pixel is the share that is kept; the right one is seen in all but the last."""
-    given: list[Tensor] = []
+    inputs: list[Tensor] = []
 
     def render(camera: Camera, factors: Tensor) -> Render:
-        given.append(factors)
+        inputs.append(factors)
         rgb = torch.zeros(3, 1, 2)
-        rgb[:, 0, 0], rgb[:, 0, 1] = factors.mean(), len(given)
-        alpha = torch.tensor([[1.0, 0.9 if len(given) < RENDERS else 0.5]])
+        rgb[:, 0, 0], rgb[:, 0, 1] = factors.mean(), len(inputs)
+        alpha = torch.tensor([[1.0, 0.9 if len(inputs) < RENDERS else 0.5]])
         return Render(rgb, alpha, alpha, torch.ones(1))
 
-    found = coadaptation(render, 50, CAMERA, np.random.default_rng(0))
-    shares = [float(factors.mean()) for factors in given]
+    actual = coadaptation(render, 50, CAMERA, np.random.default_rng(0))
+    shares = [float(factors.mean()) for factors in inputs]
     assert len(shares) == 5 and 0.3 < np.mean(shares) < 0.7
-    assert found == pytest.approx(np.var(shares), rel=1e-5)
-    assert all(set(factors.tolist()) == {0.0, 1.0} for factors in given)
+    assert actual == pytest.approx(np.var(shares), rel=1e-5)
+    assert all(set(factors.tolist()) == {0.0, 1.0} for factors in inputs)
 
 
 def test_nothing_seen_has_no_score() -> None:

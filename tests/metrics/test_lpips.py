@@ -66,12 +66,12 @@ def test_distance_equals_the_stacked_modules(kind: str, tmp_path: Path) -> None:
     def stages(image: np.ndarray) -> list[Tensor]:
         h = 2 * torch.from_numpy(image).permute(2, 0, 1).float()[None] - 1
         h = (h - state["scaling_layer.shift"]) / state["scaling_layer.scale"]
-        found, start = [], 0
+        actual, start = [], 0
         for cut in CUTS[kind]:
             h = net[start:cut](h)
-            found.append(h / (h.norm(dim=1, keepdim=True) + 1e-10))
+            actual.append(h / (h.norm(dim=1, keepdim=True) + 1e-10))
             start = cut
-        return found
+        return actual
 
     with torch.no_grad():
         expected = sum(

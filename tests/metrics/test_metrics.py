@@ -88,8 +88,8 @@ def test_flip_is_that_of_the_authors_package() -> None:
     for a, b in ((similar(truth), truth), noise, (green, blue), (0 * truth, 0 * truth + 1)):
         pair = (on_disk(b).astype(np.float32), on_disk(a).astype(np.float32))
         expected, _, _ = flip_evaluator.evaluate(*pair, "LDR", applyMagma=False)
-        found = error_map(quantise(b), quantise(a))
-        np.testing.assert_allclose(found, np.squeeze(expected), atol=1e-4)
+        actual = error_map(quantise(b), quantise(a))
+        np.testing.assert_allclose(actual, np.squeeze(expected), atol=1e-4)
         assert metrics.flip(a, b) == pytest.approx(float(np.mean(expected)), abs=1e-5)
     assert metrics.flip(truth, truth) == 0.0
     assert metrics.flip(green, blue) == pytest.approx(1.0, abs=1e-6)

@@ -31,8 +31,8 @@ def test_it_sums_what_every_pixel_pulls() -> None:
     how: dict[str, Any] = {"background": background, "opacity_factors": factors}
     both = render_gradient(gaussians, camera, lambda rgb: in_rgb.numpy(), absolute=True, **how)
     alone = render_gradient(gaussians, camera, lambda rgb: in_rgb.numpy(), **how)
-    found = both.absolute
-    assert found is not None and alone.absolute is None
+    actual = both.absolute
+    assert actual is not None and alone.absolute is None
     assert torch.equal(both.pull_back()[1], alone.pull_back()[1])
     expected, signed = torch.zeros(40, 2), torch.zeros(40, 2)
     for y in range(18):
@@ -44,7 +44,7 @@ def test_it_sums_what_every_pixel_pulls() -> None:
             expected += gradient.abs()
             signed += gradient
     assert float(expected.max()) > 0.1
-    assert torch.allclose(found, expected, rtol=1e-3, atol=1e-5)
+    assert torch.allclose(actual, expected, rtol=1e-3, atol=1e-5)
     assert float((expected - signed.abs()).max()) > 0.05  # pulls do cancel here
 
 
@@ -57,14 +57,14 @@ def test_a_capacity_that_asks_sees_it_and_others_do_not(penalty: str) -> None:
 
     training, depth, gaussians = textured_plane(0)
     seen: dict[bool, list[StepStats]] = {False: [], True: []}
-    for asked, told in seen.items():
+    for asked, message in seen.items():
         names = {"augment": {"name": "none"}, "reg": {"name": penalty}}
         names["capacity"] = {"name": "adc", "absolute": asked} | {"every": 1000}
         plugins = Plugins.of(names)
         options = TrainerOptions(steps=3, evaluations=1, ssim_weight=0.2)
         trainer = Trainer(training, depth, gaussians, options, plugins, 0, Silent(), warns=False)
         edit = trainer._edit
-        trainer._edit = lambda s, edit=edit, told=told: (told.append(s), edit(s))[1]  # type: ignore[method-assign,misc]
+        trainer._edit = lambda s, edit=edit, message=message: (message.append(s), edit(s))[1]  # type: ignore[method-assign,misc]
         trainer.run()
     assert all(stats.absolute is None for stats in seen[False])
     for plain, stats in zip(seen[False], seen[True], strict=True):

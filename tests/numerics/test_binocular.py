@@ -35,8 +35,8 @@ def drawn(seed: int, height: int = 37, width: int = 53) -> tuple[Tensor, Tensor,
         return alpha, depth
 
     alpha, depth = render()
-    beside = Render(rand(3, height, width), *render(), torch.zeros(0))
-    return alpha, depth, beside, rand(3, height, width)
+    shifted = Render(rand(3, height, width), *render(), torch.zeros(0))
+    return alpha, depth, shifted, rand(3, height, width)
 
 
 def loss(alpha: Tensor, depth: Tensor, rgb: Tensor, beside: Render, photo: Tensor) -> Tensor:
@@ -68,42 +68,42 @@ def loss(alpha: Tensor, depth: Tensor, rgb: Tensor, beside: Render, photo: Tenso
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("name", ["numba", "reference"])
 def test_the_gradient_is_autograd_s(name: str, size: tuple[int, int]) -> None:
-    alpha, depth, beside, photo = drawn(1, *size)
-    wide = [t.double().requires_grad_() for t in (alpha, depth, beside.rgb)]
-    total = loss(*wide, beside, photo)
+    alpha, depth, shifted, photo = drawn(1, *size)
+    wide = [t.double().requires_grad_() for t in (alpha, depth, shifted.rgb)]
+    total = loss(*wide, shifted, photo)
     true = torch.autograd.grad(total, wide) if total.requires_grad else wide
     if not total.requires_grad:  # nothing counts
         true = [torch.zeros_like(t) for t in wide]
     who = build_rasterizer({"rasterizer": {"name": name}})
     target = who.target(photo, None)
-    found = who.binocular_gradient(alpha, depth, beside, target, MOVES, TOLERANCE, WEIGHT)
+    actual = who.binocular_gradient(alpha, depth, shifted, target, MOVES, TOLERANCE, WEIGHT)
     assert size[1] < 50 or all(t.abs().max() > 0 for t in true)
-    for mine, exact in zip(found, true, strict=True):
+    for mine, exact in zip(actual, true, strict=True):
         error = (torch.as_tensor(mine) - exact).abs().max()
         assert error < 2e-5 * exact.abs().max() + 1e-9
 
 
 def test_the_same_bits_on_any_threads() -> None:
-    alpha, depth, beside, photo = drawn(2, 101, 67)
-    seen = tuple(t.numpy() for t in (beside.rgb, beside.alpha, beside.depth))
+    alpha, depth, shifted, photo = drawn(2, 101, 67)
+    seen = tuple(t.numpy() for t in (shifted.rgb, shifted.alpha, shifted.depth))
     mask, numbers = np.ones((101, 67), np.float32), (MOVES, TOLERANCE, WEIGHT)
-    found = []
+    actual = []
     for threads in (1, 2, 5):
         set_threads(threads)
-        given = alpha.numpy(), depth.numpy(), seen, photo.numpy(), mask, *numbers
-        found.append([g.tobytes() for g in binocular_gradient(*given)])
+        inputs = alpha.numpy(), depth.numpy(), seen, photo.numpy(), mask, *numbers
+        actual.append([g.tobytes() for g in binocular_gradient(*inputs)])
     set_threads(0)
-    assert found[0] == found[1] == found[2]
+    assert actual[0] == actual[1] == actual[2]
 
 
 @pytest.mark.parametrize("name", ["numba", "reference"])
 def test_where_a_mask_has_no_photo_nothing_is_asked(name: str) -> None:
-    alpha, depth, beside, photo = drawn(3)
+    alpha, depth, shifted, photo = drawn(3)
     who = build_rasterizer({"rasterizer": {"name": name}})
     mask = torch.zeros_like(alpha)
     mask[20:] = 1
-    found = who.binocular_gradient(alpha, depth, beside, who.target(photo, mask), -3.7, 9.0, 0.3)
-    for gradient in map(torch.as_tensor, found):
+    actual = who.binocular_gradient(alpha, depth, shifted, who.target(photo, mask), -3.7, 9.0, 0.3)
+    for gradient in map(torch.as_tensor, actual):
         assert float(gradient[..., :20, :].abs().max()) == 0
         assert float(gradient[..., 20:, :].abs().max()) > 0
 
@@ -116,7 +116,7 @@ def test_the_step_s_gradient_is_that_of_both_renders() -> None:
     camera = case.camera
     photo = torch.rand(3, camera.height, camera.width, generator=torch.Generator().manual_seed(0))
     who = build_rasterizer({"rasterizer": {"name": "numba"}})
-    beside = Beside(
+    shifted = Beside(
         moved_aside(camera, 0.05),
         moves=0.05 * float(camera.K[0, 0]),
         tolerance=TOLERANCE,
@@ -124,21 +124,27 @@ def test_the_step_s_gradient_is_that_of_both_renders() -> None:
     )
     how = {"background": case.background, "opacity_factors": case.factors}
     item = Item(View("v", camera, photo), who.target(photo, None))
-    watched = Item(item.view, item.target, beside=beside)
+    watched = Item(item.view, item.target, beside=shifted)
 
     def penalty(view: View, render: Render) -> Tensor:
         return 0 * render.rgb.sum()
 
-    own, other = (who.render(params, c, **how) for c in (camera, beside.camera))
-    found = who.binocular_gradient(
-        own.alpha.detach(), own.depth.detach(), other, item.target, beside.moves, TOLERANCE, WEIGHT
+    ours, other = (who.render(params, c, **how) for c in (camera, shifted.camera))
+    actual = who.binocular_gradient(
+        ours.alpha.detach(),
+        ours.depth.detach(),
+        other,
+        item.target,
+        shifted.moves,
+        TOLERANCE,
+        WEIGHT,
     )
-    assert all(float(torch.as_tensor(f).abs().max()) > 0 for f in found)
+    assert all(float(torch.as_tensor(f).abs().max()) > 0 for f in actual)
     names = [name for name, _ in params.items()]
     exact = torch.autograd.grad(
-        [own.alpha, own.depth, other.rgb],
+        [ours.alpha, ours.depth, other.rgb],
         [t for _, t in params.items()],
-        [torch.as_tensor(f) for f in found],
+        [torch.as_tensor(f) for f in actual],
         materialize_grads=True,
     )
     rendering = Rendering(rasterizer=who, **how)
@@ -163,13 +169,13 @@ def test_when_and_where_the_camera_is() -> None:
     assert asked == list(range(10, 30))
     places = []
     for step in asked:
-        beside = term.beside(view(), step)
-        assert beside is not None
-        shift = float(beside.camera.center[0])
-        assert beside.camera.center.tolist()[1:] == [0, 0] and abs(shift) <= SHIFT * 2
-        assert beside.moves == pytest.approx(80 * shift)
-        assert beside.tolerance == pytest.approx(AGREE / (80 * 2))
-        assert beside.weight == pytest.approx(0.5 / 36)
+        shifted = term.beside(view(), step)
+        assert shifted is not None
+        shift = float(shifted.camera.center[0])
+        assert shifted.camera.center.tolist()[1:] == [0, 0] and abs(shift) <= SHIFT * 2
+        assert shifted.moves == pytest.approx(80 * shift)
+        assert shifted.tolerance == pytest.approx(AGREE / (80 * 2))
+        assert shifted.weight == pytest.approx(0.5 / 36)
         places.append(shift)
     assert min(places) < 0 < max(places)
     other = Binocular(weight=0.5, spacing=2.0, since=10, seed=1).beside(view(), 10)

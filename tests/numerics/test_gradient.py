@@ -31,8 +31,8 @@ def _restore_threads() -> Iterator[None]:
     set_threads(0)
 
 
-def bits(found: ViewGradient) -> list[Any]:
-    loss, gradients, stats = found
+def bits(actual: ViewGradient) -> list[Any]:
+    loss, gradients, stats = actual
     tensors = [*gradients.values(), stats.means2d_grad, stats.radii]
     return [loss, list(gradients), *(tensor.numpy().tobytes() for tensor in tensors)]
 
@@ -113,12 +113,12 @@ def test_an_update_from_the_screen_is_that_of_the_whole_gradient(degree: int, th
         gradient = on_screen(whole, case)
         tensors, means2d = gradient.pull_back()
         assert by_step.step(whole, tensors, RATES, decay) == ()
-        found = on_screen(pieces, case)
-        assert torch.equal(found.radii, gradient.radii)
-        broken, seen = from_screen.step_from(found, RATES, decay)
+        actual = on_screen(pieces, case)
+        assert torch.equal(actual.radii, gradient.radii)
+        broken, seen = from_screen.step_from(actual, RATES, decay)
         assert broken == () and torch.equal(seen, means2d)
         assert bits_of(pieces) == bits_of(whole)
-    assert seen.abs().sum() > 0 and (found.radii == 0).any()
+    assert seen.abs().sum() > 0 and (actual.radii == 0).any()
     one, other = by_step.state(), from_screen.state()
     assert one.steps == other.steps
     assert bits_of(one.first) == bits_of(other.first)
@@ -146,17 +146,17 @@ def test_an_update_from_the_screen_names_what_is_not_finite() -> None:
     params = case.gaussians
     logits = params.opacity_logits.clone()
     optimizer = Adam(params)
-    found = render_gradient(params, case.camera, lambda rgb: np.full_like(rgb, np.nan))
-    broken, _ = optimizer.step_from(found, RATES, opacity_decay=0.5)
+    actual = render_gradient(params, case.camera, lambda rgb: np.full_like(rgb, np.nan))
+    broken, _ = optimizer.step_from(actual, RATES, opacity_decay=0.5)
     assert {"means", "opacity_logits", "sh0"} <= set(broken)
     still = torch.isfinite(params.opacity_logits)
-    assert torch.isnan(params.opacity_logits[found.radii > 0]).any() and still.any()
+    assert torch.isnan(params.opacity_logits[actual.radii > 0]).any() and still.any()
     assert torch.equal(params.opacity_logits[still], logits[still])  # nothing else decayed
 
 
 def test_a_gradient_is_used_once() -> None:
     case = random_case(1)
-    found = on_screen(case.gaussians, case)
-    found.pull_back()
+    actual = on_screen(case.gaussians, case)
+    actual.pull_back()
     with pytest.raises(RuntimeError, match="this gradient was already used"):
-        Adam(case.gaussians).step_from(found, RATES)
+        Adam(case.gaussians).step_from(actual, RATES)

@@ -27,13 +27,13 @@ def _check(case: Case, fast: bool) -> Tensor:
     names = [name for name, tensor in inputs.items() if tensor.numel()]
 
     def images(*tensors: Tensor) -> tuple[Tensor, ...]:
-        given = {**inputs, **dict(zip(names, tensors, strict=True))}
+        options = {**inputs, **dict(zip(names, tensors, strict=True))}
         render = rasterize_reference(
-            Gaussians(**{name: given[name] for name, _ in gaussians.items()}),
+            Gaussians(**{name: options[name] for name, _ in gaussians.items()}),
             case.camera,
             background=case.background,
-            opacity_factors=given["factors"],
-            means2d_offset=given["offset"],
+            opacity_factors=options["factors"],
+            means2d_offset=options["offset"],
         )
         return render.rgb[:, used], render.alpha[used], render.depth[used]
 

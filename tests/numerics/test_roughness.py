@@ -47,19 +47,19 @@ def test_the_kernel_and_torch_have_autograd_s_gradient(size: tuple[int, int]) ->
     expected = torch.autograd.grad(roughness(*wide, weights), wide)
     scale = max(float(g.abs().max()) for g in expected) + 1e-30
     kernel = roughness_gradient(alpha.numpy(), depth.numpy(), weights.numpy())
-    for found, twin, true in zip(kernel, in_torch(alpha, depth, weights), expected, strict=True):
-        assert np.abs(found - true.numpy()).max() < 1e-6 * scale
+    for actual, twin, true in zip(kernel, in_torch(alpha, depth, weights), expected, strict=True):
+        assert np.abs(actual - true.numpy()).max() < 1e-6 * scale
         assert float((twin - true).abs().max()) < 1e-6 * scale
 
 
 def test_the_same_bits_on_any_threads() -> None:
-    given = [t.numpy() for t in drawn(2, 101, 67)]
-    found = []
+    inputs = [t.numpy() for t in drawn(2, 101, 67)]
+    actual = []
     for threads in (1, 2, 5):
         set_threads(threads)
-        found.append([g.tobytes() for g in roughness_gradient(*given)])
+        actual.append([g.tobytes() for g in roughness_gradient(*inputs)])
     set_threads(0)
-    assert found[0] == found[1] == found[2]
+    assert actual[0] == actual[1] == actual[2]
 
 
 def camera(x: float, focal: float = 80.0, size: tuple[int, int] = (4, 3)) -> Camera:

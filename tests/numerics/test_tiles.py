@@ -38,7 +38,7 @@ def _tiles(row: np.ndarray, width: int, height: int) -> list[tuple[int, int, int
     left = max(0, math.ceil(u - rx - f4(0.5)))
     right = min(width - 1, math.floor(u + rx - f4(0.5)))
     summit = f4(-0.5) * row[3] / row[2] * ry
-    found = []
+    actual = []
     for column in range(left // 16, right // 16 + 1):
         x0 = f4(column * 16) + f4(0.5) - u
         x1 = x0 + f4(15)
@@ -49,8 +49,8 @@ def _tiles(row: np.ndarray, width: int, height: int) -> list[tuple[int, int, int
             continue
         for band in range(top // 16, bottom // 16 + 1):
             tile = band * ((width + 15) // 16) + column
-            found.append((tile, max(0, top - 16 * band), min(15, bottom - 16 * band)))
-    return found
+            actual.append((tile, max(0, top - 16 * band), min(15, bottom - 16 * band)))
+    return actual
 
 
 def _camera(width: int, height: int) -> Camera:
@@ -83,9 +83,9 @@ def _check(work: Workspace) -> None:
         start, touched = work.start[k], work.touched[k]
         assert touched <= work.start[k + 1] - start
         items = [int(item) for item in work.items[start : start + touched]]
-        found = [(item >> 9, item & 15, item >> 4 & 15) for item in items]
+        actual = [(item >> 9, item & 15, item >> 4 & 15) for item in items]
         with np.errstate(divide="ignore", invalid="ignore"):
-            assert found == _tiles(work.rows[work.order[k]], work.width, work.height)
+            assert actual == _tiles(work.rows[work.order[k]], work.width, work.height)
 
 
 @pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")

@@ -33,10 +33,10 @@ print(len(np.unique(cost)), hashlib.sha256(cost.tobytes()).hexdigest())
 
 
 def _printed(code: str, **variables: str) -> str:
-    own = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_CPU")}
+    ours = {k: v for k, v in os.environ.items() if not k.startswith("NUMBA_CPU")}
     done = subprocess.run(
         [sys.executable, "-c", code],
-        env={**own, "PYTHONPATH": str(ROOT), **variables},
+        env={**ours, "PYTHONPATH": str(ROOT), **variables},
         capture_output=True,
         text=True,
         check=True,
@@ -48,8 +48,8 @@ def test_bits_do_not_depend_on_the_width(tmp_path: Path) -> None:
     host = get_host_cpu_features()
     if "+avx512f" not in host.split(","):
         pytest.skip("this CPU has no vectors of 512 bits")
-    found = {
+    actual = {
         _printed(COSTS, NUMBA_CPU_FEATURES=features, NUMBA_CACHE_DIR=str(tmp_path / str(i)))
         for i, features in enumerate((host, f"{host},-prefer-256-bit"))
     }
-    assert len(found) == 1 and int(found.pop().split()[0]) > 100
+    assert len(actual) == 1 and int(actual.pop().split()[0]) > 100

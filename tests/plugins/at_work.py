@@ -23,8 +23,8 @@ def at_work(**changes: Any) -> StepContext:
         chosen = ctx.gaussians if others is None else others
         return rasterize(chosen, camera, **{"background": torch.zeros(3), **options})
 
-    own = {k: v for k, v in changes.items() if k in ("other", "second", "depth", "views")}
-    return replace(ctx, gaussians=gaussians, render=render, behind=torch.zeros(3), **own)
+    ours = {k: v for k, v in changes.items() if k in ("other", "second", "depth", "views")}
+    return replace(ctx, gaussians=gaussians, render=render, behind=torch.zeros(3), **ours)
 
 
 def shown(depth: Tensor, alpha: float = 1.0, n: int = 1) -> Render:

@@ -86,9 +86,9 @@ def test_in_one_step_it_changes_opacities_alone_and_no_moments() -> None:
 def test_one_step_is_that_of_the_trainers_own_decay() -> None:
     """An independent computation of the same: all Gaussians here have a gradient, so that the two
     agree on the mean."""
-    own = trained(opacity_decay=0.9, opacity_spare=0.5)
+    ours = trained(opacity_decay=0.9, opacity_spare=0.5)
     acted = trained(capacity=decay(decay=0.9, relief=0.5))
-    assert torch.allclose(opacities(acted), opacities(own), atol=1e-6)
+    assert torch.allclose(opacities(acted), opacities(ours), atol=1e-6)
     assert not torch.allclose(opacities(acted), opacities(trained(opacity_decay=0.9)), atol=1e-3)
 
 

@@ -86,13 +86,13 @@ def test_uncertainty_is_minus_the_log_determinant() -> None:
 
 
 def test_block_gains_by_linear_algebra() -> None:
-    ours, known = blocks(0, rank=5), blocks(1)
-    prior = block_prior([ours, known], 0.1)
-    precision = known + torch.diag(prior)
+    ours, reference = blocks(0, rank=5), blocks(1)
+    prior = block_prior([ours, reference], 0.1)
+    precision = reference + torch.diag(prior)
     ratio = torch.linalg.solve(precision, ours)
-    (trace,) = information_gains(ours, [known], prior, "trace")
+    (trace,) = information_gains(ours, [reference], prior, "trace")
     assert trace == pytest.approx(0.5 * float(ratio.diagonal(dim1=1, dim2=2).sum()), rel=1e-3)
-    (log,) = information_gains(ours, [known], prior, "log")
+    (log,) = information_gains(ours, [reference], prior, "log")
     expected = torch.linalg.slogdet(torch.eye(6).double() + ratio).logabsdet.sum()
     assert log == pytest.approx(0.5 * float(expected), rel=1e-3)
     assert 0 < log < trace
@@ -101,31 +101,34 @@ def test_block_gains_by_linear_algebra() -> None:
 @pytest.mark.parametrize("regulariser", [1.0, 1e-3, 1e-6])
 def test_block_gains_are_those_of_the_docstring_s_equation(regulariser: float) -> None:
     """With NOISE's share of the floor, which decides where a singular block has no other."""
-    ours, known = blocks(0, rank=5), blocks(1, rank=5)
-    prior = block_prior([ours, known], regulariser)
+    ours, reference = blocks(0, rank=5), blocks(1, rank=5)
+    prior = block_prior([ours, reference], regulariser)
 
     def gains(noise: float) -> tuple[float, float]:
-        floor = torch.diag_embed(prior + noise * (known + ours).diagonal(dim1=1, dim2=2))
-        ratio = torch.linalg.solve(known + floor, ours)
+        floor = torch.diag_embed(prior + noise * (reference + ours).diagonal(dim1=1, dim2=2))
+        ratio = torch.linalg.solve(reference + floor, ours)
         logs = [
-            torch.linalg.slogdet(of).logabsdet.sum() for of in (known + ours + floor, known + floor)
+            torch.linalg.slogdet(of).logabsdet.sum()
+            for of in (reference + ours + floor, reference + floor)
         ]
         return 0.5 * float(ratio.diagonal(dim1=1, dim2=2).sum()), 0.5 * float(logs[0] - logs[1])
 
-    found = [information_gains(ours, [known], prior, form)[0] for form in ("trace", "log")]
-    assert found == pytest.approx(gains(NOISE), rel=1e-6)
+    actual = [information_gains(ours, [reference], prior, form)[0] for form in ("trace", "log")]
+    assert actual == pytest.approx(gains(NOISE), rel=1e-6)
     if regulariser == 1e-6:
-        assert gains(0.0)[0] > 2 * found[0]
+        assert gains(0.0)[0] > 2 * actual[0]
 
 
 def test_block_gain_does_not_depend_on_the_axes_of_the_world() -> None:
     q, _ = torch.linalg.qr(torch.from_numpy(stream(4, "turn").standard_normal((3, 3))))
     turn = torch.block_diag(q, torch.eye(3).double())
-    ours, known = blocks(0, rank=5), blocks(1, rank=5)
-    prior = block_prior([ours, known], 0.1)
+    ours, reference = blocks(0, rank=5), blocks(1, rank=5)
+    prior = block_prior([ours, reference], 0.1)
     for form in ("trace", "log"):
-        (gain,) = information_gains(ours, [known], prior, form)
-        (turned,) = information_gains(turn @ ours @ turn.T, [turn @ known @ turn.T], prior, form)
+        (gain,) = information_gains(ours, [reference], prior, form)
+        (turned,) = information_gains(
+            turn @ ours @ turn.T, [turn @ reference @ turn.T], prior, form
+        )
         assert turned == pytest.approx(gain, rel=1e-4)
 
 

@@ -46,13 +46,13 @@ def test_the_farthest_pixels_count_once_more() -> None:
     rendered = torch.rand(view.image.shape, generator=torch.Generator().manual_seed(2))
     mask = torch.ones(depth.shape)
     mask[:, 60:] = 0.0
-    found = FarFidelity(share=0.1).loss(
+    actual = FarFidelity(share=0.1).loss(
         ctx, None, replace(view, mask=mask), replace(shown(depth), rgb=rendered)
     )
     far = np.sort(depth[:, :60].numpy().reshape(-1))[-int(0.1 * 60 * 60) :].min()
     chosen = (depth.numpy() >= far) & (np.arange(80) < 60)
     error = np.abs(rendered.double().numpy() - view.image.double().numpy())[:, chosen]
-    assert found is not None and float(found) == pytest.approx(error.mean(), rel=1e-5)
+    assert actual is not None and float(actual) == pytest.approx(error.mean(), rel=1e-5)
     assert 0.1 <= chosen[:, :60].mean() < 0.2
     pseudo = replace(view, tags=(PSEUDO,))
     assert FarFidelity().loss(ctx, None, pseudo, shown(depth)) is None
@@ -74,7 +74,7 @@ def test_rank_asks_for_the_order_alone() -> None:
 
 def test_patches_are_compared_by_their_form() -> None:
     rng = np.random.default_rng(0)
-    rendered, known = rng.random((9, 11)) + 1, rng.random((9, 11)) + 1
+    rendered, reference = rng.random((9, 11)) + 1, rng.random((9, 11)) + 1
     valid = np.ones((9, 11), bool)
     valid[0, 0] = False  # the first patch is left out
 
@@ -87,7 +87,7 @@ def test_patches_are_compared_by_their_form() -> None:
         ]
         pair = [
             np.stack([x[r : r + patch, c : c + patch].reshape(-1) for r, c in tiles])
-            for x in (rendered, known)
+            for x in (rendered, reference)
         ]
         total = 0.0
         for weight, local in ((0.1, True), (1.0, False)):
@@ -101,9 +101,9 @@ def test_patches_are_compared_by_their_form() -> None:
             total += weight * (residual[kept] ** 2).mean()
         return total
 
-    tensors = [torch.from_numpy(x).float().requires_grad_() for x in (rendered, known)]
-    found = compared(tensors[0], tensors[1].detach(), torch.from_numpy(valid), 4, 0.05, 1.0)
-    assert found is not None and float(found) == pytest.approx(by_hand(4, 0.05), rel=1e-4)
+    tensors = [torch.from_numpy(x).float().requires_grad_() for x in (rendered, reference)]
+    actual = compared(tensors[0], tensors[1].detach(), torch.from_numpy(valid), 4, 0.05, 1.0)
+    assert actual is not None and float(actual) == pytest.approx(by_hand(4, 0.05), rel=1e-4)
     assert compared(tensors[0], tensors[1], torch.from_numpy(valid), 20, 0.0, 1.0) is None
 
 
@@ -113,21 +113,21 @@ def test_hard_depth_moves_places_and_soft_depth_opacities() -> None:
     steps = list(DepthLocalGlobal().substeps(ctx, None, view))
     assert [names for _, names in steps] == [("means",), ("opacity_logits",)]
     for loss, (name,) in steps:
-        found = torch.autograd.grad(
+        actual = torch.autograd.grad(
             loss, [t for _, t in ctx.gaussians.items()], allow_unused=True, retain_graph=True
         )
         moved_by = {
-            n for (n, _), g in zip(ctx.gaussians.items(), found, strict=True) if g is not None
+            n for (n, _), g in zip(ctx.gaussians.items(), actual, strict=True) if g is not None
         }
         assert moved_by == {name}
     patch = int(ctx.rng("patches").integers(5, 18))
     logits = torch.full_like(ctx.gaussians.opacity_logits, math.log(0.95 / 0.05))
     opaque = ctx.gaussians.detach().replace(opacity_logits=logits)
-    seen, found = ctx.render(view.camera, opaque), known_depth(ctx, view)
-    assert found is not None
-    valid = found[1] & (seen.alpha > 1e-6)
+    seen, actual = ctx.render(view.camera, opaque), known_depth(ctx, view)
+    assert actual is not None
+    valid = actual[1] & (seen.alpha > 1e-6)
     rendered = seen.expected_depth.detach().requires_grad_()
-    hard = compared(rendered, found[0], valid, patch, 2.5e-4, 1.0)
+    hard = compared(rendered, actual[0], valid, patch, 2.5e-4, 1.0)
     assert hard is not None and float(hard) == pytest.approx(float(steps[0][0]), rel=1e-5)
     early = list(DepthLocalGlobal().substeps(replace(ctx, step=0), None, view))
     assert [names for _, names in early] == [("means",)]
@@ -166,9 +166,9 @@ def test_what_is_near_to_a_camera_should_be_transparent() -> None:
     z = gaussians.means.double() @ view.camera.viewmat[2, :3] + view.camera.viewmat[2, 3]
     near = z < 1.4
     render = Render(torch.zeros(3, 1, 1), torch.ones(1, 1), torch.ones(1, 1), (z > 0).float())
-    found = Occlusion().loss(ctx, None, view, render)
+    actual = Occlusion().loss(ctx, None, view, render)
     expected = gaussians.opacities[near & (z > 0)].mean()
-    assert found is not None and float(found) == pytest.approx(float(expected))
+    assert actual is not None and float(actual) == pytest.approx(float(expected))
     far = replace(render, radii=torch.tensor([0.0, 0, 1, 0]))
     assert Occlusion().loss(ctx, None, view, far) is None
 
@@ -190,10 +190,10 @@ def test_what_is_finer_than_open_frequencies_pays() -> None:
         z = float(mean.double() @ pose[2, :3] + pose[2, 3])
         limit = 2 / math.pi * z / float(K[0, 0])
         total += max(0.0, math.log(limit / scale)) ** 2
-    found = plugin.loss(ctx, None, view, render)
-    assert found is not None and total > 0 and float(found) == pytest.approx(total / 2, rel=1e-4)
+    actual = plugin.loss(ctx, None, view, render)
+    assert actual is not None and total > 0 and float(actual) == pytest.approx(total / 2, rel=1e-4)
     half = replace(view, camera=view.camera.scaled(2), image=view.image[:, ::2, ::2])
-    assert torch.allclose(plugin.loss(ctx, None, half, render), found)  # type: ignore[arg-type]
+    assert torch.allclose(plugin.loss(ctx, None, half, render), actual)  # type: ignore[arg-type]
     assert plugin.loss(replace(ctx, step=50), None, view, render) is None
 
 

@@ -55,16 +55,16 @@ def test_anchors_take_their_neighbours_along() -> None:
 def test_near_and_crowded_ones_are_dropped_more_often() -> None:
     assert ranks(torch.tensor([3.0, 1, 2, 9])).tolist() == [0.5, 0, 0.25, 0.75]
     ctx = context(gaussians=wall_of_gaussians(3000))
-    found = scores(ctx)
-    assert float(found.min()) >= 0 and float(found.max()) <= 1
+    actual = scores(ctx)
+    assert float(actual.min()) >= 0 and float(actual.max()) <= 1
     centers = torch.stack([view.camera.center.float() for view in ctx.views])
     distance = torch.cdist(ctx.gaussians.means, centers).min(1).values
     order = distance.argsort()
-    assert float(found[order[:1000]].mean()) > 1.5 * float(found[order[2000:]].mean())
+    assert float(actual[order[:1000]].mean()) > 1.5 * float(actual[order[2000:]].mean())
     factors, state = DepthDensity(first=0.2, last=0.2).opacity_factors(ctx, None)
     assert factors is not None
     assert float((factors == 0).float().mean()) == pytest.approx(0.2, abs=0.03)
-    odds = 0.2 * found / found.mean()
+    odds = 0.2 * actual / actual.mean()
     assert torch.allclose(factors, (factors > 0) / (1 - odds))  # 1 in expectation
     bare = DepthDensity(first=0.2, last=0.2, compensate=False).opacity_factors(ctx, None)[0]
     assert bare is not None and torch.equal(bare, (factors > 0).float())

@@ -43,16 +43,16 @@ def brighter_to_the_right(depth: Tensor) -> Render:
 
 def test_a_camera_beside_sees_points_where_the_disparity_says() -> None:
     camera = stage()[0][0].camera
-    beside = moved_aside(camera, 0.25)
-    step = beside.center - camera.center
+    shifted = moved_aside(camera, 0.25)
+    step = shifted.center - camera.center
     assert torch.allclose(step, 0.25 * camera.viewmat[0, :3])
     depth = torch.full((camera.height, camera.width), 4.0)
     columns = torch.arange(camera.width, dtype=torch.float32).repeat(3, camera.height, 1)
-    found, valid, _ = seen_through(columns, depth, camera, beside)
+    actual, valid, _ = seen_through(columns, depth, camera, shifted)
     disparity = -float(camera.K[0, 0]) * 0.25 / 4.0
     inner = valid & (columns[0] + disparity > 1) & (columns[0] + disparity < camera.width - 2)
     assert inner.float().mean() > 0.5
-    assert torch.allclose(found[0][inner], (columns[0] + disparity)[inner], atol=1e-3)
+    assert torch.allclose(actual[0][inner], (columns[0] + disparity)[inner], atol=1e-3)
     image = torch.zeros(3, 2, 3)
     image[:, :, 2] = 1.0
     disparities = torch.tensor([[0.0, 1, 3], [0.0, 1, 3]])
@@ -80,13 +80,13 @@ def test_a_photo_should_be_what_is_seen_from_beside_over_all_its_pixels(
 
     assert draw < 0
     looking = replace(ctx, views=(view,), spacing=2 / -draw, render=render)
-    own = replace(brighter_to_the_right(depth), rgb=torch.zeros(3, 2, 8))
-    found = Binocular(shift=0.5, smooth=smooth).loss(looking, None, view, own)
-    assert found is not None
+    ours = replace(brighter_to_the_right(depth), rgb=torch.zeros(3, 2, 8))
+    actual = Binocular(shift=0.5, smooth=smooth).loss(looking, None, view, ours)
+    assert actual is not None
     assert torch.allclose(places[0], torch.tensor([-1.0, 0, 0], dtype=torch.float64))
     seen = sum((c + 1.75) / 8 for c in range(1, 6)) / 8
-    assert float(found.detach()) == pytest.approx(seen + smooth * rough)
-    in_image, in_depth = torch.autograd.grad(found, [other.rgb, depth])
+    assert float(actual.detach()) == pytest.approx(seen + smooth * rough)
+    in_image, in_depth = torch.autograd.grad(actual, [other.rgb, depth])
     assert float(in_image.sum()) == pytest.approx(5 / 8)
     # a unit of depth is -3.5 / 2^2 pixels
     expected = torch.zeros(2, 8)
@@ -109,9 +109,9 @@ def test_what_returns_counts_by_the_largest_depth(monkeypatch: pytest.MonkeyPatc
         render=lambda *_, **__: brighter_to_the_right(there),
         log=shares.__setitem__,
     )
-    found = CycleWarp(tolerance=0.1).loss(looking, None, view, brighter_to_the_right(depth))
-    assert found is not None
-    assert float(found) == pytest.approx((2 + 3 + 5 + 6 + 7) / 8 / 5, rel=1e-5)
+    actual = CycleWarp(tolerance=0.1).loss(looking, None, view, brighter_to_the_right(depth))
+    assert actual is not None
+    assert float(actual) == pytest.approx((2 + 3 + 5 + 6 + 7) / 8 / 5, rel=1e-5)
     assert shares == {"cycle_warp_share": 5 / 8}
 
 
@@ -119,8 +119,8 @@ def test_what_does_not_return_does_not_count(monkeypatch: pytest.MonkeyPatch) ->
     """A wall at 4 and, for the other camera alone, something before its left half."""
     ctx = at_work()
     view = ctx.views[0]
-    own = ctx.render(view.camera, ctx.gaussians)
-    flat = replace(own, depth=torch.full_like(own.depth, 4.0), alpha=torch.ones_like(own.alpha))
+    ours = ctx.render(view.camera, ctx.gaussians)
+    flat = replace(ours, depth=torch.full_like(ours.depth, 4.0), alpha=torch.ones_like(ours.alpha))
     hidden = flat.depth.clone()
     hidden[:, : hidden.shape[1] // 2] = 3.5
     other = replace(flat, rgb=1 - view.image, depth=hidden)
@@ -139,9 +139,9 @@ def test_a_scene_that_is_right_has_a_small_warping_loss(plugin: Any) -> None:
     ctx = at_work()
     view = ctx.views[0]
     render = ctx.render(view.camera, ctx.gaussians)
-    own = replace(view, image=render.rgb.detach())
-    right = plugin.loss(ctx, None, own, render)
-    wrong = plugin.loss(ctx, None, replace(view, image=1 - own.image), render)
+    ours = replace(view, image=render.rgb.detach())
+    right = plugin.loss(ctx, None, ours, render)
+    wrong = plugin.loss(ctx, None, replace(view, image=1 - ours.image), render)
     assert right is not None and wrong is not None and right.requires_grad
     assert float(right) < 0.25 * float(wrong)
     assert plugin.loss(ctx, None, replace(view, tags=(PSEUDO,)), render) is None
@@ -151,11 +151,11 @@ def test_consistency_compares_with_a_render_that_lacks_some() -> None:
     ctx = at_work()
     view, plugin = ctx.views[0], RenderConsistency(p=0.4, ssim_weight=0.0)
     render = ctx.render(view.camera, ctx.gaussians)
-    found = plugin.loss(ctx, None, view, render)
+    actual = plugin.loss(ctx, None, view, render)
     kept = torch.from_numpy(ctx.rng("dropped").random(len(ctx.gaussians)) >= 0.4).float()
     other = ctx.render(view.camera, ctx.gaussians, opacity_factors=kept)
-    assert found is not None
-    assert float(found) == pytest.approx(float((render.rgb - other.rgb).abs().mean()), rel=1e-5)
+    assert actual is not None
+    assert float(actual) == pytest.approx(float((render.rgb - other.rgb).abs().mean()), rel=1e-5)
     assert RenderConsistency().loss(ctx, None, replace(view, tags=(PSEUDO,)), render) is None
 
 
@@ -164,14 +164,14 @@ def test_both_renders_are_pulled_at_and_what_one_keeps_may_be_scaled_up() -> Non
     view, plugin = ctx.views[0], RenderConsistency(p=0.4, compensate=True, ssim_weight=0.0)
     render = ctx.render(view.camera, ctx.gaussians)
     whole = replace(render, rgb=render.rgb.detach().requires_grad_())
-    found = plugin.loss(ctx, None, view, whole)
+    actual = plugin.loss(ctx, None, view, whole)
     kept = torch.from_numpy(ctx.rng("dropped").random(len(ctx.gaussians)) >= 0.4).float()
     other = ctx.render(view.camera, ctx.gaussians, opacity_factors=kept / 0.6)
     apart = (whole.rgb - other.rgb).abs().mean()
-    assert found is not None and float(found.detach()) == pytest.approx(float(apart.detach()))
+    assert actual is not None and float(actual.detach()) == pytest.approx(float(apart.detach()))
     tensors = [whole.rgb, ctx.gaussians.sh0, ctx.gaussians.means]
     for ours, expected in zip(
-        torch.autograd.grad(found, tensors), torch.autograd.grad(apart, tensors), strict=True
+        torch.autograd.grad(actual, tensors), torch.autograd.grad(apart, tensors), strict=True
     ):
         assert float(expected.abs().max()) > 0 and torch.allclose(ours, expected, atol=1e-7)
 
@@ -184,23 +184,23 @@ def test_two_fields_are_compared_at_an_unseen_camera() -> None:
     same = replace(ctx, other=ctx.gaussians.detach())
     assert float(plugin.loss(same, None, view, render)) == 0  # type: ignore[arg-type]
     other = wall_of_gaussians(seed=8)
-    found = plugin.loss(replace(ctx, other=other), None, view, render)
+    actual = plugin.loss(replace(ctx, other=other), None, view, render)
     camera = unseen_camera(ctx, ctx.rng("camera"), view.camera)
     expected = (ctx.render(camera, ctx.gaussians).rgb - ctx.render(camera, other).rgb).abs().mean()
-    assert found is not None and float(found) == pytest.approx(float(expected), rel=1e-5)
+    assert actual is not None and float(actual) == pytest.approx(float(expected), rel=1e-5)
     mixed = CoRegister(ssim_weight=0.6).loss(replace(ctx, other=other), None, view, render)
-    own, others = (ctx.render(camera, g).rgb.detach().double() for g in (ctx.gaussians, other))
+    ours, others = (ctx.render(camera, g).rgb.detach().double() for g in (ctx.gaussians, other))
     assert mixed is not None
-    assert float(mixed) == pytest.approx(float(loss_reference(own, others, None, 0.6)), abs=2e-6)
+    assert float(mixed) == pytest.approx(float(loss_reference(ours, others, None, 0.6)), abs=2e-6)
 
 
 def test_sharpness_mixes_the_gradient_here_and_uphill() -> None:
     """A quadratic loss |x|^2: uphill by rho times the scale along x its gradient is larger so."""
     gaussians = wall_of_gaussians(5)
     ctx = context(gaussians=gaussians)
-    found = {"means": 2 * gaussians.means, "quats": torch.zeros(5, 4)}
+    actual = {"means": 2 * gaussians.means, "quats": torch.zeros(5, 4)}
     plugin = Sharpness(rho=0.5, share=0.25)
-    mixed = plugin.gradient(ctx, None, found, lambda g: {"means": 2 * g.means, "quats": g.quats})
+    mixed = plugin.gradient(ctx, None, actual, lambda g: {"means": 2 * g.means, "quats": g.quats})
     step = 0.5 * gaussians.scales.mean(1, keepdim=True)
     direction = gaussians.means / gaussians.means.norm(dim=1, keepdim=True)
     assert torch.allclose(

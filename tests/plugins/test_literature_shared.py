@@ -29,8 +29,8 @@ from tests.plugins.fakes import context, stage
 
 def test_known_depth_is_that_of_the_view_at_its_size() -> None:
     ctx, view, depth = true_depth()
-    found, valid = known_depth(ctx, view) or (depth, depth)
-    assert torch.equal(found, depth) and valid.all()
+    actual, valid = known_depth(ctx, view) or (depth, depth)
+    assert torch.equal(actual, depth) and valid.all()
     small = replace(view, camera=view.camera.scaled(2), image=view.image[:, ::2, ::2])
     halved, valid = known_depth(ctx, small) or (depth, depth)
     assert halved.shape == small.image.shape[1:] and valid.all()
@@ -46,13 +46,13 @@ def test_what_stays_the_same_is_made_once_for_both_fields() -> None:
     training, depth, gaussians = textured_plane(0)
     options, black = TrainerOptions(steps=10), torch.zeros(3)
     conditions = Conditions(training, depth, options, black, 0.01, 0)
-    found = []
+    actual = []
     for of in (conditions, replace(conditions, field="second/")):
         ctx = step_context(of, Moment(0, 0, 0, gaussians, 0), "reg", lambda name, value: None)
-        found.append((known_depth(ctx, training.views[0]), ctx.supports()))
-    (known, supports), (again, theirs) = found
-    assert known is again and supports is theirs
-    assert known_depth(ctx, training.views[1]) is not known
+        actual.append((known_depth(ctx, training.views[0]), ctx.supports()))
+    (reference, supports), (again, theirs) = actual
+    assert reference is again and supports is theirs
+    assert known_depth(ctx, training.views[1]) is not reference
 
 
 def test_an_unseen_camera_is_between_two_neighbours() -> None:
@@ -79,10 +79,10 @@ def test_an_unseen_camera_is_between_two_neighbours() -> None:
 
 def test_seen_through_exact_depth_is_what_is_seen() -> None:
     views, depth = stage()
-    found, valid, there = seen_through(
+    actual, valid, there = seen_through(
         views[1].image, depth[0].depth, views[0].camera, views[1].camera
     )
-    error = (found - views[0].image).abs().mean(0)[valid]
+    error = (actual - views[0].image).abs().mean(0)[valid]
     assert valid.float().mean() > 0.75 and float(error.median()) < 0.02
     assert (there[valid] > 0).all()
     # through itself nothing changes, to the last pixel

@@ -72,7 +72,7 @@ def trained(weight: float = 1.0, steps: int = 2, **options: dict[str, Any]) -> T
     views = tuple(replace(view, weight=weight) for view in training.views)
     tilt = torch.linspace(0.99, 1.01, views[0].camera.width)  # of a flat one nothing correlates
     depth = tuple(replace(each, depth=each.depth * tilt) for each in depth)
-    chosen = {group: own | options.get(group, {}) for group, own in IDLE.items()}
+    chosen = {group: ours | options.get(group, {}) for group, ours in IDLE.items()}
     trainer = Trainer(
         replace(training, views=views),
         depth,
@@ -149,5 +149,7 @@ def test_self_ensemble_shakes_the_second_field_alone() -> None:
         for name in sorted(shaken)
     ]
     assert all(torch.equal(row, rows[0]) for row in rows) and 0 < int(rows[0].sum()) < 200
-    known = before.optimizer.state(), after.optimizer.state()
-    assert not changed(known[0].first, known[1].first) | changed(known[0].second, known[1].second)
+    reference = before.optimizer.state(), after.optimizer.state()
+    assert not changed(reference[0].first, reference[1].first) | changed(
+        reference[0].second, reference[1].second
+    )

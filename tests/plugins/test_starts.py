@@ -33,7 +33,7 @@ def test_ssim_of_two_patches_is_that_of_its_formula() -> None:
     rows, columns = np.array([7, 30, 41]), np.array([9, 44, 60])
     there = np.ones(3, bool)
     a, b = (At(photo, rows + i, columns, there) for i, photo in enumerate(photos))
-    found = ssim(a, b, covariance(a, b, 5))
+    actual = ssim(a, b, covariance(a, b, 5))
     for k in range(3):
         x, y = (
             at.photo.image[:, at.row[k] - 2 : at.row[k] + 3, at.column[k] - 2 : at.column[k] + 3]
@@ -45,7 +45,7 @@ def test_ssim_of_two_patches_is_that_of_its_formula() -> None:
             ma, mb = one.mean(), other.mean()
             light = (2 * ma * mb + 1e-4) / (ma**2 + mb**2 + 1e-4)
             each.append(light * (2 * cov + 9e-4) / (va + vb + 9e-4))
-        assert found[k] == pytest.approx(np.mean(each), abs=1e-9)
+        assert actual[k] == pytest.approx(np.mean(each), abs=1e-9)
     # the middle of an image of 5 x 5 pixels is what scikit-image calls its SSIM
     x, y = (np.random.default_rng(k).random((5, 5)) for k in (1, 2))
     pair = []
@@ -134,15 +134,15 @@ def test_the_less_sensitive_depth_wins() -> None:
 
 def test_matched_depth_is_that_of_the_wall() -> None:
     training, (_, depth) = seen(), stage()
-    found = Epipolar().depths(training)
-    for z, true in zip(found, depth, strict=True):
+    actual = Epipolar().depths(training)
+    for z, true in zip(actual, depth, strict=True):
         valid = z > 0
         assert valid.mean() > 0.15
         assert np.median(np.abs(z[valid] / true.depth.numpy()[valid] - 1)) < 0.03
     stricter = Epipolar(off_line=0.3).depths(training)
-    assert all((s > 0).sum() < (z > 0).sum() for s, z in zip(stricter, found, strict=True))
+    assert all((s > 0).sum() < (z > 0).sum() for s, z in zip(stricter, actual, strict=True))
     whole = Epipolar(share=1.0).build(training, (), 0, 0)
-    assert len(whole) == sum(int((z > 0).sum()) for z in found)
+    assert len(whole) == sum(int((z > 0).sum()) for z in actual)
     part = Epipolar(share=0.5).build(training, (), 0, 0)
     assert len(part) == round(0.5 * len(whole))
     alone = replace(training, views=training.views[:1])

@@ -21,9 +21,9 @@ UNSEEN = slice(300, 400)
 
 def information() -> torch.Tensor:
     """[N]: Gaussian i knows more the larger i is; the last hundred are seen by no view."""
-    known = 10.0 ** (1 + torch.arange(N) / 100.0)
-    known[UNSEEN] = 0
-    return known
+    reference = 10.0 ** (1 + torch.arange(N) / 100.0)
+    reference[UNSEEN] = 0
+    return reference
 
 
 def ctx(**changes: float) -> StepContext:

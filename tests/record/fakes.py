@@ -120,8 +120,8 @@ def fake_run(
     metrics = [evaluate_view(view, image, 0.01) for view, image in renders]
     run_dir = study_dir / "runs" / (run_name or f"{scene}-{augment}-{reg}-s{seed}")
     gaussians, history = make_gaussians(12, 0), _history(shift, gain, tested)
-    own = float(stream(seed, strict_json(config)).standard_normal())
-    gaussians.means[0, 0] = own if bits is None else bits
+    ours = float(stream(seed, strict_json(config)).standard_normal())
+    gaussians.means[0, 0] = ours if bits is None else bits
     write_run(run_dir, record, metrics, history, gaussians, torch.zeros(3), renders)
     return run_dir
 

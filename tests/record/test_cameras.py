@@ -44,11 +44,11 @@ def test_both_files_give_the_cameras_back(tmp_path: Path) -> None:
         assert torch.allclose(torch.from_numpy(frame.viewmat), view.camera.viewmat)
         K = view.camera.K
         assert [lens.fx, lens.fy, lens.cx, lens.cy] == [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
-    told = json.loads((tmp_path / TRANSFORMS).read_text())
-    assert told["train_filenames"] == [view.name for view in scene.training.views]
-    assert told["test_filenames"] == [view.name for view in scene.test]
-    assert told["near_plane"] == 0.25
-    assert "exposure" not in told["frames"][0]
+    message = json.loads((tmp_path / TRANSFORMS).read_text())
+    assert message["train_filenames"] == [view.name for view in scene.training.views]
+    assert message["test_filenames"] == [view.name for view in scene.test]
+    assert message["near_plane"] == 0.25
+    assert "exposure" not in message["frames"][0]
     test = scene.test[0].camera
     write_cameras(
         tmp_path,

@@ -26,15 +26,15 @@ def told_of(folder: Path, means: torch.Tensor) -> dict[str, dict[str, list[float
 def test_the_middle_camera_sees_the_first_picture(tmp_path: Path) -> None:
     behind, aside = [[0.0, 0.0, -9.0]] * 60, [[30.0, 0.0, 6.0]] * 60
     ahead = [[0.0, 0.0, 0.0]] * 40
-    told = told_of(tmp_path, torch.tensor(behind + aside + ahead))
+    message = told_of(tmp_path, torch.tensor(behind + aside + ahead))
     center = side_by_side(5)[2].center.numpy()
-    assert told["camera"]["position"] == pytest.approx(list(center * [-1, -1, 1]))
-    assert np.allclose(told["camera"]["target"], 0, atol=1e-6)
-    assert told["camera"]["fov"] == pytest.approx(math.degrees(2 * math.atan(WIDTH / 2 / FOCAL)))
-    assert told["background"]["color"] == pytest.approx(BLUE.tolist())
+    assert message["camera"]["position"] == pytest.approx(list(center * [-1, -1, 1]))
+    assert np.allclose(message["camera"]["target"], 0, atol=1e-6)
+    assert message["camera"]["fov"] == pytest.approx(math.degrees(2 * math.atan(WIDTH / 2 / FOCAL)))
+    assert message["background"]["color"] == pytest.approx(BLUE.tolist())
 
 
 def test_where_nothing_is_seen(tmp_path: Path) -> None:
-    told = told_of(tmp_path, torch.zeros(0, 3))
-    place, target = (np.array(told["camera"][key]) for key in ("position", "target"))
+    message = told_of(tmp_path, torch.zeros(0, 3))
+    place, target = (np.array(message["camera"][key]) for key in ("position", "target"))
     assert np.linalg.norm(target - place) == pytest.approx(2.0)

@@ -11,13 +11,13 @@ import pytest
 from framework.records.notices import noted
 from framework.records.progress import Terminal
 from framework.run import preparation
-from tests.record.test_reuse import Told, group, run_experiment, small_config
+from tests.record.test_reuse import Recorder, group, run_experiment, small_config
 
 LOG = logging.getLogger("framework.scenes.anything")
 
 
 def test_infos_and_warnings_become_notes() -> None:
-    progress = Told()
+    progress = Recorder()
     with noted(progress):
         LOG.debug("too much")
         LOG.info("generating %d views", 3)
@@ -30,7 +30,7 @@ def test_runs_of_one_process_do_not_add_up() -> None:
     logger = logging.getLogger("framework")
     before = logger.level, list(logger.handlers)
     for _ in range(2):
-        progress = Told()
+        progress = Recorder()
         with pytest.raises(KeyError), noted(progress):
             LOG.info("once")
             raise KeyError
@@ -52,6 +52,6 @@ def test_a_first_run_tells_that_it_generates_the_scene(
 ) -> None:
     monkeypatch.setenv("FISHERSPLAT_CACHE", str(tmp_path / "cache"))
     preparation.forget()
-    progress = Told()
+    progress = Recorder()
     run_experiment(small_config(group("depth", "ground_truth")), tmp_path / "run", progress)
     assert [note for note in progress.notes if note.startswith("generating the embedded scene")]

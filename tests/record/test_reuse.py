@@ -45,7 +45,7 @@ from tests.built import load_scene
 SCENE = {"width": 96, "height": 72, "supersampling": 2}
 
 
-class Told(Silent):
+class Recorder(Silent):
     """Remembers the result line and the notes."""
 
     def __init__(self) -> None:
@@ -85,7 +85,7 @@ def small_config(depth: dict[str, Any], weights: Path | None = None) -> dict[str
 
 def run(config: dict[str, Any], folder: Path) -> tuple[RunRecord, bool]:
     """The record and whether it was reused."""
-    progress = Told()
+    progress = Recorder()
     record = run_experiment(config, folder, progress)
     return record, "reused" in progress.result
 
@@ -154,8 +154,8 @@ def test_a_damaged_table_is_no_complete_run(tmp_path: Path) -> None:
 def test_what_was_made_of_an_older_model_goes_with_it(tmp_path: Path) -> None:
     config = small_config(group("depth", "plane_sweep"))
     run(config, tmp_path / "run")
-    made = [VIEW, *VIDEOS, f"{EXPORT}/scene.compressed.ply", f"{PICTURES}/IMG 1.png"]
-    left = [tmp_path / "run" / name for name in made]
+    built = [VIEW, *VIDEOS, f"{EXPORT}/scene.compressed.ply", f"{PICTURES}/IMG 1.png"]
+    left = [tmp_path / "run" / name for name in built]
     names = [f"{EXPORT}/scene.blend", f"{PICTURES}/mine.png", "renders/mine.png", "photos/mine.jpg"]
     names += [f"{FOLDER}/mine.txt", ".mine.tmp"]
     theirs = [tmp_path / "run" / name for name in names]
@@ -203,7 +203,7 @@ def test_a_repeated_run_says_why_and_removes_stale_pictures(finished: Path, tmp_
     config, folder = small_config(group("depth", "plane_sweep")), tmp_path / "run"
     shutil.copytree(finished, folder)
     truncate(folder / PLY)
-    progress = Told()
+    progress = Recorder()
     run_experiment(config, folder, progress)
     assert any(PLY in note and note.startswith("warning") for note in progress.notes)
     assert run(config, folder)[1]

@@ -96,8 +96,8 @@ def test_the_calls_of_a_tracker(name: str, tmp_path: Path, stand_in: Any) -> Non
     run_dir = fake_run(tmp_path / "study")
     got = trackers.tracked(read_run(run_dir))
     assert sent(name, run_dir) == []
-    told = json.dumps(module.calls)
-    assert run_dir.name in told and '"study"' in told and '"summary/psnr"' in told
+    message = json.dumps(module.calls)
+    assert run_dir.name in message and '"study"' in message and '"summary/psnr"' in message
     steps = [call[2]["step"] for call in module.calls if len(call) == 3 and "step" in call[2]]
     rows = [step for step, _ in got.rows]
     assert steps == rows + (rows[-1:] if name == "trackio" else [])

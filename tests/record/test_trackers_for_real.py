@@ -79,8 +79,8 @@ def test_wandb_holds_the_run(tmp_path: Path) -> None:
     run = sent("wandb", tmp_path)
     (log,) = glob.glob(str(run.folder / "wandb" / "offline-run-*" / "*.wandb"))
     written = Path(log).read_bytes()
-    told = [*(values["loss"] for _, values in run.rows), run.summary["psnr"]]
-    for text in ("trainer.steps", "summary/psnr", *(json.dumps(value)[:12] for value in told)):
+    message = [*(values["loss"] for _, values in run.rows), run.summary["psnr"]]
+    for text in ("trainer.steps", "summary/psnr", *(json.dumps(value)[:12] for value in message)):
         assert text.encode() in written, text
 
 

@@ -61,15 +61,15 @@ def config(**changes: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("name", "choice", "told"),
+    ("name", "choice", "message"),
     [("reg", "scribbler", r"reg=scribbler: "), ("depth", "spoiler", r"depth=spoiler: ")],
 )
 def test_the_next_run_is_what_it_would_be_alone(
-    tmp_path: Path, name: str, choice: str, told: str
+    tmp_path: Path, name: str, choice: str, message: str
 ) -> None:
     alone = run_experiment(config(), tmp_path / "alone", Silent())
     odd = config(**{name: group(name, choice)})
-    with pytest.raises(UserError, match=rf"^{told}expected the image of view .* unchanged"):
+    with pytest.raises(UserError, match=rf"^{message}expected the image of view .* unchanged"):
         run_experiment(odd, tmp_path / "odd", Silent())
     assert not (tmp_path / "odd" / "record.json").exists()
     after = run_experiment(config(), tmp_path / "after", Silent())
@@ -104,9 +104,9 @@ def test_a_plugin_that_reads_by_name_is_not_asked_in_vain(tmp_path: Path) -> Non
         """Knows the views of the embedded scene."""
 
         def measure(self, training: Any) -> tuple[DepthMap, ...]:
-            known = {view.name: 2.0 for view in EMBEDDED.training.views}
+            reference = {view.name: 2.0 for view in EMBEDDED.training.views}
             size = training.views[0].image.shape[1:]
-            maps = [torch.full(size, known[view.name]) for view in training.views]
+            maps = [torch.full(size, reference[view.name]) for view in training.views]
             return tuple(DepthMap(far, torch.ones(size)) for far in maps)
 
     done = run_experiment(config(depth=group("depth", "by_name")), tmp_path / "run", Silent())

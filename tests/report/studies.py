@@ -38,9 +38,9 @@ def row(scene: str, method: str, seed: int, psnr: float | str, **more: object) -
     """A run of a study; PSNR with a noise of 0.01 dB that seed and method decide."""
     noise = 0.01 * ((seed * 7 + len(method)) % 5 - 2)
     value = psnr if isinstance(psnr, str) else psnr + noise
-    known = {"scene": scene, "method": method, "seed": seed, "psnr": value}
+    reference = {"scene": scene, "method": method, "seed": seed, "psnr": value}
     rest = {"gaussians": 100, "train_wall_s": 10, "train_cpu_s": 10}
-    return known | rest | {"run": f"{scene}-{method}-s{seed}".replace(" ", "")} | more
+    return reference | rest | {"run": f"{scene}-{method}-s{seed}".replace(" ", "")} | more
 
 
 def table(folder: Path, rows: Iterable[Row]) -> Path:
@@ -99,7 +99,7 @@ DISTINCT = 4  # seeds of which the images and metrics differ
 def write_study(folder: Path, scenes: int, seeds: int) -> int:
     """Write `METHODS` on so many scenes with so many seeds; returns the number of records."""
     with tempfile.TemporaryDirectory() as source:
-        made = {
+        built = {
             (method, seed): fake_run(Path(source), *method, seed=seed)
             for method in METHODS
             for seed in range(DISTINCT)
@@ -108,7 +108,7 @@ def write_study(folder: Path, scenes: int, seeds: int) -> int:
             for method in METHODS:
                 for seed in range(seeds):
                     run = folder / "runs" / f"scene{scene}-{'-'.join(method)}-s{seed}"
-                    shutil.copytree(made[method, seed % DISTINCT], run)
+                    shutil.copytree(built[method, seed % DISTINCT], run)
                     _rename(run / "record.json", f"scene{scene}", seed)
     return scenes * seeds * len(METHODS)
 
@@ -131,7 +131,7 @@ def write_committed(folder: Path, name: str) -> None:
         if "," not in run.method.label
     ]
     with tempfile.TemporaryDirectory() as source:
-        made = {
+        built = {
             method: fake_run(Path(source), *method.split(" + "), seed=0)
             for method in sorted({row["method"] for row in rows})
         }
@@ -141,7 +141,7 @@ def write_committed(folder: Path, name: str) -> None:
                 / "runs"
                 / f"{row['scene']}-{row['method'].replace(' + ', '-')}-{row['seed']}"
             )
-            shutil.copytree(made[row["method"]], run)
+            shutil.copytree(built[row["method"]], run)
             _rename(run / "record.json", row["scene"], int(row["seed"]))
             _set_psnr(run, float(row["psnr"]))
 

@@ -30,12 +30,12 @@ def study(tmp_path: Path) -> Path:
 
 
 def _figures(study: Path) -> list[tuple[object, ...]]:
-    found = collect(study)
+    actual = collect(study)
     runs = [
         (r.scene, r.method, r.seed, r.mean("psnr"), r.record.gaussians, tuple(r.psnr.items()))
-        for r in found.runs
+        for r in actual.runs
     ]
-    return [*runs, *((r.method, r.kind, r.error, r.again) for r in found.failed)]
+    return [*runs, *((r.method, r.kind, r.error, r.again) for r in actual.failed)]
 
 
 def test_an_archive_holds_what_the_runs_hold(study: Path, tmp_path: Path) -> None:

@@ -33,18 +33,18 @@ def test_the_page_works_in_a_browser(tmp_path: Path) -> None:
     command = [node, str(SCRIPT), library, browser, page.as_uri()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    for found in told.values():
-        assert found["problems"] == [] and found["overflow"] == 0
-        assert found["clipped"] == 0 and found["printed"] == 0
-        assert found["fewer"][0] < found["all"][0] and found["fewer"][1] < found["all"][1]
-        assert found["again"] == found["all"] and found["besides"]
-        assert found["linked"] == [found["fewer"][0], "Baseline", True]  # the link brings it back
-        assert found["rising"] == sorted(found["rising"])
-        assert found["falling"] == sorted(found["falling"], reverse=True)
-        assert found["start"] == ["inset(0px 100% 0px 0px)", "inset(0px 100% 0px 0px)"]
-        assert found["middle"] == ["inset(0px 0% 0px 0px)", "inset(0px 75% 0px 0px)"]
-        assert found["end"] == ["inset(0px 0% 0px 0px)"] * 2
-        assert found["changed"] and found["loaded"]
+    message = json.loads(done.stdout)
+    for actual in message.values():
+        assert actual["problems"] == [] and actual["overflow"] == 0
+        assert actual["clipped"] == 0 and actual["printed"] == 0
+        assert actual["fewer"][0] < actual["all"][0] and actual["fewer"][1] < actual["all"][1]
+        assert actual["again"] == actual["all"] and actual["besides"]
+        assert actual["linked"] == [actual["fewer"][0], "Baseline", True]  # the link brings it back
+        assert actual["rising"] == sorted(actual["rising"])
+        assert actual["falling"] == sorted(actual["falling"], reverse=True)
+        assert actual["start"] == ["inset(0px 100% 0px 0px)", "inset(0px 100% 0px 0px)"]
+        assert actual["middle"] == ["inset(0px 0% 0px 0px)", "inset(0px 75% 0px 0px)"]
+        assert actual["end"] == ["inset(0px 0% 0px 0px)"] * 2
+        assert actual["changed"] and actual["loaded"]
     for key in ("background", "ink"):  # light and dark
-        assert told["wide"][key] != told["phone"][key]
+        assert message["wide"][key] != message["phone"][key]

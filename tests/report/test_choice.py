@@ -65,7 +65,7 @@ def test_what_is_advised_over_the_baseline_is_not_told_as_alike(tmp_path: Path) 
         "safi + none": (20.2, 20.2),
     }
     seeds = {"none + none": (2, 3), "none + uar": (2, 3, 10, 11), "safi + none": (10, 11)}
-    rows = [row("a", m, k, f"{values[m][k % 2]}") for m, own in seeds.items() for k in own]
+    rows = [row("a", m, k, f"{values[m][k % 2]}") for m, ours in seeds.items() for k in ours]
     text = first_screen(table(tmp_path / "t", rows))
     assert "**Use UAR: it gains" in text
     alike = re.search(r"Not significantly different from UAR: ([^\n]*)", text)
@@ -92,9 +92,9 @@ def test_more_time_pays_is_corrected_for_all_others(tmp_path: Path) -> None:
     slow = [row("a", "safi + none", k, 20.0 + gain) for k, gain in enumerate(gains)]
     worse = [row("a", f"none + none, trainer.x={i}", k, 19.0) for i in range(9) for k in range(5)]
     for others, indices in (([], [0, 1]), (worse, [0])):
-        found = entries(collect(table(tmp_path / f"{len(others)}", fast + slow + others)), "a")
-        kept = paying(found, train_s)
-        assert [found[k].method.label for k in kept] == ["none + none", "safi + none"][
+        actual = entries(collect(table(tmp_path / f"{len(others)}", fast + slow + others)), "a")
+        kept = paying(actual, train_s)
+        assert [actual[k].method.label for k in kept] == ["none + none", "safi + none"][
             : len(indices)
         ]
 
@@ -118,8 +118,8 @@ def test_more_time_pays_by_pairs(tmp_path: Path) -> None:
             row("a", "safi + none", k, LEVELS[k] + 0.5, train_wall_s=seconds, train_cpu_s=seconds)
             for k in range(3)
         ]
-        found = entries(collect(table(tmp_path / f"{seconds}", full + part)), "a")
-        assert [found[k].method.label for k in paying(found, train_s)] == kept
+        actual = entries(collect(table(tmp_path / f"{seconds}", full + part)), "a")
+        assert [actual[k].method.label for k in paying(actual, train_s)] == kept
 
 
 def test_a_baseline_without_a_seed_on_all_scenes_is_no_crash(tmp_path: Path) -> None:
@@ -134,9 +134,9 @@ def test_what_gains_with_few_steps_is_not_advised_over_many(tmp_path: Path) -> N
     means = {"none + none, steps=300": 20.0, "safi + none, steps=300": 21.0}
     means |= {"none + none, steps=3000": 25.0, "safi + none, steps=3000": 24.0}
     rows = [one | {"trainer.steps": int(str(one["method"])[-3:]) or 3000} for one in study(means)]
-    found = outcomes(collect(table(tmp_path, rows)))
-    assert labelled(found.comparisons)["safi + none, steps=300"].significant
-    assert found.best.label == "none + none, steps=300", (
+    actual = outcomes(collect(table(tmp_path, rows)))
+    assert labelled(actual.comparisons)["safi + none, steps=300"].significant
+    assert actual.best.label == "none + none, steps=300", (
         "the first of its budgets represents the family"
     )
 
@@ -146,10 +146,10 @@ def test_the_best_is_chosen_by_pairs(tmp_path: Path) -> None:
     low = [row("fern", m, k, v - 1) for k in range(3, 10) for m, v in (("none + none", 20.0),)]
     low += [row("fern", "dba + none", k, 19.2) for k in range(3, 10)]
     means = {"none + none": 20.0, "safi + none": 20.1, "dba + none": 20.2}
-    found = outcomes(collect(table(tmp_path, [*study(means, 3), *low])))
-    psnr = labelled(found.psnr)
+    actual = outcomes(collect(table(tmp_path, [*study(means, 3), *low])))
+    psnr = labelled(actual.psnr)
     assert psnr["dba + none"].mean < psnr["safi + none"].mean
-    assert found.best.label == "dba + none"
+    assert actual.best.label == "dba + none"
 
 
 def test_pairs_that_lack_none_are_kept() -> None:
@@ -181,8 +181,8 @@ def test_intervals_say_how_many_comparisons_they_hold_for(tmp_path: Path) -> Non
 def test_single_seeds_on_many_scenes_are_corrected_for_all_methods(tmp_path: Path) -> None:
     means = {"none + none": 20.0, "safi + none": 20.3, "dba + none": 20.2}
     rows = [row(s, m, 0, v + len(s) / 9) for s in ("a", "bb", "ccc") for m, v in means.items()]
-    found = outcomes(collect(table(tmp_path, rows))).comparisons
-    assert {c.tests for c in found.values()} == {2} and labelled(found)["safi + none"].p is None
+    actual = outcomes(collect(table(tmp_path, rows))).comparisons
+    assert {c.tests for c in actual.values()} == {2} and labelled(actual)["safi + none"].p is None
 
 
 def test_a_stress_on_one_scene_hides_no_other(tmp_path: Path) -> None:
@@ -242,8 +242,8 @@ def test_sizes_and_spreads_that_are_no_ratio(tmp_path: Path) -> None:
         one | ({"gaussians": 0, "parameters": 0} if "=" not in str(one["method"]) else {})
         for one in rows
     ]
-    found = contests(collect(table(tmp_path, none)))
-    assert [contest.parameters for contest in found] == [None]
+    actual = contests(collect(table(tmp_path, none)))
+    assert [contest.parameters for contest in actual] == [None]
     assert sd_interval([20.0] * 4 + [20.1]) is None
 
 
@@ -269,8 +269,8 @@ def test_the_smallest_of_the_good_is_named(
         for (method, psnr), n in zip(levels.items(), sizes, strict=True)
     ]
     names = dict(zip("abc", levels, strict=True))
-    found = entries(collect(table(tmp_path, rows)), "s")
-    sized = [replace(entry, megabytes=float(entry.gaussians)) for entry in found]
+    actual = entries(collect(table(tmp_path, rows)), "s")
+    sized = [replace(entry, megabytes=float(entry.gaussians)) for entry in actual]
     answer = smallest(sized)
     assert (answer and answer.entry.method.label.partition(", ")[2]) == (
         expected and names[expected].partition(", ")[2]

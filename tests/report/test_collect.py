@@ -111,12 +111,12 @@ def test_capacities_are_compared_all_else_equal(tmp_path: Path) -> None:
                 run_name = f"{reg}-{name}-{seed}"
                 capacity = {"name": name, "weight": 1.0}
                 fake_run(tmp_path, "none", reg, seed, gain, run_name=run_name, capacity=capacity)
-    found = contests(collect(tmp_path))
-    pairs = [(c.method.label, dict(c.comparison.method.capacity)["capacity"]) for c in found]
+    actual = contests(collect(tmp_path))
+    pairs = [(c.method.label, dict(c.comparison.method.capacity)["capacity"]) for c in actual]
     assert pairs == [(m, c) for m in ("none + none", "none + uar") for c in ("adc", "budget")]
-    assert all(not c.comparison.baseline.capacity and c.comparison.tests == 4 for c in found)
-    assert [round(c.comparison.difference) for c in found] == [2, -3, 2, -3]
-    assert all(c.comparison.n == 3 and c.parameters == 1.0 for c in found)
+    assert all(not c.comparison.baseline.capacity and c.comparison.tests == 4 for c in actual)
+    assert [round(c.comparison.difference) for c in actual] == [2, -3, 2, -3]
+    assert all(c.comparison.n == 3 and c.parameters == 1.0 for c in actual)
 
 
 def test_draws_of_one_scene_are_not_scenes_like_these(tmp_path: Path) -> None:

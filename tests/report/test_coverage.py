@@ -20,8 +20,8 @@ TOLERANCE = 0.02
 DRAWS = 1500
 
 
-def covered(found: list[object], truth: float) -> float:
-    return float(np.mean([i is not None and i.low <= truth <= i.high for i in found]))  # type: ignore[attr-defined]
+def covered(actual: list[object], truth: float) -> float:
+    return float(np.mean([i is not None and i.low <= truth <= i.high for i in actual]))  # type: ignore[attr-defined]
 
 
 def on_one(values: np.ndarray) -> Pairs:
@@ -31,31 +31,31 @@ def on_one(values: np.ndarray) -> Pairs:
 @pytest.mark.parametrize("n", [3, 10])
 def test_mean_and_deviation(n: int) -> None:
     draws = 25 + 0.1 * stream(n, "spread").standard_normal((DRAWS, n))
-    found = [spread(list(row)) for row in draws]
-    assert covered([f.mean_interval for f in found], 25.0) == pytest.approx(0.95, abs=TOLERANCE)
-    assert covered([f.sd_interval for f in found], 0.1) == pytest.approx(0.95, abs=TOLERANCE)
+    actual = [spread(list(row)) for row in draws]
+    assert covered([f.mean_interval for f in actual], 25.0) == pytest.approx(0.95, abs=TOLERANCE)
+    assert covered([f.sd_interval for f in actual], 0.1) == pytest.approx(0.95, abs=TOLERANCE)
 
 
 @pytest.mark.parametrize("n", [3, 10])
 def test_paired_difference(n: int) -> None:
     """Runs of one seed share much; the interval is of what they do not share."""
     draw = stream(n, "pairs")
-    found = []
+    actual = []
     for _ in range(DRAWS):
         shared = draw.standard_normal(n)
         a, b = (shared + 0.3 * draw.standard_normal(n) for _ in range(2))
         comparison = compare("a", on_one(a + 0.2), "b", on_one(b))
-        found.append(comparison.interval if comparison else None)
-    assert covered(found, 0.2) == pytest.approx(0.95, abs=TOLERANCE)
+        actual.append(comparison.interval if comparison else None)
+    assert covered(actual, 0.2) == pytest.approx(0.95, abs=TOLERANCE)
 
 
 def test_ratio_of_deviations() -> None:
     draw = stream(0, "ratio")
     pairs = [(0.3 * draw.standard_normal(6), 0.1 * draw.standard_normal(9)) for _ in range(DRAWS)]
-    found = [
+    actual = [
         compare_sigmas("a", dict(enumerate(a)), "b", dict(enumerate(b, 100))) for a, b in pairs
     ]
-    assert covered([f.interval if f else None for f in found], 3.0) == pytest.approx(
+    assert covered([f.interval if f else None for f in actual], 3.0) == pytest.approx(
         0.95, abs=TOLERANCE
     )
 
@@ -64,24 +64,24 @@ def test_ratio_of_deviations() -> None:
 def test_ratio_of_deviations_where_seeds_tie_the_methods(ratio: float) -> None:
     """Half of the baseline's variance is shared by the runs of a seed."""
     draw = stream(0, "tied")
-    found = []
+    actual = []
     for _ in range(DRAWS):
         shared, own_a, own_b = draw.standard_normal((3, 10))
         a, b = ratio * (shared + own_a), shared + own_b
-        found.append(compare_sigmas("a", dict(enumerate(a)), "b", dict(enumerate(b))))
-    share = covered([f.interval if f else None for f in found], ratio)
+        actual.append(compare_sigmas("a", dict(enumerate(a)), "b", dict(enumerate(b))))
+    share = covered([f.interval if f else None for f in actual], ratio)
     assert share == pytest.approx(0.95, abs=TOLERANCE)
 
 
 @pytest.mark.parametrize(("n", "truths"), [(3, (0.1,) * 8), (10, (0.05, 0.1, 0.3)), (5, (0.2,))])
 def test_mean_of_the_scenes_deviations(n: int, truths: tuple[float, ...]) -> None:
     draws = stream(n, "scenes").standard_normal((DRAWS, len(truths), n))
-    found = [mean_deviation([list(t * x) for t, x in zip(truths, d, strict=True)]) for d in draws]
+    actual = [mean_deviation([list(t * x) for t, x in zip(truths, d, strict=True)]) for d in draws]
     truth = float(np.mean(truths))
-    assert covered([f[1] if f else None for f in found], truth) == pytest.approx(
+    assert covered([f[1] if f else None for f in actual], truth) == pytest.approx(
         0.95, abs=TOLERANCE
     )
-    centre = float(np.mean([f[0] for f in found if f]))
+    centre = float(np.mean([f[0] for f in actual if f]))
     assert centre == pytest.approx(truth, rel=0.03)  # free of bias
 
 
@@ -90,8 +90,8 @@ def test_share_of_failures(n: int) -> None:
     """A share's coverage jumps with the truth, so it is the mean over all truths that counts."""
     draw = stream(n, "share")
     truths = draw.random(DRAWS)
-    found = [wilson(int(draw.binomial(n, p)), n) for p in truths]
-    inside = [i.low <= p <= i.high for i, p in zip(found, truths, strict=True)]
+    actual = [wilson(int(draw.binomial(n, p)), n) for p in truths]
+    inside = [i.low <= p <= i.high for i, p in zip(actual, truths, strict=True)]
     assert np.mean(inside) == pytest.approx(0.95, abs=TOLERANCE)
 
 
@@ -101,11 +101,11 @@ def test_break_down_point(n: int, strengths: list[float]) -> None:
     draw, x = stream(n, "breakdown"), np.array(strengths, dtype=float)
     zero = x[2] + 0.3 * (x[3] - x[2])
     truth = 0.4 * (zero - x) * np.sign(x[1] - x[0])
-    found = []
+    actual = []
     for _ in range(DRAWS):
         noise = 0.1 * draw.standard_normal((len(x), n)) + 0.1 * draw.standard_normal(n)
-        found.append(break_down(x, truth[:, None] + noise).interval)
-    assert covered(found, zero) == pytest.approx(0.95, abs=TOLERANCE)
+        actual.append(break_down(x, truth[:, None] + noise).interval)
+    assert covered(actual, zero) == pytest.approx(0.95, abs=TOLERANCE)
 
 
 def test_brown_forsythe_keeps_its_level() -> None:
@@ -127,10 +127,10 @@ def test_these_scenes_and_scenes_like_these(shared: float) -> None:
         noise = 0.1 * draw.standard_normal((scenes, seeds)) + shared * draw.standard_normal(seeds)
         d = effects[:, None] + noise
         values = {(f"{s}", k): float(d[s, k]) for s in range(scenes) for k in range(seeds)}
-        found = compare("a", values, "b", dict.fromkeys(values, 0.0))
-        assert found is not None
-        these.append((found.interval, effects.mean()))
-        like.append((found.like_joint, 0.0))
+        actual = compare("a", values, "b", dict.fromkeys(values, 0.0))
+        assert actual is not None
+        these.append((actual.interval, effects.mean()))
+        like.append((actual.like_joint, 0.0))
         pooled.append((spread(list(values.values())).mean_interval, 0.0))
 
     def share(pairs: list[tuple[Any, float]]) -> float:
@@ -147,14 +147,14 @@ def test_corrected_intervals_hold_together() -> None:
     together = []
     for _ in range(DRAWS):
         base = draw.standard_normal(n)
-        found = {
+        actual = {
             str(k): compare(str(k), on_one(base + draw.standard_normal(n)), "b", on_one(base))
             for k in range(tests)
         }
-        told = corrected({k: c for k, c in found.items() if c is not None})
+        message = corrected({k: c for k, c in actual.items() if c is not None})
         assert all(c.significant == (c.p_joint is not None and c.p_joint < 0.05)
-                   for c in told.values())  # fmt: skip
-        together.append(not any(c.significant for c in told.values()))
+                   for c in message.values())  # fmt: skip
+        together.append(not any(c.significant for c in message.values()))
     assert np.mean(together) > 0.95 - TOLERANCE
 
 

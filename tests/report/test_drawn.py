@@ -21,21 +21,23 @@ def write_draws(folder: Path, gains: dict[int, float], seeds: int, scene: str = 
     for draw, gain in gains.items():
         condition = {"split": f"llff_drawn{draw}"}
         for seed in range(seeds):
-            for reg, own in (("none", 0.0), ("uar", gain)):
+            for reg, ours in (("none", 0.0), ("uar", gain)):
                 name = f"{scene}{draw}{reg}{seed}"
                 fake_run(
-                    folder, "none", reg, seed, own, scene=scene, run_name=name, condition=condition
+                    folder, "none", reg, seed, ours, scene=scene, run_name=name, condition=condition
                 )
 
 
 def test_the_analysis_of_variance_is_scipy_s() -> None:
     rng = np.random.default_rng(0)
     groups = [list(rng.normal(0.3 * i, 1, size)) for i, size in enumerate((3, 5, 2, 4))]
-    found, known = variance(groups), stats.f_oneway(*groups)
-    assert found is not None and (found.between, found.within) == (3, 10)
-    assert found.f == pytest.approx(known.statistic) and found.p == pytest.approx(known.pvalue)
+    actual, reference = variance(groups), stats.f_oneway(*groups)
+    assert actual is not None and (actual.between, actual.within) == (3, 10)
+    assert actual.f == pytest.approx(reference.statistic) and actual.p == pytest.approx(
+        reference.pvalue
+    )
     inside = np.concatenate([np.subtract(g, np.mean(g)) for g in groups])
-    assert found.sd == pytest.approx(np.sqrt((inside**2).sum() / 10))
+    assert actual.sd == pytest.approx(np.sqrt((inside**2).sum() / 10))
     assert variance(groups[:1]) is None
     flat = variance([[1.0, 1.0], [2.0, 2.0]])
     assert flat is not None and flat.p is None
@@ -46,17 +48,17 @@ def test_gains_by_draw_and_over_them(tmp_path: Path) -> None:
     for reg in ("none", "uar"):  # the papers' photos are no draw
         fake_run(tmp_path, "none", reg, 0, 9.0, scene="fern", condition={"split": "llff"})
     study = collect(tmp_path)
-    (found,) = draws(study)
-    assert (found.scene, str(found.method), str(found.baseline)) == ("fern", "UAR", "Baseline")
-    assert list(found.differences) == ["llff_drawn0", "llff_drawn2", "llff_drawn10"]
-    own = np.array(found.gains)
-    assert own - own.mean() == pytest.approx([0.5 - 1 / 6, 1 - 1 / 6, -1 - 1 / 6], abs=0.15)
-    interval = found.over.interval()
+    (actual,) = draws(study)
+    assert (actual.scene, str(actual.method), str(actual.baseline)) == ("fern", "UAR", "Baseline")
+    assert list(actual.differences) == ["llff_drawn0", "llff_drawn2", "llff_drawn10"]
+    ours = np.array(actual.gains)
+    assert ours - ours.mean() == pytest.approx([0.5 - 1 / 6, 1 - 1 / 6, -1 - 1 / 6], abs=0.15)
+    interval = actual.over.interval()
     assert interval is not None
-    known = stats.t.interval(0.95, 2, own.mean(), stats.sem(own))
-    assert (interval.low, interval.high) == pytest.approx(known)
-    assert found.alike is not None and found.alike.p is not None
-    assert found.alike.p == pytest.approx(stats.f_oneway(*found.differences.values()).pvalue)
+    reference = stats.t.interval(0.95, 2, ours.mean(), stats.sem(ours))
+    assert (interval.low, interval.high) == pytest.approx(reference)
+    assert actual.alike is not None and actual.alike.p is not None
+    assert actual.alike.p == pytest.approx(stats.f_oneway(*actual.differences.values()).pvalue)
 
 
 def test_the_report_says_whether_a_gain_depends_on_the_photos(tmp_path: Path) -> None:
@@ -76,8 +78,8 @@ def test_equal_draws_are_not_told_apart(tmp_path: Path) -> None:
 def test_one_seed_cannot_tell(tmp_path: Path) -> None:
     write_draws(tmp_path, GAINS, seeds=1)
     study = collect(tmp_path)
-    (found,) = draws(study)
-    assert found.alike is None and len(found.gains) == 3
+    (actual,) = draws(study)
+    assert actual.alike is None and len(actual.gains) == 3
     assert "With other photos" not in first_screen(tmp_path)
 
 
@@ -87,24 +89,24 @@ def test_draws_of_other_options_are_apart(tmp_path: Path) -> None:
             condition = {"split": f"llff_drawn{draw}", "n_views": views}
             name = f"{views}{draw}{reg}"
             fake_run(tmp_path, "none", reg, scene="fern", run_name=name, condition=condition)
-    (found,) = draws(collect(tmp_path))
-    assert len(found.gains) == 2
+    (actual,) = draws(collect(tmp_path))
+    assert len(actual.gains) == 2
 
 
 def test_draws_with_another_depth_error_are_apart(tmp_path: Path) -> None:
     """What helps with plain depth costs with noise, on every draw."""
     rows = [
-        row(f"fern (corruption={name}, split=llff_drawn{draw})", method, seed, 20.0 + own,
+        row(f"fern (corruption={name}, split=llff_drawn{draw})", method, seed, 20.0 + ours,
             **{"scene.split": f"llff_drawn{draw}", "depth.corruption": name})
         for name, gain in (("none", 1.0), ("noise", -1.0))
         for draw in range(3)
-        for method, own in (("none + none", 0.0), ("safi + none", gain))
+        for method, ours in (("none + none", 0.0), ("safi + none", gain))
         for seed in range(2)
     ]  # fmt: skip
-    found = {own.scene: own for own in draws(collect(table(tmp_path, rows)))}
-    assert list(found) == ["fern (corruption=noise)", "fern (corruption=none)"]
-    means = [round(own.over.mean) for own in found.values()]
-    assert means == [-1, 1] and all(len(own.gains) == 3 for own in found.values())
+    actual = {ours.scene: ours for ours in draws(collect(table(tmp_path, rows)))}
+    assert list(actual) == ["fern (corruption=noise)", "fern (corruption=none)"]
+    means = [round(ours.over.mean) for ours in actual.values()]
+    assert means == [-1, 1] and all(len(ours.gains) == 3 for ours in actual.values())
 
 
 def test_other_studies_have_no_such_part(tmp_path: Path) -> None:

@@ -81,10 +81,10 @@ def test_names_of_any_length_stay_inside_the_figure() -> None:
 
 def test_a_long_legend_leaves_the_chart_its_room() -> None:
     band = Band("single runs of none + none (mean ± 2 σ)", 19.0, 21.0)
-    for words, beside in (("a method with a name of several words", None), ("short", band)):
+    for words, shifted in (("a method with a name of several words", None), ("short", band)):
         names = [f"{number} {words}" for number in range(30)]
-        own = [Series(n, k, (Point(float(k), 20.0, 19.0, 21.0),)) for k, n in enumerate(names)]
-        figure = draw([Chart("c", "t", "x", "y", tuple(own), band=beside)])
+        ours = [Series(n, k, (Point(float(k), 20.0, 19.0, 21.0),)) for k, n in enumerate(names)]
+        figure = draw([Chart("c", "t", "x", "y", tuple(ours), band=shifted)])
         height = figure.axes[0].get_position().height * figure.get_size_inches()[1]
         assert height > 1.5  # inches
 
@@ -228,5 +228,5 @@ def test_no_two_panels_of_stresses_share_a_file(tmp_path: Path) -> None:
         for views in (9, 6, 3):
             name = f"{scene[:2]}{views}"
             fake_run(tmp_path, scene=scene, condition={"n_views": views}, run_name=name)
-    found = panels(collect(tmp_path))
-    assert len({panel.file.lower() for panel in found}) == 2
+    actual = panels(collect(tmp_path))
+    assert len({panel.file.lower() for panel in actual}) == 2

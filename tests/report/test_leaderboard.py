@@ -90,8 +90,8 @@ def test_searches_are_no_studies(tmp_path: Path) -> None:
     for folder, condition in ((searched, {}), (tmp_path / "held", {"split": "llff_held_out"})):
         for seed in range(2):
             fake_run(folder, seed=seed, condition=condition, run_name=f"{seed}")
-    found = '{"metric": "psnr", "fixed": [], "trials": []}'
-    (searched / SEARCH).write_text(found, encoding="utf-8")
+    actual = '{"metric": "psnr", "fixed": [], "trials": []}'
+    (searched / SEARCH).write_text(actual, encoding="utf-8")
     path, studies = leaderboard(tmp_path, tmp_path)
     text = path.read_text(encoding="utf-8")
     assert studies == 0 and "the trials of a search" in text

@@ -46,15 +46,15 @@ def test_recipes_stand_next_to_published_and_repeated_figures(tmp_path: Path) ->
     for seed in (0, 1):
         _recipe(tmp_path, "corgs", seed)
         _recipe(tmp_path, "fsgs_sweep", seed, gain=1.0)
-    (found,) = recipes(collect(tmp_path))
-    rows = by_method(found.rows)
+    (actual,) = recipes(collect(tmp_path))
+    rows = by_method(actual.rows)
     assert set(rows) == {"CoR-GS", "FSGS", "ReconFusion", "MuRF"}
     corgs = rows["CoR-GS"]
     assert corgs["Published, LLFF"] == "20.45" and corgs["Runs"] == "2"
     assert corgs["Repeated by others, LLFF"] == "20.19 ± 0.14 (10 runs), 20.17, 20.11, 20.47"
     assert corgs[OF_SCENE] == "22.29" and corgs[AVGE_THERE] == "0.0862, 0.0806 ± 0.0008"
     assert AVGE_HERE not in corgs, "no run has LPIPS"
-    (reversal,) = found.reversals
+    (reversal,) = actual.reversals
     assert reversal[REVERSED] == "CoR-GS" and str(reversal[OVER]).startswith("FSGS (+0.14, ")
     assert rows["FSGS"]["Recipe"] == "fsgs_sweep"
     assert "### Compared with the literature" in build_report(tmp_path).read_text("utf-8")
@@ -91,14 +91,14 @@ def test_published_figures_stand_next_to_their_own_data_set(tmp_path: Path) -> N
     for name in ("binocular_sweep", "stereogs_sweep", "segs"):
         _recipe(tmp_path / "dtu", name, 0, loader="dtu", gain=float(name == "stereogs_sweep"))
         _recipe(tmp_path / "own", name, 0, loader="transforms")
-    dtu, own = (collect(tmp_path / name) for name in ("dtu", "own"))
-    (found,) = recipes(dtu)
+    dtu, ours = (collect(tmp_path / name) for name in ("dtu", "own"))
+    (actual,) = recipes(dtu)
     cells = ("Published, DTU", "Repeated by others, DTU")
-    printed = {name: tuple(row[c] for c in cells) for name, row in by_method(found.rows).items()}
+    printed = {name: tuple(row[c] for c in cells) for name, row in by_method(actual.rows).items()}
     assert printed["Binocular3DGS"] == ("20.71", "20.83") and printed["SE-GS"] == ("–", "–")
     assert printed["StereoGS"] == ("21.46", "–") and printed["MuRF"] == ("21.31", "–")
     assert list(mean_rows(dtu)[0]) == ["Method", "DTU, 3 views"]
-    assert recipes(own) == [] and mean_rows(own) == []
+    assert recipes(ours) == [] and mean_rows(ours) == []
 
 
 def test_published_figures_carry_their_size(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_a_reversal_that_seeds_confirm_is_significant(tmp_path: Path) -> None:
         _recipe(tmp_path, "stereogs_sweep", seed)  # published the highest of the three
         _recipe(tmp_path, "binocular_sweep", seed, gain=gain)
         _recipe(tmp_path, "segs", seed, gain=(-5.0, -1.0, -3.0)[seed])
-    ((reversal,),) = (found.reversals for found in recipes(collect(tmp_path)))
+    ((reversal,),) = (actual.reversals for actual in recipes(collect(tmp_path)))
     below = str(reversal[OVER])
     assert reversal[REVERSED] == "StereoGS" and below.startswith("Binocular3DGS (+0.47, -1.")
     assert below.endswith(" significant)"), "SE-GS is published below it, and is"
@@ -126,7 +126,7 @@ def test_a_recipe_that_was_run_in_several_ways_is_in_no_pair(tmp_path: Path) -> 
         _recipe(tmp_path, "fsgs", seed, gain=3.0)
         _recipe(tmp_path, "fsgs_sweep", seed, gain=1.0)
         _recipe(tmp_path, "corgs", seed)
-    assert [found.reversals for found in recipes(collect(tmp_path))] == [[]]
+    assert [actual.reversals for actual in recipes(collect(tmp_path))] == [[]]
 
 
 def test_every_published_recipe_is_one() -> None:

@@ -191,8 +191,8 @@ def test_rates_that_go_with_a_budget_need_no_name() -> None:
 
 def test_members_are_a_budget_and_named_only_where_the_steps_do_not_tell() -> None:
     def config(steps: int, members: int) -> dict[str, Any]:
-        own = {"steps": steps, "members": members, "tuning": 0.05}
-        return {"augment": {"name": "none"}, "reg": {"name": "none"}, "trainer": own}
+        ours = {"steps": steps, "members": members, "tuning": 0.05}
+        return {"augment": {"name": "none"}, "reg": {"name": "none"}, "trainer": ours}
 
     several = names([config(100, 1), config(300, 1), config(450, 2)])
     assert several == [f"none + none, steps={n}" for n in (100, 300, 450)]
@@ -226,9 +226,9 @@ def test_what_was_done_before_an_option_that_acts_by_default() -> None:
                 for more in ({}, {key: 7}, {key: before})
             )
             old[group].pop(key, None)
-            found = names([old, new, same])
-            assert found[0] == found[2] != found[1], (group, plugin, key)
-            assert f"{key}={value_text(before)}" in found[0], found
+            actual = names([old, new, same])
+            assert actual[0] == actual[2] != actual[1], (group, plugin, key)
+            assert f"{key}={value_text(before)}" in actual[0], actual
 
 
 def info(name: str, fingerprint: str) -> SceneInfo:
@@ -237,7 +237,7 @@ def info(name: str, fingerprint: str) -> SceneInfo:
 
 def scene_names(*scenes: tuple[dict[str, Any], SceneInfo | None]) -> list[str]:
     configs = [make_config() | {"scene": {"name": "llff", **options}} for options, _ in scenes]
-    return [label.full for label in scene_labels(configs, [found for _, found in scenes])]
+    return [label.full for label in scene_labels(configs, [actual for _, actual in scenes])]
 
 
 def test_names_of_scenes() -> None:
@@ -289,8 +289,8 @@ def test_what_follows_is_left_out_of_a_capacity_and_noted_once() -> None:
         (("capacity", "a"), ("every", every), ("kind", kind), ("until", "1"))
         for every, kind in (("0.1", "x"), ("0.2", "y"))
     )
-    found, notes = short(a, b, (("capacity", "b"),), ())
-    assert found == [(a[0], a[2]), (b[0], b[2]), (("capacity", "b"),), ()]
+    actual, notes = short(a, b, (("capacity", "b"),), ())
+    assert actual == [(a[0], a[2]), (b[0], b[2]), (("capacity", "b"),), ()]
     assert notes[0].startswith(
         "Short names: capacity=a, kind=x ran with every=0.1 and until=1; capacity=a, kind=y ran"
     )
@@ -308,8 +308,8 @@ FIRST = Method(options=(("trainer.sh_every", "1000"),))
 def test_methods_are_named_by_their_recipes_if_each_is_one() -> None:
     plain = FIRST, ["method=baseline", "seed=0"], "fern"
     other = OTHER, ["method=corgs", "seed=0"], "fern"
-    found = by_recipe([plain, other, (OTHER, ["seed=1", "method=corgs"], "fern")])
-    assert found == {FIRST: PLAIN, OTHER: Method(recipe="corgs")}
+    actual = by_recipe([plain, other, (OTHER, ["seed=1", "method=corgs"], "fern")])
+    assert actual == {FIRST: PLAIN, OTHER: Method(recipe="corgs")}
     assert by_recipe([plain, (OTHER, ["seed=0"], "fern")]) == {}  # one without
     assert by_recipe([plain, (OTHER, ["method=baseline"], "fern")]) == {}  # one recipe, two methods
     assert by_recipe([plain, other, (OTHER, ["method=segs"], "fern")]) == {}  # two, one method
@@ -326,8 +326,8 @@ def test_a_recipe_with_other_options_on_another_scene_is_one_method() -> None:
         (OTHER, ["method=corgs", "scene=llff"], "fern"),
         (there, ["method=corgs", "scene=dtu"], "scan 65"),
     ]
-    found = by_recipe(runs)
-    assert found[OTHER] == found[there] == Method(recipe="corgs")
+    actual = by_recipe(runs)
+    assert actual[OTHER] == actual[there] == Method(recipe="corgs")
     named = by_recipe([*runs[:3], (there, ["method=corgs", "trainer.steps=600"], "scan 65")])
     assert named[there].label == "corgs, steps=600" != named[OTHER].label
 
@@ -344,9 +344,9 @@ def test_what_was_typed_with_a_recipe_is_in_its_name() -> None:
         (spare, ["method=icogs_here", "trainer.opacity_spare=0.5", *run], "fern"),
         (longer, ["method=icogs_here", *run, "trainer.steps=600"], "fern"),
     ]
-    found = by_recipe(runs)
-    assert found[spare].label == "icogs_here, trainer.opacity_spare=0.5"
-    assert found[longer] == Method(recipe="icogs_here", limits=(("steps", "600"),))
+    actual = by_recipe(runs)
+    assert actual[spare].label == "icogs_here, trainer.opacity_spare=0.5"
+    assert actual[longer] == Method(recipe="icogs_here", limits=(("steps", "600"),))
     presets = [(m, [*words, f"preset={k}"], s) for k, (m, words, s) in enumerate(runs)]
     assert by_recipe(presets) == {}, "a preset is many options"
 

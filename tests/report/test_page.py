@@ -108,9 +108,9 @@ def test_the_contents_link_to_every_section(page: str) -> None:
 
 def test_what_does_not_fit_is_told(study_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gallery, "MOST_BYTES", 1)
-    found = gallery.gallery(study := collect(study_dir), study.scenes)
-    assert {(shot[1], shot[2]) for shot in found.shots} == {(str(m), 0) for m in study.methods}
-    assert len(found.shots) == 2 and found.left_out == 22
+    actual = gallery.gallery(study := collect(study_dir), study.scenes)
+    assert {(shot[1], shot[2]) for shot in actual.shots} == {(str(m), 0) for m in study.methods}
+    assert len(actual.shots) == 2 and actual.left_out == 22
 
 
 def test_what_is_about_one_of_many_scenes_is_folded(

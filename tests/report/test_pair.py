@@ -63,16 +63,16 @@ def test_different_scenes_are_not_compared(tmp_path: Path) -> None:
 def test_a_metric_that_one_run_alone_has_is_shown_whichever_comes_first() -> None:
     def measured(method: str, **numbers: float) -> ReportRun:
         table = Table({"view": ["v"]}, {k: np.array([x]) for k, x in numbers.items()})
-        found: Any = SimpleNamespace(
+        actual: Any = SimpleNamespace(
             method=method, run=SimpleNamespace(metrics=table), mean=numbers.get, psnr={"v": 1.0}
         )
-        return found  # type: ignore[no-any-return]
+        return actual  # type: ignore[no-any-return]
 
     few, more = measured("a", psnr=20.0), measured("b", psnr=21.0, lpips=0.25, avge=0.1)
     for pair, absent in (((few, more), 0), ((more, few), 1)):
         (row,) = pair_views(*pair)
-        told = [row[f"{heading_of('lpips')}, {run.method}"] for run in pair]
-        assert told[absent] == "–" and told[1 - absent] == "0.2500"
+        message = [row[f"{heading_of('lpips')}, {run.method}"] for run in pair]
+        assert message[absent] == "–" and message[1 - absent] == "0.2500"
         assert row[f"{heading_of('avge')}, b"] == "0.1000"
 
 

@@ -65,5 +65,5 @@ def test_a_method_keeps_its_look_in_every_report() -> None:
 
 
 def test_there_may_be_more_methods_than_looks() -> None:
-    found = looks([f"method {k}" for k in range(LOOKS + 3)])
-    assert len(found) == LOOKS + 3 and set(found.values()) == set(range(LOOKS))
+    actual = looks([f"method {k}" for k in range(LOOKS + 3)])
+    assert len(actual) == LOOKS + 3 and set(actual.values()) == set(range(LOOKS))

@@ -13,27 +13,27 @@ from framework.report.statistics.numbers import format_interval, format_span
 
 
 def test_spread_of_known_values() -> None:
-    found = spread([1.0, 2.0, 3.0])
-    assert (found.n, found.mean, found.sd) == (3, 2.0, 1.0)
-    assert found.mean_interval is not None and found.sd_interval is not None
+    actual = spread([1.0, 2.0, 3.0])
+    assert (actual.n, actual.mean, actual.sd) == (3, 2.0, 1.0)
+    assert actual.mean_interval is not None and actual.sd_interval is not None
     # t(.975, 2) = 4.3027; chi2(2) quantiles 7.3778 and 0.0506
-    assert found.mean_interval.high == pytest.approx(2 + 4.3027 / 3**0.5, abs=1e-4)
-    assert found.sd_interval.low == pytest.approx((2 / 7.3778) ** 0.5, abs=1e-4)
-    assert found.sd_interval.high == pytest.approx((2 / 0.0506356) ** 0.5, abs=1e-3)
+    assert actual.mean_interval.high == pytest.approx(2 + 4.3027 / 3**0.5, abs=1e-4)
+    assert actual.sd_interval.low == pytest.approx((2 / 7.3778) ** 0.5, abs=1e-4)
+    assert actual.sd_interval.high == pytest.approx((2 / 0.0506356) ** 0.5, abs=1e-3)
 
 
 def test_one_value_says_nothing_about_spread() -> None:
-    found = spread([5.0])
-    assert found.mean == 5.0
-    assert found.sd is None and found.sd_interval is None and found.mean_interval is None
+    actual = spread([5.0])
+    assert actual.mean == 5.0
+    assert actual.sd is None and actual.sd_interval is None and actual.mean_interval is None
     with pytest.raises(ValueError, match="at least one"):
         spread([])
 
 
 def test_sd_interval_covers_the_truth_as_often_as_it_says() -> None:
     draws = 0.1 * stream(0, "coverage").standard_normal((4000, 5))
-    found = [spread(list(row)).sd_interval for row in draws]
-    share = np.mean([i is not None and i.low <= 0.1 <= i.high for i in found])
+    actual = [spread(list(row)).sd_interval for row in draws]
+    share = np.mean([i is not None and i.low <= 0.1 <= i.high for i in actual])
     assert share == pytest.approx(0.95, abs=0.012)
 
 
@@ -42,13 +42,13 @@ def test_comparison_pairs_by_key_and_equals_scipy() -> None:
     values = {("s", seed): 20 + float(draw.standard_normal()) for seed in range(6)}
     others = {key: value - 0.3 + 0.1 * float(draw.random()) for key, value in values.items()}
     others["s", 99] = 500.0
-    found = compare("a", values, "b", others)
+    actual = compare("a", values, "b", others)
     keys = sorted(values)
     expected = stats.ttest_rel([values[k] for k in keys], [others[k] for k in keys])
     interval = expected.confidence_interval()
-    assert found is not None and found.interval is not None and found.n == 6
-    assert found.p == pytest.approx(expected.pvalue, rel=1e-9)
-    assert (found.interval.low, found.interval.high) == pytest.approx(tuple(interval), rel=1e-9)
+    assert actual is not None and actual.interval is not None and actual.n == 6
+    assert actual.p == pytest.approx(expected.pvalue, rel=1e-9)
+    assert (actual.interval.low, actual.interval.high) == pytest.approx(tuple(interval), rel=1e-9)
 
 
 def test_comparison_of_few_or_equal_pairs() -> None:
@@ -66,24 +66,27 @@ def test_comparison_of_few_or_equal_pairs() -> None:
 
 def test_seeds_and_scenes_are_averaged_over_the_other_first() -> None:
     values = {("x", 0): 1.0, ("x", 1): 2.0, ("y", 0): 3.0, ("y", 1): 6.0, ("y", 2): 99.0}
-    found = compare("a", values, "b", dict.fromkeys(values, 0.0))
-    assert found is not None and found.like is not None
-    assert found.scenes == ("x", "y")
-    assert (found.n, found.difference) == (2, 3.0)  # of (1 + 3) / 2 and (2 + 6) / 2; seed 2 lacks x
-    assert found.like.n == 2 and found.like.mean == pytest.approx((1.5 + 36) / 2)
+    actual = compare("a", values, "b", dict.fromkeys(values, 0.0))
+    assert actual is not None and actual.like is not None
+    assert actual.scenes == ("x", "y")
+    assert (actual.n, actual.difference) == (
+        2,
+        3.0,
+    )  # of (1 + 3) / 2 and (2 + 6) / 2; seed 2 lacks x
+    assert actual.like.n == 2 and actual.like.mean == pytest.approx((1.5 + 36) / 2)
 
 
 def test_conditions_of_one_scene_count_as_one_scene() -> None:
     values = {("x (1)", 0): 1.0, ("x (2)", 0): 3.0, ("y", 0): 8.0, ("z", 0): 5.0}
     names = {"x (1)": "x", "x (2)": "x"}
-    found = compare("a", values, "b", dict.fromkeys(values, 0.0), names)
-    assert found is not None and found.like is not None
-    assert (found.like.n, found.like.mean) == (3, 5.0)  # of 2, 8 and 5
+    actual = compare("a", values, "b", dict.fromkeys(values, 0.0), names)
+    assert actual is not None and actual.like is not None
+    assert (actual.like.n, actual.like.mean) == (3, 5.0)  # of 2, 8 and 5
     expected = stats.ttest_1samp([2.0, 8.0, 5.0], 0).confidence_interval()
-    interval = found.like.interval()
+    interval = actual.like.interval()
     assert interval is not None
     assert (interval.low, interval.high) == pytest.approx(tuple(expected), rel=1e-9)
-    assert found.difference == 4.25  # these scenes: each condition as it is
+    assert actual.difference == 4.25  # these scenes: each condition as it is
     alone = {key: value for key, value in values.items() if key[0].startswith("x")}
     of_one = compare("a", alone, "b", dict.fromkeys(alone, 0.0), names)
     assert of_one is not None and of_one.like is None, "one scene gives no evidence on others"
@@ -91,19 +94,19 @@ def test_conditions_of_one_scene_count_as_one_scene() -> None:
 
 def test_no_seed_on_all_scenes_is_no_test() -> None:
     values = {("x", 0): 1.0, ("y", 1): 3.0}
-    found = compare("a", values, "b", dict.fromkeys(values, 0.0))
-    assert found is not None and found.n == 0 and found.difference == 2.0
-    assert found.interval is None and found.joint is None and not found.significant
+    actual = compare("a", values, "b", dict.fromkeys(values, 0.0))
+    assert actual is not None and actual.n == 0 and actual.difference == 2.0
+    assert actual.interval is None and actual.joint is None and not actual.significant
 
 
 def test_correction_is_for_what_can_be_tested() -> None:
     one = compare("a", {("s", 1): 2.0}, "b", {("s", 1): 1.5})
     two = compare("c", {("s", 1): 2.0, ("s", 2): 2.5}, "b", {("s", 1): 1.5, ("s", 2): 1.9})
     assert one is not None and two is not None and two.p is not None
-    told = corrected({"a": one, "c": two, "d": two})
-    assert told["c"].tests == 2 and told["c"].p_joint == pytest.approx(2 * two.p)
-    assert told["c"].joint is not None and two.interval is not None
-    assert told["c"].joint.low < two.interval.low
+    message = corrected({"a": one, "c": two, "d": two})
+    assert message["c"].tests == 2 and message["c"].p_joint == pytest.approx(2 * two.p)
+    assert message["c"].joint is not None and two.interval is not None
+    assert message["c"].joint.low < two.interval.low
 
 
 def test_an_end_beside_zero_is_not_rounded_to_it() -> None:

@@ -72,21 +72,21 @@ def test_intervals_hold_for_all_methods_and_panels_at_once(tmp_path: Path) -> No
                 fake_run(tmp_path, augment, seed=seed, run_name=name, condition={"n_views": views})
     study = collect(tmp_path)
     (panel,) = panels(study)
-    found = limits(study, [panel])
-    assert len(found) == 2
-    for own in found:
-        for level, (mean, inside) in zip(own.levels, own.gains, strict=True):
+    actual = limits(study, [panel])
+    assert len(actual) == 2
+    for ours in actual:
+        for level, (mean, inside) in zip(ours.levels, ours.gains, strict=True):
             mine, base = (
                 np.array([float(run.mean("psnr") or 0) for run in panel.runs[method][level]])
-                for method in (own.method, own.against)
+                for method in (ours.method, ours.against)
             )
             gains = mine - base
             alone = stats.sem(gains) * stats.t.ppf(1 - 0.05 / 2 / 6, 2)
             assert inside is not None and mean == pytest.approx(np.mean(gains))
             assert inside.high - mean == pytest.approx(alone, rel=1e-6)
-    drawn = stress_charts(study, panel, found, "x")[1].series
+    drawn = stress_charts(study, panel, actual, "x")[1].series
     assert [p.y_high for s in drawn for p in s.points] == [
-        inside.high for own in found for _, inside in own.gains if inside
+        inside.high for ours in actual for _, inside in ours.gains if inside
     ]
 
 
@@ -102,11 +102,11 @@ def test_draws_and_folders_have_panels_of_their_own(
 ) -> None:
     """What costs with the first of them helps with the second; no run is dropped."""
     rows = [
-        row(f"fern (n_views={views}, {option}={value})", method, seed, 20.0 + own,
+        row(f"fern (n_views={views}, {option}={value})", method, seed, 20.0 + ours,
             **{f"scene.{option}": value, "scene.n_views": views})
         for value, gain in zip(values, (-1.0, 1.0), strict=True)
         for views in (3, 6, 9)
-        for method, own in (("none + none", 0.0), ("safi + none", gain))
+        for method, ours in (("none + none", 0.0), ("safi + none", gain))
         for seed in range(4)
     ]  # fmt: skip
     study = collect(table(tmp_path, rows))
@@ -124,16 +124,16 @@ def test_all_views_and_their_number_are_pairs_of_one_strength(tmp_path: Path) ->
     """Both labels have nine views: a seed has the mean of both."""
     cells = {"3": (3, 0.5), "all": (9, 0.2), "9": (9, 0.6)}
     rows = [
-        row(f"fern (n_views={name})", method, seed, str(20.0 + own), **{"scene.n_views": views})
+        row(f"fern (n_views={name})", method, seed, str(20.0 + ours), **{"scene.n_views": views})
         for name, (views, gain) in cells.items()
-        for method, own in (("none + none", 0.0), ("safi + none", gain))
+        for method, ours in (("none + none", 0.0), ("safi + none", gain))
         for seed in range(3)
     ]
     study = collect(table(tmp_path, rows))
     (panel,) = panels(study)
-    (found,) = limits(study, [panel])
-    assert found.breakdown.n == 3 and found.levels == (9, 3)
-    assert [mean for mean, _ in found.gains] == pytest.approx([0.4, 0.5])
+    (actual,) = limits(study, [panel])
+    assert actual.breakdown.n == 3 and actual.levels == (9, 3)
+    assert [mean for mean, _ in actual.gains] == pytest.approx([0.4, 0.5])
 
 
 def test_the_verdict_of_a_stress(tmp_path: Path) -> None:
@@ -167,8 +167,8 @@ def test_bars_and_sentences_agree() -> None:
     draw = stream(0, "bars")
     for _ in range(200):
         gains = 0.3 * draw.standard_normal((5, 3))
-        found = break_down(np.arange(5.0), gains)
-        for sign, (_, interval) in zip(found.signs, gains_of_levels(gains), strict=True):
+        actual = break_down(np.arange(5.0), gains)
+        for sign, (_, interval) in zip(actual.signs, gains_of_levels(gains), strict=True):
             assert interval is not None
             assert (sign == 0) == (interval.low <= 0 <= interval.high)
 

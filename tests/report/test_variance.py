@@ -34,12 +34,12 @@ def by_seed(values: Sequence[float], first: int = 0) -> dict[int, float]:
 def test_without_common_seeds_it_is_scipys_levene_about_the_median() -> None:
     draw = stream(0, "levene")
     a, b = 0.3 * draw.standard_normal(8), 0.1 * draw.standard_normal(8)
-    found = compare_sigmas("a", by_seed(a), "b", by_seed(b, 100))
-    assert found is not None and found.ratio is not None and found.interval is not None
-    assert not found.paired
-    assert found.p == pytest.approx(stats.levene(a, b, center="median").pvalue)
-    assert found.ratio == pytest.approx(a.std(ddof=1) / b.std(ddof=1))
-    assert found.interval.low < found.ratio < found.interval.high
+    actual = compare_sigmas("a", by_seed(a), "b", by_seed(b, 100))
+    assert actual is not None and actual.ratio is not None and actual.interval is not None
+    assert not actual.paired
+    assert actual.p == pytest.approx(stats.levene(a, b, center="median").pvalue)
+    assert actual.ratio == pytest.approx(a.std(ddof=1) / b.std(ddof=1))
+    assert actual.interval.low < actual.ratio < actual.interval.high
 
 
 def test_common_seeds_are_pairs() -> None:
@@ -47,23 +47,23 @@ def test_common_seeds_are_pairs() -> None:
     ends where that of values refutes."""
     shared, own_a, own_b = stream(0, "pairs").standard_normal((3, 9))
     a, b = 0.5 * (shared + 0.3 * own_a), shared + 0.3 * own_b
-    found = compare_sigmas("a", by_seed(a), "b", by_seed(b))
-    assert found is not None and found.ratio is not None and found.interval is not None
-    told = [test(a - b, a + b).pvalue for test in (stats.pearsonr, stats.spearmanr)]
-    assert found.paired and found.p == pytest.approx(max(told))
-    assert found.rho == pytest.approx(np.corrcoef(a, b)[0, 1])
-    for end in (found.interval.low, found.interval.high):
+    actual = compare_sigmas("a", by_seed(a), "b", by_seed(b))
+    assert actual is not None and actual.ratio is not None and actual.interval is not None
+    message = [test(a - b, a + b).pvalue for test in (stats.pearsonr, stats.spearmanr)]
+    assert actual.paired and actual.p == pytest.approx(max(message))
+    assert actual.rho == pytest.approx(np.corrcoef(a, b)[0, 1])
+    for end in (actual.interval.low, actual.interval.high):
         assert stats.pearsonr(a - end * b, a + end * b).pvalue == pytest.approx(0.05, abs=1e-9)
     more = compare_sigmas("a", by_seed([*a, 7.0]), "b", by_seed(b))
-    assert more is not None and (more.n, more.other_n, more.p) == (9, 9, found.p)
+    assert more is not None and (more.n, more.other_n, more.p) == (9, 9, actual.p)
 
 
 def test_of_seeds_that_move_as_one_the_ratio_is_nearly_known() -> None:
     """A correlation of exactly 1 leaves no noise; its replacement must not be noise either."""
-    found = compare_sigmas("a", by_seed([1.0, 2.0, 4.0, 7.0]), "b", by_seed([2.0, 4.0, 8.0, 14.0]))
-    assert found is not None and found.interval is not None and found.rho is not None
-    assert found.ratio == pytest.approx(0.5) and 1 - 1e-8 < found.rho < 1
-    assert 0.499 < found.interval.low < 0.5 < found.interval.high < 0.501
+    actual = compare_sigmas("a", by_seed([1.0, 2.0, 4.0, 7.0]), "b", by_seed([2.0, 4.0, 8.0, 14.0]))
+    assert actual is not None and actual.interval is not None and actual.rho is not None
+    assert actual.ratio == pytest.approx(0.5) and 1 - 1e-8 < actual.rho < 1
+    assert 0.499 < actual.interval.low < 0.5 < actual.interval.high < 0.501
 
 
 @pytest.mark.parametrize(("ratio", "rho"), [(1.0, 0.6), (0.5, 0.8), (0.4, 0.0), (2.0, 0.5)])
@@ -73,11 +73,11 @@ def test_power_of_pairs_is_that_of_the_test(ratio: float, rho: float) -> None:
     a, b = ratio * x, rho * x + np.sqrt(1 - rho**2) * y
     values = stats.pearsonr(a - b, a + b, axis=1).pvalue
     ranks = [stats.spearmanr(d, s).pvalue for d, s in zip(a - b, a + b, strict=True)]
-    found = np.mean(np.maximum(values, ranks) < 0.05)
-    assert paired_power(ratio, rho, 10) == pytest.approx(found, abs=0.03)
+    actual = np.mean(np.maximum(values, ranks) < 0.05)
+    assert paired_power(ratio, rho, 10) == pytest.approx(actual, abs=0.03)
     lowest = detectable(10, 10, 1, rho)
     assert lowest is not None and paired_power(lowest, rho, 10) == pytest.approx(0.8, abs=0.03)
-    assert ratio != 1 or found < 0.05
+    assert ratio != 1 or actual < 0.05
     assert 0.04 < heavy_size(10) < 0.12
 
 
@@ -102,13 +102,13 @@ def test_degenerate_deviations() -> None:
 def test_power_is_that_of_the_test_that_is_used(n: int) -> None:
     """Against other draws and scipy's own test."""
     draws = stream(7, "other").standard_normal((1000, 2, n))
-    found = np.mean([brown_forsythe(0.32 * a, b) < 0.05 for a, b in draws])
-    assert power(0.32, n, n) == pytest.approx(found, abs=0.04)
+    actual = np.mean([brown_forsythe(0.32 * a, b) < 0.05 for a, b in draws])
+    assert power(0.32, n, n) == pytest.approx(actual, abs=0.04)
 
 
 def test_power_and_size_as_a_reviewer_measured_them() -> None:
-    told = {4: 0.21, 5: 0.08, 10: 0.67, 20: 0.98}
-    assert {n: power(0.32, n, n) for n in told} == pytest.approx(told, abs=0.015)
+    message = {4: 0.21, 5: 0.08, 10: 0.67, 20: 0.98}
+    assert {n: power(0.32, n, n) for n in message} == pytest.approx(message, abs=0.015)
     assert size(4, 4) == pytest.approx(0.067, abs=0.004)
     assert size(10, 10) < 0.05
 
@@ -132,17 +132,19 @@ def test_seeds_needed_have_the_power_they_promise() -> None:
 
 
 def test_c4_of_the_tables() -> None:
-    known = {2: 0.797885, 5: 0.939986, 10: 0.972659}
-    assert c4(np.array(list(known), dtype=float)) == pytest.approx(list(known.values()), abs=1e-6)
+    reference = {2: 0.797885, 5: 0.939986, 10: 0.972659}
+    assert c4(np.array(list(reference), dtype=float)) == pytest.approx(
+        list(reference.values()), abs=1e-6
+    )
 
 
 def test_mean_deviation_of_one_scene_is_the_chi_square_interval() -> None:
     values = [1.0, 2.0, 4.0, 4.5, 6.0]
-    found = mean_deviation([values])
+    actual = mean_deviation([values])
     sd, quantiles = np.std(values, ddof=1), stats.chi2.ppf([0.975, 0.025], 4)
-    assert found is not None
-    assert found[0] == pytest.approx(sd / 0.939986, rel=1e-5)
-    assert (found[1].low, found[1].high) == pytest.approx(sd * np.sqrt(4 / quantiles), rel=1e-4)
+    assert actual is not None
+    assert actual[0] == pytest.approx(sd / 0.939986, rel=1e-5)
+    assert (actual[1].low, actual[1].high) == pytest.approx(sd * np.sqrt(4 / quantiles), rel=1e-4)
     assert mean_deviation([]) is None and mean_deviation([[1.0]]) is None
     flat = mean_deviation([[1.0, 1.0]])
     assert flat is not None and flat[0] == 0
@@ -150,18 +152,18 @@ def test_mean_deviation_of_one_scene_is_the_chi_square_interval() -> None:
 
 def test_a_break_down_between_two_strengths() -> None:
     noise = 0.01 * stream(0, "noise").standard_normal((3, 5))
-    found = break_down(np.array([0.0, 1.0, 2.0]), np.array([[1.0], [0.5], [-0.5]]) + noise)
-    assert found.helps and found.starts is None and found.significant
-    assert found.stops == pytest.approx(1.5, abs=0.02)
-    assert found.interval is not None and found.interval.low < 1.5 < found.interval.high
-    assert found.interval.high - found.interval.low < 0.1
+    actual = break_down(np.array([0.0, 1.0, 2.0]), np.array([[1.0], [0.5], [-0.5]]) + noise)
+    assert actual.helps and actual.starts is None and actual.significant
+    assert actual.stops == pytest.approx(1.5, abs=0.02)
+    assert actual.interval is not None and actual.interval.low < 1.5 < actual.interval.high
+    assert actual.interval.high - actual.interval.low < 0.1
 
 
 def test_fewer_views_are_the_harder_end() -> None:
     gains = np.array([[0.4, 0.4], [0.2, 0.2], [-0.2, -0.2]])
-    found = break_down(np.array([9.0, 5.0, 3.0]), gains)
-    assert found.stops == pytest.approx(4.0)
-    assert found.interval is not None and found.interval.low == pytest.approx(4.0)
+    actual = break_down(np.array([9.0, 5.0, 3.0]), gains)
+    assert actual.stops == pytest.approx(4.0)
+    assert actual.interval is not None and actual.interval.low == pytest.approx(4.0)
 
 
 @pytest.mark.parametrize(
@@ -177,9 +179,9 @@ def test_fewer_views_are_the_harder_end() -> None:
 def test_all_courses(
     means: list[float], helps: bool, starts: float | None, stops: float | None
 ) -> None:
-    found = break_down(np.arange(3.0), np.array(means, dtype=float)[:, None])
-    assert (found.helps, found.starts, found.stops) == (helps, starts, stops)
-    assert found.n == 1 and found.interval is None and not found.significant
+    actual = break_down(np.arange(3.0), np.array(means, dtype=float)[:, None])
+    assert (actual.helps, actual.starts, actual.stops) == (helps, starts, stops)
+    assert actual.n == 1 and actual.interval is None and not actual.significant
 
 
 def test_no_doubt_and_nothing_but_doubt() -> None:
@@ -191,8 +193,8 @@ def test_no_doubt_and_nothing_but_doubt() -> None:
 
 
 def test_wilson_of_a_textbook() -> None:
-    found = wilson(1, 10)
-    assert (found.low, found.high) == pytest.approx((0.0179, 0.4042), abs=1e-4)
+    actual = wilson(1, 10)
+    assert (actual.low, actual.high) == pytest.approx((0.0179, 0.4042), abs=1e-4)
     assert wilson(0, 10).low == 0 and wilson(10, 10).high == 1
 
 

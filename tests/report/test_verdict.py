@@ -122,12 +122,12 @@ def test_text_and_bars_agree_on_a_committed_study(tmp_path: Path) -> None:
     these."""
     write_committed(tmp_path / "study", "ablation_main")
     study = collect(tmp_path / "study")
-    found = outcomes(study)
-    c = labelled(found.comparisons)["none + uar"]
+    actual = outcomes(study)
+    c = labelled(actual.comparisons)["none + uar"]
     assert (len(c.scenes), c.n) == (5, 5) and c.difference == pytest.approx(-0.10, abs=0.01)
-    plot = forest_of(study, found)
+    plot = forest_of(study, actual)
     filled = {row.method for row in plot.rows if row.significant and row.label == "these 5 scenes"}
-    assert filled == {m.name for m, c in found.comparisons.items() if c.significant}
+    assert filled == {m.name for m, c in actual.comparisons.items() if c.significant}
     text = first_screen(tmp_path / "study")
     assert "**Use the baseline" in text and "UAR" in filled
     assert all(re.search(rf"- {re.escape(m)}: -.*, significant", text) for m in filled)
@@ -207,9 +207,9 @@ def study(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("name", ["uar", "UAR", "none + uar"])
 def test_all_are_compared_with_the_method_that_was_named(study: Path, name: str) -> None:
-    found = outcomes(collect(study, rival=name))
-    assert {c.baseline.label for c in found.comparisons.values()} == {"none + uar"}
-    psnr, gains = labelled(found.psnr), labelled(found.comparisons)
+    actual = outcomes(collect(study, rival=name))
+    assert {c.baseline.label for c in actual.comparisons.values()} == {"none + uar"}
+    psnr, gains = labelled(actual.psnr), labelled(actual.comparisons)
     base = psnr["none + uar"].mean
     assert {m: c.difference for m, c in gains.items()} == pytest.approx(
         {m: psnr[m].mean - base for m in ("none + none", "safi + none")}

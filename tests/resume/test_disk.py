@@ -70,8 +70,10 @@ def test_a_failure_that_cannot_be_written_does_not_end_the_study(
     runs.failures[0] = UserError("depth: too little")
     assert main(["seed=0,1", "-m"]) == 2
     assert len(runs.seen) == 2
-    told = capsys.readouterr().err
-    assert "depth: too little; " in told and "No space left" in told and told.count("\n") == 4
+    message = capsys.readouterr().err
+    assert (
+        "depth: too little; " in message and "No space left" in message and message.count("\n") == 4
+    )
 
 
 def test_an_output_folder_that_cannot_be_written(
@@ -80,8 +82,8 @@ def test_an_output_folder_that_cannot_be_written(
     Path("file").write_text("in the way")
     for line in (["hydra.run.dir=file/x"], ["hydra.sweep.dir=file", "seed=0,1", "-m"]):
         assert main(line) == 2
-        told = capsys.readouterr().err
-        assert told.startswith("error: ") and told.count("\n") == 1 and "file" in told
+        message = capsys.readouterr().err
+        assert message.startswith("error: ") and message.count("\n") == 1 and "file" in message
     assert not runs.seen
 
 

@@ -91,8 +91,8 @@ def test_so_is_one_that_goes_straight_into_the_update(monkeypatch: pytest.Monkey
     """Without a regularizer's loss term, as most trainings."""
     taken = []
 
-    def steep(*given: Any) -> tuple[float, np.ndarray]:
-        loss, image = photometric_gradient(*given)
+    def steep(*inputs: Any) -> tuple[float, np.ndarray]:
+        loss, image = photometric_gradient(*inputs)
         taken.append(loss)
         return loss, image * np.float32("nan") if len(taken) == 3 else image
 
@@ -103,19 +103,21 @@ def test_so_is_one_that_goes_straight_into_the_update(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(
-    ("slope", "told"),
+    ("slope", "message"),
     [
         (float("nan"), "finite gradients, got NaN or infinity for 2 Gaussians in 'quats'"),
         (-float("inf"), "finite gradients, got NaN or infinity for 2 Gaussians in 'quats'"),
         (1e20, "gradients below 1e19, got larger ones in 'quats', whose squares overflow"),
     ],
 )
-def test_a_gradient_is_told_by_what_it_left_in_the_moments(slope: float, told: str) -> None:
+def test_a_gradient_is_told_by_what_it_left_in_the_moments(slope: float, message: str) -> None:
     params = make_gaussians(8, 1)
     adam, slopes = Adam(params), params.map(torch.ones_like)
     slopes.quats[2:4] = slope
     broken = adam.step(params, slopes, dict.fromkeys(dict(params.items()), 0.1))
-    assert str(diverged(broken, "here", params, adam.state())).startswith(f"here: expected {told};")
+    assert str(diverged(broken, "here", params, adam.state())).startswith(
+        f"here: expected {message};"
+    )
 
 
 def test_what_a_capacity_adds_is_checked() -> None:
@@ -141,8 +143,8 @@ def test_a_parameter_that_overflows_is_caught() -> None:
     adam = Adam(params)
     broken = adam.step(params, grads, {n: 3e37 for n, _ in params.items()})
     assert broken[0] == "means"
-    told = str(diverged(broken, "here", params, adam.state()))
-    assert "finite parameters, got NaN or infinity for 1 Gaussians in 'means'" in told
+    message = str(diverged(broken, "here", params, adam.state()))
+    assert "finite parameters, got NaN or infinity for 1 Gaussians in 'means'" in message
 
 
 def test_the_state_is_left_for_inspection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

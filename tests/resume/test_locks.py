@@ -95,10 +95,10 @@ def test_runs_done_elsewhere_are_no_failures(
 ) -> None:
     runs.failures[1] = Busy("reports/x: expected no other process at this run, got process 7")
     assert main(["seed=0,1,2", "-m"]) == 3
-    told = capsys.readouterr()
-    assert told.err.startswith("error: another process does 1 of 3 runs, for instance reports/x")
-    assert told.err.count("\n") == 1
-    assert "report: reports/embedded/report.md" in told.out
+    message = capsys.readouterr()
+    assert message.err.startswith("error: another process does 1 of 3 runs, for instance reports/x")
+    assert message.err.count("\n") == 1
+    assert "report: reports/embedded/report.md" in message.out
     assert not (runs.folders[1] / "failed.json").exists()
     assert main(["seed=1"]) == 3
 

@@ -41,8 +41,8 @@ os.kill(os.getpid(), signal.SIGKILL)
 def test_workers_that_never_had_a_run_end_with_their_command(tmp_path: Path) -> None:
     """joblib's own stay: for five minutes, or for ever if their command was killed while it sent
     them something."""
-    with (tmp_path / "told").open("w") as told:  # a pipe would be held open by those who stay
-        done = subprocess.run([sys.executable, "-c", KILLED], cwd=ROOT, stdout=told, check=False)
+    with (tmp_path / "told").open("w") as message:  # a pipe would be held open by those who stay
+        done = subprocess.run([sys.executable, "-c", KILLED], cwd=ROOT, stdout=message, check=False)
     workers = [int(word) for word in (tmp_path / "told").read_text().split()]
     assert workers and done.returncode == -signal.SIGKILL
     until = time.monotonic() + 60

@@ -71,8 +71,8 @@ def test_another_versions_folder_has_no_lock_and_stays_for_days(cache: Path) -> 
         path.mkdir()
         (path / "000000.json").write_text("{}")
         age(path, days * DAY_S)
-    with own_folder("ledger-") as own:
-        assert folders(cache) == {young.name, own.name}
+    with own_folder("ledger-") as ours:
+        assert folders(cache) == {young.name, ours.name}
 
 
 def test_what_nobody_uses_goes_once_a_day_and_the_rest_stays(cache: Path) -> None:

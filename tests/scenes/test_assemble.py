@@ -15,7 +15,7 @@ IMAGE = np.zeros((4, 5, 3), dtype=np.uint8)
 
 
 @pytest.mark.parametrize(
-    ("part", "value", "told"),
+    ("part", "value", "message"),
     [
         ("image", np.zeros((4, 5, 3)), r"image as uint8 \[H, W, 3\], got float64 \[4, 5, 3\]"),
         ("image", IMAGE[..., 0], r"image as uint8 \[H, W, 3\], got uint8 \[4, 5\]"),
@@ -25,9 +25,11 @@ IMAGE = np.zeros((4, 5, 3), dtype=np.uint8)
         ("viewmat", np.diag([1.0, -1.0, 1.0, 1.0]), "right-handed, .* got left-handed"),
     ],
 )
-def test_what_is_no_photo_or_camera_is_told_by_its_name(part: str, value: Any, told: str) -> None:
+def test_what_is_no_photo_or_camera_is_told_by_its_name(
+    part: str, value: Any, message: str
+) -> None:
     shot = replace(Shot("one.png", np.eye(4), np.eye(3), IMAGE), **{part: value})
-    with pytest.raises(UserError, match=rf"^view one\.png: expected {told}"):
+    with pytest.raises(UserError, match=rf"^view one\.png: expected {message}"):
         assemble("s", "p", [shot], [], Tracks(), 1.0, 2.0)
 
 

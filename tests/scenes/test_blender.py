@@ -134,10 +134,10 @@ def test_a_test_photo_may_not_train(tmp_path: Path) -> None:
     data = json.loads((folder / "transforms_test.json").read_text())
     data["frames"][1]["file_path"] = "train/r_3.png"
     (folder / "transforms_test.json").write_text(json.dumps(data))
-    told = (
+    message = (
         r"transforms_test\.json: expected photos that transforms_train\.json does not list, 1 are"
     )
-    with pytest.raises(UserError, match=told + r" in both \(first: r_3\.png\)"):
+    with pytest.raises(UserError, match=message + r" in both \(first: r_3\.png\)"):
         load(folder, split="file")
 
 
@@ -148,8 +148,8 @@ def test_what_is_no_such_folder(tmp_path: Path) -> None:
         load(tmp_path)
     with pytest.raises(UserError, match=r"scene=blender: expected 0 < near < far, got near=7"):
         load(write(tmp_path), near=7.0)
-    told = r"transforms\.json: .* found no file, but transforms_train\.json; take scene=blender"
-    with pytest.raises(UserError, match=told):
+    message = r"transforms\.json: .* found no file, but transforms_train\.json; take scene=blender"
+    with pytest.raises(UserError, match=message):
         load_scene("transforms", {"path": str(tmp_path), "near": 1.0, "far": 9.0})
 
 

@@ -47,8 +47,8 @@ def _scaled(factor: float) -> Callable[[list[str]], None]:
 
 @pytest.mark.parametrize("factor", [0.0, 5.0, 0.9, float("nan")])
 def test_a_quaternion_is_a_rotation(tmp_path: Path, factor: float) -> None:
-    told = _refusal("colmap", _images(tmp_path, _scaled(factor)))
-    assert "images.txt: image 'im01.png': expected a rotation, a quaternion of length 1" in told
+    message = _refusal("colmap", _images(tmp_path, _scaled(factor)))
+    assert "images.txt: image 'im01.png': expected a rotation, a quaternion of length 1" in message
 
 
 @pytest.mark.parametrize("factor", [0.995, 1.005, -1.0])
@@ -68,21 +68,21 @@ def test_focal_lengths_of_colmap(tmp_path: Path, focal: str) -> None:
     assert words[1] == "PINHOLE"
     words[5] = focal  # fy
     file.write_text("\n".join([*rows, " ".join(words)]) + "\n")
-    told = _refusal("colmap", tmp_path)
-    assert "camera 1: expected" in told and ("focal" in told or "finite" in told)
+    message = _refusal("colmap", tmp_path)
+    assert "camera 1: expected" in message and ("focal" in message or "finite" in message)
 
 
 @pytest.mark.parametrize(
-    ("place", "told"), [("1e300", "within 1e+09"), ("1e7", "expected all cameras within")]
+    ("place", "message"), [("1e300", "within 1e+09"), ("1e7", "expected all cameras within")]
 )
-def test_an_absurd_place_in_colmap(tmp_path: Path, place: str, told: str) -> None:
+def test_an_absurd_place_in_colmap(tmp_path: Path, place: str, message: str) -> None:
     """The second one is a test view's: it would enter the mean of every method."""
     folder = _images(tmp_path, lambda words: words.__setitem__(5, place))
-    assert told in _refusal("colmap", folder, n_views=8)
+    assert message in _refusal("colmap", folder, n_views=8)
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (lambda f: f["transform_matrix"][0].__setitem__(3, 1e300), "within 1e+09 of the origin"),
         (lambda f: f["transform_matrix"][0].__setitem__(3, 1e8), "expected all cameras within"),
@@ -94,13 +94,13 @@ def test_an_absurd_place_in_colmap(tmp_path: Path, place: str, told: str) -> Non
         (lambda f: f.update(k1=1e300), "expected distortion coefficients of at most 100"),
     ],
 )
-def test_cameras_of_transforms(tmp_path: Path, change: Callable[[Any], None], told: str) -> None:
+def test_cameras_of_transforms(tmp_path: Path, change: Callable[[Any], None], message: str) -> None:
     folder = write_transforms(tmp_path, lambda data: change(data["frames"][0]))
-    assert told in _refusal("transforms", folder, **BOUNDS)
+    assert message in _refusal("transforms", folder, **BOUNDS)
 
 
 @pytest.mark.parametrize(
-    ("column", "value", "told"),
+    ("column", "value", "message"),
     [
         (3, 1e300, "row 0: expected a camera within"),
         (3, 1e8, "expected all cameras within"),
@@ -108,12 +108,12 @@ def test_cameras_of_transforms(tmp_path: Path, change: Callable[[Any], None], to
         (16, 1e300, "expected depth bounds"),
     ],
 )
-def test_cameras_of_llff(tmp_path: Path, column: int, value: float, told: str) -> None:
+def test_cameras_of_llff(tmp_path: Path, column: int, value: float, message: str) -> None:
     file = write_llff(tmp_path) / "poses_bounds.npy"
     rows = np.load(file)
     rows[0 if column != 16 else slice(None), column] = value
     np.save(file, rows)
-    assert told in _refusal("llff", tmp_path)
+    assert message in _refusal("llff", tmp_path)
 
 
 @pytest.mark.parametrize("value", [1e300, 1e14])

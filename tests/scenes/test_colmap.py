@@ -98,9 +98,9 @@ def test_photos_may_lie_in_folders_of_the_folder(tmp_path: Path) -> None:
         file.rename(deep / "images" / "left" / file.name)
     table = deep / "sparse" / "0" / "images.txt"
     table.write_text(table.read_text().replace(" im", " left/im"))
-    found = load(deep)
-    assert found.training.views[0].name.startswith("left/")
-    assert torch.equal(found.training.views[0].image, flat.training.views[0].image)
+    actual = load(deep)
+    assert actual.training.views[0].name.startswith("left/")
+    assert torch.equal(actual.training.views[0].image, flat.training.views[0].image)
 
 
 def test_names_with_blanks_and_a_camera_that_no_photo_has(tmp_path: Path) -> None:

@@ -66,9 +66,9 @@ def test_decomposition_gives_back_the_camera(seed: int) -> None:
     rotation, _ = np.linalg.qr(rng.standard_normal((3, 3)))
     rotation *= np.linalg.det(rotation)
     pose = np.column_stack([rotation, 500 * rng.standard_normal(3)])
-    found = decompose(float(rng.uniform(-5, 5)) * K_RIG @ pose, "here")
-    assert np.allclose(found.viewmat[:3], pose, atol=1e-9)
-    lens = found.lens
+    actual = decompose(float(rng.uniform(-5, 5)) * K_RIG @ pose, "here")
+    assert np.allclose(actual.viewmat[:3], pose, atol=1e-9)
+    lens = actual.lens
     assert [lens.fx, lens.fy, lens.cx, lens.cy] == pytest.approx([2000, 1900, 820, 610])
 
 
@@ -85,8 +85,8 @@ def test_tests_are_masked_by_the_object(tmp_path: Path) -> None:
 def test_train_masks(tmp_path: Path, choice: str, share: float | None) -> None:
     training = load(write_dtu(tmp_path / "scan9"), train_mask=choice).training
     for view in training.views:
-        found = None if view.mask is None else float(view.mask.mean())
-        assert found == (None if share is None else pytest.approx(share))
+        actual = None if view.mask is None else float(view.mask.mean())
+        assert actual == (None if share is None else pytest.approx(share))
 
 
 def test_background_is_the_published_rule() -> None:

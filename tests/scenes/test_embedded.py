@@ -215,13 +215,13 @@ def test_options_out_of_range(option: str, value: float) -> None:
 def test_pose_noise_tells_training_poses_wrong_and_nothing_else(scene: Scene) -> None:
     wrong = load_scene("embedded", {"pose_noise": 2.0})
     assert wrong.fingerprint != scene.fingerprint
-    for told, true in zip(wrong.test, scene.test, strict=True):
-        assert torch.equal(told.camera.viewmat, true.camera.viewmat)
-    for told, true in zip(wrong.training.views, scene.training.views, strict=True):
-        assert torch.equal(told.image, true.image)
-        turn = told.camera.viewmat[:3, :3]
+    for message, true in zip(wrong.test, scene.test, strict=True):
+        assert torch.equal(message.camera.viewmat, true.camera.viewmat)
+    for message, true in zip(wrong.training.views, scene.training.views, strict=True):
+        assert torch.equal(message.image, true.image)
+        turn = message.camera.viewmat[:3, :3]
         assert torch.allclose(turn @ turn.T, torch.eye(3, dtype=turn.dtype), atol=1e-12)
-        assert not torch.equal(told.camera.viewmat, true.camera.viewmat)
+        assert not torch.equal(message.camera.viewmat, true.camera.viewmat)
 
 
 def test_pose_noise_is_as_large_as_it_says() -> None:

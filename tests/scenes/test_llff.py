@@ -92,9 +92,9 @@ def test_fern_never_offers_points_of_test_tracks_only() -> None:
     model = read_model(folder / "sparse" / "0")
     train = [1, 10, 19]
     forbidden = model.tracks.xyz[model.tracks.seen[:, train].sum(axis=1) < 2]
-    given = {tuple(p) for p in load(folder).training.points.xyz.tolist()}
+    inputs = {tuple(p) for p in load(folder).training.points.xyz.tolist()}
     assert len(forbidden) > 1000
-    assert not given & {tuple(p) for p in forbidden.tolist()}
+    assert not inputs & {tuple(p) for p in forbidden.tolist()}
 
 
 def test_fingerprint_tells_pixels_split_and_poses(tmp_path: Path) -> None:

@@ -192,8 +192,8 @@ def test_known_poses_without_points(
     for i in (0, 8):  # test photos have no say
         Image.new("RGB", (160, 120)).save(folder / f"images/im{i:02d}.png")
     assert np.array_equal(load(loader, folder).training.points.xyz, again.training.points.xyz)
-    given = load(loader, folder, near=1.0, far=9.0).training
-    assert (given.near, given.far, len(given.points.xyz)) == (1.0, 9.0, 0)
+    inputs = load(loader, folder, near=1.0, far=9.0).training
+    assert (inputs.near, inputs.far, len(inputs.points.xyz)) == (1.0, 9.0, 0)
 
 
 def test_transforms_without_points(tmp_path: Path) -> None:

@@ -157,17 +157,17 @@ def test_two_at_once_do_it_once(
         stored_by_hand(source, folder)
 
     monkeypatch.setattr(process, "run_child", search)
-    source, found = source_of(noise_photos(tmp_path / "p")), []
+    source, actual = source_of(noise_photos(tmp_path / "p")), []
     with caplog.at_level(logging.INFO, "framework"):
         threads = [
-            threading.Thread(target=lambda: found.append(process.poses_folder(source)))
+            threading.Thread(target=lambda: actual.append(process.poses_folder(source)))
             for _ in range(2)
         ]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-    assert len(calls) == 1 and found[0] == found[1] and (found[0] / FILE).is_file()
+    assert len(calls) == 1 and actual[0] == actual[1] and (actual[0] / FILE).is_file()
     assert "waiting for another process" in caplog.text
     assert [p.name for p in source.folder.iterdir() if p.name.startswith(".")] == []
 
@@ -263,10 +263,10 @@ def test_real_photos(tmp_path: Path) -> None:
 )
 def test_kept_poses_of_other_types_are_refused(tmp_path: Path, change: dict[str, object]) -> None:
     names = ["a.jpg", "b.jpg", "c.jpg"]
-    found = Result(names, dict.fromkeys(names, 9), [], dict.fromkeys(names, 99), [], [], 1.0)
-    write_result(tmp_path, found)
-    assert read_result(tmp_path) == found
-    told = json.loads((tmp_path / "poses.json").read_text()) | change
-    (tmp_path / "poses.json").write_text(json.dumps(told))
+    actual = Result(names, dict.fromkeys(names, 9), [], dict.fromkeys(names, 99), [], [], 1.0)
+    write_result(tmp_path, actual)
+    assert read_result(tmp_path) == actual
+    message = json.loads((tmp_path / "poses.json").read_text()) | change
+    (tmp_path / "poses.json").write_text(json.dumps(message))
     with pytest.raises(UserError, match="expected the kept result of a search for poses, got"):
         read_result(tmp_path)

@@ -61,8 +61,8 @@ def test_frames_of_a_video_are_recognised() -> None:
 
 
 def test_failures_say_why() -> None:
-    def told(found: Result) -> str:
-        text = failure(Path("holiday/p00.jpg"), found)
+    def told(actual: Result) -> str:
+        text = failure(Path("holiday/p00.jpg"), actual)
         assert text.startswith("holiday: expected photos") and "\n" not in text
         return text
 

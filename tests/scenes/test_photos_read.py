@@ -87,9 +87,9 @@ def test_a_jpeg_beside_the_heic_of_its_name_is_the_same_photo(tmp_path: Path) ->
     for i, png in enumerate(sorted(noise_photos(tmp_path).glob("*.png"))):
         png.rename(tmp_path / f"IMG_{i}.jpg")
     (tmp_path / "img_1.HEIC").write_bytes(b"the same photo")
-    found = find_source(str(tmp_path), SIDE, 0)
-    assert found.copies == {"img_1.HEIC": "IMG_1.jpg"}
-    assert [file.name for file in found.files] == ["IMG_0.jpg", "IMG_1.jpg", "IMG_2.jpg"]
+    actual = find_source(str(tmp_path), SIDE, 0)
+    assert actual.copies == {"img_1.HEIC": "IMG_1.jpg"}
+    assert [file.name for file in actual.files] == ["IMG_0.jpg", "IMG_1.jpg", "IMG_2.jpg"]
 
 
 def test_focal_length_of_the_sensor(tmp_path: Path) -> None:
@@ -126,9 +126,9 @@ def test_photos_called_as_the_prepared_ones_keep_their_pixels(tmp_path: Path) ->
         Image.new("RGB", (64, 48), (60 * number, 0, 0)).save(source)
         photos.append(prepare(source, images, number, SIDE))
     placed = [photo.name for photo in photos if photo.name != "000003.png"]
-    known = dict.fromkeys(placed, 100)
+    reference = dict.fromkeys(placed, 100)
     model = found_model([photo.stored for photo in photos if photo.name in placed])
-    store(Attempt(model, placed=known), photos, tmp_path)
+    store(Attempt(model, placed=reference), photos, tmp_path)
     assert sorted(file.name for file in images.iterdir()) == placed
     assert [int(read_image(images / name)[0, 0, 0]) for name in placed] == [0, 60, 180]
     assert not (tmp_path / "prepared").exists()

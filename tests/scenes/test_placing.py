@@ -51,23 +51,23 @@ def model(focal_px: float, error: float, n: int = 4, k1: float = 0.0) -> Any:
 def test_whose_focal_length(
     exif: float | None, free: Any, held: Any, is_held: bool, overruled: Overruled | None
 ) -> None:
-    made = choose(lambda given: [held if given else free], photos(exif))
-    assert (made.models, made.held) == ([held if is_held else free], is_held)
-    assert made.overruled == overruled
+    built = choose(lambda inputs: [held if inputs else free], photos(exif))
+    assert (built.models, built.held) == ([held if is_held else free], is_held)
+    assert built.overruled == overruled
 
 
 def test_nothing_placed_by_the_given_one() -> None:
     free = model(650, 0.2)
-    made = choose(lambda given: [] if given else [free], photos(TOLD))
-    assert made.models == [free] and made.overruled == Overruled(TOLD, 650, None, 0.2)
-    assert choose(lambda given: [], photos(TOLD)).size == 0
-    assert choose(lambda given: [] if given else [model(9000, 0.2)], photos(None)).size == 0
+    built = choose(lambda inputs: [] if inputs else [free], photos(TOLD))
+    assert built.models == [free] and built.overruled == Overruled(TOLD, 650, None, 0.2)
+    assert choose(lambda inputs: [], photos(TOLD)).size == 0
+    assert choose(lambda inputs: [] if inputs else [model(9000, 0.2)], photos(None)).size == 0
 
 
 def test_what_overruled_is_kept(tmp_path: Path) -> None:
-    found = Result(["a"], {"a": 9}, [], {"a": 500}, [Link("a", "b", 99, 0.1, True)], [], 1.0)
+    actual = Result(["a"], {"a": 9}, [], {"a": 500}, [Link("a", "b", 99, 0.1, True)], [], 1.0)
     for overruled in (None, Overruled(377.0, 609.0, None, 0.18)):
-        write_result(tmp_path, Result(**{**vars(found), "overruled": overruled}))
+        write_result(tmp_path, Result(**{**vars(actual), "overruled": overruled}))
         assert read_result(tmp_path).overruled == overruled
 
 
@@ -83,18 +83,18 @@ def test_one_place_is_told_from_many() -> None:
     assert not shows_no_depth(links(0.1, True), dict.fromkeys(weak, 300))
     assert not shows_no_depth(links(0.1, False), weak) and not shows_no_depth([], {})
     names = [f"{k}.jpg" for k in range(4)]
-    found = Result(names, weak, [], dict.fromkeys(names, 900), links(0.1, True), [], 1.0)
-    assert "got a camera that only turned, or something flat" in failure(Path("d/0.jpg"), found)
+    actual = Result(names, weak, [], dict.fromkeys(names, 900), links(0.1, True), [], 1.0)
+    assert "got a camera that only turned, or something flat" in failure(Path("d/0.jpg"), actual)
 
 
 @pytest.mark.parametrize(("flat", "n_tries"), [(True, 1), (False, len(STEPS))])
 def test_photos_from_one_place_are_tried_once(
     flat: bool, n_tries: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = Attempt(links=links(0.1, flat)), Try("x", 0, 0.0, 0.0, 0.0)
-    monkeypatch.setattr(search, "attempt", lambda *_: made)
-    told: Any = SimpleNamespace(label="", say=lambda _: None)
-    assert len(search._best(photos(None), tmp_path, 1, told)[1]) == n_tries
+    built = Attempt(links=links(0.1, flat)), Try("x", 0, 0.0, 0.0, 0.0)
+    monkeypatch.setattr(search, "attempt", lambda *_: built)
+    message: Any = SimpleNamespace(label="", say=lambda _: None)
+    assert len(search._best(photos(None), tmp_path, 1, message)[1]) == n_tries
 
 
 def test_lower_thresholds_where_photos_are_left_over(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,5 +110,5 @@ def test_lower_thresholds_where_photos_are_left_over(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(placing, "mapping", mapping)
     monkeypatch.setattr(placing, "_models", mapped)
     with Path("/dev/null").open("w") as out:
-        made = placing.place(STEPS[0], photos(None), Path(), Path(), Messages(out, 9.0))
-    assert made.size == 4 and asked == [(False, False), (True, False)]
+        built = placing.place(STEPS[0], photos(None), Path(), Path(), Messages(out, 9.0))
+    assert built.size == 4 and asked == [(False, False), (True, False)]

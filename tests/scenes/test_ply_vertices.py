@@ -44,7 +44,7 @@ X, END = "property float x", "end_header"
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         (b"no", "expected a PLY header, got none"),
         (ply("element vertex 1", X), "expected a PLY header, got none"),
@@ -64,7 +64,7 @@ X, END = "property float x", "end_header"
         ),
     ],
 )
-def test_what_is_refused(tmp_path: Path, content: bytes, told: str) -> None:
+def test_what_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
     (tmp_path / "a.ply").write_bytes(content)
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=message):
         read_vertices(tmp_path / "a.ply")

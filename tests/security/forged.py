@@ -89,11 +89,11 @@ def leaves(node: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, .
     children = node.items() if isinstance(node, dict) else enumerate(node)
     for key, child in list(children):
         named = isinstance(key, str) and key not in ("fields", "tuple", "list")
-        here = (*path, key) if named else path
+        inner = (*path, key) if named else path
         if isinstance(child, dict | list):
-            yield from leaves(child, here)
+            yield from leaves(child, inner)
         else:
-            yield here, node, key
+            yield inner, node, key
 
 
 Forged = tuple[str, Any, dict[str, Tensor]]  # what was changed, the tree, the tensors

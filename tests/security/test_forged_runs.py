@@ -138,13 +138,13 @@ def _emptied(run: Path) -> Path:
 
 @pytest.mark.parametrize("name", DAMAGED)
 def test_a_damaged_run_is_one_line_among_the_failures(study: Path, name: str) -> None:
-    forge, told = DAMAGED[name]
+    forge, message = DAMAGED[name]
     forge(study / "runs" / "x")
     start = time.process_time()
     text = build_report(study).read_text(encoding="utf-8")
     assert time.process_time() - start < 5
     (row,) = [line for line in text.splitlines() if "| damaged |" in " ".join(line.split())]
-    assert told in row.replace("\\", "") and str(study) not in row and "python run.py" not in row
+    assert message in row.replace("\\", "") and str(study) not in row and "python run.py" not in row
     assert "1 of 5 runs failed" in text and "none + uar" not in text
     for method in ("none-none", "safi-none"):
         assert text.count(f"(runs/embedded-{method}-s") == 2
@@ -198,14 +198,14 @@ def test_a_study_of_broken_runs_alone_is_reported(tmp_path: Path) -> None:
 def test_folders_without_end(tmp_path: Path) -> None:
     fake_run(tmp_path)
     (tmp_path / "runs" / "round").symlink_to(tmp_path)
-    here = Path.cwd()
+    inner = Path.cwd()
     os.chdir(tmp_path)
     try:
         for _ in range(1200):  # a path that no call can name, deeper than Python's stack
             os.mkdir("deep")
             os.chdir("deep")
     finally:
-        os.chdir(here)
+        os.chdir(inner)
     assert len(collect(tmp_path).runs) == 1
     assert os.system(f"rm -rf '{tmp_path}/deep'") == 0
 
@@ -226,5 +226,5 @@ def test_a_report_that_cannot_be_written(
     (study / "file").write_text("")
     out = Path("/proc/here") if where == "proc" else study / where
     assert command(["report", str(study), "--out", str(out)]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("error: ") and told.count("\n") == 1 and "Traceback" not in told
+    message = capsys.readouterr().err
+    assert message.startswith("error: ") and message.count("\n") == 1 and "Traceback" not in message

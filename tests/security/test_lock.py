@@ -27,12 +27,12 @@ def _locked() -> dict[str, str]:
     """Name -> version of every entry; each has a hash."""
     text = (ROOT / "requirements-ci.txt").read_text(encoding="utf-8")
     entries = [e for e in re.split(r"\n(?=[A-Za-z0-9])", text) if not e.startswith("#")]
-    found = {}
+    actual = {}
     for entry in entries:
         match = re.match(r"([\w.-]+)==([\w.]+) \\\n", entry)
         assert match and re.search(r"--hash=sha256:[0-9a-f]{64}", entry), entry[:80]
-        found[canonicalize_name(match[1])] = match[2]
-    return found
+        actual[canonicalize_name(match[1])] = match[2]
+    return actual
 
 
 def _wanted() -> list[Requirement]:

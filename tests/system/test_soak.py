@@ -34,14 +34,14 @@ Sample = tuple[float, int, int]  # resident MB, open files, threads
 
 def family(pid: int) -> list[int]:
     """`pid` and what descends from it."""
-    found, rest = [], [pid]
+    actual, rest = [], [pid]
     while rest:
         parent = rest.pop()
-        found.append(parent)
+        actual.append(parent)
         with contextlib.suppress(OSError):
             for task in Path(f"/proc/{parent}/task").iterdir():
                 rest += [int(child) for child in (task / "children").read_text().split()]
-    return found
+    return actual
 
 
 def measured(pid: int) -> Sample:

@@ -61,19 +61,19 @@ def scene_run(folder: Path, banded: int = 250, seed: int = 3, **more: Any) -> Pa
     return run
 
 
-def check(told: dict[str, Any]) -> None:
+def check(message: dict[str, Any]) -> None:
     """What holds of every page."""
-    for found in told.values():
-        assert found["problems"] == [] and found["overflow"] == 0 and found["fits"]
-        assert found["stage"] > 0.5
-        assert found["first"].startswith("Test camera test 00 · PSNR")
-        assert found["second"].startswith("Test camera test 01")
-        assert found["again"] == found["first"]
-        assert found["photo"] and found["loaded"] == 64 and found["beside"]
-        assert found["clips"][0] < 20 < found["clips"][1]
+    for actual in message.values():
+        assert actual["problems"] == [] and actual["overflow"] == 0 and actual["fits"]
+        assert actual["stage"] > 0.5
+        assert actual["first"].startswith("Test camera test 00 · PSNR")
+        assert actual["second"].startswith("Test camera test 01")
+        assert actual["again"] == actual["first"]
+        assert actual["photo"] and actual["loaded"] == 64 and actual["beside"]
+        assert actual["clips"][0] < 20 < actual["clips"][1]
         for deed in ("turned", "closer", "hidden", "flown", "home", "help"):
-            assert found[deed], deed
-    assert told["wide"]["background"] != told["phone"]["background"]  # light and dark
+            assert actual[deed], deed
+    assert message["wide"]["background"] != message["phone"]["background"]  # light and dark
 
 
 def psnr_of(picture: list[Any], run: Path, camera: Any, exposure: Sequence[float] = SAME) -> float:
@@ -93,12 +93,12 @@ def test_the_page_works_and_shows_what_we_render(tmp_path: Path, browse: Browse)
     run = scene_run(tmp_path, scene=HOSTILE, run_name="x")
     with PageServer(view_page([read_viewed(run)])) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        told = browse(server.address)
+        message = browse(server.address)
         server.shutdown()
-    check(told)
+    check(message)
     training, tested = views()
-    assert told["wide"]["names"] == [view.name for view in [*tested, *training]]
-    for view, pictures in zip([*tested, *training], told["wide"]["pictures"], strict=True):
+    assert message["wide"]["names"] == [view.name for view in [*tested, *training]]
+    for view, pictures in zip([*tested, *training], message["wide"]["pictures"], strict=True):
         assert psnr_of(pictures[0], run, view.camera) > LEAST_DB
 
 
@@ -108,9 +108,9 @@ def test_the_file_of_two_runs_works(tmp_path: Path, browse: Browse) -> None:
     write_cameras(second, *views(), NEAR, exposure=lambda _: exposed)
     page = tmp_path / "both.html"
     assert main([str(first), str(second), "--static", str(page)], "fishersplat view") == 0
-    told = browse(page.as_uri())
-    check(told)
-    for view, pictures in zip(views()[1], told["wide"]["pictures"], strict=False):
+    message = browse(page.as_uri())
+    check(message)
+    for view, pictures in zip(views()[1], message["wide"]["pictures"], strict=False):
         assert psnr_of(pictures[0], first, view.camera) > LEAST_DB
         assert psnr_of(pictures[1], second, view.camera, exposed) > LEAST_DB
         assert psnr_of(pictures[1], second, view.camera) < LEAST_DB - 15  # it can fail
@@ -126,6 +126,6 @@ def test_more_gaussians_than_fit_a_row(tmp_path: Path, browse: Browse) -> None:
     write_cameras(run, training, tested, NEAR)
     page = tmp_path / "many.html"
     page.write_text(view_page([read_viewed(run)]), encoding="utf-8")
-    told = browse(page.as_uri())
-    for view, pictures in zip(tested, told["wide"]["pictures"], strict=False):
+    message = browse(page.as_uri())
+    for view, pictures in zip(tested, message["wide"]["pictures"], strict=False):
         assert psnr_of(pictures[0], run, view.camera) > LEAST_DB

@@ -41,11 +41,16 @@ def test_it_holds_the_run(tmp_path: Path) -> None:
     training, tested = views()
     assert [c["name"] for c in data["cameras"]] == [v.name for v in [*tested, *training]]
     assert [c["role"] for c in data["cameras"]] == ["test"] * len(tested) + ["train"]
-    for told, view in zip(data["cameras"], [*tested, *training], strict=True):
-        assert told["rotation"] == pytest.approx(view.camera.viewmat[:3, :3].ravel().tolist())
-        assert told["center"] == pytest.approx(view.camera.center.tolist())
+    for message, view in zip(data["cameras"], [*tested, *training], strict=True):
+        assert message["rotation"] == pytest.approx(view.camera.viewmat[:3, :3].ravel().tolist())
+        assert message["center"] == pytest.approx(view.camera.center.tolist())
         K = view.camera.K
-        assert [told[k] for k in ("fx", "fy", "cx", "cy")] == [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+        assert [message[k] for k in ("fx", "fy", "cx", "cy")] == [
+            K[0, 0],
+            K[1, 1],
+            K[0, 2],
+            K[1, 2],
+        ]
     assert [c["photo"] for c in data["cameras"]] == list(range(len(tested) + 1))
     assert len(data["photos"]) == len(tested) + 1
     assert data["runs"][0]["near"] == NEAR and data["up"] == pytest.approx([0, -1, 0])
@@ -61,9 +66,9 @@ def test_the_same_run_makes_the_same_page_and_may_be_without_photos(tmp_path: Pa
 
 def test_texts_from_the_run_stay_texts(tmp_path: Path) -> None:
     folder = seen_run(tmp_path, scene=HOSTILE, run_name="x")
-    told = json.loads((folder / "transforms.json").read_text())
-    told["frames"][0]["file_path"] = HOSTILE
-    (folder / "transforms.json").write_text(json.dumps(told))
+    message = json.loads((folder / "transforms.json").read_text())
+    message["frames"][0]["file_path"] = HOSTILE
+    (folder / "transforms.json").write_text(json.dumps(message))
     page = view_page([read_viewed(folder)])
     assert "<img src=x" not in page and "alert(2)</script>" not in page
     assert html.escape(HOSTILE) in page
@@ -88,9 +93,9 @@ def test_the_packed_gaussians_are_the_run_s(tmp_path: Path, banded: int) -> None
         gaussians = gaussians.replace(shN=gaussians.shN.new_zeros(200, 0, 3))
     write_ply(tmp_path / "point_cloud.ply", gaussians, background)
     splats = read_splats(tmp_path / "point_cloud.ply")
-    made = packed(splats)
-    assert (made.count, made.banded, made.rest) == (200, banded, 15 if banded else 0)
-    content = gzip.decompress(base64.b64decode(made.text))
+    built = packed(splats)
+    assert (built.count, built.banded, built.rest) == (200, banded, 15 if banded else 0)
+    content = gzip.decompress(base64.b64decode(built.text))
     kinds = ["<f4", "<u2", "<i2", "<u2", "<u2", "u1"]
     sizes = [600, 600, 800, 200, 600, 45 * banded]
     arrays, at = [], 0
@@ -100,19 +105,19 @@ def test_the_packed_gaussians_are_the_run_s(tmp_path: Path, banded: int) -> None
     assert at == len(content)
     means, scales, quats, opacities, sh0, bands = arrays
     assert np.array_equal(means.reshape(-1, 3), splats.means)
-    low, high = made.log_scales
+    low, high = built.log_scales
     off = low + (high - low) * scales / 65535 - splats.log_scales.ravel()
     assert np.abs(off).max() < 1e-4
     unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
     assert np.abs(quats.reshape(-1, 4) / 32767 - unit).max() < 2e-5
     assert np.abs(opacities / 65535 - gaussians.opacities.numpy()).max() < 1e-5
-    low, high = made.sh0
+    low, high = built.sh0
     assert np.abs(low + (high - low) * sh0 / 65535 - splats.sh0.ravel()).max() < 1e-4
-    coded = (bands.reshape(banded, made.rest, 3).astype(float) - 128) / 127
+    coded = (bands.reshape(banded, built.rest, 3).astype(float) - 128) / 127
     for degree, (first, end) in enumerate(((0, 3), (3, 8), (8, 15))):
         part = coded[:, first:end]
-        off = made.bands[degree] * part * np.abs(part) - splats.shN[:banded, first:end]
-        assert not off.size or np.abs(off).max() <= made.bands[degree] / 120
+        off = built.bands[degree] * part * np.abs(part) - splats.shN[:banded, first:end]
+        assert not off.size or np.abs(off).max() <= built.bands[degree] / 120
 
 
 def test_extreme_parameters_do_not_break_it(tmp_path: Path) -> None:
@@ -122,15 +127,15 @@ def test_extreme_parameters_do_not_break_it(tmp_path: Path) -> None:
     gaussians.quats[6] = 3e38
     write_ply(tmp_path / "point_cloud.ply", gaussians, background)
     with np.errstate(all="raise", under="ignore"):
-        made = packed(read_splats(tmp_path / "point_cloud.ply"))
-    assert all(np.isfinite([*made.log_scales, *made.sh0, *made.bands]))
+        built = packed(read_splats(tmp_path / "point_cloud.ply"))
+    assert all(np.isfinite([*built.log_scales, *built.sh0, *built.bands]))
 
 
 def _transforms(change: Callable[[Any], object]) -> Callable[[Path], object]:
     def forge(run: Path) -> None:
-        told = json.loads((run / "transforms.json").read_text())
-        change(told)
-        (run / "transforms.json").write_text(json.dumps(told))
+        message = json.loads((run / "transforms.json").read_text())
+        change(message)
+        (run / "transforms.json").write_text(json.dumps(message))
 
     return forge
 
@@ -215,14 +220,14 @@ def test_two_runs_are_told_apart_and_share_cameras(tmp_path: Path) -> None:
 
 def test_runs_of_two_scenes_are_refused(tmp_path: Path) -> None:
     run, other = (seen_run(tmp_path, run_name=name) for name in "ab")
-    told = json.loads((other / "transforms.json").read_text())
-    told["frames"][0]["transform_matrix"][0][3] += 1
-    (other / "transforms.json").write_text(json.dumps(told))
+    message = json.loads((other / "transforms.json").read_text())
+    message["frames"][0]["transform_matrix"][0][3] += 1
+    (other / "transforms.json").write_text(json.dumps(message))
     with pytest.raises(UserError, match="cameras in other places"):
         check_together([read_viewed(run), read_viewed(other)])
-    for frame in told["frames"]:
+    for frame in message["frames"]:
         frame["file_path"] += "x"
-    (other / "transforms.json").write_text(json.dumps(told))
+    (other / "transforms.json").write_text(json.dumps(message))
     with pytest.raises(UserError, match="no camera of the same name"):
         check_together([read_viewed(run), read_viewed(other)])
 

@@ -24,10 +24,10 @@ PAGE = "<!doctype html><p>ü</p>"
 
 @pytest.fixture
 def server() -> Iterator[PageServer]:
-    with PageServer(PAGE) as made:
-        threading.Thread(target=made.serve_forever, daemon=True).start()
-        yield made
-        made.shutdown()
+    with PageServer(PAGE) as built:
+        threading.Thread(target=built.serve_forever, daemon=True).start()
+        yield built
+        built.shutdown()
 
 
 def ask(
@@ -79,9 +79,11 @@ def test_the_command_serves_until_ctrl_c(tmp_path: Path) -> None:
     try:
         assert process.stdout is not None
         line = process.stdout.readline()
-        told = re.match(r"view: http://127\.0\.0\.1:(\d+)/ \(Ctrl-C ends it; no screen here", line)
-        assert told, line
-        connection = http.client.HTTPConnection(HOST, int(told[1]), timeout=60)
+        message = re.match(
+            r"view: http://127\.0\.0\.1:(\d+)/ \(Ctrl-C ends it; no screen here", line
+        )
+        assert message, line
+        connection = http.client.HTTPConnection(HOST, int(message[1]), timeout=60)
         connection.request("GET", "/")
         assert b"<canvas" in connection.getresponse().read()
         process.send_signal(signal.SIGINT)

@@ -126,10 +126,12 @@ def _options(group: str, name: str) -> set[str]:
     return {row[0] for row in rows(group, name)} if group in OBJECT_GROUPS else set()
 
 
-def _known_keys(prefix: str, given: Iterable[str], allowed: Iterable[str], owner: str = "") -> None:
+def _known_keys(
+    prefix: str, values: Iterable[str], allowed: Iterable[str], owner: str = ""
+) -> None:
     options = list(allowed)
     place = f" of {owner}" if owner else ""
-    for key in given:
+    for key in values:
         if key not in options:
             advice = hint(prefix.rstrip("."), str(key), options)
             raise UserError(f"{prefix}{key}: unknown option{place}; {advice}")

@@ -102,7 +102,11 @@ def _explained(plain: Mapping[str, Any]) -> Iterator[str]:
 
 
 def option_meanings(group: str, name: str) -> dict[str, str]:
-    """option -> meaning, for `group=name`. Raises UserError for an unknown name."""
+    """option -> meaning, for `group=name`.
+
+    Raises:
+        UserError: for an unknown name.
+    """
     cls: Any = registry.lookup(group, name)
     if group not in registry.GROUPS:
         return meanings(cls)

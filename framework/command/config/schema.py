@@ -57,8 +57,11 @@ def choices(group: str) -> list[str]:
 
 
 def rows(group: str, name: str) -> list[Row]:
-    """The options of `group=name`; of several plugins none, as each has its own. Raises UserError
-    for an unknown name."""
+    """The options of `group=name`; of several plugins none, as each has its own.
+
+    Raises:
+        UserError: for an unknown name.
+    """
     if len(registry.parts_of(group, name)) > 1:
         return []
     cls = registry.lookup(group, name)

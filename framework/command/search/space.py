@@ -62,7 +62,11 @@ class Dimension:
 
 
 def space_of(words: Sequence[str]) -> tuple[list[str], list[Dimension]]:
-    """The words that stay, and the options that vary. Raises UserError where none does."""
+    """The words that stay, and the options that vary.
+
+    Raises:
+        UserError: where none does.
+    """
     check_given_twice(words)
     fixed, varied = [], []
     for override in parsed(words):

@@ -38,7 +38,8 @@ class Cost:
 def announce(configs: Sequence[Config], at_once: int = 1) -> float:
     """Print about how long runs of these configurations will take together; returns the seconds.
 
-    at_once: how many runs the launcher does at a time.
+    Args:
+        at_once: how many runs the launcher does at a time.
     """
     say(f"estimate: trying out {min(MOST_TRIALS, len(configs))} short runs at most ...")
     seconds, trials = estimate(configs, measure)

@@ -154,7 +154,7 @@ class IterMvs:
         visibility: Sequence[Tensor],
     ) -> Tensor:
         """Costs [10, h, w] of depths around `place`, from all levels at the size of level 2."""
-        found = []
+        result = []
         for level in LEVELS:
             offsets = torch.tensor(OFFSETS[level]).view(-1, 1, 1) / BINS
             depth = inverse.depth((place + offsets).clamp(0, 1))
@@ -164,8 +164,8 @@ class IterMvs:
                 warped = _warped(source, reference, level, depth)
                 total = total + _correlated(warped, target) * weight
                 weights = weights + weight
-            found.append(self._regularised(total / weights, level))
-        return torch.cat(found)
+            result.append(self._regularised(total / weights, level))
+        return torch.cat(result)
 
     def _regularised(self, correlation: Tensor, level: int) -> Tensor:
         """Costs [D, h, w] of correlations [D, G, h, w], by a small U-net that sees one depth."""

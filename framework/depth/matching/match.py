@@ -190,9 +190,12 @@ def match_costs(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Kernel over planes: cost[y, d, x] = mean of the `n_best` lowest costs among the sources.
 
-    padded [H, W + 2 r]: reference, its border repeated sideways. mean, inverse_deviation [H, W]: of
-    its windows. pixels [P]: all sources, flat; shapes [S, 3]: (offset, height, width) of each.
-    A [S, 3, 3], t [S, 3]: reference to source. inverse_depths [D]. cost [H, D, W] int16.
+    Args:
+        padded: [H, W + 2 r], reference, its border repeated sideways.
+        mean, inverse_deviation [H, W]: of its windows.
+        pixels: [P], all sources, flat.
+        shapes: [S, 3], (offset, height, width) of each.
+        A [S, 3, 3], t [S, 3]: reference to source. inverse_depths [D]. cost [H, D, W] int16.
     """
     height, width = mean.shape
     planes = inverse_depths.shape[0]

@@ -203,7 +203,8 @@ def checked(
 ) -> list[tuple[tuple[float, float], list[int]]]:
     """The depth bounds and up to `limit` partners of every view.
 
-    Raises UserError for views that are too few, too small, or do not overlap.
+    Raises:
+        UserError: for views that are too few, too small, or do not overlap.
     """
     _check_input(training, options)
     bounds = [depth_bounds(training, i) for i in range(len(training.views))]

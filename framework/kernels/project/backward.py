@@ -42,10 +42,10 @@ def _sum_parts(first: Any, sums: Any, base: int, count: int, total: Any) -> int:
     which counts them; returns the number of parts."""
     for lane in range(count):
         begin, end = first[base + lane], first[base + lane + 1]
-        own = zeros()
+        part = zeros()
         for j in range(begin, end):
-            own = own + load(sums, j * LANES)
-        store(total, lane * LANES, own)
+            part = part + load(sums, j * LANES)
+        store(total, lane * LANES, part)
         total[lane * LANES + 15] = f4(end - begin)
     return first[base + count] - first[base]
 
@@ -130,8 +130,10 @@ def project_backward(
     1, dx, dx^2, dy, dx dy, dy^2, then follows weight times d loss / d (r, g, b, depth), see
     `blend.blend_backward`.
 
-    gaussians: means, quats, log-scales, logits, shN and factors. projected: degree, camera, rows,
-    clipped, each Gaussian's first part, and the parts' sums. gradients: out, as `Arrays.flat`.
+    Args:
+        gaussians: means, quats, log-scales, logits, shN and factors.
+        projected: degree, camera, rows, clipped, each Gaussian's first part, and the parts' sums.
+        gradients: out, as `Arrays.flat`.
     """
     means, quats, log_scales, logits, shN, factors = gaussians
     degree, camera, rows, clipped, first, sums = projected

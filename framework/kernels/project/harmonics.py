@@ -119,11 +119,13 @@ def sh_backward(
         if base + lane >= len(shN):
             pulls[at : at + LANES] = ZERO
             continue
-        own, out = shN[base + lane], g_shN[base + lane]
+        coefficients, out = shN[base + lane], g_shN[base + lane]
         for k in range(terms):
             value = values[at + k]
             out[k, 0] = value * red
             out[k, 1] = value * green
             out[k, 2] = value * blue
-            pulls[at + k] = red * own[k, 0] + green * own[k, 1] + blue * own[k, 2]
+            pulls[at + k] = (
+                red * coefficients[k, 0] + green * coefficients[k, 1] + blue * coefficients[k, 2]
+            )
     return basis_gradient(degree, way[0], way[1], way[2], load16(pulls, 0))

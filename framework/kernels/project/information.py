@@ -152,9 +152,9 @@ def _sums(first: Any, sums: Any, base: int, count: int, rows: Any, columns: Any)
         for j in range(first[base + lane], first[base + lane + 1]):
             total = total + load(sums, j * LANES)
         store(rows, lane * LANES, total)
-    found = load16(rows, 0)
+    vectors = load16(rows, 0)
     for k in range(LANES):
-        store(columns, k * LANES, found[k])
+        store(columns, k * LANES, vectors[k])
 
 
 @inlined
@@ -205,8 +205,8 @@ def _through_direction(
         for q in range(2):
             both = zeros()
             for c in range(3):
-                own = load(slopes, (2 * c + k) * LANES)
-                both = fma(own, load(slopes, (2 * c + q) * LANES), both)
+                item = load(slopes, (2 * c + k) * LANES)
+                both = fma(item, load(slopes, (2 * c + q) * LANES), both)
             both = both * load(moments, 15 * LANES)
             for p in range(3):
                 e = both * load(slopes, (6 + 3 * k + p) * LANES)
@@ -274,7 +274,9 @@ def pull_back_moments(
     """Fisher block [N, 6, 6] in (mean, log-scale); diagonal [N, 14] in (mean 3, log-scale 3,
     quat 4, opacity logit, sh0 3). Zeros where the camera sees nothing of the Gaussian.
 
-    slopes, cross: empty where no colour depends on the direction. All inputs are flat."""
+    Args:
+        slopes, cross: empty where no colour depends on the direction. All inputs are flat.
+    """
     n = len(logits)
     scratch, square = np.empty(4 * LANES, np.float32), np.zeros(256, np.float32)
     moments, slope = np.empty(256, np.float32), np.empty(256, np.float32)

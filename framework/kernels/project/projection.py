@@ -163,9 +163,10 @@ def project(
 ) -> None:
     """Project the Gaussians (`Arrays.flat`) to an image of size (width, height).
 
-    out: rows (flat [N 16]); clipped [N] uint8, where bit c is set if colour c was clamped at 0;
-    bound [N] int32, the number of tiles that the box covers (0 = culled); radii [N] float32, the
-    larger half-side of the box, 0 if culled.
+    Args:
+        out: rows (flat [N 16]); clipped [N] uint8, where bit c is set if colour c was clamped at 0;
+            bound [N] int32, the number of tiles that the box covers (0 = culled); radii [N]
+            float32, the larger half-side of the box, 0 if culled.
     """
     means, quats, log_scales, logits, sh0, shN, factors, offset = gaussians
     rows, clipped, bound, radii = out

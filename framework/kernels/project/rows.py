@@ -10,7 +10,11 @@ from framework.compute.simd import LANES, load16, store16
 
 @inlined
 def put_row(rows: Any, base: int, count: int, row: Any, spare: Any) -> None:
-    """Store the rows of `count` Gaussians; spare: scratch [256]."""
+    """Store the rows of `count` Gaussians.
+
+    Args:
+        spare: scratch [256].
+    """
     if count == LANES:
         store16(rows, base * LANES, row)
     else:

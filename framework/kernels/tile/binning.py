@@ -160,8 +160,10 @@ def count_tiles(
 
     items[start[k]...] receives (tile << 9 | 256 where a part begins | last row << 4 | first row).
     touched[k] is the number of tiles and n_parts[k] the number of strips. histogram[block, tile],
-    strip_items[block, strip] and strip_parts[block, strip] count items and parts. strips: the strip
-    of every tile.
+    strip_items[block, strip] and strip_parts[block, strip] count items and parts.
+
+    Args:
+        strips: the strip of every tile.
     """
     n_columns = (width + 15) // 16
     histogram[block, :], strip_items[block, :], strip_parts[block, :] = 0, 0, 0
@@ -230,10 +232,12 @@ def prefix_tiles(
 ) -> None:
     """Turn counts into first positions.
 
-    n_parts [n]: parts of the Gaussians order[k]. first [N + 1]: out, a Gaussian's first part. For
-    every block, histogram becomes its first position in the tiles' lists, which begin at offsets.
-    strip_parts becomes that in the strips' lists of parts, which begin at bounds. strip_items
-    becomes that among a strip's n_slots slots.
+    Args:
+        n_parts: [n], parts of the Gaussians order[k].
+        first: [N + 1], out, a Gaussian's first part. For every block, histogram becomes its first
+            position in the tiles' lists, which begin at offsets. strip_parts becomes that in the
+            strips' lists of parts, which begin at bounds. strip_items becomes that among a strip's
+            n_slots slots.
     """
     first[:] = 0
     for k in range(n):  # here: threads that scatter into one array wait for each other's lines

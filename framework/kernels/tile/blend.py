@@ -160,8 +160,9 @@ def read_gradients(
 
     `behind` receives the sum over channels of the gradient times the pixel, its initial S.
 
-    image, gradient: colours, alpha, depth; the gradients of the last two may be empty. held:
-    scratch.
+    Args:
+        image, gradient: colours, alpha, depth; the gradients of the last two may be empty.
+        held: scratch.
     """
     width, height = size
     rgb, alpha, depth = image
@@ -202,14 +203,14 @@ def _slot_sums(
             a, weight, goes_on, left = meet(t, raw, limits)
             store(transmittance, at, left)
             gr, gg, gb = load(gr_, at), load(gg_, at), load(gb_, at)
-            own = fma(gr, cr, fma(gg, cg, gb * cb))
+            item = fma(gr, cr, fma(gg, cg, gb * cb))
             if not colour_alone:
                 gz = load(gz_, at)
-                own = own + fma(gz, cz, load(ga_, at))
+                item = item + fma(gz, cz, load(ga_, at))
                 sz = fma(weight, gz, sz)
-            rest = fnma(weight, own, load(behind, at))
+            rest = fnma(weight, item, load(behind, at))
             store(behind, at, rest)
-            slope = fma(t, own, neg(rest / (one - a)))
+            slope = fma(t, item, neg(rest / (one - a)))
             pull = select(but_not(goes_on, greater(raw, most)), slope * a, zeros())
             pull_y = pull * dy
             m0, m1, m2 = m0 + pull, m1 + pull_y, fma(pull_y, dy, m2)
@@ -244,10 +245,10 @@ def _slot_pulls(rows: Any, g: int, placed: Any, todo: int, limits: Any, tile: An
             t = load(transmittance, at)
             a, weight, goes_on, left = meet(t, raw, limits)
             store(transmittance, at, left)
-            own = fma(load(gr_, at), cr, fma(load(gg_, at), cg, load(gb_, at) * cb))
-            rest = fnma(weight, own, load(behind, at))
+            item = fma(load(gr_, at), cr, fma(load(gg_, at), cg, load(gb_, at) * cb))
+            rest = fnma(weight, item, load(behind, at))
             store(behind, at, rest)
-            slope = fma(t, own, neg(rest / (one - a)))
+            slope = fma(t, item, neg(rest / (one - a)))
             pull = select(but_not(goes_on, greater(raw, most)), slope * a, zeros())
             su = su + absolute(pull * fma(to_u, dx, both_ways * dy))
             sv = sv + absolute(pull * fma(both_ways, dx, to_v * dy))
@@ -302,10 +303,10 @@ def _differentiate(
             g, todo = item >> 8, listed_rows(item) & alive
             placed = seen_from(rows, g, x, y)
             if pulls:
-                own = _slot_pulls(rows, g, placed, todo, limits, of_tile)
+                slot_sum = _slot_pulls(rows, g, placed, todo, limits, of_tile)
             else:
-                own = _slot_sums(rows, g, placed, todo, limits, colour_alone, of_tile)
-            store(slots, slot, own)
+                slot_sum = _slot_sums(rows, g, placed, todo, limits, colour_alone, of_tile)
+            store(slots, slot, slot_sum)
     gather(strip, bounds, parts, n_slots[strip], slots, sums)
 
 

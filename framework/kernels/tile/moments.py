@@ -117,8 +117,9 @@ def blend_moments(
     Here r is the sum over the channels of weight x slope x alpha d C / d alpha with slopes 0, 2, 4;
     lanes 5-9 use slopes 1, 3, 5.
 
-    slopes: flat [N, 16], cross: like `sums`; both empty without view-dependent colour. mask: flat
-    [H W], or empty; pixels at or below 0.5 do not count.
+    Args:
+        slopes: flat [N, 16], cross: like `sums`; both empty without view-dependent colour.
+        mask: flat [H W], or empty; pixels at or below 0.5 do not count.
     """
     # One long body: with its first loop over rows, of six arrays, as an inlined function it takes
     # 1.3 to 1.8 times as long (`benchmarks/speed/fisher.py`).
@@ -165,9 +166,13 @@ def blend_moments(
             line = fma(lean, dx, dy0)  # e in the first row
             m0, m1, m2, m3, m4, ww = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             if directional:
-                own = g * 16
-                vr, vg, vb = splat(slopes[own]), splat(slopes[own + 2]), splat(slopes[own + 4])
-                wr, wg, wb = splat(slopes[own + 1]), splat(slopes[own + 3]), splat(slopes[own + 5])
+                base = g * 16
+                vr, vg, vb = splat(slopes[base]), splat(slopes[base + 2]), splat(slopes[base + 4])
+                wr, wg, wb = (
+                    splat(slopes[base + 1]),
+                    splat(slopes[base + 3]),
+                    splat(slopes[base + 5]),
+                )
             else:
                 vr, vg, vb, wr, wg, wb = zeros(), zeros(), zeros(), zeros(), zeros(), zeros()
             todo = listed_rows(item) & alive

@@ -137,7 +137,10 @@ def first_alphas(placed: Any, lean: Any, row: int, count: int) -> tuple[Any, Any
     log2(alpha) is a parabola in dy. From row to row the logarithm of the factor decreases by a
     constant, so two multiplications replace an exponential. Lanes that stay below 1/255 in all
     `count` rows get 0. In the others neither value falls below 2^-125 if count is at most
-    `longest_run`; below it, `exp2` ends and slow denormals begin. lean: B / C.
+    `longest_run`; below it, `exp2` ends and slow denormals begin.
+
+    Args:
+        lean: B / C.
     """
     dx, dy0, slant, shear, fall, peak = placed
     dy = dy0 + splat(f4(row))
@@ -176,7 +179,11 @@ def colour(rows: Any, g: int) -> tuple[Any, Any, Any]:
 @inlined
 def meet(t: Any, raw: Any, limits: Any) -> tuple[Any, ...]:
     """A pixel with transmittance t and a Gaussian of alpha `raw`: (alpha after its limit, weight,
-    whether it blends, the pixel's next t). limits: least alpha, least t, most alpha."""
+    whether it blends, the pixel's next t).
+
+    Args:
+        limits: least alpha, least t, most alpha.
+    """
     least, stop, most = limits
     active = greater_equal(raw, least)
     a = minimum(raw, most)

@@ -51,7 +51,12 @@ COLORS = {  # of a figure -> of the page, which has a dark form
 
 @dataclass(frozen=True)
 class Point:
-    """x, y; y_low, y_high: interval, equal to y without one. note: for the table of the points."""
+    """x, y.
+
+    Attributes:
+        y_low, y_high: interval, equal to y without one.
+        note: for the table of the points.
+    """
 
     x: float
     y: float

@@ -127,8 +127,8 @@ def limits(rows: Sequence[Row]) -> tuple[float, float]:
     times the range of the thick ones.
     """
 
-    def ends(some: Sequence[Row]) -> list[float]:
-        return [v for r in some for v in (r.low, r.middle, r.high) if v is not None] + [0.0]
+    def ends(some_rows: Sequence[Row]) -> list[float]:
+        return [v for r in some_rows for v in (r.low, r.middle, r.high) if v is not None] + [0.0]
 
     thick = ends([row for row in rows if row.joint] or rows)
     low, high = min(thick), max(thick)

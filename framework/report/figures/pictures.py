@@ -57,7 +57,7 @@ def draw_closeup(study: Study, scene: str) -> Picture | None:
         groups += [
             tuple(Cell(n, _framed(p, window)) for n, p in zip(names, pictures, strict=True)),
             tuple(Cell("", np.ascontiguousarray(p[window])) for p in pictures),
-            (empty, *(Cell("error", own) for own in errors[k : k + BESIDE])),
+            (empty, *(Cell("error", error) for error in errors[k : k + BESIDE])),
         ]
     scale = Scale("mean absolute error", "magma", ERROR_SCALE)
     band = Band(f"{scene}: {outside(view)}", tuple(groups), scale)

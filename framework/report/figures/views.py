@@ -107,18 +107,18 @@ def damaged_pictures(study: Study) -> dict[Path, str]:
     it on that scene; and why."""
     damaged: dict[Path, str] = {}
     sizes: dict[tuple[str, str], Counter[tuple[int, ...]]] = defaultdict(Counter)
-    own: dict[tuple[Path, str, str], tuple[int, ...]] = {}
+    values: dict[tuple[Path, str, str], tuple[int, ...]] = {}
     for run in study.runs:
         try:
             for view, kind in product(run.files, KINDS):
                 size = picture(run, view, kind).shape
                 sizes[run.scene, view][size] += 1
-                own.setdefault((run.run.run_dir, run.scene, view), size)
-                if size != own[run.run.run_dir, run.scene, view]:
+                values.setdefault((run.run.run_dir, run.scene, view), size)
+                if size != values[run.run.run_dir, run.scene, view]:
                     raise DamagedRun(run.run.run_dir, f"{view}: expected pictures of one size")
         except DamagedRun as error:
             damaged[error.run_dir] = str(error)
-    for (run_dir, scene, view), size in own.items():
+    for (run_dir, scene, view), size in values.items():
         usual = sizes[scene, view].most_common(1)[0][0]
         if size != usual:
             damaged.setdefault(run_dir, _odd(view, size, usual))
@@ -155,7 +155,7 @@ def _pick(runs: Sequence[ReportRun]) -> dict[str, str]:
         return {}
     ranked = sorted(mean, key=lambda view: -mean[view])
     texts = runs[0].run.metrics.texts
-    tags = {view: own.split() for view, own in zip(texts["view"], texts["tags"], strict=True)}
+    tags = {view: text.split() for view, text in zip(texts["view"], texts["tags"], strict=True)}
     wanted = []
     for tag in ("interpolating", "extrapolating"):
         tagged = [view for view in ranked if tag in tags[view]]
@@ -176,5 +176,5 @@ def _mean_psnr(runs: Sequence[ReportRun], view: str) -> float:
 
 def own_scenes(study: Study) -> list[str]:
     """The scenes that are the repository's own, whose pictures anybody may have."""
-    own = {run.scene for run in study.runs if run.record.config["scene"]["name"] == EMBEDDED}
-    return [scene for scene in study.scenes if scene in own]
+    embedded = {run.scene for run in study.runs if run.record.config["scene"]["name"] == EMBEDDED}
+    return [scene for scene in study.scenes if scene in embedded]

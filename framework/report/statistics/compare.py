@@ -104,8 +104,9 @@ def compare(
 ) -> Comparison | None:
     """Compare over the pairs that both methods have; None if there is none.
 
-    names: the common name of scenes that are conditions of one scene. By default each scene is
-    separate.
+    Args:
+        names: the common name of scenes that are conditions of one scene. By default each scene is
+            separate.
     """
     keys = sorted(values.keys() & others.keys())
     if not keys:

@@ -88,12 +88,12 @@ def draws(study: Study) -> list[Draws]:
 
 
 def _draws(scene: str, method: Method, baseline: Method, runs: Sequence[ReportRun]) -> Draws | None:
-    own, base = (_by_draw(runs, one) for one in (method, baseline))
+    of_method, base = (_by_draw(runs, one) for one in (method, baseline))
     differences = {}
-    for draw in own:
-        seeds = sorted(own[draw].keys() & base.get(draw, {}).keys())
+    for draw in of_method:
+        seeds = sorted(of_method[draw].keys() & base.get(draw, {}).keys())
         if seeds:
-            differences[draw] = tuple(own[draw][seed] - base[draw][seed] for seed in seeds)
+            differences[draw] = tuple(of_method[draw][seed] - base[draw][seed] for seed in seeds)
     if len(differences) < 2:
         return None
     over = estimate([float(np.mean(values)) for values in differences.values()])

@@ -49,7 +49,11 @@ class Spread:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean of n values; sd: their standard deviation (n - 1), None below two."""
+    """A mean of n values.
+
+    Attributes:
+        sd: their standard deviation (n - 1), None below two.
+    """
 
     n: int
     mean: float
@@ -88,7 +92,11 @@ def deviation(values: np.ndarray) -> float:
 
 
 def spread(values: Sequence[float]) -> Spread:
-    """Mean and standard deviation with their intervals. Raises ValueError without values."""
+    """Mean and standard deviation with their intervals.
+
+    Raises:
+        ValueError: without values.
+    """
     if len(values) == 0:
         raise ValueError("spread: expected at least one value")
     mean = estimate(values)

@@ -50,7 +50,7 @@ class Outcomes:
 def outcomes(study: Study) -> Outcomes:
     """The outcomes of all methods."""
     values = {m: seed_means(study.of(method=m), study.tested) for m in study.methods}
-    psnr = {method: spread(list(found.values())) for method, found in values.items() if found}
+    psnr = {method: spread(list(by_seed.values())) for method, by_seed in values.items() if by_seed}
     sigmas = {
         method: compare_sigmas(method, values[method], base, others)
         for method in study.methods
@@ -62,7 +62,7 @@ def outcomes(study: Study) -> Outcomes:
     return Outcomes(
         _best(study, psnr, comparisons),
         psnr,
-        {method: found for method, found in values.items() if found},
+        {method: by_seed for method, by_seed in values.items() if by_seed},
         _scene_sigmas(study) if several else {},
         comparisons,
         sigmas_corrected({m: c for m, c in sigmas.items() if c is not None}),
@@ -87,8 +87,8 @@ def _best(
     bases = {*study.baselines}
 
     def above(method: Method, other: Method) -> Comparison | None:
-        own = compare(method, values[method], other, values[other])
-        return own and replace(own, tests=comparisons[method].tests)
+        comparison = compare(method, values[method], other, values[other])
+        return comparison and replace(comparison, tests=comparisons[method].tests)
 
     gains: dict[Method, float] = {}
     for method in better:

@@ -84,14 +84,14 @@ def uncorrelated(differences: np.ndarray, sums: np.ndarray) -> np.ndarray:
     """
     n = differences.shape[1]
     ranks = [x.argsort(axis=1).argsort(axis=1).astype(np.float64) for x in (differences, sums)]
-    found = []
+    p_values = []
     for x, y in ((differences, sums), ranks):
         x, y = x - x.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True)
         size = np.sqrt((x * x).sum(1) * (y * y).sum(1))
         r = (x * y).sum(1) / np.maximum(size, 1e-150)  # equal ones are not correlated
         t = np.abs(r) * np.sqrt((n - 2) / np.maximum(1 - r * r, 1e-300))
-        found.append(2 * special.stdtr(n - 2, -t))
-    return np.maximum(*found)
+        p_values.append(2 * special.stdtr(n - 2, -t))
+    return np.maximum(*p_values)
 
 
 def _found(differences: np.ndarray, sums: np.ndarray, tests: int) -> float:
@@ -101,7 +101,11 @@ def _found(differences: np.ndarray, sums: np.ndarray, tests: int) -> float:
 @functools.cache
 def detectable(n: int, other_n: int, tests: int = 1, rho: float | None = None) -> float | None:
     """The ratio below 1 from which on the test finds a lower deviation with `POWER`; None where it
-    would find none, however small. rho: of pairs, None of independent samples."""
+    would find none, however small.
+
+    Args:
+        rho: of pairs, None of independent samples.
+    """
     if rho is None:
         return _lowest(lambda ratio: power(ratio, n, other_n, tests))
     return _lowest(lambda ratio: paired_power(ratio, _near(rho), n, tests))
@@ -110,7 +114,11 @@ def detectable(n: int, other_n: int, tests: int = 1, rho: float | None = None) -
 @functools.cache
 def seeds_needed(ratio: float, tests: int = 1, rho: float | None = None) -> int | None:
     """Seeds per method with which, and with one more, the test finds this ratio with `POWER`; None
-    above `MOST_SEEDS`. rho: of pairs, None of independent samples."""
+    above `MOST_SEEDS`.
+
+    Args:
+        rho: of pairs, None of independent samples.
+    """
     lower = min(ratio, 1 / ratio)
     if rho is None:
         return _fewest(lambda n: power(lower, n, n, tests))
@@ -126,19 +134,19 @@ def _near(rho: float) -> float:
     return math.tanh(round(min(max(math.atanh(rho), -LARGEST_Z), LARGEST_Z), 1))
 
 
-def _lowest(found: Callable[[float], float]) -> float | None:
+def _lowest(chance: Callable[[float], float]) -> float | None:
     low, high = NO_SPREAD, 1.0
-    if found(low) < POWER:
+    if chance(low) < POWER:
         return None
     for _ in range(30):
         middle = (low + high) / 2
-        low, high = (middle, high) if found(middle) >= POWER else (low, middle)
+        low, high = (middle, high) if chance(middle) >= POWER else (low, middle)
     return low
 
 
-def _fewest(found: Callable[[int], float]) -> int | None:
+def _fewest(chance: Callable[[int], float]) -> int | None:
     def enough(n: int) -> bool:
-        return all(found(k) >= POWER for k in (n, n + 1))
+        return all(chance(k) >= POWER for k in (n, n + 1))
 
     for n in range(FEWEST, SCANNED + 1):
         if enough(n):

@@ -198,8 +198,8 @@ def _missing(
     for run, folder in zip(runs, origins, strict=True):
         by_folder[folder].append(run)
     crosses = [
-        ({run.scene for run in own}, {run.method for run in own}, {run.seed for run in own})
-        for own in by_folder.values()
+        ({run.scene for run in runs}, {run.method for run in runs}, {run.seed for run in runs})
+        for runs in by_folder.values()
     ]
     # no command starts more runs, so a larger cross was never meant
     meant = [(a, b, c) for a, b, c in crosses if len(a) * len(b) * len(c) <= RUNS]

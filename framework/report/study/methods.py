@@ -264,18 +264,18 @@ def shortened(methods: Sequence[Method]) -> tuple[dict[Method, Method], list[str
     return named, [f"Short names: {'; '.join(notes)}."] if notes else []
 
 
-def _distinguishing(found: Sequence[Mapping[str, str]]) -> list[str]:
+def _distinguishing(result: Sequence[Mapping[str, str]]) -> list[str]:
     """Return the keys that distinguish the options, words before numbers.
 
     A key that follows from another one is left out. All keys are returned if capacities have
     different ones.
     """
-    keys = list(dict.fromkeys(key for options in found for key in options))
-    if len(found) < 2 or any(options.keys() != set(keys) for options in found):
+    keys = list(dict.fromkeys(key for options in result for key in options))
+    if len(result) < 2 or any(options.keys() != set(keys) for options in result):
         return keys
     kept: list[str] = []
-    for key in sorted(keys, key=lambda key: [part[0] for part in natural(found[0][key])] == [0]):
-        if not any(_follows(key, [other], found) for other in kept):
+    for key in sorted(keys, key=lambda key: [part[0] for part in natural(result[0][key])] == [0]):
+        if not any(_follows(key, [other], result) for other in kept):
             kept.append(key)
     return kept
 
@@ -340,10 +340,14 @@ def _with_words(ways: Mapping[Method, _Ways]) -> dict[Method, Method]:
     if any(len(way.words) > 1 for way in ways.values()):
         return {}
     words = {method: next(iter(way.words)) for method, way in ways.items()}
-    shared = set.intersection(*(set(own) for own in words.values()))
-    words = {method: tuple(w for w in own if w not in shared) for method, own in words.items()}
-    sets_many = any(w.partition("=")[0] in SETS_MANY for own in words.values() for w in own)
-    if sets_many or all(_is_explained(method, own) for method, own in words.items()):
+    shared = set.intersection(*(set(words_of) for words_of in words.values()))
+    words = {
+        method: tuple(w for w in words_of if w not in shared) for method, words_of in words.items()
+    }
+    sets_many = any(
+        w.partition("=")[0] in SETS_MANY for words_of in words.values() for w in words_of
+    )
+    if sets_many or all(_is_explained(method, words_of) for method, words_of in words.items()):
         return {}
     named = {m: _recipe_method(next(iter(way.recipes)), words[m]) for m, way in ways.items()}
     return named if _is_distinct(named, ways) else {}
@@ -362,8 +366,8 @@ def _words_of_method(overrides: Sequence[str]) -> tuple[str, ...]:
 def _is_explained(method: Method, words: Sequence[str]) -> bool:
     """Whether all options of the method are on the command line."""
     keys = {word.partition("=")[0] for word in words}
-    known = keys | {key.rpartition(".")[2] for key in keys}
-    return all(name in known for name, _ in (*method.options, *method.budget))
+    explained = keys | {key.rpartition(".")[2] for key in keys}
+    return all(name in explained for name, _ in (*method.options, *method.budget))
 
 
 def _recipe_method(recipe: str, words: Sequence[str]) -> Method:

@@ -49,8 +49,8 @@ def variant(group: str, name: str) -> Any:
         classes = table(group).values()
     except UserError:
         return None
-    found = (getattr(cls, "variants", {}).get(name) for cls in classes)
-    return next((one for one in found if one is not None), None)
+    variants = (getattr(cls, "variants", {}).get(name) for cls in classes)
+    return next((one for one in variants if one is not None), None)
 
 
 def as_variant(config: Flat) -> Flat:
@@ -74,7 +74,7 @@ def title(group: str, name: str) -> str:
     """The display name of a choice, such as "UAR"; the registry name without one."""
     names = name.split(JOINED_BY)
     titles = [getattr(one, "title", "") for one in described(group, name)]
-    return " + ".join(own or one for own, one in zip(titles, names, strict=True))
+    return " + ".join(shown or one for shown, one in zip(titles, names, strict=True))
 
 
 def summary(group: str, name: str) -> str:

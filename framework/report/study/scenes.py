@@ -54,7 +54,11 @@ class SceneLabel:
 def scene_labels(
     configs: Sequence[Mapping[str, Any]], scenes: Sequence[SceneInfo | None]
 ) -> list[SceneLabel]:
-    """The label of each run's scene. scenes: None for a run that failed before it was loaded."""
+    """The label of each run's scene.
+
+    Args:
+        scenes: None for a run that failed before it was loaded.
+    """
     flat = [
         _without_idle_strength(config)
         for config in with_defaults([flatten(config) for config in configs])
@@ -63,8 +67,8 @@ def scene_labels(
     labels: dict[int, SceneLabel] = {}
     for name in set(names):
         alike = [index for index, other in enumerate(names) if other == name]
-        found = _distinguished(name, [flat[i] for i in alike], [scenes[i] for i in alike])
-        labels |= dict(zip(alike, found, strict=True))
+        result = _distinguished(name, [flat[i] for i in alike], [scenes[i] for i in alike])
+        labels |= dict(zip(alike, result, strict=True))
     return [labels[index] for index in range(len(flat))]
 
 
@@ -81,9 +85,9 @@ def _scene_names(
     """A scene that was not loaded has the name that the same loader and folder gave elsewhere."""
     options = [config.get("scene") or {} for config in configs]
     places = [(entry.get("name", UNKNOWN_SCENE), entry.get("path")) for entry in options]
-    known = {place: info.name for place, info in zip(places, scenes, strict=True) if info}
+    labels = {place: info.name for place, info in zip(places, scenes, strict=True) if info}
     pairs = zip(places, scenes, strict=True)
-    return [outside(info.name if info else known.get(at, str(at[0]))) for at, info in pairs]
+    return [outside(info.name if info else labels.get(at, str(at[0]))) for at, info in pairs]
 
 
 def _distinguished(
@@ -99,14 +103,14 @@ def _distinguished(
         tuple((k.rpartition(".")[2], value_text(e[k])) for k in sorted(keys) if k in e)
         for e in alike
     ]
-    found: dict[tuple[Option, ...], set[str]] = defaultdict(set)
+    result: dict[tuple[Option, ...], set[str]] = defaultdict(set)
     for options, info in zip(named, scenes, strict=True):
         if info:
-            found[options].add(info.fingerprint)
+            result[options].add(info.fingerprint)
     labels = []
     for options, info, config in zip(named, scenes, alike, strict=True):
         # the fingerprint distinguishes what options do not, such as edited images
-        mark = info.fingerprint[:8] if info and len(found[options]) > 1 else ""
+        mark = info.fingerprint[:8] if info and len(result[options]) > 1 else ""
         labels.append(SceneLabel(name, options, mark, _data(config, info)))
     return labels
 

@@ -38,9 +38,11 @@ LIGHT_COLUMNS = 12
 class World(NamedTuple):
     """P solids and L light directions over G x G light cells.
 
-    solids: [P, COLUMNS] float64. texels: [*] uint8, all textures one after another, row-major RGB.
-    lights: [L, LIGHT_COLUMNS] float64. casters: [L, G, G, P + 1] int16, the solids that may shade
-    what lies in a cell, ended by -1.
+    Attributes:
+        solids: [P, COLUMNS] float64.
+        texels: [*] uint8, all textures one after another, row-major RGB.
+        lights: [L, LIGHT_COLUMNS] float64.
+        casters: [L, G, G, P + 1] int16, the solids that may shade what lies in a cell, ended by -1.
     """
 
     solids: NDArray[np.float64]
@@ -52,7 +54,9 @@ class World(NamedTuple):
 class Tiles(NamedTuple):
     """The solids a camera may meet first in each tile of `size` x `size` pixels.
 
-    members: [T + 1, P + 1] int16, row-major tiles, each list ended by -1; the last one lists all.
+    Attributes:
+        members: [T + 1, P + 1] int16, row-major tiles, each list ended by -1; the last one lists
+            all.
     """
 
     size: int

@@ -123,7 +123,12 @@ def build_world(texture: float, gloss: float, samples: int) -> World:
 
 
 def camera_tiles(pose: NDArray[np.float64], focal: float, width: int, height: int) -> Tiles:
-    """The solids each tile of a camera may see. pose: [3, 4] camera-to-world; focal: pixels."""
+    """The solids each tile of a camera may see.
+
+    Args:
+        pose: [3, 4] camera-to-world.
+        focal: pixels.
+    """
     away = corners(solids()) - pose[:, 3]
     x, y, z = (sum(away[:, :, k] * pose[k, axis] for k in range(3)) for axis in range(3))
     behind = (z < 0.05).any(axis=1)

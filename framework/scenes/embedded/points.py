@@ -75,7 +75,11 @@ def sparse_points(
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.bool_]]:
     """xyz [M, 3], rgb [M, 3], visible [M, V] of the points at least two of the V views see.
 
-    images: [V, H, W, 3]. depths: [V, H, W]. poses: [V, 3, 4] camera-to-world. focal: pixels.
+    Args:
+        images: [V, H, W, 3].
+        depths: [V, H, W].
+        poses: [V, 3, 4] camera-to-world.
+        focal: pixels.
     """
     xyz, rgb = [], []
     for image, depth, pose in zip(images, depths, poses, strict=True):

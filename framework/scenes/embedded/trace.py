@@ -94,9 +94,12 @@ def trace_rows(  # type: ignore[no-untyped-def]
 ):
     """Every n_blocks-th row of a view.
 
-    tile: pixels. pose: [3, 4] float64 camera-to-world. focal: pixels. samples x samples rays per
-    pixel. image: [H, W, 3] uint8 and depth: [H, W] float32 are written; as a ray's direction has
-    camera z = 1, its t is the z-depth.
+    Args:
+        tile: pixels.
+        pose: [3, 4] float64 camera-to-world.
+        focal: pixels. samples x samples rays per pixel.
+        image: [H, W, 3] uint8 and depth: [H, W] float32 are written; as a ray's direction has
+            camera z = 1, its t is the z-depth.
     """
     height, width = depth.shape
     n_tiles, n_samples = (width + tile - 1) // tile, samples * samples

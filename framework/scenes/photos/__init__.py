@@ -29,7 +29,8 @@ log = logging.getLogger(__name__)
 class Photos:
     """Photos without poses: pycolmap finds them, once.
 
-    near, far: depth bounds in units of the poses; null = from the points.
+    Attributes:
+        near, far: depth bounds in units of the poses; null = from the points.
     """
 
     path: str  # folder of the photos, or a video

@@ -78,7 +78,11 @@ def advice(result: Result) -> Iterator[str]:
 
 
 def failure(photo: Path, result: Result) -> str:
-    """Why fewer than three photos could be placed. photo: the first one, or the video."""
+    """Why fewer than three photos could be placed.
+
+    Args:
+        photo: the first one, or the video.
+    """
     where = photo if result.video else photo.parent
     flat = [name for name, n in result.features.items() if n < FLAT]
     strong = _strong(result.links)

@@ -26,8 +26,12 @@ DISTORTION = 0.5  # largest plausible coefficient k1
 
 @dataclass(frozen=True)
 class Placing:
-    """pycolmap's models, the one of most photos first. held: their focal length was fixed.
-    overruled: EXIF's focal length, if it was not used."""
+    """pycolmap's models, the one of most photos first.
+
+    Attributes:
+        held: their focal length was fixed.
+        overruled: EXIF's focal length, if it was not used.
+    """
 
     models: list[Any] = field(default_factory=list)
     held: bool = False
@@ -60,7 +64,8 @@ def place(
 def choose(models: Callable[[bool], list[Any]], photos: Sequence[Photo]) -> Placing:
     """Choose between estimated and fixed focal lengths; see the module's docstring.
 
-    models: runs the mapping, with fixed focal lengths if its argument is True.
+    Args:
+        models: runs the mapping, with fixed focal lengths if its argument is True.
     """
     free = Placing(models(False))
     if not free.models:

@@ -51,7 +51,11 @@ class Photo:
 
 
 def prepare(file: Path, folder: Path, number: int, side: int) -> Photo:
-    """Store the photo in `folder`. Raises UserError for one that cannot be used."""
+    """Store the photo in `folder`.
+
+    Raises:
+        UserError: for one that cannot be used.
+    """
     with opened(file, PHOTO_PIXELS) as image:
         exif, size, kind = exif_of(image), image.size, image.format
         turn = orientation(image) if kind != "TIFF" else 1  # Pillow turns these itself

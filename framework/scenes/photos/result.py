@@ -92,7 +92,11 @@ def write_result(folder: Path, result: Result) -> None:
 
 
 def read_result(folder: Path) -> Result:
-    """Read `poses.json` of `folder`. Raises UserError for a damaged one."""
+    """Read `poses.json` of `folder`.
+
+    Raises:
+        UserError: for a damaged one.
+    """
     path = folder / FILE
     try:
         values = read_json(path, TEXT_BYTES)

@@ -59,7 +59,11 @@ def _own_stdout() -> TextIO:
 
 
 def search(request: dict[str, Any], messages: Messages) -> None:
-    """Search for the poses that `request` describes. Raises UserError if too few are found."""
+    """Search for the poses that `request` describes.
+
+    Raises:
+        UserError: if too few are found.
+    """
     started, folder = time.monotonic(), Path(request["folder"])
     photos = _prepared(request, folder, messages)
     best, tries = _best(photos, folder, request["threads"], messages)

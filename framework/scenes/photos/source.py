@@ -54,7 +54,11 @@ class Source:
 
 
 def find_source(path: str, side: int, frames: int) -> Source:
-    """Find the photos or the video. Raises UserError for too few different photos."""
+    """Find the photos or the video.
+
+    Raises:
+        UserError: for too few different photos.
+    """
     place = Path(path).expanduser()
     if place.is_file():
         return _video(place, side, frames)

@@ -26,8 +26,11 @@ def sharpest_frames(
 ) -> list[Path]:
     """Write at most `n` frames as PNG into `folder`, in the order of time.
 
-    tick: called with (done, total) for each frame read. Raises UserError for a damaged or too short
-    video.
+    Args:
+        tick: called with (done, total) for each frame read.
+
+    Raises:
+        UserError: for a damaged or too short video.
     """
     import cv2
     import numpy as np

@@ -57,17 +57,21 @@ def state_classes(plugins: Iterable[Any]) -> list[type]:
     """The dataclasses that the states of these plugins may be built of: the framework's own, and
     those found in the modules of the plugins' classes and their bases."""
     modules = {cls.__module__ for plugin in plugins for cls in type(plugin).__mro__}
-    found = [
+    classes = [
         member
         for module in sorted(modules & sys.modules.keys())
         for member in vars(sys.modules[module]).values()
         if isinstance(member, type) and dataclasses.is_dataclass(member)
     ]
-    return [*FRAMEWORK_CLASSES, *found]
+    return [*FRAMEWORK_CLASSES, *classes]
 
 
 def pack(value: Any, classes: Iterable[type], identity: str, owner: str) -> bytes:
-    """`value` as the bytes of a safetensors file. Raises UserError for what cannot be held."""
+    """`value` as the bytes of a safetensors file.
+
+    Raises:
+        UserError: for what cannot be held.
+    """
     tree, tensors = encode(value, classes, owner)
     # under one key: several would be written in another order by each process
     return save(tensors, {KEY: json.dumps({"identity": identity, "tree": tree})})
@@ -75,17 +79,20 @@ def pack(value: Any, classes: Iterable[type], identity: str, owner: str) -> byte
 
 def unpack(path: Path, classes: Iterable[type], wanted: str | None = None) -> tuple[str, Any]:
     """(identity, value) of a file of `pack`; of one with another identity than the wanted the value
-    is None: it may hold what these classes never were. Raises ValueError, also when it is damaged.
+    is None: it may hold what these classes never were.
+
+    Raises:
+        ValueError: also when it is damaged.
     """
     file_size(path, CHECKPOINT_BYTES)  # a file, before safetensors maps it
     try:
         with safe_open(path, framework="pt") as file:
-            told = json.loads((file.metadata() or {})[KEY])
-            identity = str(told["identity"])
+            header = json.loads((file.metadata() or {})[KEY])
+            identity = str(header["identity"])
             if wanted not in (None, identity):
                 return identity, None
             tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118
-        value = decode(told["tree"], tensors, classes)
+        value = decode(header["tree"], tensors, classes)
     except (SafetensorError, KeyError, TypeError, AttributeError, RuntimeError) as error:
         raise ValueError(f"{path}: not a checkpoint ({type(error).__name__}: {error})") from error
     return identity, value
@@ -106,8 +113,11 @@ def remove_checkpoints(run_dir: Path) -> None:
 class Checkpoints:
     """The checkpoints of one run (a `training_state.Keeper`).
 
-    run_dir: the run's folder. identity: of the run. plugins: the chosen ones, whose state is held.
-    part: of the run, if it has several trainings.
+    Args:
+        run_dir: the run's folder.
+        identity: of the run.
+        plugins: the chosen ones, whose state is held.
+        part: of the run, if it has several trainings.
     """
 
     def __init__(
@@ -118,8 +128,11 @@ class Checkpoints:
         self._next = 0.0
 
     def begin(self, n_bytes: int) -> None:
-        """The training begins. n_bytes: about the size of the first, from which its cost is
-        guessed."""
+        """The training begins.
+
+        Args:
+            n_bytes: about the size of the first, from which its cost is guessed.
+        """
         self._next = time.perf_counter() + COST_TIMES * n_bytes / SLOW_DISK
 
     def newest(self, check: Check) -> TrainerState | None:

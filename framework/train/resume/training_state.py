@@ -92,7 +92,12 @@ class PluginState:
 
 @dataclass(frozen=True)
 class FieldState:
-    """A set of Gaussians in training. version: as in `StepContext`. plugins: by key."""
+    """A set of Gaussians in training.
+
+    Attributes:
+        version: as in `StepContext`.
+        plugins: by key.
+    """
 
     version: int
     gaussians: Gaussians

@@ -37,7 +37,7 @@ def trained(steps: int = 12, **chosen: Mapping[str, Any]) -> Trainer:
 
 
 @pytest.mark.parametrize(
-    ("chosen", "told"),
+    ("chosen", "message"),
     [
         ({"augment": {"name": "dba", "start": 0.3, "stop": 0.4}}, "augment=dba: was never called"),
         ({"reg": {"name": "uar", "start": 0.5, "stop": 0.5}}, "reg=uar: was never called"),
@@ -50,13 +50,13 @@ def trained(steps: int = 12, **chosen: Mapping[str, Any]) -> Trainer:
     ],
 )
 def test_what_was_never_asked_is_told(
-    chosen: dict[str, Any], told: str, caplog: pytest.LogCaptureFixture
+    chosen: dict[str, Any], message: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.WARNING, "framework"):
         trained(**chosen)
     said = [r.getMessage() for r in caplog.records if "was never called" in r.getMessage()]
     said += [r.getMessage() for r in caplog.records if "second field" in r.getMessage()]
-    assert [line[: len(told)] for line in said] == ([told] if told else [])
+    assert [line[: len(message)] for line in said] == ([message] if message else [])
 
 
 def test_options_that_change_nothing_are_told() -> None:
@@ -100,17 +100,17 @@ def test_no_depth_behind_a_mask_is_known() -> None:
     mask = torch.ones(now.views[0].image.shape[1:])
     mask[:, :7] = 0
     view = replace(now.views[0], mask=mask)
-    known = known_depth(replace(now, views=(view, *now.views[1:])), view)
-    assert known is not None and not known[1][:, :7].any() and known[1][:, 7:].any()
+    reference = known_depth(replace(now, views=(view, *now.views[1:])), view)
+    assert reference is not None and not reference[1][:, :7].any() and reference[1][:, 7:].any()
 
 
 def test_a_photo_that_was_evened_above_one_is_warped_as_bright() -> None:
     view = photograph(camera(-0.5, 0.0))
     bright = replace(view, image=view.image * 1.5)
-    found = warp_views([bright], [exact(view)], view.camera)
-    inside = found.mask > 0
+    actual = warp_views([bright], [exact(view)], view.camera)
+    inside = actual.mask > 0
     assert float(bright.image[:, inside].max()) > 1.05
-    worst = (found.image - bright.image).abs()[:, inside].max()
+    worst = (actual.image - bright.image).abs()[:, inside].max()
     assert float(worst) < 0.02
 
 
