@@ -289,7 +289,7 @@ def test_importing_the_report_needs_no_torch() -> None:
 def test_the_curve_of_several_members_is_explained(tmp_path: Path, members: int) -> None:
     fake_run(tmp_path, trainer={"steps": 800, "sh_degree": 0, "members": members})
     text = build_report(tmp_path).read_text()
-    assert ("that of the joined Gaussians" in text) == (members > 1)
+    assert ("the last point is the ensemble" in text) == (members > 1)
 
 
 def test_a_report_without_a_finished_run_is_written_and_an_error(
