@@ -13,8 +13,9 @@ from framework.errors import UserError
 from tests.cli.conftest import composed
 
 ALL = [(group, name) for group in OBJECT_GROUPS for name in choices(group)]
-# those for a scene are not chosen but come with it: tests/cli/test_presets.py
-FILES = [p for p in sorted(CONF_DIR.glob("*/*.yaml")) if p.parent.name != "for_scene"]
+# for_scene comes with a scene (tests/cli/test_presets.py); published is data for reports
+NOT_CHOSEN = ("for_scene", "published")
+FILES = [p for p in sorted(CONF_DIR.glob("*/*.yaml")) if p.parent.name not in NOT_CHOSEN]
 VARIANTS = [(p.parent.name, p.stem) for p in FILES]
 
 

@@ -15,7 +15,12 @@ from framework.command.program import take_flag
 from tests.documents.pages import Block, blocks, quick, tutorials, words_of
 from tests.documents.registered import as_before
 
-SHOWN = {"text", "toml", "json"}  # not typed by the reader: output, and files of other projects
+SHOWN = {
+    "text",
+    "toml",
+    "json",
+    "bibtex",
+}  # not typed by the reader: output, and files of other projects
 
 
 @pytest.fixture

@@ -40,8 +40,8 @@ class Noting(Trainer):
 
     seen: list[tuple[str, list[str]]]
 
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
         self.names: list[str] = []
         self.seen.append((parameters_sha256(self.field.params), self.names))
 

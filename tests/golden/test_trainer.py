@@ -129,7 +129,7 @@ def test_bands_that_were_never_active_are_told(caplog: pytest.LogCaptureFixture)
         _train(sh_degree=2, sh_every=4)
         _train(sh_degree=2, sh_every=100)
     (message,) = (record.getMessage() for record in caplog.records)
-    assert message.startswith("trainer.sh_degree=2: only degree 0 was ever active")
+    assert message.startswith("trainer.sh_degree=2: only degree 0 was active")
 
 
 def test_a_capacity_that_never_acted_is_told(caplog: pytest.LogCaptureFixture) -> None:
