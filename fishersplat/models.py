@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,11 +12,15 @@ import pandas as pd
 
 from fishersplat.configuration import configuration
 from fishersplat.runs import Run
+from framework.errors import UserError, require
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from framework.types import Camera, DepthMap, Gaussians, Render, Scene
+
+# options of a run that a training in memory does not have
+UNUSED = ("scene", "metrics", "tracker", "study", "force", "estimate")
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,8 @@ def train(
 
     Args:
         scene: from `load_scene`, or built with `framework.scenes.assemble`.
-        options: words of the command line except `scene`, for instance `"augment=safi"`.
+        options: words of the command line that concern the training, for instance
+            `"augment=safi"`. The scene is given, and a model is neither evaluated nor written.
         depth: depth maps of the training views; by default the `depth` option estimates them.
         quiet: print no progress.
 
@@ -51,40 +56,58 @@ def train(
         The trained model. The same arguments give the same bits.
 
     Raises:
-        UserError: An option is invalid, or the scene cannot be trained on.
+        UserError: An option is invalid or would have no effect, or the scene cannot be trained on.
     """
+    without_effect = UNUSED if depth is None else (*UNUSED, "depth")
+    for word in options:
+        key = word.lstrip("+~").partition("=")[0].partition(".")[0]
+        require(
+            key not in without_effect,
+            f"train: {word}: expected an option of the training, got one without effect here; use"
+            " load_scene for the scene, or run(...) to evaluate and write a run",
+        )
     config = configuration(options).values
     import torch
 
     from framework import registry
     from framework.backends import build_rasterizer
     from framework.compute import parallel
-    from framework.depth.exposure import ENOUGH, find_exposures
+    from framework.depth import unspoiled
+    from framework.depth.exposure import find_exposures
     from framework.options import TrainerOptions
     from framework.records.progress import Silent, Terminal
-    from framework.run import training
+    from framework.run import answers, preparation, training
 
     parallel.set_threads(int(config["threads"]))
     torch.set_num_threads(1)
-    trainer = TrainerOptions(**config["trainer"])
-    maps = tuple(depth or registry.part("depth", config["depth"]).estimate(scene.training))
-    views, exposures = scene.training.views, None
-    if trainer.exposure and len(views) >= ENOUGH:
-        exposures = find_exposures(views, maps)
-    if exposures is not None:
-        evened = replace(scene.training, views=exposures.evened(views))
-        scene = replace(scene, training=evened)
+    rasterizer, trainer = build_rasterizer(config), TrainerOptions(**config["trainer"])
+    rasterizer.ready()
+    given = None if depth is None else tuple(depth)
+    try:
+        answers.check_scene(scene)
+        if given is not None:
+            answers.check_depth(given, scene.training)
+    except ValueError as error:
+        raise UserError(f"train: {error}") from None
+    chosen, clean = config["depth"], unspoiled(config["depth"])
+    if given is None:
+        registry.part("depth", chosen).ready()
+    maps = given or preparation.estimated_depth(chosen, scene.training)
+    exposures = None
+    if trainer.exposure:  # as in a run, a stress study does not corrupt the depth for exposures
+        spoiled = given is None and clean != chosen
+        clear = preparation.estimated_depth(clean, scene.training) if spoiled else maps
+        exposures = find_exposures(scene.training.views, clear)
+    evened = preparation.evened(scene, exposures)
 
     def start(seed: int) -> Gaussians:
-        return training.initial(config, scene, maps, trainer, seed)
+        return training.initial(config, evened, maps, trainer, seed)
 
+    progress = Silent() if quiet else Terminal("train")
     with tempfile.TemporaryDirectory(prefix="fishersplat-") as folder:
-        job = training.Run(
-            scene, maps, start, Path(folder), "", True, build_rasterizer(config), exposures
-        )
-        trained = training.train(job, config, Silent() if quiet else Terminal("train"))
-    near = trainer.near_plane * scene.training.near
-    return Model(trained.gaussians, trained.background, near, _frame(trained.history))
+        job = training.Run(evened, maps, start, Path(folder), "", True, rasterizer, exposures)
+        trained = training.train(job, training.within_seconds(job, config, progress)[0], progress)
+    return Model(trained.gaussians, trained.background, job.near(trainer), _frame(trained.history))
 
 
 def render(model: Run | Model, camera: Camera) -> Render:

@@ -70,6 +70,10 @@ def run(*options: str, folder: Path | str | None = None, quiet: bool = False) ->
         UserError: An option, file or scene is invalid.
     """
     chosen = configuration(options)
+    require(
+        not chosen.values["estimate"],
+        "run: estimate: expected false, got an estimate of a study; use the command line",
+    )
     target = chosen.folder if folder is None else Path(folder)
     from framework.records.progress import Silent, Terminal
     from framework.run.experiment import run_experiment

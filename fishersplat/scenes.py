@@ -11,6 +11,8 @@ if TYPE_CHECKING:
 def load_scene(name: str, **options: Any) -> Scene:
     """Load a scene.
 
+    Camera poses that do not fit the photos cause a logged warning, as in a run.
+
     Args:
         name: a loader, for instance `embedded`, `colmap`, `llff` or `photos`.
         options: options of the loader, for instance `path="DIR"` and `n_views=3`.
@@ -23,7 +25,11 @@ def load_scene(name: str, **options: Any) -> Scene:
         UserError: The loader or an option is unknown, or the files are invalid.
     """
     from framework import registry
+    from framework.run.poses import checked_poses
+    from framework.run.preparation import loaded_scene
 
     registry.discover()
-    scene: Scene = registry.part("scene", {"name": name, **options}).load()
+    chosen = {"name": name, **options}
+    scene = loaded_scene(chosen)
+    checked_poses(name, registry.part("scene", chosen), scene.training)
     return scene

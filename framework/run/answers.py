@@ -17,27 +17,25 @@ T = TypeVar("T")
 
 
 def scene(name: str, cls: type, answer: T) -> T:
-    """`found`, a Scene if `cls` is a plugin.
+    """Return `answer`, a Scene if `cls` is a plugin.
 
     Raises:
         UserError: naming it, for anything else.
     """
-    return _checked(f"scene={name}: load", cls, answer, _check_scene)
+    return _checked(f"scene={name}: load", cls, answer, check_scene)
 
 
 def depth(name: str, cls: type, answer: T, training: TrainingSet) -> T:
-    """`found`, a map per training view.
+    """Return `answer`, a map per training view.
 
     Raises:
         UserError: as `scene` does.
     """
-    return _checked(
-        f"depth={name}: measure", cls, answer, lambda maps: _check_depth(maps, training)
-    )
+    return _checked(f"depth={name}: measure", cls, answer, lambda maps: check_depth(maps, training))
 
 
 def gaussians(name: str, cls: type, answer: T, sh_degree: int) -> T:
-    """`found`, Gaussians of this degree.
+    """Return `answer`, Gaussians of this degree.
 
     Raises:
         UserError: as `scene` does.
@@ -69,7 +67,8 @@ def _built_in(cls: type) -> bool:
     return cls.__module__.partition(".")[0] == "framework"
 
 
-def _check_scene(answer: Any) -> None:
+def check_scene(answer: Any) -> None:
+    """Raise ValueError unless it is a Scene that can be trained on."""
     check_kind("the scene", answer, Scene)
     for text in ("name", "protocol", "fingerprint"):
         check_kind(f"the scene's {text}", getattr(answer, text), str)
@@ -91,7 +90,8 @@ def _check_scene(answer: Any) -> None:
         raise ValueError(f"the bounds: expected 0 < near < far, got {near} and {far}")
 
 
-def _check_depth(answer: Any, training: TrainingSet) -> None:
+def check_depth(answer: Any, training: TrainingSet) -> None:
+    """Raise ValueError unless there is a valid map for each training view."""
     check_kind("the maps", answer, tuple)
     if len(answer) != len(training.views):
         views = len(training.views)

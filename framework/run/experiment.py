@@ -69,12 +69,13 @@ from framework.run.lpips_later import lacks_lpips, with_lpips
 from framework.run.plugin_code import plugin_hashes
 from framework.run.preparation import (
     Preparation,
+    evened,
     forgotten_if_changed,
     load_scene,
     options_of,
     prepare,
 )
-from framework.run.training import Run, initial, renderer, thinned, train, try_out
+from framework.run.training import Run, initial, renderer, thinned, train, within_seconds
 from framework.run.untouched import Shared, foreign
 from framework.run.warmup import Warmup
 from framework.train.dose import summary as dose_summary
@@ -190,7 +191,8 @@ class Experiment:
         warnings: list[str],
     ) -> RunRecord:
         """Train and evaluate; returns the record as written."""
-        scene, exposures = preparation.training_scene(), preparation.exposures
+        exposures = preparation.exposures
+        scene = evened(preparation.scene, exposures)
         timings, facts = preparation.timings, dict(record.provenance)
         if exposures is not None:
             self.progress.note(exposures.message())
@@ -211,15 +213,13 @@ class Experiment:
             self.rasterizer,
             exposures,
         )
-        options = TrainerOptions(**self.config["trainer"])
-        if options.seconds > 0:
-            choice = self._budget(run, options)
-            options, facts["budget"] = choice.applied(options), choice.record
-        config = {**self.config, "trainer": dataclasses.asdict(options)}
+        config, chosen_steps = within_seconds(run, self.config, self.progress)
+        if chosen_steps is not None:
+            facts["budget"] = chosen_steps
         trained = train(run, config, self.progress)
         timings[TRAIN_STAGE] = StageTime(trained.wall_s, trained.cpu_s)
         self.progress.stage("evaluation")
-        near = options.near_plane * scene.training.near
+        near = run.near(TrainerOptions(**config["trainer"]))
         with _timed(timings, "evaluate"):
             metrics, renders = self._evaluate(trained, run, near)
         shared.check()
@@ -232,22 +232,6 @@ class Experiment:
             warnings=tuple(dict.fromkeys(warnings)),
         )
         return self._write(record, preparation, trained, near, metrics, renders)
-
-    def _budget(self, run: Run, options: TrainerOptions) -> budget.Choice:
-        """Choose the steps that fit into `trainer.seconds`."""
-        self.progress.stage(f"choosing steps for {options.seconds:g} s")
-        if run.force:
-            (run.folder / budget.FILE).unlink(missing_ok=True)
-        choice = budget.chosen(
-            run.folder,
-            run.identity,
-            options,
-            len(run.scene.training.views),
-            lambda trial: try_out(run, self.config, trial).wall_s,
-        )
-        seconds, repeat = choice.record["seconds"], choice.record["repeat"]
-        self.progress.note(f"{seconds:g} s of training: {repeat}")
-        return choice
 
     def _evaluate(
         self, trained: Trained, run: Run, near: float

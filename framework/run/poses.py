@@ -23,8 +23,9 @@ def checked_poses(name: str, loader: object, training: TrainingSet) -> PoseCheck
     """Check the poses by stereo and warn if they do not fit; None if they cannot be checked.
 
     Args:
-        name: of the scene's loader. loader: a loader with `poses_are_exact` is not checked; one
-            with an option `poses` may be advised another convention.
+        name: of the scene's loader.
+        loader: not checked if it has `poses_are_exact`. The warning may suggest another convention
+            if it has an option `poses`.
         training: the loaded training set.
     """
     if getattr(loader, "poses_are_exact", False):

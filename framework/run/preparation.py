@@ -27,7 +27,7 @@ from framework.run.poses import checked_poses
 from framework.run.untouched import Shared, depth_parts, scene_parts
 from framework.run.warmup import Warmup
 from framework.scenes import ALL, UNTESTED
-from framework.types import DepthMap, Scene
+from framework.types import DepthMap, Scene, TrainingSet
 
 LOG = logging.getLogger(__name__)
 FEW_PHOTOS = 5
@@ -54,14 +54,6 @@ class Preparation:
     timings: dict[str, StageTime]
     warnings: list[str]
 
-    def training_scene(self) -> Scene:
-        """The scene with the exposures of its training photos evened."""
-        if self.exposures is None:
-            return self.scene
-        training = self.scene.training
-        views = self.exposures.evened(training.views)
-        return replace(self.scene, training=replace(training, views=views))
-
 
 @dataclass(frozen=True)
 class Stage(Generic[T]):
@@ -86,16 +78,22 @@ def _stage(function: Callable[..., T]) -> Callable[..., Stage[T]]:
     return timed
 
 
+def evened(scene: Scene, exposures: Exposures | None) -> Scene:
+    """The scene with the exposures of its training photos evened, if they are given."""
+    if exposures is None:
+        return scene
+    views = exposures.evened(scene.training.views)
+    return replace(scene, training=replace(scene.training, views=views))
+
+
 def options_of(config: Mapping[str, Any], group: str) -> Options:
     """The options of a configuration group as the key of a stage."""
     return tuple(config[group].items())
 
 
-@_stage
-def load_scene(options: Options) -> Scene:
-    """Load the scene that the options of `scene` choose."""
-    chosen = dict(options)
-    loader = registry.part("scene", chosen)
+def loaded_scene(chosen: Mapping[str, Any]) -> Scene:
+    """Load the scene that these options of `scene` choose."""
+    loader = registry.part("scene", dict(chosen))
     with answers.called(f"scene={chosen['name']}: load", type(loader)):
         loaded = loader.load()
     scene = answers.scene(chosen["name"], type(loader), loaded)
@@ -105,14 +103,24 @@ def load_scene(options: Options) -> Scene:
     return scene
 
 
-@_stage
-def estimate_depth(scene: Options, depth: Options, fingerprint: str) -> tuple[DepthMap, ...]:
-    """Depth of the training views; `fingerprint` is that of the files which the provider reads."""
-    chosen, training = dict(depth), load_scene(scene).result.training
-    provider = registry.part("depth", chosen)
+def estimated_depth(chosen: Mapping[str, Any], training: TrainingSet) -> tuple[DepthMap, ...]:
+    """Estimate the depth of the training views by these options of `depth`."""
+    provider = registry.part("depth", dict(chosen))
     with answers.called(f"depth={chosen['name']}: measure", type(provider)):
         maps = provider.estimate(training)
     return answers.depth(chosen["name"], type(provider), maps, training)
+
+
+@_stage
+def load_scene(options: Options) -> Scene:
+    """Load the scene that the options of `scene` choose."""
+    return loaded_scene(dict(options))
+
+
+@_stage
+def estimate_depth(scene: Options, depth: Options, fingerprint: str) -> tuple[DepthMap, ...]:
+    """Depth of the training views; `fingerprint` is that of the files which the provider reads."""
+    return estimated_depth(dict(depth), load_scene(scene).result.training)
 
 
 @_stage

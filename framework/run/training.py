@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from framework.options import TrainerOptions
 from framework.records.progress import Part as PartProgress
 from framework.records.progress import Parts, Progress, Silent
 from framework.records.record import DIVERGED
-from framework.run import answers
+from framework.run import answers, budget
 from framework.run.members import IDLE, in_turn, join, member_seed, second_seed, tuning_options
 from framework.train import schedule
 from framework.train.guard import Diverged
@@ -206,6 +206,32 @@ def train(run: Run, config: Mapping[str, Any], progress: Progress) -> Trained:
     starts[n] = gaussians
     tuned = task(n, lambda: None, sh_from=degree)
     return in_turn([*rounds, [tuned]], options.steps, tuned.gaussians)
+
+
+def within_seconds(
+    run: Run, config: Mapping[str, Any], progress: Progress
+) -> tuple[Mapping[str, Any], dict[str, Any] | None]:
+    """Choose the steps that fit into `trainer.seconds`.
+
+    Returns:
+        The configuration with these steps, and the choice for the record; the same configuration
+        and None without a time limit.
+    """
+    options = TrainerOptions(**config["trainer"])
+    if options.seconds <= 0:
+        return config, None
+    progress.stage(f"choosing steps for {options.seconds:g} s")
+    if run.force:
+        (run.folder / budget.FILE).unlink(missing_ok=True)
+    choice = budget.chosen(
+        run.folder,
+        run.identity,
+        options,
+        len(run.scene.training.views),
+        lambda trial: try_out(run, config, trial).wall_s,
+    )
+    progress.note(f"{choice.seconds:g} s of training: {choice.record['repeat']}")
+    return {**config, "trainer": asdict(choice.applied(options))}, choice.record
 
 
 def try_out(run: Run, config: Mapping[str, Any], options: TrainerOptions) -> Trained:

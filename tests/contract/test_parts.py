@@ -100,7 +100,7 @@ def test_a_scene_loads_the_same_twice(name: str) -> None:
     loader = from_defaults("scene", name)
     first, second = loader.load(), loader.load()
     assert first.fingerprint == second.fingerprint
-    answers._check_scene(first)
+    answers.check_scene(first)
     assert answers.scene(name, type(loader), first) is first
 
 
@@ -111,7 +111,7 @@ def test_depth_is_a_map_per_view_the_same_twice(name: str) -> None:
         pytest.skip("needs a scene with exact depth; tests/depth has its own")
     before = [view.image.clone() for view in training.views]
     first, second = provider.estimate(training), provider.estimate(training)
-    answers._check_depth(first, training)
+    answers.check_depth(first, training)
     assert len(first) == len(maps)
     for one, other in zip(first, second, strict=True):
         assert torch.equal(one.depth, other.depth)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 import fishersplat as fs
+from framework.types import DepthMap
 
 SMALL = ("scene.width=96", "scene.height=72", "trainer.steps=6", "trainer.evaluations=1")
 COMMITTED = Path(__file__).parents[2] / "reports" / "committed"
@@ -59,6 +62,7 @@ def test_the_default_folder_is_that_of_the_command_line(
         (("trainer.steps=many",), "trainer.steps: expected an integer"),
         (("seed=0,1",), "seed: expected one value"),
         (("-m",), "got the flag '-m'"),
+        (("estimate=only",), "estimate: expected false"),
     ],
 )
 def test_invalid_options_are_one_line(options: tuple[str, ...], message: str) -> None:
@@ -68,8 +72,9 @@ def test_invalid_options_are_one_line(options: tuple[str, ...], message: str) ->
 
 
 def test_a_folder_without_a_run_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(fs.UserError):
+    with pytest.raises(fs.UserError, match=r"record\.json") as error:
         fs.load_run(tmp_path)
+    assert "\n" not in str(error.value)
 
 
 def test_a_committed_study_is_compared_as_its_report_does() -> None:
@@ -84,3 +89,48 @@ def test_a_committed_study_is_compared_as_its_report_does() -> None:
     assert other.loc["Baseline", "difference"] > 0
     with pytest.raises(fs.UserError, match="expected a method of the report"):
         study.comparisons("something")
+
+
+@pytest.mark.parametrize(
+    "word", ["scene.width=96", "+scene=llff", "metrics.lpips_both=true", "study=a"]
+)
+def test_options_without_effect_on_a_training_are_refused(word: str) -> None:
+    scene = fs.load_scene("embedded", width=96, height=72)
+    with pytest.raises(fs.UserError, match="got one without effect"):
+        fs.train(scene, word)
+
+
+def test_given_depth_is_checked_and_replaces_the_option() -> None:
+    scene = fs.load_scene("embedded", width=96, height=72)
+    views = scene.training.views
+    maps = [DepthMap(v.depth, (v.depth > 0).float()) for v in views if v.depth is not None]
+    short = ("trainer.steps=6", "trainer.evaluations=1")
+    given, chosen = (
+        fs.train(scene, *short, depth=maps),
+        fs.train(scene, *short, "depth=ground_truth"),
+    )
+    assert torch.equal(given.gaussians.means, chosen.gaussians.means)
+    with pytest.raises(fs.UserError, match=f"a map for each of {len(views)} training views, got 1"):
+        fs.train(scene, *short, depth=maps[:1])
+    with pytest.raises(fs.UserError, match="got one without effect"):
+        fs.train(scene, "depth=ground_truth", depth=maps)
+
+
+def test_a_time_limit_chooses_the_steps() -> None:
+    scene = fs.load_scene("embedded", width=96, height=72)
+    model = fs.train(scene, "trainer.seconds=0.3", "trainer.members=1", "trainer.steps=100000")
+    assert 1 <= model.history["step"].iloc[-1] < 100000
+
+
+def test_wrong_poses_are_a_warning_when_a_scene_is_loaded(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    source = Path(__file__).parents[3] / "shared" / "data" / "open" / "llff_fern"
+    if not source.is_dir():
+        pytest.skip("no scenes here")
+    folder = tmp_path / "fern"
+    shutil.copytree(source / "images_8", folder / "images_8")
+    poses = np.load(source / "poses_bounds.npy")
+    np.save(folder / "poses_bounds.npy", poses[::-1])  # of other photos
+    fs.load_scene("llff", path=str(folder), n_views=3, downscale=8)
+    assert "scene=llff: " in caplog.text
