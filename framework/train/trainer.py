@@ -58,11 +58,9 @@ class Trainer:
         evaluate: (gaussians, background [3], sh_degree) -> mean test PSNR in dB, or None. It gets
             copies at the evaluation steps, and its time does not count.
         keeper: is offered the state after every step.
-
         start: a kept state of the same training, to continue from.
         sh_from: SH degree that is active in the first step.
         warns: warn about methods without effect.
-
         rasterizer: renders; parameters and targets are on its device.
         second: initial Gaussians of a second field; by default those of the first.
     """

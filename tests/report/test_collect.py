@@ -78,6 +78,19 @@ def test_evened_exposures_are_told(tmp_path: Path) -> None:
     assert "Photos were exposed differently (" in text and " by 9 % in 1 of 2 runs, root" in text
 
 
+def test_learned_weights_are_a_separate_league(tmp_path: Path) -> None:
+    runs = [fake_run(tmp_path, reg=reg, seed=0) for reg in ("none", "uar")]
+    assert "separate league" not in first_screen(tmp_path)
+    for run_dir in runs:
+        record = json.loads((run_dir / "record.json").read_text(encoding="utf-8"))
+        record["provenance"]["learned_weights"] = "IterMVS, dtu"
+        (run_dir / "record.json").write_text(json.dumps(record), encoding="utf-8")
+        named = "every method" if run_dir == runs[-1] else "Baseline"
+        text = first_screen(tmp_path)
+        assert f"Depth of {named} comes from a network that was trained on other scenes" in text
+        assert "(IterMVS, dtu): a separate league" in text
+
+
 def test_merged_studies_lack_only_what_each_of_them_lacks(tmp_path: Path) -> None:
     for seed in (0, 1):
         fake_run(tmp_path / "a", seed=seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from functools import lru_cache, partial
 
@@ -21,6 +22,8 @@ from framework.depth.options import IterMvsOptions, PlaneSweepOptions
 from framework.depth.read import resample
 from framework.errors import require
 from framework.types import DepthMap, TrainingSet, View
+
+log = logging.getLogger(__name__)
 
 # confirmed network depth of this confidence is right (within 1 %) more often than the plane sweep
 # there on fern, scan 24 and fox (benchmarks/results/learned_depth.md)
@@ -91,6 +94,9 @@ def estimate_views(training: TrainingSet, options: IterMvsOptions) -> list[Estim
     sources = [
         choose_neighbours(training, i, options.neighbours, bounds[i]) for i in range(len(views))
     ]
+    for view, chosen in zip(views, sources, strict=True):
+        if not chosen:
+            log.warning("IterMVS: view '%s' overlaps no other, it gets no depth", view.name)
     tasks = [
         partial(_estimate, network, posed, sources[i], i, bounds[i], view)
         for i, view in enumerate(views)

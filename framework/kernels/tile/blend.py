@@ -134,9 +134,9 @@ def blend(
                 alive = alive_rows(transmittance)
                 if alive == 0:
                     break
-            item = lists[k, 0]
+            along = lists[k, 0]
             prefetch(flat, (lists[min(k + AHEAD, last), 0] >> 8) * 16)
-            g, todo = item >> 8, listed_rows(item) & alive
+            g, todo = along >> 8, listed_rows(along) & alive
             placed = seen_from(rows, g, x, y)
             _composite(rows, g, placed, todo, limits, with_depth, planes)
         _write_tile(x, y, (width, height), background, planes, scratch, (rgb, alpha, depth))
@@ -203,14 +203,14 @@ def _slot_sums(
             a, weight, goes_on, left = meet(t, raw, limits)
             store(transmittance, at, left)
             gr, gg, gb = load(gr_, at), load(gg_, at), load(gb_, at)
-            item = fma(gr, cr, fma(gg, cg, gb * cb))
+            along = fma(gr, cr, fma(gg, cg, gb * cb))
             if not colour_alone:
                 gz = load(gz_, at)
-                item = item + fma(gz, cz, load(ga_, at))
+                along = along + fma(gz, cz, load(ga_, at))
                 sz = fma(weight, gz, sz)
-            rest = fnma(weight, item, load(behind, at))
+            rest = fnma(weight, along, load(behind, at))
             store(behind, at, rest)
-            slope = fma(t, item, neg(rest / (one - a)))
+            slope = fma(t, along, neg(rest / (one - a)))
             pull = select(but_not(goes_on, greater(raw, most)), slope * a, zeros())
             pull_y = pull * dy
             m0, m1, m2 = m0 + pull, m1 + pull_y, fma(pull_y, dy, m2)
@@ -245,10 +245,10 @@ def _slot_pulls(rows: Any, g: int, placed: Any, todo: int, limits: Any, tile: An
             t = load(transmittance, at)
             a, weight, goes_on, left = meet(t, raw, limits)
             store(transmittance, at, left)
-            item = fma(load(gr_, at), cr, fma(load(gg_, at), cg, load(gb_, at) * cb))
-            rest = fnma(weight, item, load(behind, at))
+            along = fma(load(gr_, at), cr, fma(load(gg_, at), cg, load(gb_, at) * cb))
+            rest = fnma(weight, along, load(behind, at))
             store(behind, at, rest)
-            slope = fma(t, item, neg(rest / (one - a)))
+            slope = fma(t, along, neg(rest / (one - a)))
             pull = select(but_not(goes_on, greater(raw, most)), slope * a, zeros())
             su = su + absolute(pull * fma(to_u, dx, both_ways * dy))
             sv = sv + absolute(pull * fma(both_ways, dx, to_v * dy))
@@ -298,9 +298,9 @@ def _differentiate(
             if alive == 0:
                 store(slots, slot, zeros())
                 continue
-            item = lists[k, 0]
+            along = lists[k, 0]
             prefetch(flat, (lists[min(k + AHEAD, last), 0] >> 8) * 16)
-            g, todo = item >> 8, listed_rows(item) & alive
+            g, todo = along >> 8, listed_rows(along) & alive
             placed = seen_from(rows, g, x, y)
             if pulls:
                 slot_sum = _slot_pulls(rows, g, placed, todo, limits, of_tile)

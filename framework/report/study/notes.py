@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from framework.errors import UserError, printable_line
 from framework.records.failure import FAILED, read_failure
-from framework.records.record import EXPOSURE
+from framework.records.record import EXPOSURE, LEARNED
 from framework.report.study.methods import Method
 from framework.report.study.study import ReportRun, Study
 from framework.report.study.words import code, outside
@@ -113,6 +113,16 @@ def machines(study: Study) -> tuple[list[str], dict[str, list[ReportRun]]]:
     by_scene = grouped(study.runs, lambda run: run.scene)
     scenes = [s for s, group in by_scene.items() if len({run.machine for run in group}) > 1]
     return scenes, grouped([r for r in study.runs if r.scene in scenes], lambda run: run.machine)
+
+
+def learned(study: Study) -> dict[str, list[Method]]:
+    """Weights of networks that were trained on other scenes -> the methods that used them."""
+    with_weights = grouped(study.runs, lambda run: str(run.record.provenance.get(LEARNED) or ""))
+    return {
+        outside(weights): list(dict.fromkeys(run.method for run in runs))
+        for weights, runs in with_weights.items()
+        if weights
+    }
 
 
 def exposures(study: Study) -> list[Exposure]:
