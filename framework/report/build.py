@@ -121,8 +121,8 @@ def _keep_fuller_report(study: Study) -> None:
     that was made of the runs."""
     require(
         study.out_dir not in study.archived or not (study.out_dir / REPORT).exists(),
-        f"{study.out_dir}: expected runs, got only {ARCHIVE} next to a report that was made with"
-        " the runs' pictures; add --out DIR to write another report",
+        f"{study.out_dir}: expected runs, got only {ARCHIVE} next to an earlier report, which may"
+        " show pictures of the runs; add --out DIR to write another report",
     )
 
 
