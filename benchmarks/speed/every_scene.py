@@ -21,8 +21,6 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from benchmarks.quality.time_to_quality import short
-
 from benchmarks.speed.end_to_end import END, REPORT, REST, STAGES, START, profile
 from framework.records.provenance import cpu_model
 
@@ -34,6 +32,17 @@ GROUPS = {
     "training": TRAINING,
     "tests, files, report": {*STAGES, REST, REPORT, END} - BEFORE - TRAINING,
 }
+
+
+def short(scene: str) -> str:
+    """The name of a row: the folder of the scene, or its layout, the number of views, the rest."""
+    folder = re.search(r"path=\S*?([^/\s]+)/?(?:\s|$)", scene)
+    layout = re.search(r"scene=(\S+)", scene)
+    views = re.search(r"n_views=(\d+)", scene)
+    name = folder[1] if folder else layout[1] if layout else scene
+    shown = ("scene=", "scene.path=", "scene.n_views=")
+    rest = [word for word in scene.split() if not word.startswith(shown)]
+    return " ".join([f"{name}, {views[1]} views" if views else name, *rest])
 
 
 def measured(scene: str, words: list[str], runs: int) -> list[str]:
